@@ -2,8 +2,8 @@
 
 The module describes the printed pattern only: no camera, no collimator, no image. The pattern is a grid of squares.
 Every inner node of the grid has a star of alternating black and white segments, cut to the square cell of half a
-pitch around the node. An AprilTag (Olson 2011) of family 36h11 takes the place of some squares, inside a white ring
-that is half a square wide. Such patterns for calibration are from Schöps et al. (2020), arXiv:1912.02908; the
+pitch around the node. An AprilTag (Olson 2011) takes the place of some squares, inside a white ring that is half a
+square wide. Such patterns for calibration are from Schöps et al. (2020), arXiv:1912.02908; the
 collimator of arXiv:2512.16092 shows a star pattern.
 
 Target frame: the plane Z = 0, in millimetres; X points right along the columns, Y down along the rows. The origin is
@@ -13,6 +13,7 @@ node (0, 0), the inner node of the first column and row.
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple
@@ -20,10 +21,31 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from calib.errors import InputMismatch
+from calib.errors import InputMismatch as InputMismatch  # noqa: PLC0414 - simulators catch it, and import this module only
 
-#: An AprilTag 36h11 is 6 x 6 bits inside a black border of one module.
-TAG_MODULES = 8
+
+class TagFamily(NamedTuple):
+    """A family of AprilTags (Olson 2011), as OpenCV has it.
+
+    Attributes
+    ----------
+    modules
+        Modules along a side, with the black border of one module.
+    tags
+        Number of tags: their numbers are 0 to ``tags - 1``.
+    """
+
+    modules: int
+    tags: int
+
+
+#: Families of AprilTags by name. The number after the h is the least number of bits in which two tags of it differ.
+TAG_FAMILIES: Mapping[str, TagFamily] = {
+    "36h11": TagFamily(8, 587),
+    "36h10": TagFamily(8, 2320),
+    "25h9": TagFamily(7, 35),
+    "16h5": TagFamily(6, 30),
+}
 
 
 class TargetLayout(NamedTuple):
@@ -42,7 +64,7 @@ class TargetLayout(NamedTuple):
     tag_squares
         Side of the tag, squares.
     tag_modules
-        (8, 8) uint8, modules of the tag with its border: 1 is white.
+        (M, M) uint8, modules of the tag with its border: 1 is white; M as the family has it (8 for 36h11).
     """
 
     pitch_mm: float
@@ -72,11 +94,13 @@ class StarTarget:
         Number of segments of a star, black and white together. It is a multiple of 4, so that a star looks the
         same after half a turn.
     tag_id
-        Number of the AprilTag in family 36h11, 0 to 586.
+        Number of the AprilTag in its family.
     tag_square
         Column and row of the tag's upper left square, counted from 0 over all squares.
     tag_squares
         Side of the tag in squares, its black border included.
+    tag_family
+        Family of the AprilTag, a key of `TAG_FAMILIES`.
 
     Raises
     ------
@@ -101,6 +125,7 @@ class StarTarget:
     tag_id: int = 3
     tag_square: tuple[int, int] = (23, 34)
     tag_squares: int = 4
+    tag_family: str = "36h11"
 
     def __post_init__(self) -> None:
         fault = self._fault()
@@ -115,8 +140,17 @@ class StarTarget:
             return f"The pitch is {self.pitch_mm} mm; it must be a positive number."
         if self.segments < 4 or self.segments % 4:
             return f"A star has {self.segments} segments; the number must be a multiple of 4."
-        if not 0 <= self.tag_id <= 586:
-            return f"Tag {self.tag_id} does not exist; family 36h11 has tags 0 to 586."
+        return self._tag_fault()
+
+    def _tag_fault(self) -> str:
+        """Return why the tag cannot be printed; empty if it can."""
+        family = TAG_FAMILIES.get(self.tag_family)
+        if family is None:
+            return f"Tag family {self.tag_family!r} is unknown; known are {', '.join(TAG_FAMILIES)}."
+        if not 0 <= self.tag_id < family.tags:
+            return (
+                f"Tag {self.tag_id} does not exist; family {self.tag_family} has tags 0 to {family.tags - 1}."
+            )
         fits = all(
             first >= 1 and first + self.tag_squares <= squares - 1
             for first, squares in zip(self.tag_square, (self.squares_x, self.squares_y), strict=True)
@@ -134,6 +168,11 @@ class StarTarget:
     def rows(self) -> int:
         """Number of rows of nodes."""
         return self.squares_y - 1
+
+    @property
+    def tag_modules(self) -> int:
+        """Number of modules along a side of the tag, with its black border."""
+        return TAG_FAMILIES[self.tag_family].modules
 
     @property
     def tag_centre_mm(self) -> tuple[float, float]:
@@ -236,8 +275,8 @@ class StarTarget:
         """The pattern in the form that `calib.reflectance` takes."""
         import cv2
 
-        family = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_APRILTAG_36h11)
-        modules = family.generateImageMarker(self.tag_id, TAG_MODULES, borderBits=1) > 0
+        family = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, f"DICT_APRILTAG_{self.tag_family}"))
+        modules = family.generateImageMarker(self.tag_id, self.tag_modules, borderBits=1) > 0
         column, row = self.tag_square
         return TargetLayout(
             float(self.pitch_mm),

@@ -1,7 +1,7 @@
 """Configuration of the simulated bench: its devices, and the world they stand in.
 
 This module defines every key, its default and its range; an error is one sentence that names the key. `truth_config`
-reads the sections camera, collimator, reticle, optics, noise, thermal, mount, gimbal and screen.
+reads the sections camera, collimator, target, reticle, optics, noise, thermal, mount, gimbal and screen.
 """
 
 from __future__ import annotations
@@ -30,7 +30,8 @@ LIGHT_KINDS: Final = ("keysight", "rigol", "siglent", "gardasoft")
 _PORTS: Final = ("pty", "tcp")
 
 _TRUTH_SECTIONS: Final = (
-    *("camera", "collimator", "reticle", "optics", "noise", "thermal", "mount", "gimbal", "screen"),
+    *("camera", "collimator", "target", "reticle", "optics", "noise", "thermal", "mount", "gimbal", "screen"),
+    "lens",
 )
 _AXES: Final[tuple[AxisName, ...]] = ("pan", "tilt", "roll")
 
@@ -166,8 +167,8 @@ def bench_config(given: Mapping[str, Any]) -> BenchConfig:
     Parameters
     ----------
     given
-        Sections ``camera``, ``collimator``, ``reticle``, ``optics``, ``noise``, ``thermal``, ``mount``, ``gimbal`` and
-        ``screen`` (see `truth`);
+        Sections ``camera``, ``collimator``, ``target``, ``reticle``, ``optics``, ``noise``, ``thermal``, ``mount``,
+        ``gimbal`` and ``screen`` (see `truth`);
         ``stage``, a mapping of the axes pan, tilt and roll in the order of their addresses, with an optional ``kind``;
         ``light``; ``faults``, a list of fault orders (see `faults`) that are carried out from the start; and the values
         ``camera_serial``, ``camera_seed``, ``ports`` ("pty" or "tcp") and ``paced`` (whether bytes are delayed as by

@@ -153,7 +153,7 @@ def serve_simulated_bench(station_name: str, seed: int) -> int:
     stop = threading.Event()
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: stop.set())
-    with SimulatedBench(station.simulation, seed) as bench:
+    with SimulatedBench(station.simulated_world, seed) as bench:
         for name, port in bench.endpoints.items():
             click.echo(f"{name:<8} {port}")
         click.echo(

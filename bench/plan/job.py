@@ -387,7 +387,7 @@ class Job:
         """
         if not self.station.needs_simulated_bench:
             return None
-        with SimulatedBench(self.station.simulation or {}, self.seed) as bench:
+        with SimulatedBench(self.station.simulated_world, self.seed) as bench:
             return bench.truth()
 
 

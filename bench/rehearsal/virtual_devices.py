@@ -383,10 +383,10 @@ def read_view(path: Path, name: str, target: StarTarget) -> tuple[View, int]:
 def _configuration(station: Station) -> dict[str, Any]:
     """Return the configuration of the world: the simulation's, or one from the ``expected`` section."""
     if station.simulation is not None:
-        return station.simulation
+        return station.simulated_world
     expected = station.expected
     if expected is None:
-        return {}
+        return station.simulated_world
     width, height = expected.image_size
     camera = {
         "fx": expected.focal_px,
@@ -399,6 +399,7 @@ def _configuration(station: Station) -> dict[str, Any]:
         "height": height,
     }
     return {
+        **station.simulated_world,
         "camera": camera,
         "collimator": {"r": expected.r_mm, "half_angle_deg": expected.half_angle_deg},
         "rehearsal": {"star_sigma_px": expected.star_sigma_px},

@@ -72,7 +72,7 @@ class Devices:
         self._simulation: SimulatedBench | None = None
         with ExitStack() as opened:
             if station.needs_simulated_bench:
-                self._simulation = opened.enter_context(SimulatedBench(station.simulation or {}, seed))
+                self._simulation = opened.enter_context(SimulatedBench(station.simulated_world, seed))
             opened.enter_context(hold_serial_devices(station))
             self.stage: Stage = _open_stage(station, self._port, clock, wire_log)
             opened.callback(self.stage.close)

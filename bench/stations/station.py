@@ -1,9 +1,9 @@
 """The station file: the devices of a bench, their ports, and their limits.
 
 The sections of the devices are in `station_stages`, `station_lights` and `station_cameras`, those of the collimator and
-of the gimbal's readings in `station_collimator`, and the expected values in `station_expected`; `devices` opens the
-devices. docs/stations.md describes every key. A simulated bench and a real one differ in the station file only; the
-same sequences run on both.
+of the gimbal's readings in `station_collimator`, the printed target in `station_target`, and the expected values in
+`station_expected`; `devices` opens the devices. docs/stations.md describes every key. A simulated bench and a real one
+differ in the station file only; the same sequences run on both.
 """
 
 from __future__ import annotations
@@ -14,64 +14,23 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import BeforeValidator, Field, model_validator
-from pydantic_core import PydanticCustomError
+from pydantic import BeforeValidator, Field
 
 from bench.stations.station_budget import BudgetConfig
 from bench.stations.station_cameras import CameraConfig, PictureFolderConfig, RecordedCameraConfig
 from bench.stations.station_collimator import CollimatorConfig, GimbalConfig
 from bench.stations.station_expected import ExpectedConfig
-from bench.stations.station_fields import SIMULATED_PREFIX, Positive, Text
+from bench.stations.station_fields import SIMULATED_PREFIX, Text
 from bench.stations.station_interlocks import InterlocksConfig
 from bench.stations.station_lights import LightConfig
 from bench.stations.station_messages import MessagesConfig
 from bench.stations.station_stages import AxisConfig, StageConfig
-from calib.errors import InputMismatch
-from calib.target import StarTarget
+from bench.stations.station_target import TargetConfig
 from sequences.reader import Located, find_document, read_document
 from sequences.schema import Name
 from sequences.strict_model import StrictModel
 
 SHIPPED_STATIONS = Path(__file__).parent
-
-
-class TargetConfig(StrictModel):
-    """The printed star pattern."""
-
-    squares: tuple[int, int] = (50, 72)
-    pitch_mm: Positive = 144.5 / 36
-    segments: int = 16
-    tag_id: int = 3
-    tag_square: tuple[int, int] = (23, 34)
-    tag_squares: int = 4
-
-    @model_validator(mode="after")
-    def _printable(self) -> TargetConfig:
-        try:
-            self.pattern()
-        except InputMismatch as error:
-            raise PydanticCustomError(
-                "not_printable", "{what}", {"what": f"no such target can be printed: {error.what}"}
-            ) from None
-        return self
-
-    def pattern(self) -> StarTarget:
-        """Return the pattern for the calibration engine.
-
-        Returns
-        -------
-        StarTarget
-            The pattern.
-        """
-        return StarTarget(
-            squares_x=self.squares[0],
-            squares_y=self.squares[1],
-            pitch_mm=self.pitch_mm,
-            segments=self.segments,
-            tag_id=self.tag_id,
-            tag_square=self.tag_square,
-            tag_squares=self.tag_squares,
-        )
 
 
 class DiskConfig(StrictModel):
@@ -128,6 +87,14 @@ class Station(StrictModel):
         """Whether any device belongs to the simulated bench."""
         ports = (*self.stage.ports, *self.light.ports, *self.camera.ports)
         return any(port.startswith(SIMULATED_PREFIX) for port in ports)
+
+    @property
+    def simulated_world(self) -> dict[str, Any]:
+        """Configuration of the simulated bench: section ``simulation``, with the target of this station."""
+        given, print_ = self.simulation or {}, self.target.in_simulation()
+        reticle = given.get("reticle", {})
+        merged = {**print_["reticle"], **reticle} if isinstance(reticle, Mapping) else reticle
+        return {**print_, **given, "reticle": merged}
 
     @property
     def bounds_parallax(self) -> bool:

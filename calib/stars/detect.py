@@ -227,7 +227,7 @@ def _candidates_without_tag(
             start, grown = tried, found
     if start is None or len(grown.points) < MIN_STARS:
         raise TargetNotFound(
-            f"Tag {target.tag_id} of family 36h11 is not in the image, and no stars are either.",
+            f"Tag {target.tag_id} of family {target.tag_family} is not in the image, and no stars are either.",
             where=f"view {name}",
             remedy="Turn the camera so that the tag is in view; check focus, light and the target's description.",
         )

@@ -16,12 +16,12 @@ from calib.errors import StarsUnnamed
 from calib.model.homography import apply_homography, fit_homography
 from calib.stars.grid_map import predict_locally
 from calib.stars.growth import StarGrid
-from calib.target import TAG_MODULES, StarTarget
+from calib.target import StarTarget
 
 #: Largest share of the visible modules of a tag that may be wrong.
 MAX_WRONG_MODULES = 0.08
-#: Least number of visible modules inside the tag's border, of 36.
-MIN_INNER_MODULES = 12
+#: Least share of the modules inside the tag's border that must be visible.
+MIN_INNER_SHARE = 1 / 3
 #: Least difference between the best labelling and any other, in the share of right modules.
 MIN_MARGIN = 0.15
 #: Largest distance of the stars from whole nodes, and their largest scatter, by an expected pose, pitches.
@@ -232,16 +232,17 @@ def _modules(
     middle: NDArray[np.float64],
     target: StarTarget,
 ) -> NDArray[np.float64] | None:
-    """Return the brightness of the modules of a tag with its centre at a place, (8, 8), nan outside of the image.
+    """Return the brightness of the modules of a tag with its centre at a place, (M, M), nan outside of the image.
 
-    None if fewer than `MIN_INNER_MODULES` lie in the image.
+    None if a smaller share than `MIN_INNER_SHARE` of those inside the border lies in the image.
     """
-    steps = ((np.arange(TAG_MODULES) + 0.5) / TAG_MODULES - 0.5) * target.tag_squares
+    across = target.tag_modules
+    steps = ((np.arange(across) + 0.5) / across - 0.5) * target.tag_squares
     on_grid = middle + np.stack(np.meshgrid(steps, steps), axis=-1).reshape(-1, 2)
-    inner = np.zeros((TAG_MODULES, TAG_MODULES), bool)
+    inner = np.zeros((across, across), bool)
     inner[1:-1, 1:-1] = True
     roughly = np.isfinite(_values(image, apply_homography(h, on_grid[inner.ravel()])))
-    if np.count_nonzero(roughly) < MIN_INNER_MODULES:
+    if np.count_nonzero(roughly) < MIN_INNER_SHARE * roughly.size:
         return None
     at = predict_locally(h, grown.nodes().astype(float), grown.places(), on_grid)
     return _values(image, at).reshape(inner.shape)

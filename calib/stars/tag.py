@@ -1,13 +1,13 @@
 """The target's AprilTag in an image: its corners, the orientation of the target, and the contrast.
 
 The module does not use stars. OpenCV's ArUco detector (Garrido-Jurado et al. 2014) finds and decodes the
-AprilTags (Olson 2011) of family 36h11.
+AprilTags (Olson 2011) of the target's family.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from calib.errors import TargetNotFound
 from calib.events.grey_image import to_uint8
-from calib.target import TAG_MODULES, StarTarget
+from calib.target import StarTarget
 
 #: Least correlation of a tag's modules with the print, of either sign.
 MIN_CORRELATION = 0.5
@@ -38,7 +38,7 @@ class TagDetection:
     sign
         +1 if white is bright in the image, -1 if it is dark.
     correlation
-        Correlation of the 8 x 8 modules with the print, 0 to 1.
+        Correlation of the modules with the print, 0 to 1.
     """
 
     homography: NDArray[np.float64]
@@ -75,12 +75,13 @@ def find_tag(image: NDArray[np.generic], target: StarTarget, *, name: str) -> Ta
     others: set[int] = set()
     for variant, scale in _variants(to_uint8(image)):
         found = []
-        for corners, tag in _read_tags(variant, scale):
-            detection = _verified(variant, scale, corners, target) if tag == target.tag_id else None
-            if detection is None:
-                others.add(tag)
-            else:
+        for corners, tag in _read_tags(variant, scale, target.tag_family):
+            seen = target if tag == target.tag_id else replace(target, tag_id=tag)
+            detection = _verified(variant, scale, corners, seen)
+            if detection is not None and seen is target:
                 found.append(detection)
+            elif detection is not None:
+                others.add(tag)
         if len(found) > 1:
             raise TargetNotFound(
                 f"Tag {target.tag_id} of the target is seen {len(found)} times.",
@@ -89,10 +90,9 @@ def find_tag(image: NDArray[np.generic], target: StarTarget, *, name: str) -> Ta
             )
         if found:
             return found[0]
-    others.discard(target.tag_id)
     if others:
         raise TargetNotFound(
-            f"Tag {target.tag_id} of family 36h11 is not in the image; tags seen instead: "
+            f"Tag {target.tag_id} of family {target.tag_family} is not in the image; tags seen instead: "
             f"{', '.join(map(str, sorted(others)))}.",
             where=f"view {name}",
             remedy="Check that the target is the one described.",
@@ -112,7 +112,9 @@ def _variants(picture: NDArray[np.uint8]) -> Iterator[tuple[NDArray[np.uint8], f
     yield np.asarray(cv2.GaussianBlur(cv2.medianBlur(picture, 5), (0, 0), 2.5), np.uint8), 1.0
 
 
-def _read_tags(picture: NDArray[np.uint8], scale: float) -> Iterator[tuple[NDArray[np.float64], int]]:
+def _read_tags(
+    picture: NDArray[np.uint8], scale: float, family: str
+) -> Iterator[tuple[NDArray[np.float64], int]]:
     """Yield the (4, 2) corners, px of the full image, and the number of each tag of the family."""
     parameters = cv2.aruco.DetectorParameters()
     parameters.detectInvertedMarker = True
@@ -121,8 +123,8 @@ def _read_tags(picture: NDArray[np.uint8], scale: float) -> Iterator[tuple[NDArr
     parameters.adaptiveThreshWinSizeMin = 9
     parameters.adaptiveThreshWinSizeMax = max(23, min(picture.shape) // 8 | 1)
     parameters.adaptiveThreshWinSizeStep = max(10, (parameters.adaptiveThreshWinSizeMax - 9) // 2)
-    family = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_APRILTAG_36h11)
-    corners, tags, _ = cv2.aruco.ArucoDetector(family, parameters).detectMarkers(picture)
+    dictionary = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, f"DICT_APRILTAG_{family}"))
+    corners, tags, _ = cv2.aruco.ArucoDetector(dictionary, parameters).detectMarkers(picture)
     for quad, tag in zip(corners, [] if tags is None else np.ravel(tags), strict=True):
         yield (np.asarray(quad, np.float64).reshape(4, 2) + 0.5) / scale - 0.5, int(tag)
 
@@ -136,7 +138,7 @@ def _verified(
     if abs(correlation) < MIN_CORRELATION:
         return None
     sign = float(np.sign(correlation))
-    corners = _refined_corners(picture.astype(np.float32) * np.float32(sign), scale, corners)
+    corners = _refined_corners(picture.astype(np.float32) * np.float32(sign), scale, corners, target)
     return TagDetection(_homography(nodes, corners), corners, sign, abs(correlation))
 
 
@@ -150,12 +152,12 @@ def _homography(nodes: NDArray[np.float64], corners: NDArray[np.float64]) -> NDA
 def _modules_correlation(
     picture: NDArray[np.uint8], scale: float, homography: NDArray[np.float64], target: StarTarget
 ) -> float:
-    """Return the correlation of the 8 x 8 modules, at their centres, with the print.
+    """Return the correlation of the modules, at their centres, with the print.
 
     It is Pearson's correlation coefficient (NumPy's ``corrcoef``).
     """
     left, top = target.tag_corners_mm[0] / target.pitch_mm
-    middles = (np.arange(TAG_MODULES) + 0.5) * (target.tag_squares / TAG_MODULES)
+    middles = (np.arange(target.tag_modules) + 0.5) * (target.tag_squares / target.tag_modules)
     u, v = np.meshgrid(left + middles, top + middles)
     at = cv2.perspectiveTransform(np.column_stack([u.ravel(), v.ravel()])[None], homography)[0]
     seen = _values(picture.astype(np.float32), scale, at)
@@ -165,18 +167,19 @@ def _modules_correlation(
 
 
 def _refined_corners(
-    picture: NDArray[np.float32], scale: float, corners: NDArray[np.float64]
+    picture: NDArray[np.float32], scale: float, corners: NDArray[np.float64], target: StarTarget
 ) -> NDArray[np.float64]:
     """Fit lines to the outer edges of the border, and return their (4, 2) intersections.
 
-    The edge is black inside and white outside. The black border and the white ring are both half a pitch wide, which is
-    one module of a tag of four squares. The old corners are returned if an intersection is far from its corner. Own
-    procedure: a step filter finds the edge on each profile. Lines through points and their intersections are cross
-    products (Hartley and Zisserman, 2004, section 2.2).
+    The edge is black inside, over the border of one module, and white outside, over the ring of half a square. The
+    profiles are as long as the narrower of the two. The old corners are returned if an intersection is far from its
+    corner. Own procedure: a step filter finds the edge on each profile. Lines through points and their intersections
+    are cross products (Hartley and Zisserman, 2004, section 2.2).
     """
-    module = np.linalg.norm(np.roll(corners, -1, axis=0) - corners, axis=1).mean() / TAG_MODULES
-    offsets = np.linspace(-1.4, 1.4, 113) * module
-    step = np.where(offsets < 0, -1.0, 1.0) * (np.abs(offsets) <= 0.6 * module)
+    side = np.linalg.norm(np.roll(corners, -1, axis=0) - corners, axis=1).mean()
+    clear = side / max(target.tag_modules, 2 * target.tag_squares)
+    offsets = np.linspace(-1.4, 1.4, 113) * clear
+    step = np.where(offsets < 0, -1.0, 1.0) * (np.abs(offsets) <= 0.6 * clear)
     lines = []
     for start, end in zip(corners, np.roll(corners, -1, axis=0), strict=True):
         along = (end - start) / np.linalg.norm(end - start)
@@ -184,7 +187,7 @@ def _refined_corners(
         places = start + np.linspace(0.12, 0.88, 32)[:, None] * (end - start)
         profiles = _values(picture, scale, (places[:, None] + offsets[:, None] * outward).reshape(-1, 2))
         answers = np.array([np.convolve(p, step[::-1], "same") for p in profiles.reshape(32, -1)])
-        inner = np.abs(offsets) <= 0.7 * module
+        inner = np.abs(offsets) <= 0.7 * clear
         edges = places + offsets[inner][np.argmax(answers[:, inner], axis=1)][:, None] * outward
         vx, vy, x, y = np.ravel(cv2.fitLine(edges.astype(np.float32), cv2.DIST_HUBER, 0, 0.01, 0.01)).astype(
             float
@@ -192,7 +195,7 @@ def _refined_corners(
         lines.append(np.cross([x, y, 1.0], [x + vx, y + vy, 1.0]))
     cuts = np.array([np.cross(lines[i - 1], lines[i]) for i in range(4)])
     sharp = cuts[:, :2] / cuts[:, 2:]
-    near = np.isfinite(sharp).all() and np.linalg.norm(sharp - corners, axis=1).max() < 1.5 * module
+    near = np.isfinite(sharp).all() and np.linalg.norm(sharp - corners, axis=1).max() < 1.5 * clear
     return np.asarray(sharp, np.float64) if near else corners
 
 

@@ -14,6 +14,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import replace
+from functools import lru_cache
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -30,6 +31,7 @@ from simulators.optics.collimator_errors import (
 )
 from simulators.optics.coverage import empty_picture, join_cells, spread_kernel
 from simulators.optics.lens import lens_of, ray_grid
+from simulators.optics.lens_focus import blur_px, camera_of, reach_px, spread_over_disc
 from simulators.optics.print_outline import black_polygons
 from simulators.optics.projection import Cells, Projection, draw, image_points, plane_points
 from simulators.world.gimbal import GimbalTruth, gimbal_rotation, rotation_matrix
@@ -38,11 +40,14 @@ from simulators.world.truth import CollimatorTruth, OpticsTruth, Truth
 FloatArray = NDArray[np.float64]
 
 TARGET: Final = StarTarget()
-"""The printed target behind the collimator."""
+"""The standard target, which is printed unless a station describes another one."""
 
 PERFECT_GIMBAL: Final = GimbalTruth()
 
-_BLACK: Final = black_polygons(TARGET)
+_COARSE_FROM_PX: Final = 4.0
+"""Diameter of a blur from which on two cells along a pixel's side suffice."""
+
+_black_polygons = lru_cache(maxsize=4)(black_polygons)
 
 
 def pose_rotation(
@@ -80,14 +85,18 @@ def true_rotation(angles_deg: Mapping[Any, float], truth: Truth) -> FloatArray:
         Angles of the loads by axis, "pan", "tilt" and "roll", degrees; missing = 0. With backlash they differ from the
         readings; see ``gimbal.load_angles_deg``.
     truth
-        Mounting of the camera, and errors of the gimbal.
+        Mounting of the camera, how far it is turned in its mount, and errors of the gimbal.
 
     Returns
     -------
     (3, 3) float64
         Rotation matrix R.
     """
-    return pose_rotation(angles_deg, truth.optics, truth.gimbal)
+    rotation = pose_rotation(angles_deg, truth.optics, truth.gimbal)
+    if truth.mount.turn_deg == (0.0, 0.0, 0.0):
+        return rotation
+    pan, tilt, roll = truth.mount.turn_deg
+    return gimbal_rotation({"pan": pan, "tilt": tilt, "roll": roll}, PERFECT_GIMBAL) @ rotation
 
 
 def beam_of(truth: Truth) -> CollimatorTruth:
@@ -129,7 +138,7 @@ def projection_of(truth: Truth, rotation: FloatArray) -> Projection:
     """
     c = beam_of(truth)
     return Projection(
-        lens_of(truth.camera),
+        lens_of(camera_of(truth)),
         np.ascontiguousarray(rotation, np.float64),
         np.array([c.x, c.y, -c.r]),
         aberrations_of(c, rotation, truth.reticle),
@@ -185,12 +194,12 @@ def star_centres(
     points_px
         (N, 2) float64, pixel centres at integers.
     """
-    ids = TARGET.ids
-    positions = np.asarray(TARGET.positions_mm(ids), np.float64)
+    ids = truth.target.ids
+    positions = np.asarray(truth.target.positions_mm(ids), np.float64)
     points = project(positions, rotation, truth)
     collimator, camera = beam_of(truth), truth.camera
     disc = disc_of(collimator, rotation)
-    bright = 1.0 - collimator.rim - clearance * TARGET.pitch_mm / disc.radius
+    bright = 1.0 - collimator.rim - clearance * truth.target.pitch_mm / disc.radius
     low, high = border_px - 0.5, np.array([camera.width, camera.height]) - 0.5 - border_px
     seen = (radius_fractions(positions, disc) <= bright) & ((points >= low) & (points <= high)).all(axis=1)
     return ids[seen], points[seen]
@@ -234,25 +243,33 @@ def render(truth: Truth, rotation: FloatArray, *, subsamples: int = 4) -> NDArra
     (height, width) float32
         About 0 to 1: printed brightness x disc x illumination, after the point spread.
     """
-    optics, camera, disc = truth.optics, truth.camera, disc_of(beam_of(truth), rotation)
+    optics, camera, disc = truth.optics, camera_of(truth), disc_of(beam_of(truth), rotation)
+    blur = blur_px(truth)
+    if blur > _COARSE_FROM_PX:
+        subsamples = min(subsamples, 2)
     kernel, rim_kernel = (spread_kernel(sigma, subsamples) for sigma in (optics.psf_px, optics.psf_rim_px))
-    cells = Cells(subsamples, math.ceil((max(kernel.size, rim_kernel.size) / subsamples - 1) / 2))
+    margin = math.ceil((max(kernel.size, rim_kernel.size) / subsamples - 1) / 2)
+    cells = Cells(subsamples, margin + reach_px(blur))
     steps = empty_picture(camera.width, camera.height, cells.per_px, cells.margin_px)
     rays, projection = ray_grid(camera, cells.margin_px), projection_of(truth, rotation)
     widest = disc.radius * (1.0 + float(np.abs(disc.edge).sum()))
-    lit = np.hypot(*(_BLACK[:, 0] - (disc.x, disc.y)).T) < widest + TARGET.pitch_mm
-    draw(_BLACK[lit], projection, rays, cells, steps)
+    black = _black_polygons(truth.target)
+    reach = truth.target.pitch_mm * max(1.0, 1.5 * truth.target.tag_squares / truth.target.tag_modules)
+    lit = np.hypot(*(black[:, 0] - (disc.x, disc.y)).T) < widest + reach
+    draw(black[lit], projection, rays, cells, steps)
+    white, dark = (1.0, optics.black)[:: 1 if truth.reticle.polarity == "positive" else -1]
+    shades = (white, dark - white)
     light, rho = _light(
         plane_points(rays, projection),
         Light(disc, truth.collimator.rim, optics.gradient_x, optics.gradient_y),
         camera.height + 2 * cells.margin_px,
         camera.width + 2 * cells.margin_px,
     )
-    image = join_cells(steps, light, (1.0, optics.black - 1.0), kernel, *cells)
+    image = join_cells(steps, light, shades, kernel, subsamples, margin)
     if optics.psf_rim_px > 0.0:
-        m = cells.margin_px
-        share = np.minimum(rho[m : m + camera.height, m : m + camera.width], 1.0) ** 2
-        image += share * (join_cells(steps, light, (1.0, optics.black - 1.0), rim_kernel, *cells) - image)
+        share = np.minimum(rho[margin:, margin:][: image.shape[0], : image.shape[1]], 1.0) ** 2
+        image += share * (join_cells(steps, light, shades, rim_kernel, subsamples, margin) - image)
+    image = spread_over_disc(image, blur)
     return np.asarray(image + np.float32(optics.stray), np.float32)
 
 

@@ -11,7 +11,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.target import TAG_MODULES, StarTarget
+from calib.target import StarTarget
 
 FloatArray = NDArray[np.float64]
 
@@ -65,7 +65,7 @@ def _on_cell(angle: float) -> FloatArray:
 
 def _black_modules(target: StarTarget) -> FloatArray:
     """Return the black modules of the tag, (N, 4, 2), mm."""
-    side = target.pitch_mm * target.tag_squares / TAG_MODULES
+    side = target.pitch_mm * target.tag_squares / target.tag_modules
     rows, columns = np.nonzero(target.layout.tag_modules == 0)
     corner = target.tag_corners_mm[0] + side * np.column_stack([columns, rows])
     ring = side * np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])

@@ -12,7 +12,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any, Final
 
+from calib.target import StarTarget
 from simulators.world.gimbal import GimbalTruth
+from simulators.world.lens_truth import LensTruth
 
 PITCH_MM: Final = 144.5 / 36.0
 """Side of a square of the printed target, mm."""
@@ -113,6 +115,9 @@ class CollimatorTruth:
     glass_seed: int = 1
 
 
+POLARITIES: Final = ("positive", "negative")
+
+
 @dataclass(frozen=True)
 class ReticleTruth:
     """Errors of the printed target.
@@ -126,11 +131,14 @@ class ReticleTruth:
         Radius at which the bow is stated, mm.
     print_scale
         Relative error of the printed lengths: a printed length is (1 + print_scale) times the nominal one.
+    polarity
+        "positive": what is black on the print blocks the light; "negative": what is white does.
     """
 
     bow_mm: float = 0.0
     bow_radius_mm: float = 40.0
     print_scale: float = 0.0
+    polarity: str = "positive"
 
 
 @dataclass(frozen=True)
@@ -257,6 +265,9 @@ class MountTruth:
     shift_mm
         Displacement of the camera's entrance pupil across the beam, along the target's X and Y, mm; the disc of light
         moves by the opposite amount.
+    turn_deg
+        How far the camera is turned in its mount, after the gimbal's axes: pan, tilt and roll, each in the direction of
+        the axis of that name.
     vibration_arcsec, vibration_hz
         Amplitude of the vibration about the pan and the tilt axis, and its frequency.
     drift_arcsec_per_min
@@ -267,6 +278,7 @@ class MountTruth:
     vibration_hz: float = 30.0
     drift_arcsec_per_min: tuple[float, float] = (0.0, 0.0)
     shift_mm: tuple[float, float] = (0.0, 0.0)
+    turn_deg: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
 
 CAMERAS: Final[Mapping[str, CameraTruth]] = {
@@ -364,6 +376,10 @@ class Truth:
         Errors of the print.
     gimbal
         Errors between readings and pointing.
+    target
+        The printed pattern behind the collimator.
+    lens
+        Focus and aperture of the camera's lens.
     """
 
     camera: CameraTruth = field(default_factory=CameraTruth)
@@ -375,6 +391,8 @@ class Truth:
     screen: ScreenTruth = field(default_factory=ScreenTruth)
     reticle: ReticleTruth = field(default_factory=ReticleTruth)
     gimbal: GimbalTruth = field(default_factory=GimbalTruth)
+    target: StarTarget = field(default_factory=StarTarget)
+    lens: LensTruth = field(default_factory=LensTruth)
 
     def to_dict(self) -> dict[str, Any]:
         """Return all parameters as plain numbers, by section: the content of ``truth.json``.

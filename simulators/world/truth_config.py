@@ -10,12 +10,15 @@ import math
 from collections.abc import Mapping
 from typing import Any, Final, TypeVar
 
+from calib.target import InputMismatch, StarTarget
 from simulators.errors import ConfigError
 from simulators.world.gimbal import AXES, GimbalTruth
+from simulators.world.lens_config import lens_from_config
 from simulators.world.truth import (
     CAMERAS,
     COLLIMATORS,
     NOISE_LEVELS,
+    POLARITIES,
     CameraTruth,
     CollimatorTruth,
     MountTruth,
@@ -47,7 +50,8 @@ def truth_from_config(config: Mapping[str, Any]) -> Truth:
     Parameters
     ----------
     config
-        Every section and every key in it is optional; other sections are ignored. ``noise`` is the name of a level, or
+        Every section and every key in it is optional; other sections are ignored. ``target`` describes the print with
+        the keys of `StarTarget`, its two numbers of squares as ``squares``. ``noise`` is the name of a level, or
         a mapping over the typical level. ``collimator`` may be the name of a profile, or a mapping that names it as
         ``profile`` beside the keys that differ from it. ``scale`` and ``backlash_deg`` of the ``gimbal`` are numbers
         for all axes, or mappings by axis.
@@ -77,16 +81,20 @@ def truth_from_config(config: Mapping[str, Any]) -> Truth:
         level = NOISE_LEVELS[noise]
     else:
         level = _section("noise", NoiseTruth(), noise)
+    target = _target(config.get("target", {}))
+    camera = _camera(config.get("camera", {}))
     return Truth(
-        camera=_camera(config.get("camera", {})),
-        collimator=_collimator(config.get("collimator", {})),
-        reticle=_section("reticle", ReticleTruth(), config.get("reticle", {})),
+        camera=camera,
+        lens=lens_from_config(config.get("lens", {}), camera),
+        collimator=_collimator(config.get("collimator", {}), target),
+        reticle=_reticle(config.get("reticle", {})),
         optics=_section("optics", OpticsTruth(), config.get("optics", {})),
         noise=level,
         thermal=_section("thermal", ThermalTruth(), config.get("thermal", {})),
         mount=_section("mount", MountTruth(), config.get("mount", {})),
         gimbal=_gimbal(config.get("gimbal", {})),
         screen=_screen(config.get("screen", {})),
+        target=target,
     )
 
 
@@ -168,8 +176,44 @@ def _camera(given: object) -> CameraTruth:
     return camera
 
 
-def _collimator(given: object) -> CollimatorTruth:
-    """Read the section of the collimator: a profile, and keys that differ from it."""
+def _target(given: object) -> StarTarget:
+    """Read the section of the printed pattern."""
+    if not isinstance(given, Mapping):
+        raise ConfigError(f"A mapping is expected, not {given!r}.", where="target")
+    values: dict[str, Any] = {}
+    for key, value in given.items():
+        if key in {"squares", "tag_square"}:
+            pair = _like((0.0, 0.0), value, f"target.{key}")
+            values[key] = tuple(int(number) for number in pair) if isinstance(pair, tuple) else pair
+        elif key in {"pitch_mm", "segments", "tag_id", "tag_squares", "tag_family"}:
+            values[key] = value
+        else:
+            raise ConfigError("Unknown key.", where=f"target.{key}")
+    if "squares" in values:
+        values["squares_x"], values["squares_y"] = values.pop("squares")
+    try:
+        return StarTarget(**values)
+    except (InputMismatch, TypeError) as error:
+        raise ConfigError(f"No such target can be printed: {error}", where="target") from error
+
+
+def _reticle(given: object) -> ReticleTruth:
+    """Read the section of the print's errors."""
+    reticle = _section("reticle", ReticleTruth(), given)
+    if reticle.polarity not in POLARITIES:
+        raise ConfigError(
+            f"Unknown polarity {reticle.polarity!r}.",
+            where="reticle.polarity",
+            remedy=f"Use one of: {', '.join(POLARITIES)}.",
+        )
+    return reticle
+
+
+def _collimator(given: object, target: StarTarget) -> CollimatorTruth:
+    """Read the section of the collimator: a profile, and keys that differ from it.
+
+    Unless it says where, the axis meets the target as far from the tag's centre as on the standard target.
+    """
     if isinstance(given, str):
         given = {"profile": given}
     name, rest = "ideal", given
@@ -182,7 +226,15 @@ def _collimator(given: object) -> CollimatorTruth:
             where="collimator.profile",
             remedy=f"Use one of: {names}.",
         )
-    return _section("collimator", COLLIMATORS[name], rest)
+    collimator, profile = _section("collimator", COLLIMATORS[name], rest), COLLIMATORS[name]
+    if target == StarTarget():
+        return collimator
+    standard, own = StarTarget().tag_centre_mm, target.tag_centre_mm
+    return dataclasses.replace(
+        collimator,
+        x=collimator.x if "x" in rest else profile.x - standard[0] + own[0],
+        y=collimator.y if "y" in rest else profile.y - standard[1] + own[1],
+    )
 
 
 def _section(name: str, default: _Section, given: object) -> _Section:
@@ -206,7 +258,7 @@ def _like(default: object, value: object, where: str) -> object:
             raise ConfigError(f"{len(default)} numbers are expected, not {value!r}.", where=where)
         return tuple(_number(v, where) for v in value)
     if isinstance(default, str):
-        return value  # the projection, already checked
+        return value  # checked by the reader of its section
     number = _number(value, where)
     if isinstance(default, int):
         if number != int(number) or number < 1:

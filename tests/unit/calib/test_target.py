@@ -6,7 +6,7 @@ import pytest
 
 from calib.errors import InputMismatch
 from calib.reflectance import reflectance_at
-from calib.target import StarTarget
+from calib.target import TAG_FAMILIES, StarTarget
 
 TARGET = StarTarget()
 
@@ -49,6 +49,8 @@ def test_an_unknown_star_is_refused(ids):
         {"tag_square": (0, 3)},
         {"tag_square": (46, 3)},
         {"tag_squares": 0},
+        {"tag_family": "36h12"},
+        {"tag_family": "16h5", "tag_id": 30},
     ],
 )
 def test_an_unprintable_target_is_refused(change):
@@ -83,14 +85,23 @@ def test_paper_around_the_tag_and_outside_the_stars_is_white():
     assert (TARGET.reflectance([-0.51 * pitch, 48.51 * pitch], [0.0, 0.0]) == 1.0).all()
 
 
-@pytest.mark.parametrize("tag_id", [0, 3, 5, 586])
-def test_opencv_reads_the_printed_tag_upright_and_not_mirrored(tag_id):
-    target = StarTarget(tag_id=tag_id)
+@pytest.mark.parametrize("name", TAG_FAMILIES)
+def test_the_families_of_tags_are_those_of_opencv(name):
+    family = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, f"DICT_APRILTAG_{name}"))
+    assert TAG_FAMILIES[name] == (family.markerSize + 2, len(family.bytesList))
+
+
+@pytest.mark.parametrize(
+    ("family_name", "tag_id"),
+    [("36h11", 0), ("36h11", 3), ("36h11", 5), ("36h11", 586), ("36h10", 2319), ("25h9", 1), ("16h5", 29)],
+)
+def test_opencv_reads_the_printed_tag_upright_and_not_mirrored(family_name, tag_id):
+    target = StarTarget(tag_id=tag_id, tag_family=family_name)
     step_mm = target.pitch_mm / 40
     x = np.arange(16 * target.pitch_mm, 32 * target.pitch_mm, step_mm)
     y = np.arange(27 * target.pitch_mm, 43 * target.pitch_mm, step_mm)
     image = (255 * target.reflectance(x[None, :], y[:, None])).astype(np.uint8)
-    family = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_APRILTAG_36h11)
+    family = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, f"DICT_APRILTAG_{family_name}"))
     detector = cv2.aruco.ArucoDetector(family)
     corners, ids, _ = detector.detectMarkers(image)
     assert ids.ravel().tolist() == [tag_id]

@@ -108,6 +108,21 @@ def test_serial_numbers_stay_text_zeros_included():
             "target: {segments: 6}\nsimulation: {}",
             "target: no such target can be printed: A star has 6 segments",
         ),
+        (
+            "simulation: {}",
+            "target: stars on chrome\nsimulation: {}",
+            "target: a sentence does not describe the pattern. Write it as a key of its own, target: {description: ...}",
+        ),
+        (
+            "simulation: {}",
+            "target: {tag_family: 36h12}\nsimulation: {}",
+            "target: no such target can be printed: Tag family '36h12' is unknown; known are 36h11, 36h10, 25h9, 16h5.",
+        ),
+        (
+            "simulation: {}",
+            "target: {drawing: {size_mm: [200, 300]}}\nsimulation: {}",
+            "target: the pattern does not fit: drawing.size_mm must be at least [200.694, 289].",
+        ),
         ("simulation: {}", "simulation: yes", "simulation: must be a mapping (key: value)"),
     ],
     ids=lambda text: text[:25].strip(),
@@ -179,6 +194,17 @@ def test_a_level_is_a_share_of_what_the_station_s_light_may_do():
     light = ScpiLightConfig(driver="scpi", port="x", low_v=1, high_v=3)
     settings = light.settings(Flicker("sine", 80, 50, level_percent=25))
     assert settings == LightSettings("sine", 80, 50, low_v=1, high_v=1.5, sync_output=True)
+
+
+def test_the_simulated_bench_is_told_the_station_s_own_target():
+    text = changed(
+        "simulation: {}",
+        "target: {tag_family: tag25h9, polarity: negative}\nsimulation: {reticle: {bow_mm: 1}}",
+    )
+    world = check_document(text.encode(), "b", Station).value.simulated_world
+    assert world["target"]["tag_family"] == "25h9"
+    assert world["target"]["squares"] == [50, 72]
+    assert world["reticle"] == {"polarity": "negative", "bow_mm": 1}
 
 
 FAMILIES = {
