@@ -9,6 +9,7 @@ BenchError
 ├── PreflightFailed      the devices differ from the station file
 ├── PoseFailed           all attempts at a pose failed
 ├── InterlockHeld        an interlock has held a run for longer than its limit
+├── ControlRefused       a control of the align page that cannot be used now
 ├── EvidenceError        a seal or signature that is not valid, a key that cannot be used
 └── SimulationError      the simulated bench did not start, or has ended
 Aborted                  not an error: the operator or the system has asked to stop (see bench.base.clock)
@@ -92,6 +93,10 @@ class PoseFailed(BenchError):
 
 class InterlockHeld(BenchError):
     """An interlock has held a run for longer than its limit."""
+
+
+class ControlRefused(BenchError):
+    """A control of the align page that cannot be used now; nothing was changed."""
 
 
 class EvidenceError(BenchError):

@@ -1,0 +1,333 @@
+"""The live picture: one thread records short slices, another one measures the newest of them.
+
+Slices are recorded with the camera's normal driver into a private temporary folder, and removed as soon as they are
+measured. Only the newest picture is kept. While one slice is measured, the next one is recorded. Settings of the camera
+are changed between two slices, by the recording thread (`LiveLoop.on_camera`).
+"""
+
+from __future__ import annotations
+
+import shutil
+import tempfile
+import threading
+import time
+from collections import deque
+from collections.abc import Callable, Mapping
+from concurrent.futures import Future
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, TypeVar, cast
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from bench.align.live_figures import LiveFigures, LiveMeter, LiveSetting, LiveSlice
+from bench.base.clock import Aborted
+from bench.base.failure import Failure
+from bench.stations.devices import Camera
+from drivers.camera import EventCamera, RecordingFacts
+from drivers.camera.frames import FrameCamera, FrameFacts
+from drivers.errors import DriverError
+
+PERIODS = 2
+"""Flicker periods of a slice: the fewest that show the period itself, by two sync edges of one kind."""
+NO_FLICKER_S = 0.02
+"""Length of a slice where there is no flicker, s."""
+LONGEST_SLICE_S = 2.0
+"""Longest slice, s. Below 1 Hz a slice holds less than two periods."""
+_AFTER_FAULT_S = 1.0
+_WAIT_S = 0.2
+_RATE_OVER_S = 4.0
+_JPEG_QUALITY = 82
+
+T = TypeVar("T")
+Recorded = RecordingFacts | FrameFacts
+
+
+@dataclass(frozen=True)
+class LivePicture:
+    """The newest picture and its figures.
+
+    Attributes
+    ----------
+    number
+        Counts the pictures, from 1; 0 before the first one.
+    image
+        (H, W) uint8; white print is bright.
+    jpeg
+        The same as JPEG.
+    figures
+        What the slice showed.
+    made_s
+        Time at which the picture was ready, s since 1970.
+    record_ms, measure_ms
+        Duration of the recording and of the measurement, ms.
+    """
+
+    number: int = 0
+    image: NDArray[np.uint8] = field(default_factory=lambda: np.zeros((1, 1), np.uint8))
+    jpeg: bytes = b""
+    figures: LiveFigures = field(default_factory=LiveFigures)
+    made_s: float = 0.0
+    record_ms: float = 0.0
+    measure_ms: float = 0.0
+
+
+@dataclass(frozen=True)
+class _Slice:
+    path: Path
+    setting: LiveSetting
+    facts: Recorded
+    reading_deg: Mapping[str, float]
+    time_s: float
+    record_ms: float
+
+
+class LiveLoop:
+    """Records and measures slices until it is closed.
+
+    Parameters
+    ----------
+    camera
+        The open camera; only this object uses it.
+    setting
+        Returns what is known of the bench at the moment, for the next slice.
+    reading_deg
+        Returns the present angles of the stage, degrees.
+    on_picture
+        Called after each new picture or fault, by any thread.
+    """
+
+    def __init__(
+        self,
+        camera: Camera,
+        setting: Callable[[], LiveSetting],
+        reading_deg: Callable[[], Mapping[str, float]],
+        on_picture: Callable[[], None],
+    ) -> None:
+        self._camera = camera
+        self._setting = setting
+        self._reading_deg = reading_deg
+        self._on_picture = on_picture
+        self._folder = Path(tempfile.mkdtemp(prefix="starbench-align-"))
+        self._meter = LiveMeter()
+        self._wake = threading.Condition()
+        self._waiting: _Slice | None = None
+        self._tasks: deque[tuple[Callable[[], Any], Future[Any]]] = deque()
+        self._closing = False
+        self._times_s: deque[float] = deque(maxlen=200)
+        self._star_times_s: deque[tuple[float, float]] = deque(maxlen=200)
+        self.latest = LivePicture()
+        """The newest picture."""
+        self.failure: Failure | None = None
+        """Why there is no new picture; None while pictures come."""
+        self.last_facts: Recorded | None = None
+        """What the driver stated about the newest slice."""
+        self._threads = [
+            threading.Thread(target=target, name=name, daemon=True)
+            for target, name in ((self._record, "align-record"), (self._measure, "align-measure"))
+        ]
+
+    def start(self) -> None:
+        """Begin to record."""
+        for thread in self._threads:
+            thread.start()
+
+    def on_camera(self, task: Callable[[], T]) -> Future[T]:
+        """Do something with the camera between two slices. The present slice ends early.
+
+        Parameters
+        ----------
+        task
+            What to do; called by the recording thread.
+
+        Returns
+        -------
+        Future
+            Its result, or its error.
+        """
+        future: Future[T] = Future()
+        with self._wake:
+            if self._closing:
+                future.cancel()
+                return future
+            self._tasks.append((task, future))
+            self._wake.notify_all()
+        self._camera.stop()
+        return future
+
+    def forget(self) -> None:
+        """Forget the course of the focus."""
+        self._meter.forget()
+
+    def images_per_s(self) -> float:
+        """Return how many pictures came in a second, over the last seconds.
+
+        Returns
+        -------
+        float
+            Pictures in a second.
+        """
+        return _rate(self._times_s)
+
+    def stars_per_s(self) -> float:
+        """Return how often stars were searched in a second, over the last seconds.
+
+        Returns
+        -------
+        float
+            Searches in a second.
+        """
+        return _rate([at for at, _ in self._star_times_s])
+
+    def close(self) -> bool:
+        """End the recording and both threads, and remove the temporary folder.
+
+        Returns
+        -------
+        bool
+            Whether the recording thread has ended: the camera then records no more.
+        """
+        with self._wake:
+            self._closing = True
+            self._wake.notify_all()
+        self._camera.stop()
+        for thread in self._threads:
+            if thread.is_alive():
+                thread.join(timeout=6.0)
+        for _, future in self._tasks:
+            future.cancel()
+        shutil.rmtree(self._folder, ignore_errors=True)
+        return not self._threads[0].is_alive()
+
+    # ------------------------------------------------------------------ recording
+
+    def _record(self) -> None:
+        number = 0
+        while not self._closing:
+            self._do_tasks()
+            number += 1
+            try:
+                made = self._record_one(number)
+            except Aborted:
+                return
+            except DriverError as error:
+                self._fail(Failure.of(error))
+                with self._wake:
+                    self._wake.wait_for(lambda: self._closing or self._tasks, _AFTER_FAULT_S)
+                continue
+            if made is None:
+                continue
+            with self._wake:
+                old, self._waiting = self._waiting, made
+                self._wake.notify_all()
+            if old is not None:
+                old.path.unlink(missing_ok=True)
+
+    def _record_one(self, number: int) -> _Slice | None:
+        """Record a slice; None if it was ended early."""
+        setting = self._setting()
+        started_s = time.monotonic()
+        facts: Recorded
+        if setting.camera == "frame":
+            path = self._folder / f"slice-{number}.tif"
+            facts = cast("FrameCamera", self._camera).capture(path, 1)
+        else:
+            path = self._folder / f"slice-{number}.raw"
+            try:
+                facts = cast("EventCamera", self._camera).record(path, slice_duration_s(setting))
+            except DriverError:
+                path.unlink(missing_ok=True)
+                raise
+        if not facts.complete and self._tasks:
+            path.unlink(missing_ok=True)
+            return None
+        took_ms = (time.monotonic() - started_s) * 1e3
+        self.last_facts = facts
+        return _Slice(path, setting, facts, dict(self._reading_deg()), started_s, took_ms)
+
+    def _do_tasks(self) -> None:
+        while self._tasks:
+            with self._wake:
+                task, future = self._tasks.popleft()
+            if not future.set_running_or_notify_cancel():
+                continue
+            try:
+                future.set_result(task())
+            except BaseException as error:  # noqa: BLE001 - the caller of on_camera gets it
+                future.set_exception(error)
+
+    # ------------------------------------------------------------------ measuring
+
+    def _measure(self) -> None:
+        while True:
+            with self._wake:
+                self._wake.wait_for(lambda: self._closing or self._waiting is not None)
+                if self._closing:
+                    return
+                part, self._waiting = self._waiting, None
+            assert part is not None
+            try:
+                self._publish(part)
+            except Exception as error:  # noqa: BLE001 - one bad slice must not end the live picture
+                self._fail(Failure.of(error))
+            finally:
+                part.path.unlink(missing_ok=True)
+
+    def _publish(self, part: _Slice) -> None:
+        started_s = time.monotonic()
+        live_slice = LiveSlice(part.path, part.time_s, part.facts, part.reading_deg)
+        image, figures = self._meter.measure(live_slice, part.setting)
+        coded, jpeg = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY])
+        now_s = time.monotonic()
+        self.latest = LivePicture(
+            self.latest.number + 1,
+            image,
+            jpeg.tobytes() if coded else b"",
+            figures,
+            time.time(),
+            part.record_ms,
+            (now_s - started_s) * 1e3,
+        )
+        self._times_s.append(now_s)
+        searched_s = figures.stars_time_s
+        if searched_s is not None and (not self._star_times_s or self._star_times_s[-1][1] != searched_s):
+            self._star_times_s.append((now_s, searched_s))
+        self.failure = None
+        self._on_picture()
+
+    def _fail(self, failure: Failure) -> None:
+        if self._closing:
+            return
+        self.failure = failure
+        self._on_picture()
+
+
+def slice_duration_s(setting: LiveSetting) -> float:
+    """Return how long a slice of an event camera is.
+
+    Parameters
+    ----------
+    setting
+        What is known of the bench.
+
+    Returns
+    -------
+    float
+        Whole flicker periods, s.
+    """
+    if not setting.light_on or not setting.frequency_hz:
+        return NO_FLICKER_S
+    whole = PERIODS / setting.frequency_hz
+    if whole < NO_FLICKER_S / 2:  # a fast flicker: more periods cost nothing
+        whole = round(NO_FLICKER_S / 2 * setting.frequency_hz) / setting.frequency_hz
+    return min(whole, LONGEST_SLICE_S)
+
+
+def _rate(times_s: Any) -> float:
+    now_s = time.monotonic()
+    recent = [at for at in list(times_s) if now_s - at < _RATE_OVER_S]
+    if len(recent) < 2:
+        return 0.0
+    return (len(recent) - 1) / max(1e-6, now_s - recent[0])

@@ -1,0 +1,486 @@
+"""One session of aligning: the open devices, the live picture, and the controls, for a page or a terminal.
+
+The session opens the station's devices and shows what they see. Nothing moves and no light goes on unless a method was
+called that asks for it. `Session.stop` reaches the stage's controllers from any thread. A stage that a page has set in
+motion is stopped when this page is lost. `Session.close` leaves the bench safe, and says what each device confirmed.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections import deque
+from collections.abc import Callable, Mapping
+from contextlib import suppress
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bench.align.camera_control import CameraControl
+from bench.align.controls import StageControl
+from bench.align.light_control import LightControl
+from bench.align.live_figures import LiveFigures, LiveSetting
+from bench.align.live_loop import LiveLoop, LivePicture
+from bench.align.owners import Owners
+from bench.base.clock import BenchClock
+from bench.base.errors import ControlRefused
+from bench.base.failure import FORESEEN, Failure
+from bench.stations.devices import Devices
+from bench.stations.station import Station
+from bench.views.camera_kinds import camera_kind
+from bench.web.stream import Changes
+from drivers.errors import DriverError
+from sequences.reader import Located
+
+_WATCH_S = 0.05
+_LOOK_MOVING_S = 0.15
+_LOOK_RESTING_S = 1.0
+_LOOK_THOROUGHLY_S = 4.0
+_LOOK_LIGHT_S = 2.0
+
+OpenDevices = Callable[[Station, int, BenchClock], Devices]
+
+
+@dataclass(frozen=True)
+class Confirmation:
+    """What a device confirmed at the end.
+
+    Attributes
+    ----------
+    device
+        ``stage``, ``light`` or ``camera``.
+    safe
+        Whether it confirmed.
+    text
+        What it confirmed, or why not, as a sentence.
+    """
+
+    device: str
+    safe: bool
+    text: str
+
+
+@dataclass(frozen=True)
+class Bench:
+    """The open devices of a session with their controls.
+
+    Attributes
+    ----------
+    devices
+        The devices.
+    clock
+        The clock of their waits.
+    stage, light, camera
+        The controls.
+    loop
+        Records and measures.
+    """
+
+    devices: Devices
+    clock: BenchClock
+    stage: StageControl
+    light: LightControl
+    camera: CameraControl
+    loop: LiveLoop
+
+
+def open_devices(station: Station, seed: int, clock: BenchClock) -> Devices:
+    """Open a station's devices. Nothing moves.
+
+    Parameters
+    ----------
+    station
+        The station file.
+    seed
+        Random seed of the simulated bench.
+    clock
+        The clock of all waits.
+
+    Returns
+    -------
+    Devices
+        The open devices.
+    """
+    return Devices(station, seed=seed, clock=clock, wire_log=None)
+
+
+class Session:
+    """One session of aligning.
+
+    Parameters
+    ----------
+    station
+        The station file.
+    seed
+        Random seed of the simulated bench.
+    opener
+        Opens the devices.
+
+    Attributes
+    ----------
+    owners
+        The open pages, and which of them holds the controls.
+    changes
+        Told after each change of what `state` returns.
+    pictures
+        Told after each new picture.
+    """
+
+    def __init__(
+        self, station: Located[Station], *, seed: int = 1, opener: OpenDevices = open_devices
+    ) -> None:
+        self.station = station
+        self._seed = seed
+        self._opener = opener
+        self.changes = Changes()
+        self.pictures = Changes()
+        self.owners = Owners(self.changes.tell)
+        self._lock = threading.Lock()
+        self._bench: Bench | None = None
+        self._opening = False
+        self._failure: Failure | None = None
+        self._ended = threading.Event()
+        self._messages: deque[dict[str, Any]] = deque(maxlen=50)
+        self._said = 0
+        self._watchers: list[threading.Thread] = []
+
+    # ------------------------------------------------------------------ opening and closing
+
+    @property
+    def is_open(self) -> bool:
+        """Whether the devices are open."""
+        return self._bench is not None
+
+    @property
+    def bench(self) -> Bench:
+        """The open devices. Raises ControlRefused while they are not open."""
+        if self._bench is None:
+            failure = self._failure
+            raise ControlRefused(
+                failure.what if failure else "The devices are not open yet.",
+                where=failure.where if failure else "",
+                remedy="Press Open again." if failure else "Wait until they are open.",
+            )
+        return self._bench
+
+    def open(self) -> Failure | None:
+        """Open the devices, and begin to record. Nothing moves, and no light goes on.
+
+        Returns
+        -------
+        Failure or None
+            Why they cannot be opened; None if they are open.
+        """
+        with self._lock:
+            if self._bench is not None or self._opening or self._ended.is_set():
+                return self._failure
+            self._opening, self._failure = True, None
+        self.changes.tell()
+        try:
+            self._bench = self._opened()
+        except FORESEEN as error:
+            self._failure = Failure.of(error)
+            self.say(f"The devices could not be opened. {self._failure.message}")
+        finally:
+            self._opening = False
+            self.changes.tell()
+        if self._bench is not None:
+            self.say("All devices are open. Nothing moves, and the light is as it was.")
+            self._watch()
+        return self._failure
+
+    def _opened(self) -> Bench:
+        station, tell, clock = self.station.value, self.changes.tell, BenchClock()
+        devices = self._opener(station, self._seed, clock)
+        try:
+            light = LightControl(devices.light, station.light, camera_kind(station).light_for, tell)
+            light.look()
+            camera = CameraControl(devices.camera, station, tell)
+        except BaseException:
+            devices.close()
+            raise
+        stage = StageControl(devices.stage, tell, self.say)
+        with suppress(DriverError):  # the watcher reads it again, and shows why it cannot
+            stage.look()
+        loop = LiveLoop(devices.camera, self._setting, lambda: stage.state.position_deg, self.pictures.tell)
+        camera.use(loop)
+        bench = Bench(devices, clock, stage, light, camera, loop)
+        self._bench = bench
+        loop.start()
+        return bench
+
+    def reopen(self) -> Failure | None:
+        """Close the devices, with the stage stopped and the light off, and open them again.
+
+        Returns
+        -------
+        Failure or None
+            Why they cannot be opened; None if they are open.
+        """
+        self._close_bench()
+        return self.open()
+
+    def close(self) -> list[Confirmation]:
+        """Leave the bench safe: stage stopped, light off, camera closed. A second call does nothing.
+
+        Returns
+        -------
+        list of Confirmation
+            What each device confirmed; empty if no device was open.
+        """
+        if self._ended.is_set():
+            return []
+        self._ended.set()
+        confirmed = self._close_bench()
+        for watcher in self._watchers:
+            watcher.join(timeout=5.0)
+        self.changes.tell()
+        self.pictures.tell()
+        return confirmed
+
+    def _close_bench(self) -> list[Confirmation]:
+        with self._lock:
+            bench, self._bench = self._bench, None
+        if bench is None:
+            return []
+        confirmed = [
+            _confirm("stage", bench.stage.stop, "stopped; every axis stands."),
+            _confirm("light", bench.light.off, "off, as it reports itself."),
+        ]
+        bench.clock.request_stop("align ends")
+        ended = bench.loop.close()
+        with bench.clock.shielded():
+            bench.stage.close()
+            closed = _confirm("camera", bench.devices.close, "closed; it does not record.")
+        if not ended:
+            closed = Confirmation("camera", safe=False, text="NOT CONFIRMED. Its recording has not ended.")
+        return [*confirmed, closed]
+
+    # ------------------------------------------------------------------ what it shows
+
+    def latest(self) -> tuple[int, NDArray[np.uint8], LiveFigures]:
+        """Return the newest picture.
+
+        Returns
+        -------
+        number : int
+            Counts the pictures, from 1; 0 before the first one.
+        image : ndarray
+            (H, W) uint8.
+        figures : LiveFigures
+            What the picture showed.
+        """
+        picture = self.picture()
+        return picture.number, picture.image, picture.figures
+
+    def picture(self) -> LivePicture:
+        """Return the newest picture with its JPEG and times.
+
+        Returns
+        -------
+        LivePicture
+            Number 0 if there is none.
+        """
+        bench = self._bench
+        return bench.loop.latest if bench is not None else LivePicture()
+
+    def state(self) -> dict[str, Any]:
+        """Return everything besides the picture, as plain values for JSON.
+
+        Returns
+        -------
+        dict
+            ``station``, ``devices``, ``stage``, ``light``, ``camera``, ``controls``, ``rates``, ``messages``.
+        """
+        bench, station = self._bench, self.station.value
+        condition = (
+            "open" if bench else "opening" if self._opening else "failed" if self._failure else "closed"
+        )
+        shown: dict[str, Any] = {
+            "station": {
+                "name": station.name,
+                "file": self.station.file,
+                "simulated": station.is_simulated,
+                "laboratory": station.laboratory,
+            },
+            "devices": {
+                "state": condition,
+                "failure": self._failure.to_dict() if self._failure else None,
+            },
+            "controls": self.owners.as_data(),
+            "messages": list(self._messages)[-12:],
+            "stage": None,
+            "light": None,
+            "camera": None,
+        }
+        if bench is not None:
+            failure = bench.loop.failure
+            shown |= {
+                "stage": bench.stage.as_data(),
+                "light": bench.light.as_data(),
+                "camera": {
+                    **bench.camera.as_data(),
+                    "failure": failure.to_dict() if failure else None,
+                },
+            }
+        return shown
+
+    def say(self, text: str) -> None:
+        """Show a sentence on the pages.
+
+        Parameters
+        ----------
+        text
+            The sentence.
+        """
+        self._said += 1
+        self._messages.append({"number": self._said, "time_s": time.time(), "text": text})
+        self.changes.tell()
+
+    # ------------------------------------------------------------------ what a person asks for
+
+    def jog(self, axis: str, step_deg: float, by: str = "") -> dict[str, float]:
+        """Turn one axis by a small step. See `StageControl.move_by`.
+
+        Parameters
+        ----------
+        axis
+            Name of the axis.
+        step_deg
+            Step, degrees.
+        by
+            Id of the page that asks; empty for the terminal.
+
+        Returns
+        -------
+        dict
+            Goal of the axis, degrees.
+        """
+        return self.bench.stage.move_by({axis: step_deg}, by)
+
+    def home(self, by: str = "") -> None:
+        """Search the references of the stage. See `StageControl.home`.
+
+        Parameters
+        ----------
+        by
+            Id of the page that asks; empty for the terminal.
+        """
+        self.bench.stage.home(by)
+
+    def stop(self, why: str = "on request") -> None:
+        """Stop the stage now. For any thread, at any time.
+
+        Parameters
+        ----------
+        why
+            Who or what asks, in a few words.
+
+        Raises
+        ------
+        DriverError
+            If the stage does not confirm that it stands.
+        """
+        bench = self._bench
+        if bench is None:
+            return
+        try:
+            bench.stage.stop()
+        except DriverError as error:
+            self.say(f"CHECK THE BENCH: the stage did not confirm its stop. {Failure.of(error).message}")
+            raise
+        self.say(f"The stage was stopped, {why}.")
+
+    def light(self, **changes: Any) -> dict[str, Any]:
+        """Change the light. See `LightControl.set`.
+
+        Parameters
+        ----------
+        changes
+            ``on``, ``waveform``, ``frequency_hz``, ``duty_percent``, ``level_percent``.
+
+        Returns
+        -------
+        dict
+            The light, as `LightControl.as_data` gives it.
+        """
+        control = self.bench.light
+        control.set(**changes)
+        return control.as_data()
+
+    def bias(self, name: str, value: int) -> Mapping[str, int]:
+        """Change one bias of the camera. See `CameraControl.set_bias`.
+
+        Parameters
+        ----------
+        name
+            Name of the bias.
+        value
+            Offset from the factory value, in the camera's own steps.
+
+        Returns
+        -------
+        Mapping of str to int
+            All biases as read back.
+        """
+        return self.bench.camera.set_bias(name, value)
+
+    # ------------------------------------------------------------------ watching
+
+    def _setting(self) -> LiveSetting:
+        """Return what is known of the bench for the next slice."""
+        bench = self._bench
+        reading = bench.light.reading if bench is not None else None
+        found = reading.settings if reading is not None else None
+        flickers = found is not None and found.waveform != "steady"
+        return LiveSetting.of_station(
+            self.station.value,
+            frequency_hz=found.frequency_hz if found is not None and flickers else None,
+            light_on=reading.on if reading is not None else None,
+        )
+
+    def _watch(self) -> None:
+        """Start the threads that watch, unless they run."""
+        if not self._watchers:
+            for target in (self._guard_motion, self._read_devices):
+                thread = threading.Thread(target=target, name="align-watch", daemon=True)
+                self._watchers.append(thread)
+                thread.start()
+
+    def _guard_motion(self) -> None:
+        """Stop a stage whose page is lost."""
+        while not self._ended.wait(_WATCH_S):
+            bench = self._bench
+            if bench is None or not bench.stage.moving:
+                continue
+            by = bench.stage.state.by
+            if by and self.owners.is_lost(by):
+                with suppress(DriverError):  # said by `stop`
+                    self.stop("because the page that moved it is gone")
+
+    def _read_devices(self) -> None:
+        """Read stage and light from time to time. A device that does not answer is shown, and asked again."""
+        last_s = dict.fromkeys(("stage", "thorough", "light"), 0.0)
+        while not self._ended.wait(_WATCH_S):
+            bench = self._bench
+            if bench is None:
+                continue
+            now_s = time.monotonic()
+            if now_s - last_s["stage"] > (_LOOK_MOVING_S if bench.stage.moving else _LOOK_RESTING_S):
+                thoroughly = now_s - last_s["thorough"] > _LOOK_THOROUGHLY_S
+                last_s["stage"] = now_s
+                last_s["thorough"] = now_s if thoroughly else last_s["thorough"]
+                bench.stage.look_safely(thoroughly=thoroughly)
+            if now_s - last_s["light"] > _LOOK_LIGHT_S and not bench.stage.moving:
+                last_s["light"] = now_s
+                bench.light.look()
+
+
+def _confirm(device: str, action: Callable[[], None], text: str) -> Confirmation:
+    try:
+        action()
+    except FORESEEN as error:
+        return Confirmation(device, safe=False, text=f"NOT CONFIRMED. {Failure.of(error).message}")
+    return Confirmation(device, safe=True, text=text)
