@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import math
 import os
 import signal
 import sys
@@ -31,14 +32,17 @@ from simulators.cameras.evk4 import SimulatedEvk4
 from simulators.cameras.frame_camera import SimulatedFrameCamera
 from simulators.config import BenchConfig, bench_config
 from simulators.errors import ConfigError, SimulatorError
+from simulators.faults.camera_hands import HAND_DEVICES, CameraHands
 from simulators.faults.catalogue import FaultOrder, fault_order, fault_order_from_text
 from simulators.faults.fault_injection import BenchParts, fault_action
 from simulators.faults.line_faults import FaultLine
 from simulators.faults.orders import allow_background, print_answer, take_orders
 from simulators.lights.lamp import Lamp
+from simulators.optics.lens_focus import truth_record
 from simulators.pixels.sensor_stream import CameraState, SensorStream
 from simulators.ports.serial_device import Dialect, Port, SerialDevice
 from simulators.ports.tcp_port import TcpPort
+from simulators.world.camera_setup import with_setup
 from simulators.world.load import LoadTrajectory
 from simulators.world.truth import Truth
 from simulators.world.world import AxisMotion, AxisName, LightState, World
@@ -61,7 +65,9 @@ class Bench:
     world
         World of the bench.
     truth_path
-        Path of the truth file.
+        Path of the truth file. It is written again when somebody changes lens or mount.
+    hands
+        Hands at the camera's lens and mount.
     endpoints
         Addresses of the devices, by name of the port.
 
@@ -80,6 +86,8 @@ class Bench:
         )
         self._running = ExitStack()
         self.truth_path = folder / "truth.json"
+        self._truth_lock = threading.Lock()
+        self.hands = CameraHands(self.world, self._write_truth)
         self.endpoints: dict[str, str] = {}
 
     def __enter__(self) -> Self:
@@ -112,8 +120,7 @@ class Bench:
                 camera,
                 clock,
                 frame_camera,
-                self.world,
-                self.world.truth.mount.shift_mm,
+                self.hands,
             )
             self.endpoints = {name: port.address for name, port in ports.items()}
             self.endpoints |= {"camera": camera.address, "frame-camera": frame_camera.address}
@@ -167,8 +174,10 @@ class Bench:
     def _write_truth(self) -> None:
         fresh = self.truth_path.with_suffix(".part")
         try:
-            fresh.write_text(json.dumps(self.world.truth.to_dict(), indent=1), encoding="utf-8")
-            fresh.replace(self.truth_path)
+            with self._truth_lock:
+                truth = with_setup(self.world.truth, self.world.camera_setup(self.world.now_s()))
+                fresh.write_text(json.dumps(truth_record(truth), indent=1), encoding="utf-8")
+                fresh.replace(self.truth_path)
         except OSError as error:
             raise SimulatorError(
                 f"Cannot write the truth file: {error.strerror}.",
@@ -222,7 +231,15 @@ def _execute(bench: Bench, line: str) -> dict[str, Any]:
     """Carry out an order, written as JSON or as text, and return what was done."""
     order = fault_order(json.loads(line)) if line.startswith("{") else fault_order_from_text(line)
     bench.inject(order)
-    return {"device": order.device, "fault": order.fault, "after_s": order.after_s, **order.parameters}
+    done: dict[str, Any] = {
+        "device": order.device,
+        "fault": order.fault,
+        "after_s": order.after_s,
+        **order.parameters,
+    }
+    if order.device in HAND_DEVICES:
+        done["now"] = bench.hands.seen()
+    return {key: "infinity" if value in (math.inf, -math.inf) else value for key, value in done.items()}
 
 
 def main(words: Sequence[str] | None = None) -> int:

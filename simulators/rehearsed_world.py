@@ -18,10 +18,11 @@ from numpy.typing import NDArray
 
 from simulators.config import BenchConfig, bench_config
 from simulators.errors import ConfigError
+from simulators.optics.lens_focus import truth_record
 from simulators.optics.picture import star_centres, true_rotation
+from simulators.world.camera_setup import setup_of, with_setup
 from simulators.world.gimbal import load_angles_deg
 from simulators.world.truth import Truth
-from simulators.world.world import mount_at
 
 Mishap = Literal["", "covered", "lost"]
 
@@ -120,7 +121,7 @@ class RehearsedWorld:
         shift_mm
             Displacement from where the camera was aligned, along the target's X and Y, mm; it replaces an earlier one.
         """
-        self._truth = mount_at(self._truth, shift_mm)
+        self._truth = with_setup(self._truth, replace(setup_of(self._truth), shift_mm=shift_mm))
 
     def temperature_c(self, on_s: float) -> float:
         """Return the temperature of the camera.
@@ -155,6 +156,21 @@ class RehearsedWorld:
         stretch = 1.0 + 1e-6 * self.night.focal_ppm_per_c * (self.temperature_c(on_s) - _REFERENCE_C)
         camera = self._truth.camera
         return replace(self._truth, camera=replace(camera, fx=camera.fx * stretch, fy=camera.fy * stretch))
+
+    def truth_record(self, on_s: float) -> dict[str, Any]:
+        """Return the truth at a time as plain numbers, as ``truth.json`` of a simulated bench holds it.
+
+        Parameters
+        ----------
+        on_s
+            Time since the camera was switched on.
+
+        Returns
+        -------
+        dict
+            Sections, each a dict by parameter; focal lengths are those of the lens's focus.
+        """
+        return truth_record(self.truth(on_s))
 
     def record(self, angles_deg: Mapping[str, float], on_s: float, before: int) -> RehearsedView:
         """Simulate one recording of the target.

@@ -84,7 +84,7 @@ class VirtualDevices(Devices):
 
     def truth(self) -> dict[str, Any]:
         """See `Devices.truth`. The rehearsed world at this time."""
-        return self._world.truth(self._clock.monotonic()).to_dict()
+        return self._world.truth_record(self._clock.monotonic())
 
 
 class VirtualStage:

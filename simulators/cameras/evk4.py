@@ -21,6 +21,7 @@ from simulators.cameras.keep_alive import KeepAlive
 from simulators.cameras.stream_faults import StreamFaults
 from simulators.cameras.time_base import TimeBase
 from simulators.errors import SimulatorError
+from simulators.optics.lens_focus import brightness
 from simulators.pixels.biases import ALLOWED, FACTORY, PixelSettings
 from simulators.pixels.event_filters import FILTERS
 from simulators.pixels.sensor_stream import CameraState, SensorStream
@@ -321,7 +322,7 @@ class _Connection:
         now_s = self._world.now_s()
         light = self._world.light(now_s)
         driven = light.low + (light.high - light.low) * light.high_share
-        mean = settings.ambient + MEAN_COVERAGE * driven
+        mean = settings.ambient + MEAN_COVERAGE * driven * brightness(self._world.truth_at(now_s))
         return {
             "temperature_c": self._world.temperature_c(now_s),
             "illumination_lux": round(NOMINAL_LUX * mean, 3),

@@ -1,12 +1,13 @@
 """Catalogue of the faults that the simulated bench can inject, and the format of an order for a fault.
 
-An order is a mapping with ``device`` (an axis: pan, tilt, roll; a port: gimbal, light; camera, frame-camera or mount),
-``fault``, optionally ``after_s``, and parameters of the fault. The same order as text is ``pan stall share=0.3``.
+An order is a mapping with ``device`` (an axis: pan, tilt, roll; a port: gimbal, light; camera, frame-camera, mount or
+lens), ``fault``, optionally ``after_s``, and parameters of the fault. The same order as text: ``pan stall share=0.3``.
 This module checks orders against the catalogue; `fault_injection` carries them out.
 """
 
 from __future__ import annotations
 
+import math
 import shlex
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -123,7 +124,19 @@ _FRAME_CAMERA: Final[Mapping[str, Fault]] = {
 
 MOUNT_FAULTS: Final[Mapping[str, Fault]] = {
     "shift": Fault("somebody moves the camera across the beam", {"x_mm": 0.0, "y_mm": 0.0}),
+    "turn": Fault(
+        "somebody turns the camera in its mount, from how it stands",
+        {"pan_deg": 0.0, "tilt_deg": 0.0, "roll_deg": 0.0},
+    ),
     "mend": Fault("moves the camera back to where it stood at the start", {}),
+}
+
+LENS_FAULTS: Final[Mapping[str, Fault]] = {
+    "focus": Fault("somebody focuses the lens at a distance", {"distance_m": math.inf}),
+    "ring": Fault("somebody turns the focus ring to an angle", {"deg": 0.0}),
+    "turn": Fault("somebody turns the focus ring by an angle, at most to its stop", {"deg": 5.0}),
+    "aperture": Fault("somebody sets the aperture", {"f_number": 2.8}),
+    "mend": Fault("focus and aperture are again those of the start", {}),
 }
 
 
@@ -172,6 +185,7 @@ def faults_of(device: str) -> Mapping[str, Fault]:
         "camera": CAMERA_FAULTS,
         "frame-camera": _FRAME_CAMERA,
         "mount": MOUNT_FAULTS,
+        "lens": LENS_FAULTS,
     }
     if device not in by_device:
         raise ConfigError(

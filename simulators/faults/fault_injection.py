@@ -6,7 +6,6 @@ The module decides which part of the bench an order affects. The parts implement
 
 from __future__ import annotations
 
-import math
 import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -15,6 +14,7 @@ from typing import Protocol, cast
 
 from simulators.cameras.stream_faults import StreamFault, StreamFaults
 from simulators.errors import ConfigError
+from simulators.faults.camera_hands import HAND_DEVICES, CameraHands
 from simulators.faults.catalogue import LIGHT_FAULTS, FaultOrder, Parameter
 from simulators.faults.line_faults import FaultLine, LineFault
 from simulators.lights.lamp import Lamp
@@ -131,20 +131,6 @@ class FrameCamera(Protocol):
         ...
 
 
-class Mount(Protocol):
-    """Interface of the camera's mount for fault injection."""
-
-    def shift_camera(self, shift_mm: tuple[float, float]) -> None:
-        """Move the camera across the beam.
-
-        Parameters
-        ----------
-        shift_mm
-            Displacement from where the camera was aligned, along the target's X and Y, mm.
-        """
-        ...
-
-
 @dataclass(frozen=True)
 class BenchParts:
     """The parts of a bench that can have faults.
@@ -165,10 +151,8 @@ class BenchParts:
         Returns the time in seconds.
     frame_camera
         The frame camera; None if the bench has none.
-    mount
-        The camera's mount; None if the camera cannot be moved across the beam.
-    start_shift_mm
-        Displacement of the camera at the start, mm.
+    hands
+        Hands at the camera's mount and lens; None if they cannot be changed.
     """
 
     axes: Mapping[str, AxisController]
@@ -180,8 +164,7 @@ class BenchParts:
     camera: Camera
     clock: Callable[[], float]
     frame_camera: FrameCamera | None = None
-    mount: Mount | None = None
-    start_shift_mm: tuple[float, float] = (0.0, 0.0)
+    hands: CameraHands | None = None
 
 
 def fault_action(order: FaultOrder, parts: BenchParts) -> Callable[[], None]:
@@ -210,8 +193,8 @@ def fault_action(order: FaultOrder, parts: BenchParts) -> Callable[[], None]:
         return _on_camera(order, parts.camera)
     if order.device == "frame-camera" and (frame_camera := parts.frame_camera) is not None:
         return lambda: frame_camera.inject_fault(order.fault)
-    if order.device == "mount" and (mount := parts.mount) is not None:
-        return partial(mount.shift_camera, _shift_mm(order, parts.start_shift_mm))
+    if order.device in HAND_DEVICES and parts.hands is not None:
+        return parts.hands.action(order)
     if order.device in parts.axes:
         name = parts.axis_ports[order.device]
         controller, port, line = parts.axes[order.device], parts.ports[name], parts.lines[name]
@@ -227,24 +210,13 @@ def fault_action(order: FaultOrder, parts: BenchParts) -> Callable[[], None]:
         *parts.ports,
         "camera",
         *(["frame-camera"] if parts.frame_camera is not None else []),
-        *(["mount"] if parts.mount is not None else []),
+        *(HAND_DEVICES if parts.hands is not None else ()),
     ]
     raise ConfigError(
         f"This bench has no device {order.device!r}.",
         where="device",
         remedy=f"Use one of: {', '.join(known)}.",
     )
-
-
-def _shift_mm(order: FaultOrder, start_mm: tuple[float, float]) -> tuple[float, float]:
-    """Return the camera's displacement by an order of the mount."""
-    if order.fault == "mend":
-        return start_mm
-    x_mm, y_mm = float(order.parameters["x_mm"]), float(order.parameters["y_mm"])
-    for name, value in (("x_mm", x_mm), ("y_mm", y_mm)):
-        if not math.isfinite(value):
-            raise ConfigError(f"A finite number is expected, not {value}.", where=name)
-    return x_mm, y_mm
 
 
 def _on_camera(order: FaultOrder, camera: Camera) -> Callable[[], None]:

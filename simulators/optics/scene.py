@@ -14,6 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simulators.optics import picture as optics
+from simulators.optics.board_blur import board_blur, spread_unevenly
+from simulators.optics.lens_focus import brightness, camera_of, reach_px
 from simulators.optics.screen import Checkerboard, project_board, render_board
 from simulators.world.truth import ScreenTruth, Truth
 
@@ -35,7 +37,7 @@ def picture(truth: Truth, angles_deg: Mapping[Any, float], *, subsamples: int = 
     Returns
     -------
     (height, width) float32
-        About 0 to 1.
+        About 0 to 1 at the brightness of the lens as delivered.
 
     Raises
     ------
@@ -44,11 +46,22 @@ def picture(truth: Truth, angles_deg: Mapping[Any, float], *, subsamples: int = 
     """
     rotation = optics.true_rotation(angles_deg, truth)
     if truth.screen.columns == 0:
-        return optics.render(truth, rotation, subsamples=subsamples)
+        image = optics.render(truth, rotation, subsamples=subsamples)
+    else:
+        image = _screen_picture(truth, rotation, subsamples)
+    light = brightness(truth)
+    return image if light == 1.0 else np.asarray(image * np.float32(light))
+
+
+def _screen_picture(truth: Truth, rotation: FloatArray, subsamples: int) -> NDArray[np.float32]:
+    """Return the picture of the checkerboard, each part of it blurred as its distance demands."""
     board, (turn, position) = board_of(truth.screen), board_pose(_screen_of(truth), rotation)
-    psf = truth.optics.psf_px
-    image = render_board(board, truth.camera, turn, position, psf_px=psf, subsamples=subsamples)
-    return np.asarray(image + np.float32(truth.optics.stray))
+    camera, psf = camera_of(truth), truth.optics.psf_px
+    blur = board_blur(truth, board, turn, position)
+    image = render_board(
+        board, camera, turn, position, psf_px=psf, subsamples=subsamples, margin_px=reach_px(blur.largest_px)
+    )
+    return np.asarray(spread_unevenly(image, blur) + np.float32(truth.optics.stray))
 
 
 def corners(truth: Truth, angles_deg: Mapping[Any, float]) -> FloatArray:
@@ -67,7 +80,7 @@ def corners(truth: Truth, angles_deg: Mapping[Any, float]) -> FloatArray:
         Image points, px, row by row.
     """
     rotation = optics.true_rotation(angles_deg, truth)
-    return project_board(board_of(truth.screen), truth.camera, *board_pose(_screen_of(truth), rotation))
+    return project_board(board_of(truth.screen), camera_of(truth), *board_pose(_screen_of(truth), rotation))
 
 
 def _screen_of(truth: Truth) -> ScreenTruth:

@@ -103,6 +103,7 @@ def render_board(
     *,
     psf_px: float = 0.7,
     subsamples: int = 4,
+    margin_px: int = 0,
 ) -> NDArray[np.float32]:
     """Return the share of the full light that reaches each pixel.
 
@@ -120,10 +121,12 @@ def render_board(
         Standard deviation of the Gaussian point spread.
     subsamples
         Cells along each side of a pixel.
+    margin_px
+        Pixels n around the image that are drawn as well.
 
     Returns
     -------
-    (height, width) float32
+    (height + 2 n, width + 2 n) float32
         0 to 1.
 
     Raises
@@ -133,10 +136,11 @@ def render_board(
     """
     projection = _projection(board, camera, rotation, position)
     kernel = spread_kernel(psf_px, subsamples)
-    cells = Cells(subsamples, math.ceil((kernel.size / subsamples - 1) / 2))
+    kernel_px = math.ceil((kernel.size / subsamples - 1) / 2)
+    cells = Cells(subsamples, kernel_px + margin_px)
     steps = empty_picture(camera.width, camera.height, cells.per_px, cells.margin_px)
     draw(board.bright_mm, projection, ray_grid(camera, cells.margin_px), cells, steps)
     light = np.ones(
         (camera.height + 2 * cells.margin_px + 1, camera.width + 2 * cells.margin_px + 1), np.float32
     )
-    return np.asarray(join_cells(steps, light, (0.0, 1.0), kernel, *cells))
+    return np.asarray(join_cells(steps, light, (0.0, 1.0), kernel, subsamples, kernel_px))

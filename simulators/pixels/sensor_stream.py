@@ -31,7 +31,8 @@ from simulators.pixels.event_filters import FILTERS, EventFilters
 from simulators.pixels.evt3_writer import Evt3Writer
 from simulators.pixels.sensor import Sensor
 from simulators.world import mount, temperature
-from simulators.world.world import AxisName, LightState, World, mount_at
+from simulators.world.camera_setup import setup_of, with_setup
+from simulators.world.world import AxisName, LightState, World
 
 FRAME_US: Final = 2000
 """Sensor time of a frame, us."""
@@ -142,7 +143,7 @@ class SensorStream:
         now_s = self.covered_s
         angles = self._angles_now()
         light = self._world.light(now_s)
-        truth = mount_at(self._truth, self._world.camera_shift_mm(now_s))
+        truth = with_setup(self._truth, self._world.camera_setup(now_s))
         moved = angles != self._angles or truth is not self._truth
         if not moved and light == self._light:
             return
@@ -212,7 +213,7 @@ def stream_key(world: World, camera: CameraState, at_s: float) -> str:
     """Return the text from which a stream's content is seeded.
 
     It holds resting pose, light and camera settings; also temperature, drift and shift of the mount, if they are
-    simulated.
+    simulated, and what a person has changed at the camera since the start.
 
     Parameters
     ----------
@@ -242,6 +243,11 @@ def stream_key(world: World, camera: CameraState, at_s: float) -> str:
         key["crept"] = mount.drift_since_on_arcsec(world.truth.mount, world.on_s(at_s))
     if (shift_mm := world.camera_shift_mm(at_s)) != (0.0, 0.0):
         key["shift_mm"] = shift_mm
+    setup, start = world.camera_setup(at_s), setup_of(world.truth)
+    if setup.turn_deg != start.turn_deg:
+        key["turn_deg"] = setup.turn_deg
+    if setup.lens != start.lens:
+        key["lens"] = setup.lens.focus_distance_m, setup.lens.f_number
     return json.dumps(key, sort_keys=True)
 
 

@@ -62,6 +62,11 @@ class History(Generic[_State]):
         """
         return self._states[bisect_right(self._since, t_s) - 1]
 
+    @property
+    def latest(self) -> _State:
+        """State that was appended last."""
+        return self._states[-1]
+
     def forget_before(self, t_s: float) -> None:
         """Drop states that ended before a moment.
 

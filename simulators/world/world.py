@@ -15,6 +15,7 @@ from dataclasses import dataclass, field, replace
 from typing import Literal
 
 from simulators.world import temperature
+from simulators.world.camera_setup import CameraSetup, setup_of, with_setup
 from simulators.world.history import History
 from simulators.world.sync_line import SyncLine
 from simulators.world.truth import Truth
@@ -188,7 +189,7 @@ class World:
         self._lock = threading.Lock()
         self._axes: dict[AxisName, History[AxisMotion]] = {}
         self._light = History(LightState())
-        self._shift_mm = History(self.truth.mount.shift_mm)
+        self._setup = History(setup_of(self.truth))
 
     def now_s(self) -> float:
         """Return the world time.
@@ -249,10 +250,31 @@ class World:
         since_s
             World time of the move; None: now. A time before the previous move's is refused with `SimulationMisuse`.
         """
+        self.change_setup(lambda setup: replace(setup, shift_mm=shift_mm), since_s=since_s)
+
+    def change_setup(
+        self, change: Callable[[CameraSetup], CameraSetup], *, since_s: float | None = None
+    ) -> CameraSetup:
+        """Change what a person can change at the camera by hand.
+
+        Parameters
+        ----------
+        change
+            Returns the new setup for the present one.
+        since_s
+            World time of the change; None: now. A time before the previous change's is refused with `SimulationMisuse`.
+
+        Returns
+        -------
+        CameraSetup
+            The new setup.
+        """
         with self._lock:
             since = self.now_s() if since_s is None else since_s
-            self._shift_mm.append(since, shift_mm)
-            self._shift_mm.forget_before(since - self.HISTORY_S)
+            setup = change(self._setup.latest)
+            self._setup.append(since, setup)
+            self._setup.forget_before(since - self.HISTORY_S)
+        return setup
 
     # ------------------------------------------------------------- read by the camera
 
@@ -269,8 +291,23 @@ class World:
         tuple of float
             Displacement along the target's X and Y, mm.
         """
+        return self.camera_setup(t_s).shift_mm
+
+    def camera_setup(self, t_s: float) -> CameraSetup:
+        """Return how the camera is set up at a time.
+
+        Parameters
+        ----------
+        t_s
+            World time.
+
+        Returns
+        -------
+        CameraSetup
+            Place in the mount, focus and aperture.
+        """
         with self._lock:
-            return self._shift_mm.at(t_s)
+            return self._setup.at(t_s)
 
     def angles_deg(self, t_s: float) -> Mapping[AxisName, float]:
         """Return the angles of all axes at a time.
@@ -374,7 +411,7 @@ class World:
         return temperature.temperature_c(self.truth.thermal, self.on_s(t_s))
 
     def truth_at(self, t_s: float) -> Truth:
-        """Return the truth at the temperature of a time, with the camera where it stands then.
+        """Return the truth at the temperature of a time, with the camera as it is set up then.
 
         Parameters
         ----------
@@ -384,27 +421,7 @@ class World:
         Returns
         -------
         Truth
-            With focal lengths of that temperature, and with the shift of the camera.
+            With focal lengths of that temperature; focus is in section ``lens``.
         """
         truth = temperature.truth_at_temperature(self.truth, self.temperature_c(t_s))
-        return mount_at(truth, self.camera_shift_mm(t_s))
-
-
-def mount_at(truth: Truth, shift_mm: tuple[float, float]) -> Truth:
-    """Return the truth with the camera at another place across the beam.
-
-    Parameters
-    ----------
-    truth
-        All parameters.
-    shift_mm
-        Displacement along the target's X and Y, mm.
-
-    Returns
-    -------
-    Truth
-        The same object if the camera stands there already.
-    """
-    if shift_mm == truth.mount.shift_mm:
-        return truth
-    return replace(truth, mount=replace(truth.mount, shift_mm=shift_mm))
+        return with_setup(truth, self.camera_setup(t_s))
