@@ -1,0 +1,130 @@
+"""Hands at the camera: somebody turns the focus ring, closes the aperture, or turns the camera in its mount.
+
+The orders come on the same line as those for faults (`catalogue`). This module changes the world's `CameraSetup`; the
+camera sees the change at once, also in the middle of a recording.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any, Final
+
+from simulators.errors import ConfigError
+from simulators.faults.catalogue import FaultOrder
+from simulators.optics.lens_focus import focus_of, ring_deg, with_ring_at
+from simulators.world.camera_setup import CameraSetup, setup_of, with_setup
+from simulators.world.lens_config import f_number, focus_distance_m
+from simulators.world.truth import Truth
+from simulators.world.world import World
+
+HAND_DEVICES: Final = ("mount", "lens")
+"""Devices of the orders that `CameraHands` carries out."""
+
+
+class CameraHands:
+    """Hands of a person at the camera.
+
+    Parameters
+    ----------
+    world
+        World in which the camera stands.
+    changed
+        Called after each change.
+    """
+
+    def __init__(self, world: World, changed: Callable[[], None]) -> None:
+        self._world = world
+        self._changed = changed
+
+    def action(self, order: FaultOrder) -> Callable[[], None]:
+        """Return the call that carries out an order.
+
+        Parameters
+        ----------
+        order
+            Order for one of `HAND_DEVICES`.
+
+        Returns
+        -------
+        Callable
+            Changes the setup at once.
+
+        Raises
+        ------
+        ConfigError
+            If a parameter is invalid.
+        """
+        start = self._world.truth
+        change = _at_mount(order, setup_of(start)) if order.device == "mount" else _at_lens(order, start)
+
+        def act() -> None:
+            self._world.change_setup(change)
+            self._changed()
+
+        return act
+
+    def seen(self) -> dict[str, Any]:
+        """Return what can be read from lens and mount now.
+
+        Returns
+        -------
+        dict
+            ``focus_distance_m`` (a number, or "infinity"), ``ring_deg``, ``f_number``, ``turn_deg`` and ``shift_mm``.
+        """
+        setup = self._world.camera_setup(self._world.now_s())
+        truth = with_setup(self._world.truth, setup)
+        distance_m = focus_of(truth).distance_m
+        return {
+            "focus_distance_m": distance_m if math.isfinite(distance_m) else "infinity",
+            "ring_deg": ring_deg(truth),
+            "f_number": setup.lens.f_number,
+            "turn_deg": list(setup.turn_deg),
+            "shift_mm": list(setup.shift_mm),
+        }
+
+
+def _at_mount(order: FaultOrder, start: CameraSetup) -> Callable[[CameraSetup], CameraSetup]:
+    """Return the change of an order for the mount."""
+    if order.fault == "mend":
+        return lambda setup: replace(setup, shift_mm=start.shift_mm, turn_deg=start.turn_deg)
+    values = {name: _finite(value, name) for name, value in order.parameters.items()}
+    if order.fault == "shift":
+        return lambda setup: replace(setup, shift_mm=(values["x_mm"], values["y_mm"]))
+
+    def turn(setup: CameraSetup) -> CameraSetup:
+        pan, tilt, roll = setup.turn_deg
+        turned = (pan + values["pan_deg"], tilt + values["tilt_deg"], roll + values["roll_deg"])
+        return replace(setup, turn_deg=turned)
+
+    return turn
+
+
+def _at_lens(order: FaultOrder, start: Truth) -> Callable[[CameraSetup], CameraSetup]:
+    """Return the change of an order for the lens."""
+    p = order.parameters
+    if order.fault == "mend":
+        return lambda setup: replace(setup, lens=start.lens)
+    if order.fault == "aperture":
+        number = f_number(p["f_number"], "f_number")
+        return lambda setup: replace(setup, lens=replace(setup.lens, f_number=number))
+    if order.fault == "focus":
+        distance_m = focus_distance_m(p["distance_m"], "distance_m")
+        return lambda setup: replace(setup, lens=replace(setup.lens, focus_distance_m=distance_m))
+    deg = _finite(p["deg"], "deg")
+
+    def turn_ring(setup: CameraSetup) -> CameraSetup:
+        truth = with_setup(start, setup)
+        before = ring_deg(truth) if order.fault == "turn" else 0.0
+        return replace(setup, lens=with_ring_at(truth, before + deg))
+
+    return turn_ring
+
+
+def _finite(value: object, where: str) -> float:
+    """Check that a parameter is a finite number."""
+    number = float(str(value))
+    if not math.isfinite(number):
+        raise ConfigError(f"A finite number is expected, not {value}.", where=where)
+    return number

@@ -1,0 +1,406 @@
+"""Focus of the camera's lens: breathing, blur and brightness, by the thin lens.
+
+The lens is thin and sits at the entrance pupil. It is focused by moving it along its axis. With the focal length f, the
+aperture A = f / N and the focus distance d, the sensor stands at v, 1 / v = 1 / f - 1 / d, which is f (1 + m) with
+m = f / (d - f). A point at the distance s is sharp at v_s, 1 / v_s = 1 / f - 1 / s. On the sensor, its light fills a
+disc of the diameter A |v - v_s| / v_s = A v |1 / d - 1 / s|, evenly, around the point where its ray through the middle
+of the aperture (the chief ray) arrives. That point is the one of the pinhole model with the image distance v.
+
+The pattern behind the collimator is at infinity; if the collimator has the error ``defocus``, at r / defocus. A
+``defocus`` above 0 is that of a near target, and the same number moves the pattern when the camera is shifted.
+
+References
+----------
+- Hecht, Optics: section 5.2 (thin lenses), section 5.3 (stops, f-number, brightness of the image).
+- Potmesil and Chakravarty (1981), A lens and aperture camera model for synthetic image generation, Computer Graphics 15
+  (SIGGRAPH), 297: circle of confusion.
+- Goodman, Introduction to Fourier Optics, chapter 2: Fourier transform of an even disc.
+
+Not modelled: pupils apart from the lens, aberrations of the lens that change with focus or aperture, diffraction (all
+are in ``optics.psf_px``), and the collimator's field curvature and astigmatism in the blur.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from functools import lru_cache
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import fft
+from scipy.special import j1
+
+from simulators.world.lens_truth import (
+    BEYOND_M,
+    CLOSEST_M,
+    DELIVERED_F_NUMBER,
+    LAW,
+    RING_SPAN_DEG,
+    LensTruth,
+)
+from simulators.world.truth import CameraTruth, Truth
+
+FloatArray = NDArray[np.float64]
+
+SEAM_PX: Final = 24
+"""Pixels, at least, over which the end of an image passes into its beginning."""
+
+SHARP_PX: Final = 0.02
+"""Diameter of a blur that is left out."""
+
+
+class Focus(NamedTuple):
+    """Lens and sensor as they stand.
+
+    Attributes
+    ----------
+    focal_mm
+        Focal length f of the lens.
+    distance_m
+        Focus distance d; infinite for parallel light, negative beyond infinity.
+    image_mm
+        Image distance v, from the lens to the sensor.
+    stretch
+        Image distance, divided by that of the bench as delivered.
+    """
+
+    focal_mm: float
+    distance_m: float
+    image_mm: float
+    stretch: float
+
+
+def focus_of(truth: Truth) -> Focus:
+    """Return lens and sensor as they stand.
+
+    Source: Gaussian lens formula, Hecht, Optics, section 5.2. As delivered, the image distance is that of section
+    ``camera``, and the lens is focused on the pattern. A screen may stand at any distance, so the focal lengths are
+    those at infinity.
+
+    Parameters
+    ----------
+    truth
+        Camera, lens and collimator.
+
+    Returns
+    -------
+    Focus
+        Focal length, focus distance and image distance.
+    """
+    delivered_mm = truth.lens.pixel_um * 1e-3 * 0.5 * (truth.camera.fx + truth.camera.fy)
+    vergence = 0.0 if truth.screen.columns else pattern_vergence_per_m(truth)
+    focal_mm = 1.0 / (1.0 / delivered_mm + vergence * 1e-3)
+    distance_m = truth.lens.focus_distance_m
+    if distance_m is None:
+        return Focus(focal_mm, 1.0 / vergence if vergence else math.inf, delivered_mm, 1.0)
+    image_mm = 1.0 / (1.0 / focal_mm - 1e-3 / distance_m)
+    return Focus(focal_mm, distance_m, image_mm, image_mm / delivered_mm)
+
+
+def pattern_vergence_per_m(truth: Truth) -> float:
+    """Return the reciprocal of the distance at which the pattern behind the collimator appears.
+
+    Own derivation: a shift t of the camera moves the pattern by -defocus t on the target, which is the angle
+    defocus t / r; a point at the distance s moves by t / s.
+
+    Parameters
+    ----------
+    truth
+        Collimator.
+
+    Returns
+    -------
+    float
+        1 / m; 0 at infinity, negative for converging light.
+    """
+    return truth.collimator.defocus / truth.collimator.r * 1e3
+
+
+def camera_of(truth: Truth) -> CameraTruth:
+    """Return the camera with the focal lengths of the present focus: the lens breathes.
+
+    Source: Hecht, Optics, section 5.2; the head of the module has the equation.
+
+    Parameters
+    ----------
+    truth
+        Camera, lens and collimator.
+
+    Returns
+    -------
+    CameraTruth
+        The same object if the lens is focused as delivered.
+    """
+    stretch = focus_of(truth).stretch
+    if stretch == 1.0:
+        return truth.camera
+    return replace(truth.camera, fx=truth.camera.fx * stretch, fy=truth.camera.fy * stretch)
+
+
+def blur_px(truth: Truth, vergence_per_m: float | None = None) -> float:
+    """Return the diameter of the disc over which the light of a point is spread.
+
+    Source: circle of confusion, Potmesil and Chakravarty (1981).
+
+    Parameters
+    ----------
+    truth
+        Camera, lens and collimator.
+    vergence_per_m
+        Reciprocal of the point's distance; None: that of the pattern behind the collimator.
+
+    Returns
+    -------
+    float
+        Diameter, px; 0 if the lens is focused as delivered.
+    """
+    return abs(signed_blur_px(truth, vergence_per_m))
+
+
+def signed_blur_px(truth: Truth, vergence_per_m: float | None = None) -> float:
+    """Return the diameter of the disc of light, with a sign.
+
+    Source: circle of confusion, Potmesil and Chakravarty (1981).
+
+    Parameters
+    ----------
+    truth
+        Camera, lens and collimator.
+    vergence_per_m
+        Reciprocal of the point's distance; None: that of the pattern behind the collimator.
+
+    Returns
+    -------
+    float
+        Diameter, px; positive if the lens is focused nearer than the point. It is linear in the vergence.
+    """
+    if truth.lens.focus_distance_m is None:
+        return 0.0
+    focus = focus_of(truth)
+    seen = pattern_vergence_per_m(truth) if vergence_per_m is None else vergence_per_m
+    aperture_mm = focus.focal_mm / truth.lens.f_number
+    blur_mm = aperture_mm * focus.image_mm * (1.0 / focus.distance_m - seen) * 1e-3
+    return blur_mm * 1e3 / truth.lens.pixel_um
+
+
+def brightness(truth: Truth) -> float:
+    """Return the light on the sensor, relative to that of the bench as delivered.
+
+    Source: the light grows with the square of aperture over image distance (Hecht, Optics, section 5.3).
+
+    Parameters
+    ----------
+    truth
+        Camera, lens and collimator.
+
+    Returns
+    -------
+    float
+        1 as delivered.
+    """
+    return (DELIVERED_F_NUMBER / truth.lens.f_number / focus_of(truth).stretch) ** 2
+
+
+def reach_px(diameter_px: float) -> int:
+    """Return how far outside the image a scene must be known to blur it.
+
+    Parameters
+    ----------
+    diameter_px
+        Diameter of the disc of light.
+
+    Returns
+    -------
+    int
+        Pixels; 0 without a blur.
+    """
+    return math.ceil(0.5 * diameter_px) + 1 if diameter_px >= SHARP_PX else 0
+
+
+def spread_over_disc(image: NDArray[np.float32], diameter_px: float) -> NDArray[np.float32]:
+    """Return an image whose points are spread evenly over discs, without its border.
+
+    The transfer function of an even disc is 2 J1(pi b q) / (pi b q) at the spatial frequency q (Goodman,
+    Introduction to Fourier Optics, chapter 2). So no disc is drawn into pixels, and the time does not depend on b.
+
+    Parameters
+    ----------
+    image
+        (height + 2 n, width + 2 n) float32, n = `reach_px` of the diameter.
+    diameter_px
+        Diameter b of the disc.
+
+    Returns
+    -------
+    (height, width) float32
+        At least 0; the given image without a blur.
+    """
+    margin = reach_px(diameter_px)
+    if margin == 0:
+        return image
+    return blurred_spectrum(Spectrum.of(image), diameter_px, margin)
+
+
+class Spectrum(NamedTuple):
+    """An image in the frequency domain, from which it can be blurred by several diameters.
+
+    Attributes
+    ----------
+    values
+        (rows, columns // 2 + 1) complex64.
+    size
+        Rows and columns of the padded image.
+    image_size
+        Rows and columns of the image.
+    """
+
+    values: NDArray[np.complex64]
+    size: tuple[int, int]
+    image_size: tuple[int, int]
+
+    @classmethod
+    def of(cls, image: NDArray[np.float32]) -> Spectrum:
+        """Return the spectrum of an image.
+
+        Parameters
+        ----------
+        image
+            (rows, columns) float32.
+
+        Returns
+        -------
+        Spectrum
+            Of the image with rows and columns appended, over which its end passes evenly into its beginning: a step
+            there would ring into the image.
+        """
+        height, width = image.shape
+        rows, columns = (int(fft.next_fast_len(n + SEAM_PX, real=True)) for n in image.shape)
+        padded = np.empty((rows, columns), np.float32)
+        padded[:height, :width] = image
+        across = (np.arange(columns - width, dtype=np.float32) + 1.0) / (columns - width + 1)
+        padded[:height, width:] = image[:, -1:] + across * (image[:, :1] - image[:, -1:])
+        down = (np.arange(rows - height, dtype=np.float32)[:, None] + 1.0) / (rows - height + 1)
+        padded[height:] = padded[height - 1] + down * (padded[0] - padded[height - 1])
+        return cls(np.asarray(fft.rfft2(padded), np.complex64), (rows, columns), (height, width))
+
+
+def blurred_spectrum(spectrum: Spectrum, diameter_px: float, margin_px: int) -> NDArray[np.float32]:
+    """Return the image of a spectrum, spread over discs, without a margin.
+
+    Source: see `spread_over_disc`.
+
+    Parameters
+    ----------
+    spectrum
+        Of the image with its margin.
+    diameter_px
+        Diameter of the disc.
+    margin_px
+        Pixels that are removed on each side; at least half a diameter.
+
+    Returns
+    -------
+    (height, width) float32
+        At least 0.
+    """
+    (rows, columns), (height, width) = spectrum.size, spectrum.image_size
+    transfer = _disc_transfer(rows, columns, round(diameter_px, 6))
+    image = fft.irfft2(spectrum.values * transfer, s=spectrum.size)
+    inside = image[margin_px : height - margin_px, margin_px : width - margin_px]
+    return np.maximum(inside, np.float32(0.0), dtype=np.float32)
+
+
+@lru_cache(maxsize=8)
+def _disc_transfer(rows: int, columns: int, diameter_px: float) -> NDArray[np.float32]:
+    """Return the transfer function of an even disc, (rows, columns // 2 + 1)."""
+    q = np.hypot(fft.fftfreq(rows)[:, None], fft.rfftfreq(columns)[None, :])
+    x = math.pi * diameter_px * q
+    # J1 is slow; it is a smooth function of one variable, so it is tabulated and interpolated (to 1e-5).
+    table_x = np.arange(0.0, float(x.max()) + 0.02, 0.01)
+    table = np.ones_like(table_x)
+    table[1:] = 2.0 * j1(table_x[1:]) / table_x[1:]
+    return np.interp(x, table_x, table).astype(np.float32)
+
+
+def ring_deg(truth: Truth) -> float:
+    """Return where the focus ring stands.
+
+    Own model: a thread that moves the lens evenly with the turn, so the angle is proportional to v - f.
+
+    Parameters
+    ----------
+    truth
+        Camera, lens and collimator.
+
+    Returns
+    -------
+    float
+        Degrees from infinity; `RING_SPAN_DEG` at the near stop, negative beyond infinity.
+    """
+    focus = focus_of(truth)
+    return _ring_deg(focus.focal_mm, focus.distance_m)
+
+
+def _ring_deg(focal_mm: float, distance_m: float) -> float:
+    """Return the ring's angle for a focus distance."""
+    return RING_SPAN_DEG * _magnification(focal_mm, distance_m) / _magnification(focal_mm, CLOSEST_M)
+
+
+def _magnification(focal_mm: float, distance_m: float) -> float:
+    """Return m = f / (d - f)."""
+    return focal_mm / (distance_m * 1e3 - focal_mm)
+
+
+def with_ring_at(truth: Truth, angle_deg: float) -> LensTruth:
+    """Return the lens with its ring turned to an angle, or to the stop before it.
+
+    Parameters
+    ----------
+    truth
+        Camera, lens and collimator.
+    angle_deg
+        Degrees from infinity.
+
+    Returns
+    -------
+    LensTruth
+        With the focus distance of that angle.
+    """
+    focal_mm = focus_of(truth).focal_mm
+    angle_deg = min(max(angle_deg, _ring_deg(focal_mm, BEYOND_M)), RING_SPAN_DEG)
+    m = angle_deg / RING_SPAN_DEG * _magnification(focal_mm, CLOSEST_M)
+    distance_m = focal_mm * (1.0 + 1.0 / m) * 1e-3 if m else math.inf
+    return replace(truth.lens, focus_distance_m=distance_m)
+
+
+def truth_record(truth: Truth) -> dict[str, Any]:
+    """Return all parameters as plain numbers: the content of ``truth.json``.
+
+    Parameters
+    ----------
+    truth
+        All parameters.
+
+    Returns
+    -------
+    dict
+        As ``Truth.to_dict``; ``fx`` and ``fy`` of the camera are those of the present focus. Section ``lens`` holds
+        focus, aperture, blur and the law.
+    """
+    record, focus = replace(truth, camera=camera_of(truth)).to_dict(), focus_of(truth)
+    record["lens"] = {
+        "focus": "on the pattern" if truth.lens.focus_distance_m is None else "turned",
+        "focus_distance_m": focus.distance_m if math.isfinite(focus.distance_m) else None,
+        "ring_deg": ring_deg(truth),
+        "f_number": truth.lens.f_number,
+        "pixel_um": truth.lens.pixel_um,
+        "focal_mm": focus.focal_mm,
+        "image_distance_mm": focus.image_mm,
+        "breathing": focus.stretch,
+        "blur_px": blur_px(truth) if not truth.screen.columns else None,
+        "brightness": brightness(truth),
+        "law": dict(LAW),
+    }
+    return record

@@ -1,0 +1,301 @@
+"""Focus, aperture and breathing of the lens, against rays traced through a thin lens by this test alone."""
+
+import json
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from simulators.config import bench_config
+from simulators.errors import ConfigError
+from simulators.optics.lens_focus import (
+    blur_px,
+    brightness,
+    camera_of,
+    focus_of,
+    reach_px,
+    ring_deg,
+    spread_over_disc,
+    truth_record,
+    with_ring_at,
+)
+from simulators.optics.picture import project, projection_of, render, true_rotation
+from simulators.optics.scene import corners, picture
+from simulators.rehearsed_world import RehearsedWorld
+from simulators.world.lens_truth import LensTruth
+from simulators.world.truth import CameraTruth, CollimatorTruth, MountTruth, OpticsTruth, Truth
+
+PIXEL_MM = 4.86e-3
+SMALL = {"fx": 1672.0, "fy": 1672.0, "cx": 159.5, "cy": 119.5, "width": 320, "height": 240, "k1": 0, "k2": 0}
+LEVEL = {"mounting_deg": [0.0, 0.0, 0.0]}
+
+
+def truth_of(**lens):
+    """Truth of a bench without distortion and without errors of the collimator."""
+    return bench_config({"camera": {"k1": 0, "k2": 0}, "optics": LEVEL, "lens": lens}).truth
+
+
+def traced(focal_mm, image_mm, f_number, *, tangent=0.0, distance_mm=math.inf):
+    """Where rays of a point meet the sensor, px from the axis, for (N, 2) points of the aperture.
+
+    A paraxial ray at height h with slope u leaves a thin lens with the slope u - h / f.
+    """
+    turn = np.linspace(0.0, 2.0 * np.pi, 24, endpoint=False)
+    radius = 0.5 * focal_mm / f_number * np.sqrt((np.arange(40) + 0.5) / 40)
+    edge = 0.5 * focal_mm / f_number
+    r = np.concatenate([np.repeat(radius, turn.size), np.full(turn.size, edge)])
+    at = np.column_stack([r * np.cos(np.resize(turn, r.size)), r * np.sin(np.resize(turn, r.size))])
+    slope = np.full_like(at, 0.0)
+    slope[:, 0] = tangent
+    slope += at / distance_mm  # a point at that distance, seen from the middle of the lens under the tangent
+    return (at + image_mm * (slope - at / focal_mm)) / PIXEL_MM
+
+
+@pytest.mark.parametrize("distance_m", [0.3, 1.0, 2.7, 10.0, -5.0])
+@pytest.mark.parametrize("f_number", [1.4, 2.8, 8.0])
+def test_blur_and_breathing_are_those_of_traced_rays(distance_m, f_number):
+    truth = truth_of(focus_distance_m=distance_m, f_number=f_number)
+    focal_mm = 0.5 * (truth.camera.fx + truth.camera.fy) * PIXEL_MM
+    image_mm = 1.0 / (1.0 / focal_mm - 1.0 / (1e3 * distance_m))  # where rays of that distance meet
+    sharp = traced(focal_mm, image_mm, f_number, distance_mm=1e3 * distance_m)
+    assert np.abs(sharp).max() < 1e-9
+    tangent = 0.1
+    hits = traced(focal_mm, image_mm, f_number, tangent=tangent)
+    # The pattern is at infinity, so the light of one of its points fills a disc around the ray through the middle.
+    assert blur_px(truth) == pytest.approx(np.ptp(hits, axis=0).max(), rel=0.01)
+    assert camera_of(truth).fx * tangent == pytest.approx(
+        hits[:, 0].mean() * truth.camera.fx / 3345.165, rel=1e-4
+    )
+    c = truth.collimator
+    point = np.array([[c.x + c.r * tangent, c.y]])
+    seen = project(point, true_rotation({}, truth), truth)
+    assert seen[0, 0] - truth.camera.cx == pytest.approx(
+        hits[:, 0].mean() * truth.camera.fx / 3345.165, rel=1e-6
+    )
+
+
+def test_a_16_mm_lens_at_2_7_m_breathes_by_0_6_percent():
+    truth = truth_of(focus_distance_m=2.7)
+    assert camera_of(truth).fx / truth.camera.fx == pytest.approx(1.006, abs=1e-4)
+    assert truth_record(truth)["camera"]["fx"] == camera_of(truth).fx
+    assert truth_record(truth)["lens"]["breathing"] == pytest.approx(1.00606, abs=1e-5)
+
+
+def test_the_profile_of_a_blurred_edge_is_that_of_traced_rays():
+    truth = bench_config({"camera": SMALL, "optics": LEVEL, "lens": {"focus_distance_m": 1.0}}).truth
+    blur = blur_px(truth)
+    assert blur > 4.0
+    focal_mm = 1672.0 * PIXEL_MM
+    image_mm = 1.0 / (1.0 / focal_mm - 1e-3)
+    hits = traced(focal_mm, image_mm, 2.8)[:960, 0]
+    margin = reach_px(blur)
+    columns = np.arange(-margin, 60 + margin)
+    edge = np.broadcast_to((columns >= 30).astype(np.float32), (41 + 2 * margin, columns.size))
+    row = spread_over_disc(np.ascontiguousarray(edge), blur)[20]
+    # A pixel holds the mean over its own width of an edge at 29.5 that each ray displaces by its own hit.
+    at = np.arange(60)[:, None] - 29.5
+    expected = np.clip(at - hits[None, :] + 0.5, 0.0, 1.0).mean(axis=1)
+    np.testing.assert_allclose(row, expected, atol=0.02)
+    assert row[30] - row[29] == pytest.approx(4.0 / (np.pi * blur), rel=0.1)  # middle of an even disc's edge
+
+
+def test_the_blur_agrees_with_the_parallax_of_the_aperture():
+    # A ray through the aperture's edge comes from a camera that is shifted there: the parallax of section `mount`.
+    truth = bench_config(
+        {"optics": LEVEL, "collimator": "like-bench", "lens": {"focus_distance_m": "infinity"}}
+    ).truth
+    aperture_mm = focus_of(truth).focal_mm / truth.lens.f_number
+    c = truth.collimator
+    point, rotation = np.array([[c.x, c.y]]), true_rotation({}, truth)
+    at = [
+        project(point, rotation, replace(truth, mount=MountTruth(shift_mm=(side * aperture_mm / 2, 0.0))))[
+            0, 0
+        ]
+        for side in (-1.0, 1.0)
+    ]
+    assert blur_px(truth) == pytest.approx(abs(at[1] - at[0]), rel=0.01)
+
+
+@given(st.sampled_from(["ideal", "like-bench", "S1"]), st.floats(-10.0, 180.0))
+def test_the_ring_stands_where_it_was_turned_to(collimator, angle):
+    truth = bench_config({"collimator": collimator}).truth
+    turned = replace(truth, lens=with_ring_at(truth, angle))
+    assert ring_deg(turned) == pytest.approx(angle, abs=0.5 if angle < -9.0 else 1e-6)
+
+
+def test_the_ring_has_stops():
+    truth = truth_of()
+    assert with_ring_at(truth, 500.0) == with_ring_at(truth, 180.0)
+    assert with_ring_at(truth, -500.0).focus_distance_m == pytest.approx(-3.3)
+    assert with_ring_at(truth, 0.0).focus_distance_m == math.inf
+    assert with_ring_at(truth, 180.0).focus_distance_m == pytest.approx(0.2)
+
+
+def test_focused_on_the_pattern_the_image_is_as_delivered():
+    for collimator, distance in (("ideal", "infinity"), ("like-bench", 0.255 / 0.066)):
+        delivered = bench_config({"camera": SMALL, "collimator": collimator}).truth
+        focused = replace(delivered, lens=bench_config({"lens": {"focus_distance_m": distance}}).truth.lens)
+        assert blur_px(focused) < 1e-9
+        assert camera_of(focused).fx == pytest.approx(delivered.camera.fx, rel=1e-12)
+        np.testing.assert_allclose(picture(focused, {}), picture(delivered, {}), atol=1e-6)
+
+
+def test_as_delivered_nothing_is_added_to_the_image():
+    truth = bench_config({"camera": SMALL}).truth
+    assert camera_of(truth) is truth.camera
+    rotation = true_rotation({}, truth)
+    np.testing.assert_array_equal(picture(truth, {}), render(truth, rotation))
+
+
+def test_a_blurred_picture_keeps_its_light_and_its_place():
+    sharp = bench_config({"camera": SMALL}).truth
+    soft = replace(
+        sharp, lens=LensTruth(1.0), camera=replace(sharp.camera, fx=1672 / 1.0082, fy=1672 / 1.0082)
+    )
+    assert camera_of(soft).fx == pytest.approx(1672.0, abs=1.0)
+    middle = (slice(60, 180), slice(80, 240))
+    a, b = picture(sharp, {}), picture(soft, {})
+    steepest = [float(np.abs(np.diff(one[middle], axis=1)).max()) for one in (a, b)]
+    assert steepest[1] < 0.5 * steepest[0]
+    # breathing of f = 8 mm changes the light by 1.6 % too
+    assert b.mean() / brightness(soft) == pytest.approx(a.mean(), rel=0.01)
+
+
+def test_closing_the_aperture_sharpens_and_darkens():
+    wide, small = truth_of(focus_distance_m=1.0), truth_of(focus_distance_m=1.0, f_number=5.6)
+    assert blur_px(small) == pytest.approx(blur_px(wide) / 2)
+    assert brightness(small) == pytest.approx(brightness(wide) / 4)
+    camera, pose = SMALL, {"pan": 0.5}
+    light, dark = (bench_config({"camera": camera, "lens": {"f_number": n}}).truth for n in (2.8, 5.6))
+    np.testing.assert_allclose(picture(dark, pose), picture(light, pose) / 4, rtol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("section", "where", "word"),
+    [
+        ({"focus_distance_m": 0.1}, "lens.focus_distance_m", "at least 0.2"),
+        ({"focus_distance_m": -1.0}, "lens.focus_distance_m", "Beyond infinity"),
+        ({"focus_distance_m": "far"}, "lens.focus_distance_m", "infinity"),
+        ({"focus_distance_m": float("nan")}, "lens.focus_distance_m", "does not reach"),
+        ({"focus_distance_m": True}, "lens.focus_distance_m", "distance is expected"),
+        ({"f_number": 0.5}, "lens.f_number", "from 1 to 32"),
+        ({"f_number": "wide"}, "lens.f_number", "finite number"),
+        ({"pixel_um": -4.86}, "lens.pixel_um", "not positive"),
+        ({"pixel_um": 60}, "lens.pixel_um", "at most 100 mm"),
+        ({"focus": 1}, "lens.focus", "focus_distance_m"),
+        (3, "lens", "mapping"),
+    ],
+)
+def test_a_wrong_key_is_named(section, where, word):
+    with pytest.raises(ConfigError, match=word) as error:
+        bench_config({"lens": section})
+    assert error.value.where == where
+
+
+def test_every_word_for_infinity_means_the_same():
+    for word in ("infinity", "Infinity", ".inf", math.inf, -math.inf):
+        assert bench_config({"lens": {"focus_distance_m": word}}).truth.lens.focus_distance_m == math.inf
+    assert bench_config({"lens": {"focus_distance_m": "pattern"}}).truth.lens == LensTruth()
+
+
+def test_the_truth_file_has_strict_numbers():
+    for lens in ({}, {"focus_distance_m": "infinity"}, {"focus_distance_m": 1.0}):
+        record = truth_record(bench_config({"lens": lens}).truth)
+        told = json.loads(json.dumps(record, allow_nan=False))["lens"]
+        assert told["blur_px"] == pytest.approx(
+            19.74 if lens.get("focus_distance_m") == 1.0 else 0.0, abs=0.01
+        )
+
+
+def test_the_rehearsed_world_breathes_too():
+    near = RehearsedWorld({"lens": {"focus_distance_m": 1.0}}, 1)
+    record = near.truth_record(0.0)
+    assert record["camera"]["fx"] == pytest.approx(3345.06 * 1.01653, rel=1e-4)
+    far = RehearsedWorld({}, 1)
+    views = [dict(zip(v.ids, v.points_px, strict=True)) for v in (w.record({}, 0.0, 0) for w in (near, far))]
+    both = sorted(set(views[0]) & set(views[1]))
+    assert len(both) > 50
+    spread = [np.ptp([view[name] for name in both], axis=0).max() for view in views]
+    assert spread[0] / spread[1] == pytest.approx(1.01653, abs=5e-4)
+
+
+SCREEN = {"columns": 9, "rows": 7, "square_mm": 30, "position_mm": [0, 0, 1000], "turn_deg": [0, 40, 0]}
+BOARD = {"camera": {**SMALL, "fx": 700, "fy": 700}, "optics": LEVEL, "screen": SCREEN}
+
+
+def test_a_board_is_sharp_where_the_lens_is_focused_and_soft_elsewhere():
+    lens = {"focus_distance_m": 0.93, "f_number": 1.0, "pixel_um": 100}
+    truth = bench_config({**BOARD, "lens": lens}).truth
+    image = picture(truth, {})
+    seen = corners(truth, {}).reshape(7, 9, 2)
+    u, v = np.rint(seen[3]).astype(int).T
+    slopes = [
+        float(
+            np.abs(np.diff(image[v[k] - 4, u[k] - 5 : u[k] + 6])).max()
+            / np.ptp(image[v[k] - 4, u[k] - 9 : u[k] + 10])
+        )
+        for k in (0, 8)
+    ]
+    assert max(slopes) > 1.3 * min(slopes)
+    assert corners(truth, {})[0, 0] != corners(bench_config(BOARD).truth, {})[0, 0]
+
+
+def test_a_flat_board_is_blurred_by_its_distance():
+    flat = {**BOARD, "screen": {**SCREEN, "turn_deg": [0, 0, 0]}, "lens": {"focus_distance_m": "infinity"}}
+    truth = bench_config(flat).truth
+    focal_mm = 700 * PIXEL_MM
+    rays = traced(focal_mm, focal_mm, 2.8, distance_mm=1000.0)
+    assert blur_px(truth, 1.0) == pytest.approx(np.ptp(rays, axis=0).max(), rel=0.01)
+    moved = {**flat, "camera": SMALL, "lens": {"focus_distance_m": "infinity", "f_number": 1.4}}
+    sharp, soft = (
+        picture(bench_config({**moved, "lens": {}}).truth, {}),
+        picture(bench_config(moved).truth, {}),
+    )
+    ratio = np.abs(np.diff(soft / 4, axis=1)).max() / np.abs(np.diff(sharp, axis=1)).max()
+    assert ratio == pytest.approx(4 / (np.pi * 9.7) / 0.4935, rel=0.05)  # an even disc of 9.7 px
+
+
+def test_a_camera_turned_in_its_mount_sees_the_target_turned():
+    truth = Truth(CameraTruth(k1=0.0, k2=0.0), CollimatorTruth(), OpticsTruth(mounting_deg=(0.0, 0.0, 0.0)))
+    rolled = replace(truth, mount=MountTruth(turn_deg=(0.0, 0.0, 10.0)))
+    tipped = replace(truth, mount=MountTruth(turn_deg=(3.0, -2.0, 0.0)))
+    np.testing.assert_allclose(true_rotation({}, rolled), true_rotation({"roll": 10.0}, truth), atol=1e-12)
+    np.testing.assert_allclose(
+        true_rotation({}, tipped), true_rotation({"pan": 3.0, "tilt": -2.0}, truth), atol=1e-12
+    )
+    # the mount is turned after the axes: a roll in it also turns the directions in which pan and tilt move the image
+    assert (
+        np.abs(true_rotation({"pan": 3.0}, rolled) - true_rotation({"pan": 3.0, "roll": 10.0}, truth)).max()
+        < 1e-12
+    )
+    assert projection_of(rolled, true_rotation({}, rolled)).rotation.shape == (3, 3)
+
+
+def test_a_blurred_picture_is_the_mean_of_pinhole_pictures_through_all_parts_of_the_aperture():
+    camera = {**SMALL, "fx": 836.0, "fy": 836.0, "cx": 79.5, "cy": 59.5, "width": 160, "height": 120}
+    config = {"camera": camera, "optics": {**LEVEL, "psf_px": 0.7}}
+    truth = bench_config({**config, "lens": {"focus_distance_m": 0.5, "f_number": 1.4}}).truth
+    focal_mm = 836.0 * PIXEL_MM
+    n = np.arange(150) + 0.5
+    radius, turn = 0.5 * np.sqrt(n / n.size), np.pi * (1.0 + math.sqrt(5.0)) * n  # evenly over the aperture
+    image_mm = 1.0 / (1.0 / focal_mm - 1.0 / 500.0)
+    hits = radius * focal_mm / 1.4 * (1.0 - image_mm / focal_mm) / PIXEL_MM
+    seen = [
+        picture(
+            bench_config(
+                {**config, "camera": {**camera, "cx": 79.5 + dx, "cy": 59.5 + dy, "fx": f, "fy": f}}
+            ).truth,
+            {"pan": 1.0},
+            subsamples=2,
+        )
+        for dx, dy in zip(hits * np.cos(turn), hits * np.sin(turn), strict=True)
+        for f in [836.0 * image_mm / focal_mm]
+    ]
+    expected = np.mean(seen, axis=0)
+    difference = picture(truth, {"pan": 1.0}) / brightness(truth) - expected
+    assert blur_px(truth) == pytest.approx(np.ptp(2.0 * hits[-1:] * [-0.5, 0.5]), rel=0.01)
+    assert np.abs(difference).max() < 0.012
+    assert np.ptp(expected) > 0.5
