@@ -113,6 +113,8 @@ def _at_lens(order: FaultOrder, start: Truth) -> Callable[[CameraSetup], CameraS
         distance_m = focus_distance_m(p["distance_m"], "distance_m")
         return lambda setup: replace(setup, lens=replace(setup.lens, focus_distance_m=distance_m))
     deg = _finite(p["deg"], "deg")
+    if order.fault == "turn" and deg == 0.0:
+        return lambda setup: setup  # a look at the ring changes nothing, not even by a rounding
 
     def turn_ring(setup: CameraSetup) -> CameraSetup:
         truth = with_setup(start, setup)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -13,11 +14,13 @@ from simulators.assembly.stages import make_stage
 from simulators.cameras.stream_faults import StreamFaults
 from simulators.config import BenchConfig
 from simulators.errors import ConfigError
+from simulators.faults.camera_hands import CameraHands
 from simulators.faults.catalogue import fault_order, fault_order_from_text, faults_of
 from simulators.faults.fault_injection import BenchParts, fault_action
 from simulators.faults.line_faults import REPLY_FAULTS, REQUEST_FAULTS, FaultLine, LineFault
 from simulators.lights.lamp import Lamp
-from simulators.world.world import LightState
+from simulators.world.truth import MountTruth, Truth
+from simulators.world.world import LightState, World
 
 
 class Port:
@@ -48,14 +51,6 @@ class Camera:
         self.calls.append(message)
 
 
-class Mount:
-    def __init__(self) -> None:
-        self.shift_mm = (0.5, 0.0)
-
-    def shift_camera(self, shift_mm: tuple[float, float]) -> None:
-        self.shift_mm = shift_mm
-
-
 class Bench:
     """The parts of a bench without ports, on a clock that the test advances."""
 
@@ -69,7 +64,9 @@ class Bench:
         self.dialects = {**stage.dialects, "light": light}
         self.ports = {name: Port() for name in self.dialects}
         self.camera = Camera()
-        self.mount = Mount()
+        self.world = World(Truth(mount=MountTruth(shift_mm=(0.5, 0.0))), clock=lambda: self.now_s)
+        self.changes = 0
+        self.hands = CameraHands(self.world, self.count_change)
         lines = {
             name: FaultLine(one, lambda: self.now_s, np.random.default_rng(1))
             for name, one in self.dialects.items()
@@ -83,9 +80,11 @@ class Bench:
             lamp,
             self.camera,
             lambda: self.now_s,
-            mount=self.mount,
-            start_shift_mm=self.mount.shift_mm,
+            hands=self.hands,
         )
+
+    def count_change(self) -> None:
+        self.changes += 1
 
     def order(self, text: str) -> None:
         fault_action(fault_order_from_text(text), self.parts)()
@@ -190,15 +189,65 @@ def test_faults_of_the_camera_reach_it(bench: Bench):
 
 def test_somebody_moves_the_camera_across_the_beam_and_back(bench: Bench):
     bench.order("mount shift x_mm=3 y_mm=-0.5")
-    assert bench.mount.shift_mm == (3.0, -0.5)
+    assert bench.world.truth_at(bench.now_s).mount.shift_mm == (3.0, -0.5)
     bench.order("mount shift x_mm=1")
-    assert bench.mount.shift_mm == (1.0, 0.0)
+    assert bench.hands.seen()["shift_mm"] == [1.0, 0.0]
     bench.order("mount mend")
-    assert bench.mount.shift_mm == (0.5, 0.0)
+    assert bench.hands.seen()["shift_mm"] == [0.5, 0.0]
+    assert bench.changes == 3
+
+
+def test_the_camera_is_turned_in_its_mount_step_by_step(bench: Bench):
+    bench.order("mount turn roll_deg=4")
+    bench.order("mount turn roll_deg=6 pan_deg=-1.5")
+    assert bench.hands.seen()["turn_deg"] == [-1.5, 0.0, 10.0]
+    bench.order("mount mend")
+    assert bench.hands.seen()["turn_deg"] == [0.0, 0.0, 0.0]
+
+
+def test_the_lens_is_focused_by_distance_and_by_its_ring(bench: Bench):
+    def seen() -> dict[str, Any]:
+        return bench.hands.seen()
+
+    assert (seen()["focus_distance_m"], seen()["ring_deg"]) == ("infinity", 0.0)
+    bench.order("lens focus distance_m=1")
+    assert seen()["focus_distance_m"] == 1.0
+    at_1_m = seen()["ring_deg"]
+    bench.order("lens turn deg=-3.5")
+    assert seen()["ring_deg"] == pytest.approx(at_1_m - 3.5)
+    assert seen()["focus_distance_m"] > 1.0
+    bench.order("lens turn deg=3.5")
+    assert seen()["focus_distance_m"] == pytest.approx(1.0)
+    bench.order("lens ring deg=1000")
+    assert (seen()["ring_deg"], seen()["focus_distance_m"]) == (pytest.approx(180.0), pytest.approx(0.2))
+    bench.order("lens aperture f_number=8")
+    assert seen()["f_number"] == 8.0
+    bench.order("lens focus")
+    assert seen()["focus_distance_m"] == "infinity"
+    bench.order("lens mend")
+    assert bench.world.truth_at(bench.now_s) == bench.world.truth
+
+
+@pytest.mark.parametrize(
+    ("text", "where"),
+    [
+        ("lens focus distance_m=0.05", "distance_m"),
+        ("lens focus distance_m=near", "distance_m"),
+        ("lens aperture f_number=0.1", "f_number"),
+        ("lens ring deg=nan", "deg"),
+        ("mount turn roll_deg=inf", "roll_deg"),
+        ("lens zoom", "fault"),
+    ],
+)
+def test_what_a_hand_cannot_do_is_refused(bench: Bench, text, where):
+    with pytest.raises(ConfigError) as error:
+        bench.order(text)
+    assert error.value.where == where
+    assert bench.changes == 0
 
 
 def test_a_bench_without_a_mount_that_moves_says_so(bench: Bench):
-    fixed = replace(bench.parts, mount=None)
+    fixed = replace(bench.parts, hands=None)
     with pytest.raises(ConfigError, match="no device 'mount'"):
         fault_action(fault_order_from_text("mount shift x_mm=3"), fixed)
 

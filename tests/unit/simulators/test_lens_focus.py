@@ -148,6 +148,10 @@ def test_as_delivered_nothing_is_added_to_the_image():
     assert camera_of(truth) is truth.camera
     rotation = true_rotation({}, truth)
     np.testing.assert_array_equal(picture(truth, {}), render(truth, rotation))
+    image = render(truth, rotation)
+    assert brightness(truth) == 1.0
+    assert reach_px(blur_px(truth)) == 0
+    assert spread_over_disc(image, blur_px(truth)) is image
 
 
 def test_a_blurred_picture_keeps_its_light_and_its_place():

@@ -12,6 +12,7 @@ import yaml
 from simulators.config import LIGHT_KINDS, STAGE_KINDS, bench_config
 from simulators.faults.catalogue import fault_order, fault_order_from_text, faults_of
 from simulators.world.gimbal import GimbalTruth
+from simulators.world.lens_truth import LensTruth
 from simulators.world.truth import COLLIMATORS, CollimatorTruth, MountTruth, ReticleTruth
 
 TEXT = (Path(__file__).parents[3] / "docs" / "simulated-bench.md").read_text(encoding="utf-8")
@@ -25,7 +26,13 @@ def names_in_first_column(title: str, name: str = r"`(\w+)`") -> set[str]:
 
 @pytest.mark.parametrize(
     ("title", "device"),
-    [("Of an axis", "pan"), ("Of a line", "gimbal"), ("Of the camera", "camera"), ("Of the mount", "mount")],
+    [
+        ("Of an axis", "pan"),
+        ("Of a line", "gimbal"),
+        ("Of the camera", "camera"),
+        ("Of the mount", "mount"),
+        ("Of the lens", "lens"),
+    ],
 )
 def test_every_fault_stands_in_its_table(title, device):
     assert names_in_first_column(title) == set(faults_of(device))
@@ -45,7 +52,7 @@ def test_every_collimator_stands_in_the_table_of_profiles():
     assert names_in_first_column("Collimators by name", r"`([\w-]+)`") >= set(COLLIMATORS)
 
 
-@pytest.mark.parametrize("section", [GimbalTruth, ReticleTruth, MountTruth, CollimatorTruth])
+@pytest.mark.parametrize("section", [GimbalTruth, ReticleTruth, MountTruth, CollimatorTruth, LensTruth])
 def test_every_key_of_collimator_reticle_mount_and_gimbal_is_documented(section):
     words = set(re.findall(r"\w+", TEXT))
     assert {one.name for one in fields(section)} <= words
@@ -76,4 +83,4 @@ def test_the_order_for_each_mishap_is_valid():
         for text in re.findall(r"`([^`]+)`", line)
     ]
     assert len(orders) > 40
-    assert {one.device for one in orders} == {"gimbal", "pan", "light", "camera", "mount"}
+    assert {one.device for one in orders} == {"gimbal", "pan", "light", "camera", "mount", "lens"}

@@ -1,0 +1,124 @@
+"""Focus, aperture and mount of a running simulated bench: hands turn them, and the camera sees it at once."""
+
+import json
+import math
+
+import pytest
+
+from bench.base.errors import SimulationError
+from bench.simulated import SimulatedBench
+from simulators.config import bench_config
+from simulators.pixels.biases import FACTORY
+from simulators.pixels.sensor_stream import CameraState, SensorStream
+from simulators.world.camera_setup import setup_of
+from simulators.world.lens_truth import LensTruth
+from simulators.world.world import LightState, World
+
+SMALL = {"fx": 836, "fy": 836, "cx": 160, "cy": 90, "width": 320, "height": 180}
+
+
+@pytest.fixture(scope="module")
+def bench():
+    with SimulatedBench({"camera": SMALL, "noise": "clean", "paced": False}, 3) as running:
+        yield running
+
+
+def test_hands_turn_ring_aperture_and_camera_and_read_them_back(bench):
+    hands = bench.hands
+    start = hands.look()
+    assert (start.focus_distance_m, start.ring_deg, start.f_number) == (math.inf, 0.0, 2.8)
+    near = hands.turn_focus(30.0)
+    assert near.ring_deg == pytest.approx(30.0)
+    assert 0.2 < near.focus_distance_m < 3.0
+    assert hands.turn_focus(-30.0).focus_distance_m == pytest.approx(math.inf)
+    assert hands.focus_at(1.5).focus_distance_m == 1.5
+    assert hands.set_focus_ring(999.0).ring_deg == pytest.approx(180.0)
+    assert hands.set_aperture(8).f_number == 8.0
+    assert hands.turn_camera(roll_deg=4.0).turn_deg == (0.0, 0.0, 4.0)
+    assert hands.turn_camera(roll_deg=6.0, pan_deg=-1.0).turn_deg == (-1.0, 0.0, 10.0)
+    assert hands.shift_camera(1.0, -2.0).shift_mm == (1.0, -2.0)
+    assert hands.put_back() == start
+    assert hands.look() == start
+    assert bench.truth()["lens"]["focus"] == "on the pattern"  # a look turns nothing
+
+
+@pytest.mark.parametrize(
+    ("act", "word"),
+    [
+        (lambda hands: hands.focus_at(0.01), "does not reach"),
+        (lambda hands: hands.set_aperture(0.2), "from 1 to 32"),
+        (lambda hands: hands.turn_focus(math.nan), "finite"),
+    ],
+)
+def test_what_hands_cannot_do_is_said(bench, act, word):
+    before = bench.hands.look()
+    with pytest.raises(SimulationError, match=word):
+        act(bench.hands)
+    assert bench.hands.look() == before
+
+
+def test_the_truth_file_tells_the_breathed_focal_length(bench):
+    assert bench.truth()["camera"]["fx"] == 836
+    bench.hands.focus_at(0.5)
+    truth = bench.truth()
+    focal_mm = 836 * 4.86e-3
+    assert truth["camera"]["fx"] == pytest.approx(836 * 500 / (500 - focal_mm), rel=1e-6)
+    assert truth["lens"]["blur_px"] == pytest.approx(focal_mm / 2.8 * focal_mm / (500 - focal_mm) / 4.86e-3)
+    bench.hands.put_back()
+    assert bench.truth()["camera"]["fx"] == 836
+
+
+def test_an_answer_says_infinity_in_words(bench):
+    answer = json.loads(bench.order("lens focus"), parse_constant=pytest.fail)
+    assert answer["distance_m"] == answer["now"]["focus_distance_m"] == "infinity"
+
+
+def test_orders_after_the_end_are_refused_with_a_sentence():
+    with SimulatedBench({"camera": SMALL}, 3) as ended:
+        hands = ended.hands
+    with pytest.raises(SimulationError, match="has ended"):
+        hands.look()
+
+
+def words(turn=None, *, seed=3):
+    """EVT3 words of 40 ms under a flickering light; ``turn`` changes the setup after 20 ms."""
+    truth = bench_config(
+        {"camera": {**SMALL, "width": 128, "height": 72, "cx": 64, "cy": 36}, "noise": "none"}
+    ).truth
+    now = [0.0]
+    world = World(truth, seed=seed, clock=lambda: now[0])
+    world.set_light(LightState(output=True))
+    now[0] = 1.0
+    stream = SensorStream(world, CameraState(dict(FACTORY)), {})
+    first = [stream.next_frame() for _ in range(10)]
+    if turn is not None:
+        world.change_setup(turn, since_s=stream.covered_s)
+    return first + [stream.next_frame() for _ in range(10)]
+
+
+def test_a_turn_of_the_ring_is_seen_in_the_middle_of_a_recording():
+    still, turned = (
+        words(),
+        words(lambda _: setup_of(bench_config({"lens": {"focus_distance_m": 0.4}}).truth)),
+    )
+    assert turned[:10] == still[:10]
+    assert turned[10] != still[10]
+    assert sum(map(len, turned[10:])) != sum(map(len, still[10:]))
+
+
+def test_a_setup_that_is_put_back_gives_the_same_recordings_as_one_that_was_never_changed():
+    truth = bench_config({"camera": {**SMALL, "width": 128, "height": 72}, "noise": "typical"}).truth
+
+    def stream(*lenses):
+        now = [0.0]
+        world = World(truth, seed=4, clock=lambda: now[0])
+        world.set_light(LightState(output=True))
+        for lens in lenses:
+            now[0] += 1.0
+            world.change_setup(lambda setup, lens=lens: type(setup)(setup.shift_mm, setup.turn_deg, lens))
+        taken = SensorStream(world, CameraState(dict(FACTORY)), {})
+        return b"".join(taken.next_frame() for _ in range(8))
+
+    assert stream() == stream(LensTruth(0.5), LensTruth())
+    assert stream() != stream(LensTruth(0.5))
+    assert stream(LensTruth(0.5)) == stream(LensTruth(2.0, 8.0), LensTruth(0.5))
