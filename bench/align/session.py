@@ -24,6 +24,7 @@ from bench.align.light_control import LightControl
 from bench.align.live_figures import LiveFigures, LiveSetting
 from bench.align.live_loop import LiveLoop, LivePicture
 from bench.align.owners import Owners
+from bench.align.simulated_hands import SimulatedHands
 from bench.base.clock import BenchClock
 from bench.base.errors import ControlRefused
 from bench.base.failure import FORESEEN, Failure
@@ -76,6 +77,8 @@ class Bench:
         The controls.
     loop
         Records and measures.
+    hands
+        Hands at the camera of a simulated bench.
     """
 
     devices: Devices
@@ -84,6 +87,7 @@ class Bench:
     light: LightControl
     camera: CameraControl
     loop: LiveLoop
+    hands: SimulatedHands
 
 
 def open_devices(station: Station, seed: int, clock: BenchClock) -> Devices:
@@ -123,9 +127,7 @@ class Session:
     owners
         The open pages, and which of them holds the controls.
     changes
-        Told after each change of what `state` returns.
-    pictures
-        Told after each new picture.
+        Told after each change of what `state` returns, and after each new picture.
     """
 
     def __init__(
@@ -135,7 +137,6 @@ class Session:
         self._seed = seed
         self._opener = opener
         self.changes = Changes()
-        self.pictures = Changes()
         self.owners = Owners(self.changes.tell)
         self._lock = threading.Lock()
         self._bench: Bench | None = None
@@ -204,9 +205,9 @@ class Session:
         stage = StageControl(devices.stage, tell, self.say)
         with suppress(DriverError):  # the watcher reads it again, and shows why it cannot
             stage.look()
-        loop = LiveLoop(devices.camera, self._setting, lambda: stage.state.position_deg, self.pictures.tell)
+        loop = LiveLoop(devices.camera, self._setting, lambda: stage.state.position_deg, tell)
         camera.use(loop)
-        bench = Bench(devices, clock, stage, light, camera, loop)
+        bench = Bench(devices, clock, stage, light, camera, loop, SimulatedHands(devices.simulation))
         self._bench = bench
         loop.start()
         return bench
@@ -237,7 +238,6 @@ class Session:
         for watcher in self._watchers:
             watcher.join(timeout=5.0)
         self.changes.tell()
-        self.pictures.tell()
         return confirmed
 
     def _close_bench(self) -> list[Confirmation]:
@@ -292,7 +292,7 @@ class Session:
         Returns
         -------
         dict
-            ``station``, ``devices``, ``stage``, ``light``, ``camera``, ``controls``, ``rates``, ``messages``.
+            ``station``, ``devices``, ``stage``, ``light``, ``camera``, ``hands``, ``controls``, ``messages``.
         """
         bench, station = self._bench, self.station.value
         condition = (
@@ -314,6 +314,7 @@ class Session:
             "stage": None,
             "light": None,
             "camera": None,
+            "hands": None,
         }
         if bench is not None:
             failure = bench.loop.failure
@@ -324,6 +325,7 @@ class Session:
                     **bench.camera.as_data(),
                     "failure": failure.to_dict() if failure else None,
                 },
+                "hands": {"seen": bench.hands.seen} if bench.hands.available else None,
             }
         return shown
 

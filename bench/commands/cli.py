@@ -16,6 +16,7 @@ from typing import Any
 import click
 
 from bench import __version__
+from bench.commands.align_command import align
 from bench.commands.batch_commands import BATCH_COMMANDS, BEGIN
 from bench.commands.engine_commands import ENGINE_COMMANDS
 from bench.commands.help_text import Sections, complete
@@ -292,6 +293,7 @@ for engine_command in ENGINE_COMMANDS:
     cli.add_command(engine_command)
 for run_command in (*RUN_COMMANDS, *BATCH_COMMANDS):
     cli.add_command(run_command)
+cli.add_command(align)
 complete(cli)
 
 

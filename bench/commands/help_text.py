@@ -9,6 +9,7 @@ from __future__ import annotations
 import click
 
 SECTIONS = {
+    "Before a run": ("align",),
     "A run": ("plan", "run", "resume", "verify"),
     "While it runs, from another terminal": ("status", "hold", "release", "skip", "abort", "answer"),
     "Many runs": ("batch", "rehearse", "runs", "messages"),
@@ -17,6 +18,10 @@ SECTIONS = {
 }
 
 EXAMPLES = {
+    "align": (
+        "starbench align --station my_bench.yaml",
+        "starbench align --station simulated --text",
+    ),
     "run": (
         "starbench run three_pose --station simulated",
         "starbench run nine_pose -s my_bench.yaml -o runs/cam7 --operator 'A. Operator'",
@@ -84,6 +89,7 @@ _PLAIN = f"0 done, 1 failed, {_INVALID}, {_CTRL_C}"
 _RUN = f"0 done, 1 failed, {_INVALID}, 3 stopped on request (safe, and can be resumed), {_CTRL_C}"
 _COMMAND = f"0 accepted, 1 refused, {_INVALID}, {_CTRL_C}"
 STATUSES = {
+    "align": f"0 ended, every device confirmed a safe state, 1 a device did not, {_INVALID}.",
     "run": _RUN,
     "resume": _RUN,
     "status": f"0 status shown, {_INVALID}, {_CTRL_C} With --follow that of the run: 0 done, 1 failed, 3 stopped.",
@@ -97,6 +103,7 @@ STATUSES = {
     "messages": f"0 messages shown, 1 a message is still waiting after --send, {_INVALID}, {_CTRL_C}",
 }
 _SHORT = {
+    "align": "Aim and focus the camera with a live picture.",
     "run": "Run a sequence on a station and write a sealed report.",
     "resume": "Continue a run that was stopped, failed or was interrupted.",
     "plan": "Check a sequence or a queue; show time, disk space and expected uncertainty.",

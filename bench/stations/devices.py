@@ -92,6 +92,11 @@ class Devices:
         """
         return self._simulation.truth() if self._simulation is not None else None
 
+    @property
+    def simulation(self) -> SimulatedBench | None:
+        """The simulated bench; None on a real one. Only a person's hands use it: no run and no estimate may."""
+        return self._simulation
+
     def make_safe(self) -> list[str]:
         """Stop the stage, switch the light off and stop the camera: each of them, even if another one fails.
 

@@ -1,0 +1,281 @@
+"""What the align page can ask for: each request is checked, and becomes one call of the session.
+
+A request is one JSON object. A value that is missing or of a wrong type is refused in words; nothing is changed then.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from bench.align.readiness import check_readiness
+from bench.align.session import Session
+from bench.align.write_down import Proposal, must_be_copied, propose_pose, propose_values, station_values
+from bench.base.errors import ControlRefused, UsageError
+from bench.plan.plan import SHIPPED_SEQUENCES
+from bench.stations.station import Station
+
+Action = Callable[[str, Mapping[str, Any]], Any]
+_PAGE_ID = re.compile(r"[A-Za-z0-9_-]{8,64}")
+_FILE_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._ -]{0,79}")
+_MOST_NAMED = 100
+_AGAIN = "Load the page again."
+
+
+@dataclass(frozen=True)
+class PageFiles:
+    """The files that a page may read and write.
+
+    Attributes
+    ----------
+    station
+        The station file.
+    folder
+        The only folder for copies and for sequences that the page names.
+    """
+
+    station: str
+    folder: Path = field(default_factory=Path.cwd)
+
+    def as_data(self) -> dict[str, Any]:
+        """Return what the page shows of the files.
+
+        Returns
+        -------
+        dict
+            Station file, why it must be copied (or an empty text), folder, and the names of the sequences.
+        """
+        here = sorted(path.name for path in self.folder.glob("*.yaml") if _is_sequence(path))
+        return {
+            "station": self.station,
+            "copy_needed": must_be_copied(Path(self.station)),
+            "folder": str(self.folder),
+            "sequences": here[:_MOST_NAMED],
+            "shipped": sorted(path.stem for path in SHIPPED_SEQUENCES.glob("*.yaml")),
+        }
+
+    def in_folder(self, name: str) -> Path:
+        """Return the path of a file that the page names.
+
+        Parameters
+        ----------
+        name
+            Name of the file, without a folder; the ending ``.yaml`` is added if it is missing.
+
+        Returns
+        -------
+        Path
+            The file in ``folder``.
+
+        Raises
+        ------
+        ControlRefused
+            If the name is not a plain file name.
+        """
+        if not _FILE_NAME.fullmatch(name) or ".." in name:
+            raise ControlRefused(
+                f"{name!r} is not a plain file name.",
+                remedy=f"Give a name such as my_bench.yaml. The file is in {self.folder}.",
+            )
+        return self.folder / (name if name.endswith((".yaml", ".yml")) else f"{name}.yaml")
+
+    def sequence(self, name: str) -> Path:
+        """Return the path of a sequence that the page names.
+
+        Parameters
+        ----------
+        name
+            Name of a file in ``folder``, or of a shipped sequence.
+
+        Returns
+        -------
+        Path
+            The file.
+
+        Raises
+        ------
+        ControlRefused
+            If there is no such sequence.
+        """
+        here = self.in_folder(name)
+        if here.is_file():
+            return here
+        shipped = SHIPPED_SEQUENCES / f"{name}.yaml"
+        if shipped.is_file():
+            return shipped
+        raise ControlRefused(
+            f"There is no sequence {name!r}.",
+            where=str(self.folder),
+            remedy="Name a file of this folder, or a sequence that came with Starbench, such as three_pose.",
+        )
+
+
+def actions(session: Session, files: PageFiles) -> Mapping[str, Action]:
+    """Return what the page can ask for.
+
+    Parameters
+    ----------
+    session
+        The session.
+    files
+        The files that the page may read and write.
+
+    Returns
+    -------
+    Mapping
+        Function by name of the request. It takes the id of the page and the request.
+    """
+
+    def jog(page: str, body: Mapping[str, Any]) -> Any:
+        steps = body.get("steps_deg")
+        if not isinstance(steps, dict) or not steps:
+            raise UsageError("The request names no axis.", remedy=_AGAIN)
+        wanted = {str(axis): _number(steps, axis) for axis in steps}
+        return session.bench.stage.move_by(wanted, page)
+
+    def light(_page: str, body: Mapping[str, Any]) -> Any:
+        numbers = {
+            name: _number(body, name)
+            for name in ("frequency_hz", "duty_percent", "level_percent")
+            if name in body
+        }
+        if "waveform" in body:
+            numbers["waveform"] = body["waveform"]
+        on = body.get("on")
+        if on is not None and not isinstance(on, bool):
+            raise UsageError("`on` must be true or false.", remedy=_AGAIN)
+        return session.light(on=on, **numbers)
+
+    def bias(_page: str, body: Mapping[str, Any]) -> Any:
+        value = _number(body, "value")
+        if value != int(value):
+            raise ControlRefused("A bias is a whole number. Nothing was sent.", remedy="Give a whole number.")
+        return dict(session.bias(str(body.get("name")), int(value)))
+
+    def hands(_page: str, body: Mapping[str, Any]) -> Any:
+        names = [name for name in body if name not in ("page", "action")]
+        return session.bench.hands.do(str(body.get("action")), {name: _number(body, name) for name in names})
+
+    def check(_page: str, body: Mapping[str, Any]) -> Any:
+        name = body.get("sequence") or ""
+        sequence = str(files.sequence(str(name))) if name else None
+        checks = check_readiness(session, sequence=sequence, station_file=files.station)
+        return [one.as_data() for one in checks]
+
+    def propose(_page: str, body: Mapping[str, Any]) -> Any:
+        return _proposal(session, files, body).as_data()
+
+    def write(_page: str, body: Mapping[str, Any]) -> Any:
+        proposal = _proposal(session, files, body)
+        proposal.write(str(body.get("mark")))
+        session.say(f"Written: {proposal.path}.")
+        return {"file": str(proposal.path)}
+
+    def reopen(_page: str, _body: Mapping[str, Any]) -> Any:
+        failure = session.reopen()
+        return failure.to_dict() if failure else None
+
+    return {
+        "jog": jog,
+        "home": lambda page, _: session.home(page),
+        "stop": lambda _page, _: session.stop("on request of the page"),
+        "leave": lambda page, _: _leave(session, page),
+        "take": lambda page, _: _take(session, page),
+        "beat": lambda page, _: session.owners.beat(page),
+        "light": light,
+        "bias": bias,
+        "forget": lambda _page, _: session.bench.loop.forget(),
+        "hands": hands,
+        "check": check,
+        "propose": propose,
+        "write": write,
+        "open": reopen,
+    }
+
+
+def read_page(body: Mapping[str, Any]) -> str:
+    """Return the id of the page that sends a request.
+
+    Parameters
+    ----------
+    body
+        The request.
+
+    Returns
+    -------
+    str
+        The id.
+
+    Raises
+    ------
+    UsageError
+        If the request names no page.
+    """
+    page = body.get("page")
+    if not isinstance(page, str) or not _PAGE_ID.fullmatch(page):
+        raise UsageError("The request does not say which page sends it.", remedy=_AGAIN)
+    return page
+
+
+def _take(session: Session, page: str) -> None:
+    """Give the controls to a page. A motion that another page started is stopped: nobody looks after it any more."""
+    before = session.owners.holder
+    session.owners.take(page)
+    if before != page and session.is_open and session.bench.stage.moving:
+        session.stop("because another page took over the controls")
+
+
+def _leave(session: Session, page: str) -> None:
+    """Stop what a page has set in motion, because it closes."""
+    if session.is_open and session.bench.stage.moving and session.bench.stage.state.by == page:
+        session.stop("because the page that moved it was closed")
+
+
+def _proposal(session: Session, files: PageFiles, body: Mapping[str, Any]) -> Proposal:
+    """Return the change of a file that a request asks for."""
+    copy = body.get("copy") or ""
+    target = files.in_folder(str(copy)) if copy else None
+    bench, kind = session.bench, body.get("kind")
+    if kind == "pose":
+        source = files.sequence(str(body.get("sequence") or ""))
+        return propose_pose(
+            source,
+            {axis: round(angle, 4) for axis, angle in bench.stage.state.position_deg.items()},
+            poses=str(body["poses"]) if body.get("poses") else None,
+            name=str(body["name"]) if body.get("name") else None,
+            target=target,
+        )
+    if kind != "station":
+        raise UsageError("The request does not say what to write.", remedy=_AGAIN)
+    wanted = body.get("what") or []
+    if not isinstance(wanted, list) or not wanted:
+        raise ControlRefused("Nothing is chosen.", remedy="Choose what to write down: zero, biases or light.")
+    values, notes = station_values(
+        session.station.value,
+        position_deg=bench.stage.state.position_deg if "zero" in wanted else None,
+        biases=bench.camera.biases if "biases" in wanted else None,
+        level_percent=bench.light.reading.flicker.level_percent if "light" in wanted else None,
+    )
+    proposal = propose_values(Path(files.station), values, Station, target=target)
+    return Proposal(
+        proposal.path, proposal.source, proposal.before, proposal.after, (*notes, *proposal.notes)
+    )
+
+
+def _is_sequence(path: Path) -> bool:
+    try:
+        with path.open("rb") as stream:
+            return b"starbench/sequence/" in stream.read(4096)
+    except OSError:
+        return False
+
+
+def _number(body: Mapping[str, Any], name: str) -> float:
+    value = body.get(name)
+    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+        raise ControlRefused(f"{name} is not a number. Nothing was changed.", remedy="Give a number.")
+    return float(value)

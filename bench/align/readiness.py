@@ -1,0 +1,247 @@
+"""The checks that a run makes before it moves, made while a person aligns: green or red, each with its remedy.
+
+The devices are asked what `bench.run.preflight` asks them, and one recording is made and judged as a run does it, at
+the present pose and with the present light. Nothing moves, and the light stays as it is.
+"""
+
+from __future__ import annotations
+
+import shutil
+import tempfile
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+from bench.align.camera_control import ANSWER_S
+from bench.align.session import Bench, Session
+from bench.base.errors import BenchError
+from bench.base.failure import FORESEEN, Failure
+from bench.plan.plan import load_documents, make_plan
+from bench.stations.placeholders import find_placeholders
+from bench.views.camera_kinds import camera_kind
+from bench.views.gates import ADVICE, Gate
+from sequences.schema import RecordConfig
+from sequences.script import Gates, Pose, RecordStep
+
+Verdict = Literal["good", "bad", "open"]
+"""``good`` and ``bad`` as checked; ``open`` if it could not be checked yet."""
+_NO_REMEDY = "Correct this; nothing has moved."
+
+
+@dataclass(frozen=True)
+class Check:
+    """One check and what it found.
+
+    Attributes
+    ----------
+    name
+        What was checked, in a few words.
+    verdict
+        Result.
+    found
+        What was found, as a sentence.
+    remedy
+        What to do; empty if nothing is to be done.
+    """
+
+    name: str
+    verdict: Verdict
+    found: str
+    remedy: str = ""
+
+    def as_data(self) -> dict[str, str]:
+        """Return the check as the page shows it.
+
+        Returns
+        -------
+        dict
+            The attributes by name.
+        """
+        return asdict(self)
+
+
+def check_readiness(
+    session: Session, *, sequence: str | None = None, station_file: str | None = None
+) -> list[Check]:
+    """Make all checks.
+
+    Parameters
+    ----------
+    session
+        The session with its open devices.
+    sequence
+        Sequence that shall run on the station; None checks the bench only.
+    station_file
+        Path or name of the station file; None for the one of the session.
+
+    Returns
+    -------
+    list of Check
+        In the order in which a run makes them.
+
+    Raises
+    ------
+    ControlRefused
+        If the devices are not open.
+    """
+    bench = session.bench
+    checks = [_station(session), *_stage(bench), *_light(bench), *_camera(bench)]
+    checks += _recording(session, bench)
+    if sequence is not None:
+        checks.append(_sequence(sequence, station_file or session.station.file))
+    return checks
+
+
+def _station(session: Session) -> Check:
+    missing = find_placeholders(session.station.tree)
+    if missing:
+        lines = "; ".join(f"line {fault.line}: {fault.path}" for fault in missing[:5])
+        return Check("station file", "bad", f"Values are missing ({lines}).", "Fill them in.")
+    return Check("station file", "good", f"{session.station.file} is complete.")
+
+
+def _stage(bench: Bench) -> list[Check]:
+    stage = bench.devices.stage
+    if bench.stage.moving:
+        return [Check("stage", "open", "The stage moves.", "Wait, then check again.")]
+
+    def identity() -> Check:
+        serials = ", ".join(f"{axis.name} {axis.serial or 'without serial'}" for axis in stage.identify())
+        return Check("stage: identity", "good", f"The controllers answer: {serials}.")
+
+    def faults() -> Check:
+        # As in a run: an axis that is not homed warns about that, so its faults are read after homing.
+        if not stage.is_homed():
+            return Check(
+                "stage: faults", "open", "The stage is not homed; a run homes it first.", "Press Home."
+            )
+        found = list(stage.faults())
+        if found:
+            return Check(
+                "stage: faults", "bad", f"{'; '.join(found)}.", "Clear the cause, then home the stage."
+            )
+        return Check("stage: faults", "good", "Homed; the controllers report no fault.")
+
+    return [_made("stage: identity", identity), _made("stage: faults", faults)]
+
+
+def _light(bench: Bench) -> list[Check]:
+    light = bench.devices.light
+
+    def identity() -> Check:
+        found = light.identify()
+        serial = f", serial {found.serial}" if found.serial else ""
+        return Check("light: identity", "good", f"{found.maker} {found.model}{serial} answers.")
+
+    def faults() -> Check:
+        found = list(light.faults())
+        if found:
+            return Check("light: faults", "bad", f"{'; '.join(found)}.", "Clear the cause at the light.")
+        return Check("light: faults", "good", "The light reports no fault.")
+
+    return [_made("light: identity", identity), _made("light: faults", faults)]
+
+
+def _camera(bench: Bench) -> list[Check]:
+    control, camera = bench.camera, bench.devices.camera
+
+    def identity() -> Check:
+        found = bench.loop.on_camera(camera.identify).result(timeout=ANSWER_S)
+        return Check(
+            "camera: identity", "good", f"{found.maker} {found.model}, serial {found.serial}, answers."
+        )
+
+    def settings() -> Check:
+        if control.reasons:
+            return Check("camera: settings", "bad", f"{'; '.join(control.reasons)}.", "Restart the camera.")
+        return Check("camera: settings", "good", "All settings read back as they were set; no filter is on.")
+
+    return [_made("camera: identity", identity), _made("camera: settings", settings)]
+
+
+def _recording(session: Session, bench: Bench) -> list[Check]:
+    """Make one recording as a run does it, and judge it by the gates that a sequence has by default."""
+    reading = bench.light.reading
+    if not reading.on or reading.settings is None:
+        return [Check("recording", "open", "The light is off.", "Switch the light on, then check again.")]
+    if bench.stage.moving:
+        return [Check("recording", "open", "The stage moves.", "Wait, then check again.")]
+    kind = camera_kind(session.station.value)
+    frequency_hz = reading.settings.frequency_hz
+    folder = Path(tempfile.mkdtemp(prefix="starbench-check-"))
+    step = _step(reading.settings.waveform)
+    path = folder / f"check{kind.ending}"
+    try:
+        facts = bench.loop.on_camera(
+            lambda: kind.record(bench.devices.camera, path, step, frequency_hz)
+        ).result(timeout=ANSWER_S + 2 * step.window_ms * 1e-3)
+        found = kind.measure(path, step, frequency_hz, session.station.value.target.pattern(), None)
+        gates, others = kind.judge(asdict(facts), step, frequency_hz, found)
+    except (*FORESEEN, TimeoutError) as error:
+        failure = Failure.of(error)
+        return [Check("recording", "bad", failure.what or "The camera did not answer.", failure.remedy)]
+    finally:
+        shutil.rmtree(folder, ignore_errors=True)
+    checks = []
+    if found.fault:
+        checks.append(
+            Check(
+                "recording: stars",
+                "bad",
+                found.fault,
+                "Follow the advice above the picture, then check again.",
+            )
+        )
+    checks += [_gate(gate) for gate in gates if not (found.fault and gate.name == "stars")]
+    return checks + [Check("recording", "bad", f"{other}.", _NO_REMEDY) for other in others]
+
+
+def _step(waveform: Any) -> RecordStep:
+    """Return a record step with the values that a sequence has by default."""
+    config = RecordConfig()
+    return RecordStep(
+        0,
+        "align",
+        (),
+        Pose(0, "present pose", {}),
+        config.window_ms,
+        config.image,
+        config.attempts,
+        config.backoff_s,
+        config.on_failure,
+        config.hold_s,
+        Gates.from_settings(dict(config.gates), waveform),
+    )
+
+
+def _gate(gate: Gate) -> Check:
+    value = f"{gate.value:.4g} {gate.unit}".strip()
+    limit = gate.limit.replace(">=", "at least").replace("<=", "at most")
+    found = f"{value}; a run needs {limit} {gate.unit}".strip() + "."
+    remedy = ADVICE.get(gate.name, "Follow the advice above the picture, then check again.")
+    remedy = f"{remedy[0].upper()}{remedy[1:]}".rstrip(".") + "."
+    bad = gate.verdict == "fail"
+    return Check(f"recording: {gate.name}", "bad" if bad else "good", found, remedy if bad else "")
+
+
+def _sequence(sequence: str, station_file: str) -> Check:
+    """Plan a sequence on the station, without devices."""
+
+    def planned() -> Check:
+        plan = make_plan(*load_documents(sequence, station_file))
+        if plan.faults:
+            more = f" And {len(plan.faults) - 1} more." if len(plan.faults) > 1 else ""
+            return Check("sequence", "bad", f"{plan.faults[0]}{more}", "Correct the file.")
+        return Check("sequence", "good", f"{len(plan.poses)} poses, about {plan.duration_s / 60:.0f} min.")
+
+    return _made("sequence", planned)
+
+
+def _made(name: str, check: Callable[[], Check]) -> Check:
+    """Make a check; an error of its device is its result."""
+    try:
+        return check()
+    except (*FORESEEN, BenchError, TimeoutError) as error:
+        failure = Failure.of(error)
+        return Check(name, "bad", failure.what or "It did not answer in time.", failure.remedy or _NO_REMEDY)

@@ -1,0 +1,285 @@
+"""Run a session of aligning from the command line: on a page, or in the terminal.
+
+Ctrl-C stops the stage at once, from the signal itself. Then the light goes off, the devices are closed, and what each
+device confirmed is printed.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import signal
+import sys
+import threading
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from types import FrameType
+
+from bench.align.app import align_app
+from bench.align.page_requests import PageFiles
+from bench.align.session import Confirmation, Session
+from bench.base.errors import UsageError
+from bench.stations.station import SHIPPED_STATIONS, load_station
+from bench.web.server import PageServer, announce_url
+from bench.web.tokens import page_token
+from drivers.errors import DriverError
+from sequences.reader import find_document
+from sequences.settings import OptionSettings
+
+_STOPPED = 0
+_NOT_CONFIRMED = 1
+
+
+def align_on_page(
+    station: str,
+    settings: Sequence[str] = (),
+    *,
+    seed: int = 1,
+    host: str = "127.0.0.1",
+    port: int = 0,
+    token_file: Path | None = None,
+    open_browser: bool = True,
+) -> int:
+    """Serve the align page of a station until Ctrl-C.
+
+    Parameters
+    ----------
+    station
+        Station file, or name of a shipped one.
+    settings
+        Values that replace those of the file, as ``PATH=VALUE``.
+    seed
+        Random seed of the simulated bench.
+    host, port
+        Address and port of the page; port 0 takes a free one.
+    token_file
+        File with the token; None if the environment variable counts.
+    open_browser
+        Whether to open a browser of this computer.
+
+    Returns
+    -------
+    int
+        Exit status: 0 if every device confirmed a safe state, 1 if not.
+
+    Raises
+    ------
+    UsageError
+        If the port is in use, or other computers could use the page without a token.
+    DocumentFaults
+        If the station file is not valid.
+    """
+    session = make_session(station, settings, seed=seed)
+    path = find_document(station, SHIPPED_STATIONS)
+    server = PageServer(
+        align_app(session, PageFiles(str(path))), host=host, port=port, token=page_token(token_file)
+    )
+    opening = threading.Thread(target=_open, args=(session,), name="align-open", daemon=True)
+
+    def ready() -> None:
+        announce_url(server.url)
+        _print(
+            f"Station: {session.station.value.name}. Ctrl-C stops the stage, switches the light off, and ends."
+        )
+        _stop_at_signals(session)
+        opening.start()
+        if open_browser:
+            import webbrowser
+
+            threading.Thread(target=webbrowser.open, args=(server.url,), daemon=True).start()
+
+    try:
+        server.serve(ready)
+    finally:
+        if opening.ident is not None:
+            opening.join()
+        status = leave(session)
+    return status
+
+
+def align_in_terminal(station: str, settings: Sequence[str] = (), *, seed: int = 1) -> int:
+    """Show the figures of a station in the terminal until Ctrl-C.
+
+    Parameters
+    ----------
+    station
+        Station file, or name of a shipped one.
+    settings
+        Values that replace those of the file, as ``PATH=VALUE``.
+    seed
+        Random seed of the simulated bench.
+
+    Returns
+    -------
+    int
+        Exit status: 0 if every device confirmed a safe state, 1 if not.
+    """
+    from bench.align.text_view import show_in_terminal
+
+    session = make_session(station, settings, seed=seed)
+    ended = threading.Event()
+    with _stopping_signals(session, ended.set):
+        try:
+            failure = session.open()
+            if failure is not None:
+                _print(failure.message)
+                return _NOT_CONFIRMED
+            show_in_terminal(session, ended)
+        finally:
+            status = leave(session)
+    return status
+
+
+def make_session(station: str, settings: Sequence[str] = (), *, seed: int = 1) -> Session:
+    """Read the station file and make a session; no device is opened yet.
+
+    Parameters
+    ----------
+    station
+        Station file, or name of a shipped one.
+    settings
+        Values that replace those of the file, as ``PATH=VALUE``; ``station.`` may stand before the path.
+    seed
+        Random seed of the simulated bench.
+
+    Returns
+    -------
+    Session
+        The session.
+
+    Raises
+    ------
+    UsageError
+        If a setting does not have the form ``PATH=VALUE``.
+    DocumentFaults
+        If the station file is not valid.
+    """
+    given = {}
+    for text in settings:
+        path, equals, value = text.partition("=")
+        if not equals:
+            raise UsageError(f"{text!r} does not have the form PATH=VALUE.", where="--set")
+        given[path.strip().removeprefix("station.")] = value
+    return Session(load_station(station, OptionSettings(given, "--set") if given else None), seed=seed)
+
+
+def leave(session: Session) -> int:
+    """Leave the bench safe, and print what each device confirmed.
+
+    Parameters
+    ----------
+    session
+        The session; it is closed.
+
+    Returns
+    -------
+    int
+        Exit status: 0 if every device confirmed, 1 if not.
+    """
+    with _ignored_signals():
+        confirmed = session.close()
+    for line in confirmation_lines(confirmed):
+        _print(line)
+    return _STOPPED if all(one.safe for one in confirmed) else _NOT_CONFIRMED
+
+
+def confirmation_lines(confirmed: Sequence[Confirmation]) -> list[str]:
+    """Return what each device confirmed, as lines for the terminal.
+
+    Parameters
+    ----------
+    confirmed
+        What the devices confirmed.
+
+    Returns
+    -------
+    list of str
+        One line a device; one line that says so if no device was open.
+
+    Examples
+    --------
+    >>> confirmation_lines([Confirmation("light", safe=True, text="off, as it reports itself.")])
+    ['light: off, as it reports itself.']
+    """
+    if not confirmed:
+        return ["No device was open."]
+    return [f"{'' if one.safe else 'CHECK THE BENCH: '}{one.device}: {one.text}" for one in confirmed]
+
+
+def _open(session: Session) -> None:
+    failure = session.open()
+    if failure is not None:
+        _print(f"The devices could not be opened. {failure.message}")
+
+
+def _stop_soon(session: Session) -> None:
+    """Stop the stage on a thread of its own: a signal handler must not wait."""
+
+    def stop() -> None:
+        with contextlib.suppress(DriverError):  # `leave` stops again, and says what was confirmed
+            session.stop("because the program ends")
+
+    threading.Thread(target=stop, name="align-signal-stop", daemon=True).start()
+
+
+def _stop_at_signals(session: Session) -> None:
+    """Stop the stage in the handlers of the signals that end the server, before these do their own work."""
+    for name in ("SIGINT", "SIGTERM", "SIGHUP"):
+        number = getattr(signal, name, None)
+        if number is None or threading.current_thread() is not threading.main_thread():
+            continue
+        before = signal.getsignal(number)
+
+        def handle(
+            received: int,
+            frame: FrameType | None,
+            before: Callable[[int, FrameType | None], object] = before,  # type: ignore[assignment]
+        ) -> None:
+            _stop_soon(session)
+            if callable(before):
+                before(received, frame)
+
+        signal.signal(number, handle)
+
+
+@contextmanager
+def _stopping_signals(session: Session, ended: Callable[[], None]) -> Iterator[None]:
+    """Let a signal stop the stage and end the terminal's view, while the block runs."""
+
+    def handle(_number: int, _frame: FrameType | None) -> None:
+        _stop_soon(session)
+        ended()
+
+    numbers = [getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)]
+    before = {number: signal.signal(number, handle) for number in numbers}
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+@contextmanager
+def _ignored_signals() -> Iterator[None]:
+    """Let one more Ctrl-C not break off the leaving; the third one ends the process at once."""
+    count = 0
+
+    def handle(_number: int, _frame: FrameType | None) -> None:
+        nonlocal count
+        count += 1
+        if count >= 2:
+            raise KeyboardInterrupt
+
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = signal.signal(signal.SIGINT, handle)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
+
+
+def _print(text: str) -> None:
+    sys.stdout.write(f"{text}\n")
+    sys.stdout.flush()
