@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
+from functools import lru_cache
 from typing import Any
 
 import cv2
@@ -51,6 +52,30 @@ def picture(truth: Truth, angles_deg: Mapping[Any, float], *, subsamples: int = 
         image = _screen_picture(truth, rotation, subsamples)
     light = brightness(truth)
     return image if light == 1.0 else np.asarray(image * np.float32(light))
+
+
+def still_picture(truth: Truth, angles_deg: Mapping[Any, float]) -> NDArray[np.float32]:
+    """Return the picture of a camera that stands still; the last two are kept, as one pose is recorded often.
+
+    Parameters
+    ----------
+    truth
+        Camera, optics, and collimator or screen.
+    angles_deg
+        Angles of the axes by name; missing = 0.
+
+    Returns
+    -------
+    (height, width) float32
+        As `picture`; the array may be shared, so do not change it.
+    """
+    return _kept_picture(truth, tuple(sorted(angles_deg.items())))
+
+
+@lru_cache(maxsize=2)
+def _kept_picture(truth: Truth, angles_deg: tuple[tuple[str, float], ...]) -> NDArray[np.float32]:
+    """Compute the picture of ``still_picture``."""
+    return picture(truth, dict(angles_deg))
 
 
 def _screen_picture(truth: Truth, rotation: FloatArray, subsamples: int) -> NDArray[np.float32]:

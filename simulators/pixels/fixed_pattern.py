@@ -5,6 +5,7 @@ The same camera seed gives the same pattern. Gaussian threshold mismatch as in v
 
 from __future__ import annotations
 
+from functools import lru_cache
 from typing import Final
 
 import numpy as np
@@ -47,21 +48,10 @@ def make_pixels(
     """
     blocks = -(-width // BLOCK)
     shape = (height, blocks * BLOCK)
-    pattern = np.random.default_rng([camera_seed, 1])
-
-    def share(threshold: float) -> NDArray[np.uint32]:
-        spread = 1.0 + noise.mismatch * pattern.standard_normal((height, width), np.float32)
-        gain = np.exp(-threshold * np.maximum(spread, THINNEST_THRESHOLD))
-        return np.clip(np.rint(gain * GAIN_ONE), 1, GAIN_ONE - 1).astype(np.uint32)
-
     cell = np.zeros((*shape, sensor_state.N_CELL), np.float32)
     cell[:, :, sensor_state.U_REF] = 1.0
     gains = cell.view(np.uint32)
-    gains[:, :width, sensor_state.GAINS] = share(settings.threshold_on)
-    gains[:, :width, sensor_state.GAINS] |= share(settings.threshold_off) << np.uint32(sensor_state.ON_BITS)
-    gains[:, :width, sensor_state.GAINS][dead_pixels(width, height, noise, camera_seed)] = (
-        0  # beyond any threshold
-    )
+    gains[:, :width, sensor_state.GAINS] = _draw_gains(width, height, noise, settings, camera_seed)
     groups = -(-height // GROUP)
     return Pixels(
         t_next=np.full(shape, np.inf, np.float32),
@@ -76,6 +66,24 @@ def make_pixels(
         noise_t=np.zeros(sensor_state.AHEAD),
         noise_at=np.zeros(sensor_state.AHEAD, np.int64),
     )
+
+
+@lru_cache(maxsize=2)
+def _draw_gains(
+    width: int, height: int, noise: NoiseTruth, settings: PixelSettings, camera_seed: int
+) -> NDArray[np.uint32]:
+    """Return the gains of both thresholds, (height, width); they are kept, as each recording of a camera needs them."""
+    pattern = np.random.default_rng([camera_seed, 1])
+
+    def share(threshold: float) -> NDArray[np.uint32]:
+        spread = 1.0 + noise.mismatch * pattern.standard_normal((height, width), np.float32)
+        gain = np.exp(-threshold * np.maximum(spread, THINNEST_THRESHOLD))
+        return np.clip(np.rint(gain * GAIN_ONE), 1, GAIN_ONE - 1).astype(np.uint32)
+
+    gains = share(settings.threshold_on)
+    gains |= share(settings.threshold_off) << np.uint32(sensor_state.ON_BITS)
+    gains[dead_pixels(width, height, noise, camera_seed)] = 0  # beyond any threshold
+    return gains
 
 
 def dead_pixels(width: int, height: int, noise: NoiseTruth, camera_seed: int) -> NDArray[np.bool_]:

@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -373,10 +374,11 @@ def simulate(
     return sensor.run(duration_us)
 
 
+@lru_cache(maxsize=2)
 def _make_readout(
     width: int, height: int, noise: NoiseTruth, settings: PixelSettings, camera_seed: int, link: Link
 ) -> Readout:
-    """Return the readout with the noise rates of a camera's pixels."""
+    """Return the readout with the noise rates of a camera's pixels; streams share it and only read it."""
     rates = draw_noise_rates(width, height, noise, settings, camera_seed)
     n = rates.size
     total = float(rates.sum(dtype=np.float64))

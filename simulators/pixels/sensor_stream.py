@@ -168,7 +168,9 @@ class SensorStream:
 
     def _picture(self, *, moving: bool) -> NDArray[np.float32]:
         """Return the picture in the present pose."""
-        return scene.picture(self._truth, self._angles, subsamples=MOVING_SUBSAMPLES if moving else 4)
+        if moving:
+            return scene.picture(self._truth, self._angles, subsamples=MOVING_SUBSAMPLES)
+        return scene.still_picture(self._truth, self._angles)
 
     def _edges(self, first_us: int, end_us: int) -> tuple[NDArray[np.int64], NDArray[np.uint8]]:
         """Return times and values of the light's sync edges that reach the trigger input."""
