@@ -1,0 +1,393 @@
+// The align page: shows state and pictures as the server sends them, and sends what a person asks for.
+// Nothing is sent to the devices when the page opens, reloads or reconnects.
+import { el, fill, get, listen, post, setText } from "/assets/bench.js";
+import { draw } from "/assets/own/overlay.js";
+import { forgetCourse, showFigures } from "/assets/own/figures.js";
+
+const at = (id) => document.getElementById(id);
+const page = ownId();
+let state = null, picture = null, fetching = false, shownNumber = 0, files = null, proposal = null;
+/** Numbers for tests: when pictures came, and how late. */
+window.alignStats = { openedMs: performance.timeOrigin, firstImageMs: null, images: 0, latenciesMs: [] };
+
+/** The page's own id: kept over a reload of this tab, new in every other tab. */
+function ownId() {
+  let id = null;
+  const entry = performance.getEntriesByType("navigation")[0];
+  try { if (entry && entry.type !== "navigate") id = sessionStorage.getItem("starbench-page"); } catch { /* private */ }
+  if (!id) {
+    const bytes = crypto.getRandomValues(new Uint8Array(12));
+    id = Array.from(bytes, (b) => b.toString(16).padStart(2, "0")).join("");
+  }
+  try { sessionStorage.setItem("starbench-page", id); } catch { /* private window: a reload is a new page */ }
+  return id;
+}
+
+// ---------------------------------------------------------------- asking
+
+let toastTimer = 0;
+function toast(text, bad = false) {
+  const box = at("toast");
+  setText(box, text);
+  box.className = bad ? "shown bad" : "shown";
+  clearTimeout(toastTimer);
+  toastTimer = setTimeout(() => { box.className = ""; }, bad ? 9000 : 3500);
+}
+
+async function ask(what, body = {}) {
+  try {
+    return (await post(`/do/${what}`, { page, ...body })).result;
+  } catch (error) {
+    toast(error.message, true);
+    return undefined;
+  }
+}
+
+function number(input) {
+  const value = Number(input.value.replace(",", "."));
+  return input.value.trim() === "" ? NaN : value;
+}
+
+// ---------------------------------------------------------------- showing the state
+
+const holds = () => state !== null && (state.controls.holder === page || state.controls.holder === "");
+
+function showState(next) {
+  state = next;
+  setText(at("station"), state.station.name);
+  document.title = `Align: ${state.station.name}`;
+  at("simulated").hidden = !state.station.simulated;
+  showHolder();
+  showTrouble();
+  showStage();
+  showLight();
+  showBiases();
+  showHands();
+  showLog();
+  for (const input of document.querySelectorAll(".controls button, .controls input, .controls select")) {
+    if (input.closest("[data-free]")) continue;
+    input.dataset.barred = state.devices.state === "open" && holds() ? "" : "1";
+    input.disabled = input.dataset.barred === "1" || input.dataset.off === "1";
+  }
+  if (state.devices.state !== "open") showAdvice(waitingText());
+}
+
+function waitingText() {
+  if (state.devices.state === "opening") return ["Opening the devices. Nothing moves."];
+  if (state.devices.state === "failed") return ["The devices are not open. See above."];
+  return ["The devices are closed."];
+}
+
+function showHolder() {
+  const { holder, pages } = state.controls;
+  const mine = pages[page] ? `page ${pages[page].number}` : "this page";
+  const text = holder === page ? `This page (${mine}) has the controls`
+    : holder ? `${pages[holder] ? pages[holder].name : "Another page"} has the controls` : "Nobody has the controls";
+  setText(at("holder"), text);
+  at("take").hidden = holder === page;
+}
+
+function showTrouble() {
+  const lines = [];
+  const { failure } = state.devices;
+  if (failure) lines.push(["The devices could not be opened", failure]);
+  for (const name of ["stage", "light", "camera"]) {
+    if (state[name] && state[name].failure) lines.push([name[0].toUpperCase() + name.slice(1), state[name].failure]);
+  }
+  const box = at("trouble");
+  box.hidden = lines.length === 0;
+  const key = JSON.stringify(lines);
+  if (box.dataset.key === key) return;
+  box.dataset.key = key;
+  fill(box, ...lines.map(([name, f]) => el("p", {}, el("b", {}, `${name}: `), `${f.where ? f.where + ": " : ""}${f.what} ${f.remedy}`)),
+    lines.length ? el("button", { id: "reopen", onclick: () => ask("open") }, "Open again") : null);
+}
+
+function showStage() {
+  const stage = state.stage, moving = Boolean(stage && stage.work);
+  at("stop").classList.toggle("moving", moving);
+  if (!stage) { fill(at("axes")); setText(at("stage-state"), ""); return; }
+  const pill = at("stage-state");
+  setText(pill, stage.work === "home" ? "homing" : moving ? "turning" : stage.homed === false ? "not homed" : "at rest");
+  pill.className = `pill ${moving ? "busy" : stage.homed === false ? "warn" : "good"}`;
+  const holder = at("axes");
+  if (holder.childElementCount !== stage.axes.length) fill(holder, ...stage.axes.map(axisRow));
+  stage.axes.forEach((axis, i) => {
+    const row = holder.children[i], span = axis.highest_deg - axis.lowest_deg;
+    const place = axis.position_deg === null ? null : 100 * (axis.position_deg - axis.lowest_deg) / span;
+    setText(row.querySelector(".deg"), axis.position_deg === null ? "unknown" : `${axis.position_deg.toFixed(3)}°`);
+    const goal = axis.goal_deg !== null && moving ? ` to ${axis.goal_deg.toFixed(2)}°` : "";
+    setText(row.querySelector("small"), goal);
+    row.querySelector("i").style.left = `calc(${Math.min(100, Math.max(0, place ?? 0))}% - 1px)`;
+    row.querySelector("i").hidden = place === null;
+    row.querySelector("b").style.left = `${100 * -axis.lowest_deg / span}%`;
+  });
+  setText(at("stage-fault"), stage.faults.join("; "));
+  at("home").dataset.off = moving ? "1" : "";
+}
+
+function axisRow(axis) {
+  const jog = (sign) => () => ask("jog", { steps_deg: { [axis.name]: sign * Number(at("step").value) } });
+  return el("div", { class: "axis", "data-axis": axis.name },
+    el("b", {}, axis.name),
+    el("span", { class: "where" }, el("span", { class: "deg" }), el("small", {})),
+    el("span", { class: "jog" },
+      el("button", { class: "minus", title: `Turn ${axis.name} by one step in the negative direction`, onclick: jog(-1) }, "−"),
+      el("button", { class: "plus", title: `Turn ${axis.name} by one step in the positive direction`, onclick: jog(1) }, "+")),
+    el("span", { class: "range" }, el("b", {}), el("i", {})),
+    el("span", { class: "ends" }, el("span", {}, `${axis.lowest_deg}°`), el("span", {}, `${axis.highest_deg}°`)));
+}
+
+function showLight() {
+  const light = state.light, pill = at("light-state");
+  if (!light) { setText(pill, ""); return; }
+  setText(pill, light.on === null ? "unknown" : light.on ? "on" : "off");
+  pill.className = `pill ${light.on === null ? "bad" : light.on ? "warn" : ""}`;
+  keep(at("frequency"), light.frequency_hz);
+  keep(at("level"), light.level_percent);
+  keep(at("duty"), light.duty_percent);
+  at("frequency").closest("label").hidden = light.steady_only;
+  at("duty").closest("label").hidden = light.steady_only;
+  const r = light.read_back;
+  const [low, high] = light.frequency_range_hz;
+  const kind = !r ? "" : r.waveform === "steady" ? `steady, ${r.high_v.toFixed(3)} V`
+    : `${r.waveform}, ${r.frequency_hz} Hz, duty ${r.duty_percent} %, ${r.low_v.toFixed(3)} V to ${r.high_v.toFixed(3)} V, sync ${r.sync_output ? "on" : "off"}`;
+  setText(at("light-read"), `${r ? `Read back: ${kind}.` : ""} ${light.steady_only ? "" : `This lamp follows ${low} Hz to ${high} Hz.`} ${light.faults.join("; ")}`);
+}
+
+/** Show a value in a field, unless a person is changing it. */
+function keep(input, value) {
+  if (document.activeElement === input || input.dataset.dirty === "1") return;
+  const text = value === null || value === undefined ? "" : String(value);
+  if (input.value !== text) input.value = text;
+}
+
+function showBiases() {
+  const biases = state.camera ? state.camera.biases : [];
+  at("bias-card").hidden = biases.length === 0;
+  const holder = at("biases");
+  if (holder.childElementCount !== biases.length) fill(holder, ...biases.map(biasRow));
+  biases.forEach((bias, i) => {
+    keep(holder.children[i].querySelector("[type=number]"), bias.value);
+    keep(holder.children[i].querySelector("[type=range]"), bias.value);
+  });
+}
+
+function biasRow(bias) {
+  const send = async (event) => {
+    const value = number(event.target);
+    if (Number.isFinite(value)) await ask("bias", { name: bias.name, value });
+    event.target.dataset.dirty = "";
+    event.target.blur();
+    if (state) showBiases();
+  };
+  const range = { min: bias.lowest, max: bias.highest, step: 1, onchange: send, "aria-label": bias.name };
+  return el("div", { class: "bias" }, el("code", {}, bias.name), el("input", { type: "range", ...range }),
+    el("input", { type: "number", ...range }), el("span", { class: "note" }, `${bias.lowest} to ${bias.highest}`));
+}
+
+function showHands() {
+  at("hands-card").hidden = !state.hands;
+  const seen = state.hands && state.hands.seen;
+  if (!seen) return;
+  const focus = seen.focus_distance_m === "infinity" ? "infinity" : `${Number(seen.focus_distance_m).toPrecision(3)} m`;
+  setText(at("hands-seen"), `Ring at ${Number(seen.ring_deg).toFixed(1)}°, focused at ${focus}, f/${seen.f_number}, camera turned by ${seen.turn_deg.map((a) => `${Number(a).toFixed(1)}°`).join(", ")} (pan, tilt, roll).`);
+}
+
+function showLog() {
+  const holder = at("log"), key = JSON.stringify(state.messages.map((m) => m.number));
+  if (holder.dataset.key === key) return;
+  holder.dataset.key = key;
+  fill(holder, ...state.messages.slice().reverse().map((m) => el("li", {},
+    el("time", {}, new Date(m.time_s * 1000).toLocaleTimeString("en-GB")), m.text)));
+}
+
+function showAdvice(lines) {
+  const key = JSON.stringify(lines), box = at("advice");
+  if (box.dataset.key === key) return;
+  box.dataset.key = key;
+  box.classList.toggle("single", lines.length === 1);
+  fill(at("advice-list"), ...lines.map((line) => el("li", {}, line)));
+}
+
+// ---------------------------------------------------------------- showing pictures
+
+function showPicture(next) {
+  picture = next;
+  window.alignStats.latenciesMs.push(Date.now() - next.made_s * 1000);
+  if (window.alignStats.latenciesMs.length > 500) window.alignStats.latenciesMs.shift();
+  if (next.number === 0) return;
+  const f = next.figures;
+  if (state && state.devices.state === "open") {
+    showAdvice(f.advice.length ? f.advice : ["Nothing is to be improved at this pose. Check below whether the bench is ready for a run."]);
+  }
+  setText(at("rates"), `Picture ${next.number}: ${next.images_per_s.toFixed(1)} pictures/s, stars ${next.stars_per_s.toFixed(1)} times/s; recorded in ${Math.round(next.record_ms)} ms, measured in ${Math.round(next.measure_ms)} ms`);
+  showFigures(f);
+  showTurn(f);
+  fetchImage();
+}
+
+/** Fetch the newest image; while one is on its way, later ones are left out. */
+async function fetchImage() {
+  if (fetching || !picture || picture.number === shownNumber || document.hidden) return;
+  fetching = true;
+  const wanted = picture;
+  try {
+    const answer = await fetch(`/image?number=${wanted.number}`);
+    if (answer.status === 200) {
+      const blob = await answer.blob(), image = at("image"), url = URL.createObjectURL(blob), old = image.src;
+      image.src = url;
+      await image.decode().catch(() => {});
+      if (old) URL.revokeObjectURL(old);
+      shownNumber = wanted.number;
+      at("dark").hidden = true;
+      at("picture").style.aspectRatio = `${wanted.figures.width_px || 16} / ${wanted.figures.height_px || 9}`;
+      window.alignStats.images += 1;
+      window.alignStats.firstImageMs ??= performance.now();
+      redraw(wanted.figures);
+    }
+  } catch { /* the link is down: the bar says so */ }
+  fetching = false;
+  if (picture && picture.number !== wanted.number) fetchImage();
+}
+
+function redraw(figures) {
+  if (!figures) return;
+  const shows = Object.fromEntries(["stars", "tag", "disc", "grid"].map((name) => [name, at(`show-${name}`).checked]));
+  draw(at("over"), figures, shows);
+}
+
+function showTurn(f) {
+  const turn = f.turn || {}, wanted = {};
+  for (const axis of state && state.stage ? state.stage.axes : []) {
+    const step = turn[`${axis.name}_deg`];
+    if (axis.name !== "roll" && typeof step === "number" && Math.abs(step) >= 0.02) wanted[axis.name] = Math.round(step * 1000) / 1000;
+  }
+  const large = Object.values(wanted).some((step) => Math.abs(step) > 5);
+  for (const name of Object.keys(wanted)) wanted[name] = Math.max(-5, Math.min(5, wanted[name]));
+  const button = at("turn-there");
+  button.dataset.steps = JSON.stringify(wanted);
+  button.dataset.off = Object.keys(wanted).length ? "" : "1";
+  button.disabled = button.dataset.barred !== "" || button.dataset.off === "1";
+  setText(at("turn-note"), Object.keys(wanted).length
+    ? `Turns ${Object.entries(wanted).map(([n, s]) => `${n} by ${s > 0 ? "+" : ""}${s}°`).join(", ")}${large ? "; at most 5° at a time" : ""}` : "");
+}
+
+// ---------------------------------------------------------------- checks and files
+
+async function check() {
+  setText(at("check-note"), "Checking...");
+  const found = await ask("check", { sequence: at("check-sequence").value });
+  setText(at("check-note"), "");
+  if (!found) return;
+  const marks = { good: "✓", bad: "✗", open: "?" }, colours = { good: "good", bad: "bad", open: "warn" };
+  fill(at("checks"), ...found.map((c) => el("li", { "data-verdict": c.verdict },
+    el("span", { class: `mark ${colours[c.verdict]}`, title: c.verdict }, marks[c.verdict]),
+    el("span", {}, el("b", {}, `${c.name}: `), c.found),
+    c.remedy ? el("span", { class: "remedy" }, c.remedy) : null)));
+  const bad = found.filter((c) => c.verdict === "bad").length, open = found.filter((c) => c.verdict === "open").length;
+  setText(at("check-note"), bad ? `${bad} of ${found.length} not passed` : open ? `${open} of ${found.length} not checked yet` : "All passed: ready for a run");
+  at("check-note").className = `note ${bad ? "bad" : open ? "warn" : "good"}`;
+}
+
+async function loadFiles() {
+  files = await get("/files").catch(() => null);
+  if (!files) return;
+  setText(at("file-note"), files.copy_needed ? `${files.copy_needed} A copy is written to ${files.folder}.` : `Into ${files.station}. Leave the copy's name empty to change the file itself.`);
+  const names = [...files.sequences, ...files.shipped];
+  fill(at("sequences"), ...names.map((name) => el("option", { value: name })));
+  fill(at("check-sequence"), el("option", { value: "" }, "none"), ...names.map((name) => el("option", { value: name }, name)));
+}
+
+async function propose(body) {
+  const found = await ask("propose", body);
+  if (!found) return;
+  proposal = { ...body, mark: found.mark };
+  setText(at("change-title"), found.is_copy ? `New file ${found.file}` : `Change of ${found.file}`);
+  fill(at("change-notes"), ...found.notes.map((note) => el("li", {}, note)));
+  const lines = found.difference ? found.difference.split("\n") : ["Nothing changes."];
+  fill(at("difference"), ...lines.map((line) => el("div", {
+    class: /^(\+\+\+|---|@@)/.test(line) ? "place" : line.startsWith("+") ? "plus" : line.startsWith("-") ? "minus" : "",
+  }, line || " ")));
+  setText(at("change-error"), "");
+  at("write").disabled = !found.difference && !found.is_copy;
+  at("change").show();
+}
+
+async function write() {
+  try {
+    const done = (await post("/do/write", { page, ...proposal })).result;
+    at("change").close();
+    toast(`Written: ${done.file}`);
+    loadFiles();
+  } catch (error) { setText(at("change-error"), error.message); }
+}
+
+// ---------------------------------------------------------------- what a person does
+
+at("stop").addEventListener("pointerdown", () => ask("stop")); // not click: a click comes when the button is released
+at("stop").addEventListener("keydown", (event) => { if (event.key === "Enter" || event.key === " ") ask("stop"); });
+document.addEventListener("keydown", (event) => {
+  if (event.key !== "Escape") return;
+  ask("stop");
+  for (const dialog of document.querySelectorAll("dialog[open]")) dialog.close();
+});
+at("take").addEventListener("click", () => ask("take"));
+at("home").addEventListener("click", () => at("sure").show());
+at("home-now").addEventListener("click", () => { at("sure").close(); ask("home"); });
+at("home-not").addEventListener("click", () => at("sure").close());
+at("turn-there").addEventListener("click", () => ask("jog", { steps_deg: JSON.parse(at("turn-there").dataset.steps) }));
+at("light-on").addEventListener("click", () => sendLight({ on: true }));
+at("light-off").addEventListener("click", () => ask("light", { on: false }));
+at("light-form").addEventListener("submit", (event) => { event.preventDefault(); sendLight({}); });
+at("forget").addEventListener("click", () => { forgetCourse(); ask("forget"); });
+at("check").addEventListener("click", check);
+at("propose").addEventListener("click", () => propose({
+  kind: "station", copy: at("copy").value.trim(),
+  what: [...document.querySelectorAll("[name=what]:checked")].map((box) => box.value),
+}));
+at("propose-pose").addEventListener("click", () => propose({
+  kind: "pose", sequence: at("sequence").value.trim(), name: at("pose-name").value.trim(), copy: at("sequence-copy").value.trim(),
+}));
+at("write").addEventListener("click", write);
+at("cancel").addEventListener("click", () => at("change").close());
+for (const name of ["stars", "tag", "disc", "grid"]) {
+  at(`show-${name}`).addEventListener("change", () => redraw(picture && picture.figures));
+}
+for (const id of ["frequency", "level", "duty"]) at(id).addEventListener("input", (event) => { event.target.dataset.dirty = "1"; });
+
+async function sendLight(body) {
+  const wanted = { ...body };
+  const fields = { frequency_hz: at("frequency"), level_percent: at("level"), duty_percent: at("duty") };
+  for (const [name, input] of Object.entries(fields)) {
+    if (input.closest("label").hidden) continue;
+    const value = number(input);
+    if (!Number.isFinite(value)) { toast(`${name} is not a number.`, true); return; }
+    if (state && state.light && state.light[name] !== value) wanted[name] = value;
+  }
+  if (body.on && state.light) for (const [name, input] of Object.entries(fields)) {
+    if (!input.closest("label").hidden) wanted[name] = number(input);
+  }
+  const done = await ask("light", wanted);
+  if (done !== undefined) for (const input of Object.values(fields)) input.dataset.dirty = "";
+}
+
+for (const holder of document.querySelectorAll("[data-action]")) {
+  const { action, name } = holder.dataset;
+  for (const step of [-20, -5, -1, 1, 5, 20]) {
+    holder.append(el("button", { onclick: () => ask("hands", { action, [name]: step }) }, `${step > 0 ? "+" : "−"}${Math.abs(step)}°`));
+  }
+}
+for (const f of [1.4, 2, 2.8, 4, 5.6, 8]) {
+  at("apertures").append(el("button", { onclick: () => ask("hands", { action: "lens aperture", f_number: f }) }, `f/${f}`));
+}
+
+addEventListener("pagehide", () => navigator.sendBeacon("/do/leave", JSON.stringify({ page })));
+addEventListener("visibilitychange", fetchImage);
+addEventListener("resize", () => redraw(picture && picture.figures));
+
+// The stop button must work whatever else the page waits for; so nothing above awaits before the stream is open.
+const beat = new Worker("/assets/own/beat.js");
+beat.postMessage(page);
+listen(`/stream?page=${page}`, { state: showState, picture: showPicture });
+loadFiles();

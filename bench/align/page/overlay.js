@@ -1,0 +1,69 @@
+// What is drawn over the live picture: stars, tag, the beam's disc, the centre and the five regions of the focus.
+
+const COLOURS = { star: "#39d98a", unknown: "#ffb020", tag: "#4cc3ff", disc: "#ff7ad9", grid: "rgb(255 255 255 / 0.55)" };
+
+/** Draw the figures over the picture. The canvas is as large as the picture on the screen. */
+export function draw(canvas, figures, shows) {
+  const box = canvas.getBoundingClientRect(), ratio = window.devicePixelRatio || 1;
+  const width = Math.round(box.width * ratio), height = Math.round(box.height * ratio);
+  if (canvas.width !== width || canvas.height !== height) { canvas.width = width; canvas.height = height; }
+  const c = canvas.getContext("2d");
+  c.clearRect(0, 0, width, height);
+  if (!figures.width_px || !figures.height_px) return;
+  const sx = width / figures.width_px, sy = height / figures.height_px;
+  const x = (u) => (u + 0.5) * sx, y = (v) => (v + 0.5) * sy; // a pixel's centre is at a whole number
+  c.lineWidth = 1.5 * ratio;
+  if (shows.grid) grid(c, width, height, ratio);
+  if (shows.disc && figures.disc) disc(c, figures, x, y, sx, ratio);
+  if (shows.stars) stars(c, figures, x, y, ratio);
+  if (shows.tag && figures.tag) tag(c, figures.tag, x, y, ratio);
+}
+
+function grid(c, width, height, ratio) {
+  c.strokeStyle = COLOURS.grid;
+  c.setLineDash([4 * ratio, 5 * ratio]);
+  c.beginPath();
+  c.moveTo(width / 2, 0); c.lineTo(width / 2, height);
+  c.moveTo(0, height / 2); c.lineTo(width, height / 2);
+  c.stroke();
+  c.setLineDash([]);
+}
+
+function disc(c, figures, x, y, scale, ratio) {
+  const [u, v] = figures.disc.centre_px, radius = figures.disc.radius_px;
+  c.strokeStyle = COLOURS.disc;
+  if (typeof radius === "number") {
+    c.beginPath();
+    c.arc(x(u), y(v), radius * scale, 0, 2 * Math.PI);
+    c.stroke();
+  }
+  cross(c, x(u), y(v), 9 * ratio);
+}
+
+function stars(c, figures, x, y, ratio) {
+  const size = (figures.stars.length > 400 ? 3 : 4.5) * ratio;
+  for (const [id, u, v] of figures.stars) {
+    c.strokeStyle = id < 0 ? COLOURS.unknown : COLOURS.star;
+    cross(c, x(u), y(v), size);
+  }
+}
+
+function tag(c, found, x, y, ratio) {
+  c.strokeStyle = COLOURS.tag;
+  c.lineWidth = 2.5 * ratio;
+  c.beginPath();
+  found.corners_px.forEach(([u, v], i) => (i ? c.lineTo(x(u), y(v)) : c.moveTo(x(u), y(v))));
+  c.closePath();
+  c.stroke();
+  const [u, v] = found.corners_px[0];
+  c.fillStyle = COLOURS.tag;
+  c.font = `600 ${13 * ratio}px system-ui, sans-serif`;
+  c.fillText(`tag ${found.id}`, x(u), y(v) - 6 * ratio);
+}
+
+function cross(c, x, y, size) {
+  c.beginPath();
+  c.moveTo(x - size, y); c.lineTo(x + size, y);
+  c.moveTo(x, y - size); c.lineTo(x, y + size);
+  c.stroke();
+}
