@@ -325,9 +325,8 @@ class _Output:
             self.n = 0
 
     def events(self) -> Events:
-        """Return the arrays, cut to their length; they are no longer used here."""
-        self._resize(self.n)
-        return Events(*self._arrays)
+        """Return the filled part of the arrays; they are no longer used here."""
+        return Events(*(array[: self.n] for array in self._arrays))
 
     def _resize(self, size: int) -> None:
         for array in self._arrays:

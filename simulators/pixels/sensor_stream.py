@@ -132,9 +132,11 @@ class SensorStream:
         edge_t, edge_value = self._edges(self._now_us, end_us)
         self._now_us = end_us
         at = self._begins_us
+        same = entered_t is events.t
+        t = np.add(events.t, at, out=events.t)  # in place: the events are used nowhere else
         words = self._writer.write(
-            events.t + at, events.x, events.y, events.p, until_us=self.clock_us, trigger_t=edge_t + at,
-            trigger_value=edge_value, entered_t=entered_t + at,
+            t, events.x, events.y, events.p, until_us=self.clock_us, trigger_t=edge_t + at,
+            trigger_value=edge_value, entered_t=t if same else entered_t + at,
         )  # fmt: skip
         return words.astype("<u2", copy=False).tobytes()
 
