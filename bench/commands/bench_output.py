@@ -45,7 +45,9 @@ def show_devices(found: Discovery, *, as_json: bool) -> int:
         click.echo(f"camera       {entry}  # {camera.description}{trouble}")
     for sentence in found.missing:
         click.echo(f"missing      {sentence}")
-    click.echo("simulated    -s simulated, simulated_frames, simulated_ideal: stations that need no device")
+    click.echo(
+        "simulated    -s simulated, simulated_frames, simulated_ideal, simulated_unaligned: stations without devices"
+    )
     return 0
 
 

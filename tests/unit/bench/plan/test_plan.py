@@ -42,7 +42,7 @@ GOOD = "steps: [light, {move: {pan_deg: 1}}, settle, record, {move: {pan_deg: 2}
 
 
 @pytest.mark.parametrize("path", SEQUENCES, ids=lambda path: path.stem)
-@pytest.mark.parametrize("station", ["simulated", "simulated_ideal", "example_evk4"])
+@pytest.mark.parametrize("station", ["simulated", "simulated_ideal", "simulated_unaligned", "example_evk4"])
 def test_every_shipped_sequence_runs_on_every_shipped_station(path, station):
     made = make_plan(*load_documents(path.stem, station))
     if (path.stem, station) == ("parallax_test", "example_evk4"):  # the rim is out of reach of this stage

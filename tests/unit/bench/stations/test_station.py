@@ -43,8 +43,14 @@ def test_the_simulated_station_has_the_simulated_bench_s_devices():
 
 def test_every_shipped_station_reads_without_a_fault():
     shipped = sorted(path.stem for path in SHIPPED_STATIONS.glob("*.yaml"))
-    assert shipped == ["example_evk4", "simulated", "simulated_frames", "simulated_ideal"]
-    assert [load_station(name).value.is_simulated for name in shipped] == [False, True, True, True]
+    assert shipped == [
+        "example_evk4",
+        "simulated",
+        "simulated_frames",
+        "simulated_ideal",
+        "simulated_unaligned",
+    ]
+    assert [load_station(name).value.is_simulated for name in shipped] == [False, True, True, True, True]
 
 
 def test_an_unknown_station_is_met_with_those_that_are_shipped():
