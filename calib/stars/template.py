@@ -304,16 +304,19 @@ def star_contrasts(
     correlations : array
         (N,) float64, -1 to 1; nan if too much of the star lies outside of the image.
     contrasts : array
-        (N, OCTANTS) float64, brightness, mean of white minus mean of black in the outer part of each octant.
+        (N, OCTANTS) float64, brightness, mean of white minus mean of black in the outer part of each octant. An octant
+        with more white than black, or one of them only, is compared with the mean of the star.
     """
     n = len(centres)
     score, contrast = np.full(n, np.nan), np.full((n, OCTANTS), np.nan)
     for k in range(n):
         x, y = centres[k, 0], centres[k, 1]
         score[k] = sign * _correlation(image, x, y, linear[k], template)
-        sums, counts = np.zeros(OCTANTS), np.zeros(OCTANTS)
+        sums, counts, excess = np.zeros(OCTANTS), np.zeros(OCTANTS), np.zeros(OCTANTS)
+        shades, shade_counts = np.zeros(2), np.zeros(2)
         for i in range(template.values.size):
             if template.outer[i]:
+                excess[template.octants[i]] += template.values[i]
                 u, v = template.offsets[i, 0], template.offsets[i, 1]
                 value = _sample(
                     image,
@@ -323,5 +326,12 @@ def star_contrasts(
                 if not np.isnan(value):
                     sums[template.octants[i]] += sign * value * template.values[i]
                     counts[template.octants[i]] += 0.5
+                    shade = 1 if template.values[i] > 0.0 else 0
+                    shades[shade] += sign * value
+                    shade_counts[shade] += 1.0
+        mean = 0.5 * (shades / shade_counts).sum()
+        for octant in range(OCTANTS):
+            if excess[octant] != 0.0:
+                sums[octant] -= excess[octant] * mean
         contrast[k] = sums / counts
     return score, contrast
