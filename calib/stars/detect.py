@@ -80,14 +80,34 @@ class Detection(NamedTuple):
     edge_width_px: float
 
 
-class _Candidates(NamedTuple):
-    """Possible stars: (N, 2) nodes of the target and (N, 2) px."""
+class Candidates(NamedTuple):
+    """Possible stars.
+
+    Attributes
+    ----------
+    nodes
+        (N, 2) int64, columns and rows of the target.
+    points
+        (N, 2) float64, px.
+    """
 
     nodes: NDArray[np.int64]
     points: NDArray[np.float64]
 
-    def select(self, mask: NDArray[np.bool_]) -> _Candidates:
-        return _Candidates(self.nodes[mask], self.points[mask])
+    def select(self, mask: NDArray[np.bool_]) -> Candidates:
+        """Return some of them.
+
+        Parameters
+        ----------
+        mask
+            (N,) bool.
+
+        Returns
+        -------
+        Candidates
+            In the same order.
+        """
+        return Candidates(self.nodes[mask], self.points[mask])
 
 
 def detect_view(
@@ -172,7 +192,7 @@ def detect_stars(
     blurred = False
     for step_px in (COARSE_STEP_PX, FINE_STEP_PX):
         _require_enough(len(candidates.nodes), name, blurred=blurred)
-        candidates, fit, local_map, blurred = _refined(smoothed, candidates, target, sign, step_px)
+        candidates, fit, local_map, blurred = refine_candidates(smoothed, candidates, target, sign, step_px)
     _require_enough(len(candidates.nodes), name, blurred=blurred)
     points, covariances, width_px = _best_centres(image, candidates, fit, local_map, target)
     kept = np.isfinite(points).all(axis=1)
@@ -197,13 +217,13 @@ def _candidates(
     target: StarTarget,
     expected: NDArray[np.float64] | None,
     name: str,
-) -> tuple[_Candidates, float, NamedBy]:
+) -> tuple[Candidates, float, NamedBy]:
     """Find possible stars, starting at the tag if it can be read; return also the contrast and what labelled them."""
     tag = find_tag(image, target, name=name)
     if tag is None:
         return _candidates_without_tag(smoothed, target, expected, name)
     grown = grow_star_grid(smoothed, start_at_tag(tag, target), target.segments, _printed(target))
-    return _Candidates(grown.nodes(), grown.places()), tag.sign, "tag"
+    return Candidates(grown.nodes(), grown.places()), tag.sign, "tag"
 
 
 def _printed(target: StarTarget) -> Callable[[NDArray[np.int64]], NDArray[np.bool_]]:
@@ -213,7 +233,7 @@ def _printed(target: StarTarget) -> Callable[[NDArray[np.int64]], NDArray[np.boo
 
 def _candidates_without_tag(
     image: NDArray[np.float32], target: StarTarget, expected: NDArray[np.float64] | None, name: str
-) -> tuple[_Candidates, float, NamedBy]:
+) -> tuple[Candidates, float, NamedBy]:
     """Find possible stars starting at any of them, and label them by the visible part of the tag or by the pose."""
     start = find_lattice(image, target.segments)
     starts = [start] if start is not None else _starts_as_expected(image, expected)
@@ -246,7 +266,7 @@ def _candidates_without_tag(
             where=f"view {name}",
             remedy="Check the target's description and the expected pose.",
         )
-    return _Candidates(nodes, grown.places()).select(printed), start.sign, named_by
+    return Candidates(nodes, grown.places()).select(printed), start.sign, named_by
 
 
 def _starts_as_expected(
@@ -269,7 +289,7 @@ def _starts_as_expected(
 
 def _best_centres(
     image: NDArray[np.generic],
-    candidates: _Candidates,
+    candidates: Candidates,
     fit: SymmetryFit,
     local_map: LocalMap,
     target: StarTarget,
@@ -312,12 +332,34 @@ def _typical_variance(covariances: NDArray[np.float64]) -> float:
     return float(np.median(np.trace(covariances, axis1=1, axis2=2))) / 2.0
 
 
-def _refined(
-    image: NDArray[np.float32], candidates: _Candidates, target: StarTarget, sign: float, step_px: float
-) -> tuple[_Candidates, SymmetryFit, LocalMap, bool]:
+def refine_candidates(
+    image: NDArray[np.float32], candidates: Candidates, target: StarTarget, sign: float, step_px: float
+) -> tuple[Candidates, SymmetryFit, LocalMap, bool]:
     """Refine all centres by symmetry with the smooth map of the view, and leave out the stars that fail a test.
 
-    Returns also whether the image is out of focus.
+    Parameters
+    ----------
+    image
+        (H, W) float32, smoothed.
+    candidates
+        Possible stars, at least `MIN_STARS`.
+    target
+        Printed target.
+    sign
+        +1 if white is bright in the image, -1 if it is dark.
+    step_px
+        Distance of the samples, px.
+
+    Returns
+    -------
+    candidates : Candidates
+        Those that are left, refined.
+    fit : SymmetryFit
+        Their centres by symmetry.
+    local_map : LocalMap
+        Map around each of them.
+    blurred : bool
+        Whether the image is out of focus.
     """
     grid = candidates.nodes.astype(float)
     grid_map, _ = fit_grid_map(grid, candidates.points)
@@ -331,7 +373,7 @@ def _refined(
     if good.any():
         good &= middle >= MIN_CONTRAST * np.median(middle[good])
     good = _without_outliers(grid, fit.centres, good)
-    refined = _Candidates(candidates.nodes, fit.centres).select(good)
+    refined = Candidates(candidates.nodes, fit.centres).select(good)
     return refined, fit.select(good), local_map.select(good), blurred
 
 

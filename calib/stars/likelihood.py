@@ -28,6 +28,7 @@ ratio (its overdispersion).
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -115,7 +116,7 @@ def refine_by_likelihood(
         In the order of ``centres``.
     """
     pitch = float(np.sqrt(np.median(np.abs(np.linalg.det(local_map.linear)))))
-    information = _InformationByBlur(levels, centres, local_map, target, pitch)
+    information = _InformationByBlur(levels, centres, local_map, _EdgeMaps(target, pitch))
     edge_map = _best_edge_map(information)
     pixels = gather_edge_pixels(levels, centres, local_map, edge_map)
     unknowns = np.zeros((len(centres), EDGE_UNKNOWNS))
@@ -164,8 +165,45 @@ def edge_width_px(
     float
         Standard deviation of the blur, px, between `EDGE_WIDTHS_PX`.
     """
+    every = np.arange(len(centres))
+    return edge_widths_px(levels, centres, local_map, target, [every])[0]
+
+
+def edge_widths_px(
+    levels: NDArray[np.uint8],
+    centres: NDArray[np.float64],
+    local_map: LocalMap,
+    target: StarTarget,
+    groups: Sequence[NDArray[np.int64]],
+) -> list[float]:
+    """Measure how wide the edges of several groups of stars are, each as `edge_width_px` does.
+
+    The blurred printed stars are shared by all groups.
+
+    Parameters
+    ----------
+    levels
+        (H, W) uint8, from `quantise`, of the image before smoothing.
+    centres
+        (N, 2) float64, px, right to about 0.1 px.
+    local_map
+        Map around each star, from the target plane to the image.
+    target
+        Printed target.
+    groups
+        Indices of the stars of each group, (M,) int64 each, at least one star.
+
+    Returns
+    -------
+    list of float
+        Standard deviation of the blur of each group, px, between `EDGE_WIDTHS_PX`.
+    """
     pitch = float(np.sqrt(np.median(np.abs(np.linalg.det(local_map.linear)))))
-    return _most_informative_blur(_InformationByBlur(levels, centres, local_map, target, pitch))
+    maps = _EdgeMaps(target, pitch)
+    return [
+        _most_informative_blur(_InformationByBlur(levels, centres[group], local_map.select(group), maps))
+        for group in groups
+    ]
 
 
 def _prior_precision(unknowns: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -182,6 +220,21 @@ def _prior_precision(unknowns: NDArray[np.float64]) -> NDArray[np.float64]:
     return prior
 
 
+class _EdgeMaps:
+    """The printed star with several blurs, each made once."""
+
+    def __init__(self, target: StarTarget, pitch: float) -> None:
+        self.segments = target.segments
+        self._sharp, self._pitch = render_star(target, pitch), pitch
+        self._made: dict[float, EdgeMap] = {}
+
+    def at(self, blur_px: float) -> EdgeMap:
+        """Return the printed star with a blur."""
+        if blur_px not in self._made:
+            self._made[blur_px] = blurred_edge_map(self._sharp, self.segments, self._pitch, blur_px)
+        return self._made[blur_px]
+
+
 class _InformationByBlur:
     """Information of some of the stars about their centres, by the blur of the printed star."""
 
@@ -190,17 +243,16 @@ class _InformationByBlur:
         levels: NDArray[np.uint8],
         centres: NDArray[np.float64],
         local_map: LocalMap,
-        target: StarTarget,
-        pitch: float,
+        edge_maps: _EdgeMaps,
     ) -> None:
         some = slice(None, None, max(1, len(centres) // BLUR_STARS))
         self._levels, self._centres, self._local_map = levels, centres[some], local_map.select(some)
-        self._sharp, self._segments, self._pitch = render_star(target, pitch), target.segments, pitch
+        self._edge_maps = edge_maps
         self._known: dict[float, float] = {}
 
     def edge_map(self, blur_px: float) -> EdgeMap:
         """Return the printed star with a blur."""
-        return blurred_edge_map(self._sharp, self._segments, self._pitch, blur_px)
+        return self._edge_maps.at(blur_px)
 
     def at(self, blur_px: float) -> float:
         """Return the trace of the Fisher information of the centres, 1/px^2."""
@@ -210,7 +262,7 @@ class _InformationByBlur:
             pixels = gather_edge_pixels(self._levels, self._centres, self._local_map, edge_map)
             counts = count_levels(pixels, unknowns, edge_map.limit_px)
             tables = _score_tables(counts, BANDWIDTHS_PX[0] / TAU_BIN_PX)
-            _, fisher = edge_scores(pixels, unknowns, tables, edge_map.limit_px, self._segments)
+            _, fisher = edge_scores(pixels, unknowns, tables, edge_map.limit_px, self._edge_maps.segments)
             self._known[blur_px] = float(np.trace(fisher.sum(axis=(0, 1))[:2, :2]))
         return self._known[blur_px]
 

@@ -1,0 +1,143 @@
+"""The disc of light in a live picture: how much of the frame the beam covers, and the circle of its rim.
+
+The module uses brightness only: no stars, no print, no camera. It serves to aim; a calibration uses the rim that
+`calib.stars.rim` measures. The steps are:
+
+1. reduce the image until the print is only some cells wide;
+2. close the gaps of the dark print, up to about the size of a tag's module, and fill dark parts inside the light;
+3. take the border of the largest lit part that is not the frame's border, and fit a circle to it.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+#: Long side of the reduced image, cells, and side of the square that closes the print's gaps, as a share of it.
+REDUCED, CLOSING = 192, 0.06
+#: Brightness from which a cell is lit, as a share of the brightness of white print.
+LIT = 0.35
+#: Least share of the frame that is lit, and least length of the rim, cells.
+MIN_LIT, MIN_RIM = 0.002, 12
+#: Largest rms distance of the rim from its circle, as a share of the radius, and largest radius, frame diagonals.
+MAX_OFF, MAX_RADIUS = 0.1, 4.0
+
+
+class Beam(NamedTuple):
+    """The beam's disc in a picture.
+
+    Attributes
+    ----------
+    share
+        Share of the frame that is lit, 0 to 1.
+    rim_in_view
+        Whether some of the rim is inside the frame; None if nothing is lit.
+    centre_px
+        Centre (column, row) of the circle through the rim, px; None if the rim does not show it.
+    radius_px
+        Radius of the circle, px.
+    lit
+        (h, w) uint8, 1 where the reduced image is lit.
+    scale
+        Size of a cell of ``lit``, px.
+    """
+
+    share: float
+    rim_in_view: bool | None
+    centre_px: tuple[float, float] | None
+    radius_px: float | None
+    lit: NDArray[np.uint8]
+    scale: float
+
+
+def find_beam(image: NDArray[np.generic], *, least: float = 0.0) -> Beam:
+    """Find the disc of light in an image of any sharpness.
+
+    Own procedure, that of the head of the module; circle by linear least squares (Kåsa, 1976).
+
+    Parameters
+    ----------
+    image
+        (H, W), any numeric dtype; light is bright.
+    least
+        Brightness of white print below which nothing counts as light, in the unit of the image.
+
+    Returns
+    -------
+    Beam
+        With a share of 0 if there is no light.
+    """
+    values = np.nan_to_num(np.asarray(image, np.float32))
+    scale = max(values.shape) / REDUCED
+    shape = (max(1, round(values.shape[1] / scale)), max(1, round(values.shape[0] / scale)))
+    small = cv2.resize(values, shape, interpolation=cv2.INTER_AREA)
+    small = cv2.medianBlur(small, 3)
+    side = 2 * round(CLOSING * REDUCED / 2) + 1
+    # A dark border would stop the closing at the frame; the default border of OpenCV's morphology does not.
+    closed = cv2.morphologyEx(
+        small, cv2.MORPH_CLOSE, cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (side, side))
+    )
+    white, dark = float(np.quantile(closed, 0.98)), max(float(np.quantile(closed, 0.01)), 0.0)
+    if white <= least:
+        return Beam(0.0, None, None, None, np.zeros(small.shape, np.uint8), scale)
+    level = LIT * white if dark < LIT * white else 0.0
+    lit = _filled((closed > level).astype(np.uint8))
+    share = float(lit.mean())
+    if share < MIN_LIT:
+        return Beam(0.0, None, None, None, np.zeros(small.shape, np.uint8), scale)
+    rim = _rim(lit)
+    if len(rim) < MIN_RIM:
+        return Beam(share, False, None, None, lit, scale)
+    circle = _circle(rim, lit)
+    if circle is None:
+        return Beam(share, True, None, None, lit, scale)
+    (x, y), radius = circle
+    centre = ((x + 0.5) * scale - 0.5, (y + 0.5) * scale - 0.5)
+    return Beam(share, True, centre, radius * scale, lit, scale)
+
+
+def _filled(lit: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """Return the largest lit part, with the dark parts filled that do not reach the frame's border."""
+    count, parts, stats, _ = cv2.connectedComponentsWithStats(lit, connectivity=8)
+    if count < 2:
+        return lit
+    largest = (parts == 1 + int(np.argmax(stats[1:, cv2.CC_STAT_AREA]))).astype(np.uint8)
+    _, holes = cv2.connectedComponents(1 - largest, connectivity=4)
+    edge = np.unique(np.concatenate([holes[0], holes[-1], holes[:, 0], holes[:, -1]]))
+    outside = np.isin(holes, edge[edge > 0])
+    return np.asarray(~outside, np.uint8)
+
+
+def _rim(lit: NDArray[np.uint8]) -> NDArray[np.float64]:
+    """Return the (N, 2) cells of the lit part that lie next to dark ones, two cells or more inside the frame."""
+    inner = cv2.erode(lit, np.ones((3, 3), np.uint8), borderType=cv2.BORDER_REPLICATE)
+    border = (lit > 0) & (inner == 0)
+    border[:2], border[-2:], border[:, :2], border[:, -2:] = False, False, False, False
+    return np.argwhere(border)[:, ::-1].astype(float)
+
+
+def _circle(rim: NDArray[np.float64], lit: NDArray[np.uint8]) -> tuple[tuple[float, float], float] | None:
+    """Fit a circle, and fit it again without the points far from it; None if the rim is no arc around the light.
+
+    Source: Kåsa (1976). The limits are this project's own.
+    """
+    kept = rim
+    for _ in range(3):
+        design = np.column_stack([2.0 * kept, np.ones(len(kept))])
+        (x, y, c), _, rank, _ = np.linalg.lstsq(design, (kept**2).sum(axis=1), rcond=None)
+        if rank < 3 or c + x * x + y * y <= 0.0:
+            return None
+        radius = float(np.sqrt(c + x * x + y * y))
+        off = np.abs(np.hypot(rim[:, 0] - x, rim[:, 1] - y) - radius)
+        kept = rim[off <= max(2.5 * float(np.median(off)), 1.0)]
+        if len(kept) < MIN_RIM:
+            return None
+    rms = float(np.sqrt(np.mean((np.hypot(kept[:, 0] - x, kept[:, 1] - y) - radius) ** 2)))
+    middle = np.argwhere(lit > 0)[:, ::-1].mean(axis=0)
+    inside = np.hypot(middle[0] - x, middle[1] - y) < radius
+    if rms > MAX_OFF * radius or radius > MAX_RADIUS * np.hypot(*lit.shape) or not inside:
+        return None
+    return (float(x), float(y)), radius

@@ -1,0 +1,272 @@
+"""How sharp a live picture is: the width of the stars' edges, the blur of the print, and a figure without any print.
+
+Three measures cover a lens from far out of focus to sharp:
+
+edge width
+    Standard deviation of the blur, px, of stars that are found (`calib.stars.likelihood.edge_width_px`): up to 1.3 px.
+blur circle
+    Diameter, px, of the circle by which the print must be blurred so that the image shows the same shapes: about 5 to
+    25 px. The tag must be readable; the stars need not be visible.
+sharpness
+    Standard deviation of the picture's details, as a share of white: it grows while the lens is turned towards focus,
+    whatever is in the picture. It has no unit and depends on the scene.
+
+The module uses arrays and the print; it knows no lens and no time.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import lru_cache
+from typing import Final, NamedTuple
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from calib.model.homography import apply_homography
+from calib.stars.centring import LocalMap
+from calib.stars.edge_pixels import quantise
+from calib.stars.likelihood import edge_widths_px as widths_by_likelihood
+from calib.target import StarTarget
+
+Array = NDArray[np.float64]
+
+#: Blur circles that are tried, px, and enlargements of the tag: bright light makes black print look smaller.
+CIRCLES_PX: Final = (0.0, 2.0, 4.0, 5.0, 6.0, 7.0, 8.0, 10.0, 12.0, 14.0, 16.0, 18.0, 20.0, 23.0, 26.0, 30.0)
+ENLARGED: Final = (1.0, 1.02, 1.04, 1.06, 1.08)
+#: Samples of the print a pitch, and half the side of the part around the tag that is compared, pitches.
+PER_PITCH, HALF_SIDE, COMPARED = 24, 4.5, 3.2
+#: Number of samples of the image along a side, and number of groups of equal size by expected brightness.
+ALONG, GROUPS = 110, 24
+#: Blur that lens and pixel have in focus, px.
+IN_FOCUS_PX = 0.7
+#: Least share of the image's variance that the blurred print explains.
+MIN_EXPLAINED = 0.3
+#: Least number of stars whose edges give a width.
+MIN_STARS_FOR_WIDTH = 6
+
+
+class BlurCircle(NamedTuple):
+    """Blur of the print around the tag.
+
+    Attributes
+    ----------
+    diameter_px
+        Diameter of the blur circle, px.
+    explained
+        Share of the image's variance that the print explains when it is blurred so, 0 to 1.
+    """
+
+    diameter_px: float
+    explained: float
+
+
+def edge_widths_px(
+    image: NDArray[np.generic],
+    centres: Array,
+    local_map: LocalMap,
+    target: StarTarget,
+    groups: Sequence[NDArray[np.int64]],
+) -> list[float | None]:
+    """Measure the width of the edges of several groups of stars.
+
+    Source: `calib.stars.likelihood.edge_width_px`.
+
+    Parameters
+    ----------
+    image
+        (H, W), any numeric dtype, before smoothing.
+    centres
+        (N, 2) float64, px, right to about 0.1 px.
+    local_map
+        Map around each star, from the target plane to the image.
+    target
+        Printed target.
+    groups
+        Indices of the stars of each group, (M,) int64 each.
+
+    Returns
+    -------
+    list of float or None
+        Standard deviation of the blur, px, of each group; None if it has fewer than `MIN_STARS_FOR_WIDTH` stars.
+    """
+    enough = [number for number, group in enumerate(groups) if len(group) >= MIN_STARS_FOR_WIDTH]
+    found: list[float | None] = [None] * len(groups)
+    if enough:
+        some = [groups[number] for number in enough]
+        widths = widths_by_likelihood(quantise(image), centres, local_map, target, some)
+        for number, width in zip(enough, widths, strict=True):
+            found[number] = width
+    return found
+
+
+def blur_circle(
+    image: NDArray[np.generic], homography: Array, target: StarTarget, *, enlarged: Sequence[float] = ENLARGED
+) -> BlurCircle | None:
+    """Measure by which circle the print around the tag is blurred.
+
+    The print is blurred by circles of several diameters. For each, the pixels are sorted into groups of equal expected
+    brightness. The best circle is the one whose groups explain most of the image's variance: the correlation ratio
+    (Pearson, 1905), which needs no model of how brightness becomes a grey value or a number of events. Image
+    registration by it: Roche et al. (1998). The search over enlargements of the tag is this project's own.
+
+    Parameters
+    ----------
+    image
+        (H, W), any numeric dtype.
+    homography
+        (3, 3) float64, from [column row 1] of the target's grid to [u v 1] px.
+    target
+        Printed target.
+    enlarged
+        Enlargements of the tag that are tried.
+
+    Returns
+    -------
+    BlurCircle or None
+        None if the print does not explain the image, or too little of it is in the frame.
+    """
+    middle = np.array(target.tag_centre_mm) / target.pitch_mm
+    steps = (np.arange(ALONG) + 0.5) / ALONG * 2.0 * COMPARED - COMPARED
+    places = np.stack(np.meshgrid(steps, steps), axis=-1).reshape(-1, 2)
+    pitch = _pitch_px(homography, middle)
+    cells = np.rint((places + HALF_SIDE) * PER_PITCH - 0.5).astype(np.int64)
+    best: BlurCircle | None = None
+    for scale in enlarged:
+        at = np.rint(apply_homography(homography, middle + scale * places)).astype(np.int64)
+        inside = (at >= 0).all(axis=1) & (at[:, 0] < image.shape[1]) & (at[:, 1] < image.shape[0])
+        if np.count_nonzero(inside) < 0.5 * len(at):
+            return None
+        values = np.nan_to_num(image[at[inside, 1], at[inside, 0]].astype(np.float32))
+        if values.std() == 0.0:
+            return None
+        explained = np.array(
+            [
+                _explained(
+                    values,
+                    _blurred_print(target, round(c / pitch, 3), round(IN_FOCUS_PX / pitch, 3))[
+                        cells[inside, 1], cells[inside, 0]
+                    ],
+                )
+                for c in CIRCLES_PX
+            ]
+        )
+        if best is None or explained.max() > best.explained:
+            best = BlurCircle(_vertex(explained), float(explained.max()))
+    return best if best is not None and best.explained >= MIN_EXPLAINED else None
+
+
+def sharpness(image: NDArray[np.generic], lit: NDArray[np.uint8]) -> float | None:
+    """Return how much detail an image has inside the beam, whatever it shows.
+
+    Own figure: the standard deviation of the image, reduced to half its size and without its wide part, as a share of
+    white. It falls while the blur grows, from 3 to 30 px under a bright light and from 6 to 20 px under a dim one.
+
+    Parameters
+    ----------
+    image
+        (H, W), any numeric dtype; light is bright.
+    lit
+        (h, w) uint8, 1 inside the beam, of any smaller size (`calib.stars.beam.Beam.lit`).
+
+    Returns
+    -------
+    float or None
+        About 0.03 to 0.45; None if the beam covers too little of the image.
+    """
+    small = cv2.resize(np.asarray(image, np.float32), None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA)
+    small = cv2.medianBlur(small, 3)
+    white = float(np.quantile(small[::2, ::2], 0.97))
+    away = cv2.erode(lit, np.ones((7, 7), np.uint8), borderType=cv2.BORDER_REPLICATE)
+    inside = cv2.resize(away, (small.shape[1], small.shape[0]), interpolation=cv2.INTER_NEAREST) > 0
+    if white <= 0.0 or np.count_nonzero(inside) < 1000:
+        return None
+    share = np.clip(small / white, 0.0, 1.0)
+    reduced = cv2.resize(share, None, fx=0.25, fy=0.25, interpolation=cv2.INTER_AREA)
+    wide = cv2.resize(cv2.GaussianBlur(reduced, (0, 0), 6.0), (share.shape[1], share.shape[0]))
+    return float((share - wide)[inside].std())
+
+
+def contrast(image: NDArray[np.generic], lit: NDArray[np.uint8]) -> float | None:
+    """Return the contrast inside the beam: (bright - dark) / (bright + dark), 0 to 1.
+
+    Michelson's definition (Michelson, 1927), of the quantiles 0.95 and 0.05.
+
+    Parameters
+    ----------
+    image
+        (H, W), any numeric dtype; light is bright.
+    lit
+        (h, w) uint8, 1 inside the beam, of any smaller size.
+
+    Returns
+    -------
+    float or None
+        None if nothing is lit.
+    """
+    values = np.asarray(image[::3, ::3], np.float32)
+    inside = cv2.resize(lit, (values.shape[1], values.shape[0]), interpolation=cv2.INTER_NEAREST) > 0
+    if np.count_nonzero(inside) < 100:
+        return None
+    dark, bright = (max(float(v), 0.0) for v in np.quantile(values[inside], [0.05, 0.95]))
+    return (bright - dark) / (bright + dark) if bright + dark > 0.0 else None
+
+
+def _pitch_px(homography: Array, at: Array) -> float:
+    """Return the distance of neighbouring stars near a place of the grid, px."""
+    corners = apply_homography(homography, at + np.array([[-0.5, 0.0], [0.5, 0.0], [0.0, -0.5], [0.0, 0.5]]))
+    return float(
+        np.sqrt(
+            abs(np.cross(np.append(corners[1] - corners[0], 0), np.append(corners[3] - corners[2], 0))[2])
+        )
+    )
+
+
+@lru_cache(maxsize=2)
+def _print_spectrum(target: StarTarget) -> Array:
+    """Return the Fourier transform of the print around the tag."""
+    over = 2
+    count = int(2 * HALF_SIDE * PER_PITCH)
+    steps = (np.arange(count * over) + 0.5) / (PER_PITCH * over) - HALF_SIDE
+    x, y = np.meshgrid(steps * target.pitch_mm, steps * target.pitch_mm)
+    fine = target.reflectance(target.tag_centre_mm[0] + x, target.tag_centre_mm[1] + y)
+    return np.asarray(np.fft.rfft2(fine.reshape(count, over, count, over).mean(axis=(1, 3))))
+
+
+@lru_cache(maxsize=256)
+def _blurred_print(target: StarTarget, circle: float, sigma: float) -> NDArray[np.float32]:
+    """Return the print around the tag, blurred by a circle of a diameter and by a Gaussian, both in pitches.
+
+    The transform of a uniform disc is 2 J1(z) / z with z = pi k d (Goodman, 2005).
+    """
+    from scipy.special import j1
+
+    spectrum = _print_spectrum(target)
+    count = spectrum.shape[0]
+    k = np.hypot(
+        np.fft.fftfreq(count, 1.0 / PER_PITCH)[:, None], np.fft.rfftfreq(count, 1.0 / PER_PITCH)[None]
+    )
+    z = np.maximum(np.pi * k * circle, 1e-9)
+    transfer = 2.0 * j1(z) / z * np.exp(-2.0 * (np.pi * k * sigma) ** 2)
+    return np.asarray(np.fft.irfft2(spectrum * transfer, s=(count, count)), np.float32)
+
+
+def _explained(values: NDArray[np.float32], expected: NDArray[np.float32]) -> float:
+    """Return the correlation ratio of values, (N,), in `GROUPS` groups of equal size by expected brightness.
+
+    Source: Pearson (1905).
+    """
+    ordered = values[np.argsort(expected)]
+    size = len(ordered) // GROUPS
+    means = ordered[: size * GROUPS].reshape(GROUPS, size).mean(axis=1)
+    return float(means.var() / values.var())
+
+
+def _vertex(explained: Array) -> float:
+    """Return the circle that explains most: the vertex of a parabola through the best of `CIRCLES_PX`."""
+    k = int(np.argmax(explained))
+    if k in (0, len(CIRCLES_PX) - 1):
+        return CIRCLES_PX[k]
+    a, b, _ = np.polyfit(CIRCLES_PX[k - 1 : k + 2], explained[k - 1 : k + 2], 2)
+    return float(np.clip(-b / (2.0 * a), CIRCLES_PX[k - 1], CIRCLES_PX[k + 1])) if a < 0.0 else CIRCLES_PX[k]

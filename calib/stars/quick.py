@@ -1,0 +1,126 @@
+"""Stars for a live picture: the same search as `calib.stars.detect`, without likelihood and covariances.
+
+The centres are those of symmetry, refined once: good to some hundredths of a pixel if the image is in focus. Stars
+that nothing identifies are returned too, without ids. The module serves to aim and to focus; no estimate of a camera
+uses it.
+"""
+
+from __future__ import annotations
+
+from typing import Literal, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calib.errors import StarsUnnamed
+from calib.stars.centring import LocalMap, smooth
+from calib.stars.detect import BLUR_PX, COARSE_STEP_PX, MIN_STARS, Candidates, refine_candidates
+from calib.stars.growth import StarGrid, grow_star_grid, start_at_tag
+from calib.stars.labelling import label_by_tag
+from calib.stars.lattice import find_lattice
+from calib.stars.tag import TagDetection, find_tag
+from calib.target import StarTarget
+
+
+class QuickStars(NamedTuple):
+    """Stars of a live picture.
+
+    Attributes
+    ----------
+    ids
+        (N,) int64, ids on the target; -1 if nothing identifies the stars.
+    nodes
+        (N, 2) float64, columns and rows: of the target if the stars have ids, else of a grid with any origin.
+    points_px
+        (N, 2) float64, px.
+    local_map
+        Map around each star, from the target plane to the image; None without stars.
+    tag
+        The target's tag; None if it cannot be read whole.
+    named_by
+        What identified the stars; empty if nothing did.
+    blurred
+        Whether the stars are out of focus.
+    """
+
+    ids: NDArray[np.int64]
+    nodes: NDArray[np.float64]
+    points_px: NDArray[np.float64]
+    local_map: LocalMap | None
+    tag: TagDetection | None
+    named_by: Literal["tag", "part of the tag", ""]
+    blurred: bool
+
+
+def find_stars_quickly(image: NDArray[np.generic], target: StarTarget) -> QuickStars:
+    """Find tag and stars of a live picture, in about half of the time of `calib.stars.detect.detect_stars`.
+
+    Own procedure, of the steps of `calib.stars.detect`: tag, growth, one refinement by symmetry.
+
+    Parameters
+    ----------
+    image
+        (H, W) of any integer or floating type; white may be bright or dark.
+    target
+        Printed target.
+
+    Returns
+    -------
+    QuickStars
+        In no particular order; with no stars if fewer than `MIN_STARS` of them are seen.
+
+    Raises
+    ------
+    TargetNotFound
+        If the image shows another tag, or the tag more than once.
+    """
+    tag = find_tag(image, target, name="live")
+    smoothed = smooth(np.nan_to_num(np.asarray(image, np.float32)), BLUR_PX)
+    named_by: Literal["tag", "part of the tag", ""] = "tag"
+    if tag is not None:
+        start = start_at_tag(tag, target)
+        grown = grow_star_grid(smoothed, start, target.segments, lambda n: _printed(target, n))
+    else:
+        found = find_lattice(smoothed, target.segments)
+        if found is None:
+            return _none(tag)
+        start, size = found, max(target.columns, target.rows)
+        grown = grow_star_grid(
+            smoothed, start, target.segments, lambda n: np.asarray((np.abs(n) < size).all(axis=1))
+        )
+    if len(grown.points) < MIN_STARS:
+        return _none(tag)
+    nodes = grown.nodes()
+    if tag is None:
+        nodes, named_by = _labelled(smoothed, grown, start.sign, target)
+    candidates, _, local_map, blurred = refine_candidates(
+        smoothed, Candidates(nodes, grown.places()), target, start.sign, COARSE_STEP_PX
+    )
+    if len(candidates.nodes) < MIN_STARS:
+        return _none(tag)
+    nodes = candidates.nodes
+    ids = target.id_at(nodes[:, 0], nodes[:, 1]) if named_by else np.full(len(nodes), -1, np.int64)
+    return QuickStars(ids, nodes.astype(float), candidates.points, local_map, tag, named_by, blurred)
+
+
+def _labelled(
+    image: NDArray[np.float32], grown: StarGrid, sign: float, target: StarTarget
+) -> tuple[NDArray[np.int64], Literal["part of the tag", ""]]:
+    """Return the nodes of the target if a part of the tag identifies them, else the relative nodes."""
+    try:
+        labels = label_by_tag(image, grown, sign, target, name="live")
+    except StarsUnnamed:
+        return grown.nodes(), ""
+    nodes = labels.apply(grown.nodes())
+    return (nodes, "part of the tag") if _printed(target, nodes).all() else (grown.nodes(), "")
+
+
+def _printed(target: StarTarget, nodes: NDArray[np.int64]) -> NDArray[np.bool_]:
+    """Return whether a star is printed at each of (N, 2) nodes, (N,)."""
+    return np.asarray(target.id_at(nodes[:, 0], nodes[:, 1]) >= 0)
+
+
+def _none(tag: TagDetection | None) -> QuickStars:
+    """Return that no stars were found."""
+    empty = np.zeros((0, 2))
+    return QuickStars(np.zeros(0, np.int64), empty, empty, None, tag, "", blurred=False)
