@@ -13,7 +13,7 @@ from calib.errors import DegenerateViews, InputMismatch
 from calib.fit import fit_model, model_to_fit
 from calib.lens_choice import choose_lens, compare_lenses, lens_name
 from calib.model.type_b_terms import corrected_passport, corrected_views
-from calib.selection import Choice, choose
+from calib.selection import Choice, choose, enough_poses
 from calib.summary import summarize
 from calib.view import View
 
@@ -61,6 +61,8 @@ def calibrate(views: Sequence[View], options: CalibrationOptions | None = None) 
     if choice.fit.uncertainty.inconsistent and not options.compares_lenses:
         lens = compare_lenses(options, choice.fit).sentence(lens_name(options.distortion))
     result = summarize(choice.fit, options, lens)
+    if not enough_poses(choice.fit):
+        result = _without_readings_that_widen(result, views, options, wrong, lens)
     named = (one.sentence for one in wrong if one.sentence)
     notes = (*named, *doubts, *result.notes, *choice.notes)
     return replace(result, candidates=choice.candidates, notes=notes)
@@ -82,6 +84,34 @@ def _choice(views: Sequence[View], options: CalibrationOptions, wrong: Sequence[
     if options.model == "auto" and not options.passport:
         return choose(views, options, wrong)
     return Choice(fit_model(views, options, model_to_fit(options), wrong=wrong))
+
+
+def _without_readings_that_widen(
+    joint: Calibration,
+    views: Sequence[View],
+    options: CalibrationOptions,
+    wrong: Sequence[GrossStars],
+    lens: str,
+) -> Calibration:
+    """Return the result of the certificate alone if readings of few poses make its uncertainty larger.
+
+    Few poses determine hardly how much the readings disagree with the stars. The coverage factor for so few degrees of
+    freedom can cost more than the readings bring.
+    """
+    certificate = options.passport is not None and options.passport.is_certificate
+    if not certificate or joint.gimbal is None or not joint.gimbal.entered:
+        return joint
+    alone = replace(options, gimbal=None)
+    result = summarize(fit_model(views, alone, model_to_fit(alone), wrong=wrong), alone, lens)
+    with_readings, without = (one.coverage_factor * one.sigma["fx"] for one in (joint, result))
+    if without >= with_readings:
+        return joint
+    note = (
+        "The readings of the gimbal did not enter. With so few poses they would enlarge the expanded uncertainty of "
+        f"fx from {without:.1f} to {with_readings:.1f} px. The certificate determines the radius. Add poses to use the "
+        "readings."
+    )
+    return replace(result, notes=(*result.notes, note))
 
 
 def _check(views: Sequence[View], fewest: int) -> None:

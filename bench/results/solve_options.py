@@ -210,7 +210,7 @@ def _why_not(
         )
     found = calibration.gimbal
     if found is None:
-        return "They took no part in this calibration."
+        return "They took no part in this calibration. Its notes give the reason."
     return (
         f"They contradict the stars: {found.rms_deg:.2g} degrees RMS, chi-square {found.chi_square:.4g} with "
         f"{found.degrees_of_freedom} degrees of freedom. Check the station's gimbal section, the signs and scales of "

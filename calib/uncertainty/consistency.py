@@ -26,6 +26,8 @@ from calib.uncertainty.type_b import radius_difference_variance
 
 #: Probability that a correct passport is refused.
 _FALSE_ALARMS = 1e-4
+_REMEDY = "Check that the passport belongs to this collimator and nothing moved, or calibrate without it."
+_BIASED = "Use the model auto: errors of the collimator bias the spherical model."
 
 
 def check_passport(
@@ -94,5 +96,5 @@ def check_passport(
             f"views give {found[worst]:.2f} +- {np.sqrt((together - own)[worst, worst]):.2f} mm "
             f"(chi-square {chi_square:.0f} with {len(asked)} degrees of freedom).",
             where="collimator passport",
-            remedy="Check that the passport belongs to this collimator and nothing moved, or calibrate without it.",
+            remedy=_REMEDY if parameters.collimator.aberrations else f"{_BIASED} {_REMEDY}",
         )

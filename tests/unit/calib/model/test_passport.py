@@ -7,8 +7,10 @@ import pytest
 
 from calib.engine import CalibrationOptions, calibrate
 from calib.errors import InputMismatch, PassportContradicted
+from calib.model.gimbal_readings import GimbalReadings, ParallaxBound
 from calib.model.passport import Passport
 from calib.model.type_b_terms import TypeBTerm
+from tests.support.drawn_benches import POSES, draw_bench
 
 EXACT = Passport(("x", "y", "r"), np.array([97.0, 140.1, 255.0]), np.diag([1e-4, 1e-4, 1e-4]) ** 2)
 
@@ -121,3 +123,26 @@ def test_the_planar_model_has_no_passport_to_give(bench):
     planar = calibrate(bench.views(np.random.default_rng(67), 0.05), CalibrationOptions(model="planar"))
     with pytest.raises(InputMismatch, match="planar"):
         planar.passport()
+
+
+def test_a_certificate_is_not_refused_for_a_parallax_that_inconsistent_views_may_hide():
+    views = draw_bench("S3", POSES[9], 0).views
+    own = calibrate(views, CalibrationOptions(model="radial")).collimator.r
+    certificate = Passport.of_radius(own + 0.03 * 255.0, 0.05)
+    assert calibrate(views, with_passport(certificate, model="auto")).collimator.r == certificate.values[0]
+    with pytest.raises(PassportContradicted):
+        calibrate(views, with_passport(certificate, model="auto", parallax_sigma=0.0))
+    with pytest.raises(PassportContradicted):
+        calibrate(views, with_passport(Passport.of_radius(own + 0.05 * 255.0, 0.05), model="auto"))
+
+
+def test_readings_of_few_poses_enter_only_where_they_make_the_uncertainty_smaller():
+    drawn = draw_bench("like-bench", POSES[3], 104)
+    bound = ParallaxBound(0.066, 0.01, 2.0, 0.5)
+    readings = GimbalReadings(tuple(drawn.readings_deg), 0.002, 2e-4, 0.002, bound)
+    certificate = Passport.of_radius(255.0, 0.05)
+    alone = calibrate(drawn.views, with_passport(certificate, model="auto"))
+    both = calibrate(drawn.views, with_passport(certificate, model="auto", gimbal=readings))
+    assert both.coverage_factor * both.sigma["fx"] <= alone.coverage_factor * alone.sigma["fx"]
+    assert both.gimbal is None
+    assert any("readings of the gimbal did not enter" in note for note in both.notes)
