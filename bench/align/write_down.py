@@ -378,8 +378,8 @@ def _put(document: CommentedMap, path: DocumentPath, text: str) -> None:
 
 
 def _insert(mapping: CommentedMap, key: str, value: Any) -> None:
-    """Set a value. A new key goes before the last one, because comments and empty lines follow the last one."""
-    if key in mapping:
+    """Set a value. In a block, a new key goes before the last one: comments and empty lines follow the last one."""
+    if key in mapping or mapping.fa.flow_style():
         mapping[key] = value
     else:
         mapping.insert(max(0, len(mapping) - 1), key, value)

@@ -1,0 +1,306 @@
+"""The align session with fakes: who may move what, and that a stop, a lost page and the end leave the bench safe."""
+
+import threading
+import time
+from pathlib import Path
+
+import pytest
+from align_fakes import FakeDevices, fake_session, wait_until
+
+from bench.base.errors import ControlRefused
+from drivers.errors import CameraBusy, CameraLost, DriverError, PortLost
+
+
+@pytest.fixture
+def opened():
+    session, devices = fake_session()
+    assert session.open() is None
+    yield session, devices
+    session.close()
+
+
+def _rest(session):
+    wait_until(lambda: not session.bench.stage.moving)
+
+
+def test_opening_moves_nothing_and_switches_nothing_on(opened):
+    session, devices = opened
+    wait_until(lambda: session.picture().number >= 2)
+    assert devices.stage.calls == []
+    assert devices.light.calls == []
+
+
+def test_pictures_come_and_no_slice_is_left(opened):
+    session, devices = opened
+    wait_until(lambda: session.picture().number >= 5)
+    number, image, figures = session.latest()
+    assert number >= 5
+    assert image.dtype == "uint8"
+    assert figures.to_json()["time_s"] > 0
+    folder = devices.camera.paths[0].parent
+    assert len(list(folder.iterdir())) <= 3
+    assert folder.stat().st_mode & 0o077 == 0
+    session.close()
+    assert not folder.exists()
+
+
+def test_a_jog_moves_one_axis_and_steps_add_up(opened):
+    session, devices = opened
+    assert session.jog("pan", 0.5) == {"pan": 0.5}
+    assert session.jog("pan", 0.5) == {"pan": 1.0}
+    _rest(session)
+    assert devices.stage.at == {"pan": 1.0, "tilt": 0.0}
+    devices.stage.at["pan"] = 0.9996  # the counter of a controller counts in steps
+    session.bench.stage.look()
+    assert session.jog("pan", -0.1) == {"pan": 0.9}
+
+
+def test_the_limit_of_an_axis_is_not_passed(opened):
+    session, devices = opened
+    devices.stage.at["tilt"] = 9.9
+    with pytest.raises(
+        ControlRefused, match=r"tilt is at 9.900 deg and its limit is 10 deg. Nothing was moved"
+    ) as e:
+        session.jog("tilt", 0.5)
+    assert "at most 0.100 deg" in e.value.remedy
+    assert devices.stage.calls == []
+    for step in (0.0, 6.0, float("nan")):
+        with pytest.raises(ControlRefused, match="not possible"):
+            session.jog("tilt", step)
+    with pytest.raises(ControlRefused, match="no axis 'yaw'"):
+        session.jog("yaw", 1.0)
+
+
+def test_a_stage_that_is_not_homed_is_not_moved(opened):
+    session, devices = opened
+    devices.stage.homed = False
+    with pytest.raises(ControlRefused, match="not homed"):
+        session.jog("pan", 0.5)
+    session.home()
+    with pytest.raises(ControlRefused, match="Homing was not started"):
+        session.home()
+    _rest(session)
+    assert devices.stage.calls == ["home"]
+    session.jog("pan", 0.5)
+
+
+def test_a_stop_reaches_the_stage_at_once_and_drops_what_waits(opened):
+    session, devices = opened
+    session.jog("pan", 5.0)
+    wait_until(lambda: devices.stage.at["pan"] > 0.1)
+    session.jog("pan", 5.0)
+    began_s = time.monotonic()
+    session.stop()
+    assert devices.stage.calls[-1] == "stop"
+    assert time.monotonic() - began_s < 0.2
+    time.sleep(0.1)
+    assert 0 < devices.stage.at["pan"] < 3
+    assert not session.bench.stage.moving
+    assert session.state()["stage"]["failure"] is None  # a stop that was asked for is no fault
+    session.jog("pan", 0.1)
+    _rest(session)
+    assert devices.stage.at["pan"] < 3
+
+
+def test_a_stop_just_after_a_jog_leaves_nothing_moving(opened):
+    session, devices = opened
+    for _ in range(30):
+        session.jog("pan", 0.2 if devices.stage.at["pan"] < 5 else -5.0)
+        session.stop()
+        assert not session.bench.stage.moving
+        before = dict(devices.stage.at)
+        time.sleep(0.01)
+        assert devices.stage.at == before
+
+
+def test_stops_of_many_threads_do_not_wait_for_each_other(opened):
+    session, devices = opened
+    session.jog("pan", 5.0)
+    threads = [threading.Thread(target=session.stop) for _ in range(8)]
+    began_s = time.monotonic()
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert time.monotonic() - began_s < 1
+    assert devices.stage.stops >= 8
+
+
+def test_a_failed_move_is_shown_and_the_next_one_is_possible(opened):
+    session, devices = opened
+    devices.stage.fault = "pan: stalled"
+    session.jog("pan", 0.5)
+    _rest(session)
+    shown = session.state()["stage"]
+    assert "stalled" in shown["failure"]["what"]
+    assert shown["failure"]["remedy"] == "Free the axis."
+    devices.stage.fault = ""
+    session.jog("pan", 0.5)
+    assert session.state()["stage"]["failure"] is None
+
+
+def test_a_page_that_is_lost_stops_its_motion_within_a_second(opened):
+    session, devices = opened
+    session.owners.enter("page-one", "Chrome")
+    session.bench.stage.move_by({"pan": 5.0}, "page-one")
+    session.bench.stage.move_by({"pan": 5.0}, "page-one")
+    began_s = time.monotonic()
+    wait_until(lambda: "stop" in devices.stage.calls)
+    assert time.monotonic() - began_s < 1.0
+    _rest(session)
+    assert devices.stage.at["pan"] < 10
+    wait_until(lambda: "is gone" in session.state()["messages"][-1]["text"])
+
+
+def test_a_page_that_beats_is_left_alone(opened):
+    session, devices = opened
+    session.owners.enter("page-one", "Chrome")
+    session.bench.stage.move_by({"pan": 5.0}, "page-one")
+    session.bench.stage.move_by({"pan": 4.0, "tilt": 1.0}, "page-one")
+    for _ in range(12):
+        session.owners.beat("page-one")
+        time.sleep(0.1)
+    assert "stop" not in devices.stage.calls
+
+
+def test_the_light_is_read_back_and_its_range_is_kept(opened):
+    session, devices = opened
+    shown = session.light(on=True, frequency_hz=50.0, level_percent=40.0)
+    assert shown["on"] is True
+    assert shown["read_back"]["frequency_hz"] == 50
+    assert shown["read_back"]["high_v"] == pytest.approx(2.0)
+    assert devices.light.calls[-1] == "on"
+    before = list(devices.light.calls)
+    with pytest.raises(ControlRefused, match="frequency_hz 20000 is outside 0.1 to 10000"):
+        session.light(frequency_hz=20_000.0)
+    with pytest.raises(ControlRefused, match="level_percent 0 is outside"):
+        session.light(level_percent=0.0)
+    with pytest.raises(ControlRefused, match="no waveform"):
+        session.light(waveform="saw")
+    assert devices.light.calls == before
+    assert session.light(on=False)["on"] is False
+
+
+def test_values_alone_do_not_switch_the_light_on(opened):
+    session, devices = opened
+    session.light(frequency_hz=100.0)
+    assert not devices.light.lit
+    assert "on" not in devices.light.calls
+
+
+def test_an_unplugged_light_is_shown_and_comes_back(opened):
+    session, devices = opened
+    devices.light.lost = True
+    with pytest.raises(DriverError):
+        session.light(on=True)
+    assert session.state()["light"]["failure"]["remedy"] == "Plug it in."
+    assert session.state()["light"]["on"] is None
+    devices.light.lost = False
+    session.bench.light.look()
+    assert session.state()["light"]["failure"] is None
+
+
+def test_an_unplugged_stage_is_shown(opened):
+    session, devices = opened
+    devices.stage.lost = True
+    wait_until(lambda: session.state()["stage"]["failure"] is not None)
+    with pytest.raises(PortLost):
+        session.jog("pan", 0.5)
+    devices.stage.lost = False
+    wait_until(lambda: session.state()["stage"]["failure"] is None)
+
+
+def test_biases_change_between_two_slices_and_are_read_back(opened):
+    session, devices = opened
+    wait_until(lambda: session.picture().number >= 1)
+    assert session.bias("bias_diff_on", 20)["bias_diff_on"] == 20
+    assert session.bias("bias_fo", -5)["bias_diff_on"] == 20
+    assert devices.camera.settings.biases["bias_fo"] == -5
+    with pytest.raises(ControlRefused, match="bias_refr 300 is outside -50 to 255"):
+        session.bias("bias_refr", 300)
+    with pytest.raises(ControlRefused, match="no bias 'bias_x'"):
+        session.bias("bias_x", 0)
+    seen = session.picture().number
+    wait_until(lambda: session.picture().number > seen + 1)
+
+
+def test_a_lost_camera_is_shown_and_pictures_go_on_when_it_is_back(opened):
+    session, devices = opened
+    wait_until(lambda: session.picture().number >= 1)
+    devices.camera.fault = CameraLost("the cable is out.", where="camera", remedy="Plug it in.")
+    wait_until(lambda: session.state()["camera"]["failure"] is not None)
+    assert session.state()["camera"]["failure"]["remedy"] == "Plug it in."
+    devices.camera.fault = None
+    seen = session.picture().number
+    wait_until(lambda: session.picture().number > seen)
+    assert session.state()["camera"]["failure"] is None
+
+
+def test_the_end_leaves_the_bench_safe_and_says_what_each_device_confirmed(opened):
+    session, devices = opened
+    session.light(on=True)
+    session.jog("pan", 5.0)
+    confirmed = session.close()
+    assert [(one.device, one.safe) for one in confirmed] == [
+        ("stage", True),
+        ("light", True),
+        ("camera", True),
+    ]
+    assert devices.stage.calls[-1] == "stop"
+    assert not devices.light.lit
+    assert devices.closed
+    assert session.close() == []
+    with pytest.raises(ControlRefused):
+        session.jog("pan", 0.1)
+    assert session.open() is None  # a closed session stays closed
+    assert not session.is_open
+
+
+def test_a_device_that_does_not_confirm_is_named_and_the_others_are_made_safe():
+    session, devices = fake_session()
+    session.open()
+    session.light(on=True)
+    devices.stage.stop_fails = True
+    confirmed = {one.device: one for one in session.close()}
+    assert not confirmed["stage"].safe
+    assert "NOT CONFIRMED" in confirmed["stage"].text
+    assert confirmed["light"].safe
+    assert not devices.light.lit
+
+
+def test_a_busy_camera_ends_in_words_and_can_be_tried_again():
+    devices = FakeDevices()
+    session, _ = fake_session(devices)
+    answers = [CameraBusy("another program holds it.", where="camera", remedy="Close that program."), None]
+
+    def opener(*_):
+        error = answers.pop(0)
+        if error:
+            raise error
+        return devices
+
+    session._opener = opener
+    failure = session.open()
+    assert failure is not None
+    assert failure.remedy == "Close that program."
+    assert session.state()["devices"]["state"] == "failed"
+    with pytest.raises(ControlRefused, match="another program holds it"):
+        session.jog("pan", 0.1)
+    assert session.reopen() is None
+    session.close()
+
+
+def test_a_device_that_fails_during_opening_closes_the_others():
+    devices = FakeDevices()
+    devices.camera.identify = lambda: (_ for _ in ()).throw(CameraLost("gone.", where="camera"))
+    session, _ = fake_session(devices)
+    assert session.open().kind == "CameraLost"
+    assert devices.closed
+
+
+def test_nothing_is_left_in_the_temporary_folder_after_a_fault(opened, tmp_path):
+    session, devices = opened
+    wait_until(lambda: devices.camera.paths)
+    folder: Path = devices.camera.paths[0].parent
+    session.close()
+    assert not folder.exists()
