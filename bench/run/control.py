@@ -30,6 +30,7 @@ from bench.records.run_folder import JOURNAL
 from bench.records.run_log import RunLog
 from bench.records.storage import make_folder, storage_errors, sync_folder
 from bench.run.heartbeat import CONTROL, HEARTBEAT
+from bench.run.last_view import LAST_VIEW
 from sequences.schema import Answer
 
 POLL_S = 0.1
@@ -236,7 +237,7 @@ class CommandInbox:
 
 
 def _inbox_of(folder: Path) -> Inbox[Command]:
-    return Inbox(folder / CONTROL, Command, _MAX_BYTES, ignored=frozenset({HEARTBEAT}))
+    return Inbox(folder / CONTROL, Command, _MAX_BYTES, ignored=frozenset({HEARTBEAT, LAST_VIEW}))
 
 
 def remove_inbox(folder: Path) -> None:

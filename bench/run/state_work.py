@@ -20,6 +20,7 @@ from bench.results.interim import Decisions
 from bench.results.result import ResultWriter
 from bench.run.holding import Holding
 from bench.run.interlocks import Trip
+from bench.run.last_view import leave_view
 from bench.run.preflight import preflight, require_no_faults, stage_faults
 from bench.run.run_devices import RunDevices
 from bench.views.expected_grid import grid_from_earlier_poses
@@ -210,6 +211,7 @@ class StateWork:
         expected = grid_from_earlier_poses(history, stored, job.target)
         path = self._folder.path / stored["capture"]
         found = job.camera_kind.measure(path, step, frequency_hz, job.target, expected)
+        leave_view(self._folder.path, pose.index, attempt, found)
         gates, other_reasons = job.camera_kind.judge(stored["facts"], step, frequency_hz, found)
         gates += job.motion_gates(stored["measured_deg"], stored["measured_after_deg"])
         reasons = [found.fault] if found.fault else []

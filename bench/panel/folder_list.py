@@ -1,0 +1,252 @@
+"""The runs and batches of a folder as the first page lists them: those in progress, failures, and the others.
+
+A run that has ended is read once; of a run in progress only new lines are read. Nothing is written.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import stat
+import threading
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+from bench.base.errors import BenchError, RunFolderError, StorageError
+from bench.panel.process_state import look_at_process
+from bench.panel.run_head import head_of
+from bench.panel.run_model import RunModel
+from bench.records.run_folder import JOURNAL
+from bench.records.run_index import QUEUE_COPY
+from bench.records.storage import storage_errors
+
+Json = dict[str, Any]
+Stamp = tuple[int, int]
+
+_KEPT = (
+    "id", "sequence", "station", "operator", "simulated", "rehearsal", "verdict", "tone", "running", "sealed", "why",
+    "started_utc", "ended_utc", "end_utc", "poses", "most_poses", "accepted", "skipped", "recordings",
+    "retries", "deviation_count", "state", "state_utc", "pose", "holder", "interlock", "question",
+)  # fmt: skip
+_BATCH_AGAIN_S = 10.0
+
+
+@dataclass
+class _Known:
+    """What is known of a run: its row, and its model while it may still change."""
+
+    stamp: Stamp
+    row: Json
+    model: RunModel | None
+
+
+class FolderList:
+    """The runs and batches of a folder, its subfolders and theirs.
+
+    Parameters
+    ----------
+    root
+        The folder; it need not exist yet.
+    utc_now
+        Returns the present time, UTC.
+    """
+
+    def __init__(self, root: Path, utc_now: Callable[[], datetime] = lambda: datetime.now(UTC)) -> None:
+        self.root = root
+        self._utc_now = utc_now
+        self._runs: dict[Path, _Known] = {}
+        self._batches: dict[Path, tuple[tuple[Any, ...], Json]] = {}
+        self._lock = threading.Lock()
+
+    def look(self) -> Json:
+        """Look at the folder.
+
+        Returns
+        -------
+        dict
+            ``root``, ``runs``, ``batches`` (each newest first), and ``faults``: a sentence for each folder that cannot
+            be read.
+        """
+        with self._lock:
+            faults: list[str] = []
+            runs, batches = [], []
+            seen = set()
+            for folder in self._folders(faults):
+                seen.add(folder)
+                try:
+                    if (folder / QUEUE_COPY).is_file():
+                        batches.append(self._batch(folder))
+                    else:
+                        runs.append(self._run(folder))
+                except (BenchError, OSError) as error:
+                    faults.append(str(error))
+            for known in (self._runs, self._batches):
+                for gone in known.keys() - seen:
+                    known.pop(gone)
+        return {
+            "root": str(self.root),
+            "exists": self.root.is_dir(),
+            "runs": sorted(runs, key=_begin, reverse=True),
+            "batches": sorted(batches, key=_begin, reverse=True),
+            "faults": faults,
+        }
+
+    def folder_of(self, key: str) -> Path:
+        """Return the folder that a page names.
+
+        Parameters
+        ----------
+        key
+            Its path relative to the root, with slashes; ``.`` for the root itself.
+
+        Returns
+        -------
+        Path
+            A folder with a journal.
+
+        Raises
+        ------
+        RunFolderError
+            If there is no run or batch of this name below the root.
+        """
+        parts = key.split("/")
+        if not key or "\0" in key or any(part in {"", ".."} or "\\" in part or ":" in part for part in parts):
+            raise _no_such_run(key, self.root)
+        folder = self.root.joinpath(*parts)
+        with storage_errors(folder):
+            found = _journal_stamp(folder)
+        if found is None:
+            raise _no_such_run(key, self.root)
+        return folder
+
+    def key_of(self, folder: Path) -> str:
+        """Return the name of a folder as `folder_of` takes it.
+
+        Parameters
+        ----------
+        folder
+            A folder below the root, or the root.
+
+        Returns
+        -------
+        str
+            Its path relative to the root.
+        """
+        return folder.relative_to(self.root).as_posix()
+
+    def _folders(self, faults: list[str]) -> Iterator[Path]:
+        """Yield every folder with a journal, two levels deep; the runs of a batch belong to its own page."""
+        if _is_folder_of_interest(self.root, faults):
+            yield self.root
+            return
+        for folder in _subfolders(self.root, faults):
+            if _is_folder_of_interest(folder, faults):
+                yield folder
+                continue
+            yield from (
+                inner for inner in _subfolders(folder, faults) if _is_folder_of_interest(inner, faults)
+            )
+
+    def _run(self, folder: Path) -> Json:
+        known = self._runs.get(folder)
+        stamp = _journal_stamp(folder) or (-1, -1)
+        if known is None or known.stamp != stamp or known.model is not None:
+            model = (known.model if known is not None else None) or RunModel(folder)
+            while model.refresh():
+                pass
+            states = model.history.states
+            process = look_at_process(folder, states[-1]["state"] if states else "idle")
+            head = head_of(model, process, self._utc_now())
+            row = {name: head[name] for name in _KEPT}
+            row |= {"key": self.key_of(folder), "camera": head["camera"].get("serial", "")}
+            row["fault"] = next(iter(head["faults"]), "")
+            row["leave"] = head["leave"]
+            row["reached"] = head["decisions"][-1]["now"] if head["decisions"] else {}
+            # An interrupted run may be resumed at any time; its lock tells so before its journal does.
+            is_over = not process.running and bool(model.history.ended)
+            known = self._runs[folder] = _Known(stamp, row, None if is_over else model)
+        return known.row
+
+    def _batch(self, folder: Path) -> Json:
+        from bench.batch.batch_status import read_batch_status
+        from bench.records.folder_lock import is_locked
+
+        now = self._utc_now()
+        running = is_locked(folder)
+        stamp = _journal_stamp(folder), running, now.timestamp() // _BATCH_AGAIN_S if running else 0
+        kept = self._batches.get(folder)
+        if kept is not None and kept[0] == stamp:
+            return kept[1]
+        status = read_batch_status(folder)
+        failed = [item for item, how, _ in status.done if how != "finished"]
+        ended = status.ended or "interrupted"
+        bad = "bad" if failed or ended == "interrupted" else "good" if ended == "finished" else "warn"
+        row = {
+            "key": self.key_of(folder),
+            "queue": status.queue,
+            "running": running,
+            "rehearsal": status.rehearsal,
+            "verdict": "running" if running else ended,
+            "tone": "busy" if running else bad,
+            "why": status.why,
+            "done": len(status.done),
+            "failed": failed,
+            "coming": len(status.upcoming),
+            "current_run": status.current_run,
+            "end_utc": status.end.isoformat() if status.end and running else "",
+            "started_utc": _first_utc(folder),
+        }
+        self._batches[folder] = stamp, row
+        return row
+
+
+def _begin(row: Json) -> str:
+    return str(row["started_utc"])
+
+
+def _no_such_run(key: str, root: Path) -> RunFolderError:
+    return RunFolderError(
+        f"There is no run or batch {key!r} in this folder.",
+        where=str(root),
+        remedy="Go back to the list. The folder may have been moved or removed.",
+    )
+
+
+def _journal_stamp(folder: Path) -> Stamp | None:
+    """Return size and time of a folder's journal; None if it has none."""
+    try:
+        found = (folder / JOURNAL).stat()
+    except (FileNotFoundError, NotADirectoryError):
+        return None
+    return (found.st_size, found.st_mtime_ns) if stat.S_ISREG(found.st_mode) else None
+
+
+def _is_folder_of_interest(folder: Path, faults: list[str]) -> bool:
+    try:
+        with storage_errors(folder):
+            return _journal_stamp(folder) is not None
+    except StorageError as error:
+        faults.append(str(error))
+        return False
+
+
+def _subfolders(folder: Path, faults: list[str]) -> list[Path]:
+    try:
+        with storage_errors(folder), os.scandir(folder) as found:
+            return sorted(Path(one.path) for one in found if one.is_dir() and not one.name.startswith("."))
+    except StorageError as error:
+        if folder.exists():
+            faults.append(str(error))
+        return []
+
+
+def _first_utc(folder: Path) -> str:
+    """Return the time of the first line of a journal; empty if it cannot be read."""
+    try:
+        with (folder / JOURNAL).open("rb") as stream:
+            return str(json.loads(stream.readline())["utc"])
+    except (OSError, ValueError, KeyError, TypeError):
+        return ""

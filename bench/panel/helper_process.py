@@ -1,0 +1,299 @@
+"""The helper of the panel: makes pictures, coverage and forecasts from a run's files, at the lowest priority.
+
+It is a process of its own, so that neither a page nor a run waits for its calculations. It reads one request as a line
+of JSON from standard input and answers with a line of JSON on standard output, which ``bytes`` raw bytes follow. It
+ends when its standard input ends, also when the panel was killed. It writes no file of a run and uses no device.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import sys
+from collections.abc import Callable, Mapping
+from contextlib import suppress
+from functools import lru_cache, partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, BinaryIO
+
+import numpy as np
+from numpy.typing import NDArray
+
+if TYPE_CHECKING:
+    from bench.plan.job import Job
+    from bench.run.last_view import LastView
+    from bench.views.stored_image import StoredImage
+
+Json = dict[str, Any]
+Answer = tuple[Json, bytes]
+Array = NDArray[np.float64]
+
+_ORDER = 3
+_JOBS_KEPT = 4
+_DIGITS = 3
+
+
+def make_picture(request: Mapping[str, Any]) -> Answer:
+    """Make the picture of a recording, with its stars and their residuals.
+
+    For a pose of a solved run they are those of its calibration. While a run is in progress, its last picture is the
+    one that it has left for others. Otherwise the stars are found again in the recording. Without a calibration the
+    residuals are those of a smooth fit of this pose alone.
+
+    Parameters
+    ----------
+    request
+        ``folder``, ``pose``, ``pose_name``, ``attempt``, ``capture``, ``expected_grid``, ``accepted``; ``measure``:
+        whether to find the stars again if nothing else is there, which takes seconds of computing.
+
+    Returns
+    -------
+    answer, picture
+        ``stars`` and ``residuals`` as lists of [x, y] px, ``residuals_of``, ``rms_px``, ``size``, ``fault``; PNG. With
+        ``absent`` if there is no picture without measuring.
+    """
+    from bench.run.last_view import read_last_view
+    from bench.views.views_file import VIEWS
+
+    folder = Path(request["folder"])
+    if request["accepted"] and (folder / VIEWS).is_file():
+        found = _solved_picture(folder / VIEWS, str(request["pose_name"]))
+        if found is not None:
+            return found
+    left = read_last_view(folder)
+    if left is not None and (left.pose, left.attempt) == (request["pose"], request["attempt"]):
+        return _left_picture(folder, left)
+    if not request["measure"]:
+        return {"absent": True, "fault": ""}, b""
+    return _measured_picture(folder, request)
+
+
+def make_coverage(request: Mapping[str, Any]) -> Answer:
+    """Count the stars of accepted recordings in the cells of the image.
+
+    The places come from each recording's grid, without the distortion of the lens. If fewer stars were found than the
+    image has room for, those next to the tag count, because the beam lights the middle of the target.
+
+    Parameters
+    ----------
+    request
+        ``folder``, ``size`` (width and height, px), ``cells`` (columns and rows), ``grids`` (list of pose, grid and
+        number of stars).
+
+    Returns
+    -------
+    answer, bytes
+        ``counts``, row by row; no bytes.
+    """
+    target = _job(request["folder"]).target
+    nodes = target.node_of(target.ids).astype(float)
+    tag = np.array(target.tag_centre_mm) / target.pitch_mm
+    nodes = nodes[np.argsort(np.linalg.norm(nodes - tag, axis=1), kind="stable")]
+    columns, rows = request["cells"]
+    counts = np.zeros(columns * rows, np.int64)
+    for _, grid, stars in request["grids"]:
+        cells = _cells_of(nodes, np.array(grid, np.float64), request["size"], (columns, rows))
+        counts += np.bincount(cells[: int(stars)], minlength=len(counts))
+    return {"counts": counts.tolist()}, b""
+
+
+def _cells_of(nodes: Array, grid: Array, size: tuple[int, int], cells: tuple[int, int]) -> NDArray[np.int64]:
+    """Return the cell of each node that lies in the image, in the order of the nodes."""
+    mapped = np.column_stack([nodes, np.ones(len(nodes))]) @ grid.T
+    points = mapped[:, :2] / mapped[:, 2:]
+    place = np.floor((points + 0.5) / np.array(size) * np.array(cells)).astype(np.int64)
+    inside = ((place >= 0) & (place < np.array(cells)) & (mapped[:, 2:] * grid[2, 2] > 0)).all(axis=1)
+    return np.asarray(place[inside, 1] * cells[0] + place[inside, 0])
+
+
+def make_forecast(request: Mapping[str, Any]) -> Answer:
+    """Forecast the uncertainty that the first poses of a run's plan give.
+
+    Parameters
+    ----------
+    request
+        ``folder``, and ``poses``: how many of them.
+
+    Returns
+    -------
+    answer, bytes
+        ``now``: expanded uncertainties, px, by name; empty if these poses determine no camera, or the station states
+        nothing to expect. No bytes.
+    """
+    from bench.base.errors import UsageError
+    from bench.results.forecasts import forecast_bench
+    from calib.errors import CalibrationError
+    from calib.model.budget_row import WORST_CORNER
+    from calib.studies.planning import forecast
+
+    plan = _job(request["folder"]).plan
+    poses = [{f"{axis}_deg": deg for axis, deg in pose.angles_deg.items()} for pose in plan.poses]
+    try:
+        limited = forecast(forecast_bench(plan), poses[: int(request["poses"])]).limited
+    except (CalibrationError, UsageError):
+        return {"now": {}}, b""
+    found = {"expanded_fx_px": limited["expanded_fx"], "worst_corner_px": limited[WORST_CORNER]}
+    return {"now": {name: float(value) for name, value in found.items() if np.isfinite(value)}}, b""
+
+
+def _solved_picture(path: Path, name: str) -> Answer | None:
+    """Return the picture of a calibrated pose; None if the file does not hold it, or cannot be read."""
+    from bench.base.errors import RunFolderError
+    from bench.views.stored_image import StoredImage
+    from bench.views.views_file import read_picture, read_views
+
+    try:
+        views = read_views(path)
+        number = next((i for i, one in enumerate(views, 1) if one.view.name == name), None)
+        if number is None:
+            return None
+        picture = read_picture(path, number)
+    except RunFolderError:
+        return None
+    stored = views[number - 1]
+    answer = _answer(picture, stored.view.points_px, stored.residuals_px, "the calibration")
+    return answer, StoredImage.from_image(picture).png
+
+
+def _left_picture(folder: Path, left: LastView) -> Answer:
+    """Return the picture that a run in progress has left."""
+    from bench.views.stored_image import StoredImage
+
+    picture = StoredImage(left.png).decoded()
+    nodes = _job(str(folder)).target.node_of(np.array(left.ids, np.int64)).astype(np.float64)
+    points_px = np.array(left.points_px, np.float64).reshape(-1, 2)
+    return {**_own_residuals(picture, nodes, points_px), "fault": left.fault}, left.png
+
+
+def _own_residuals(picture: NDArray[np.uint8], nodes: Array, points_px: Array) -> Json:
+    return _answer(picture, points_px, smooth_residuals(nodes, points_px), "a smooth fit of this pose alone")
+
+
+def _measured_picture(folder: Path, request: Mapping[str, Any]) -> Answer:
+    job = _job(str(folder))
+    step = job.record_step(int(request["pose"]))
+    grid = request.get("expected_grid")
+    found = job.camera_kind.measure(
+        folder / str(request["capture"]),
+        step,
+        job.frequency_hz(step),
+        job.target,
+        None if grid is None else partial(_given_grid, grid),
+    )
+    image: StoredImage | None = found.image
+    if image is None:
+        return {"fault": found.fault or "No image can be made of this recording."}, b""
+    picture = image.decoded()
+    if found.view is None:
+        return {**_answer(picture, np.zeros((0, 2)), None, ""), "fault": found.fault}, image.png
+    nodes = job.target.node_of(found.view.ids).astype(np.float64)
+    return _own_residuals(picture, nodes, found.view.points_px), image.png
+
+
+def _given_grid(grid: Any, _image_size: tuple[int, int]) -> Array:
+    return np.array(grid, np.float64)
+
+
+def smooth_residuals(nodes: Array, points_px: Array) -> Array | None:
+    """Return what a polynomial of third order from the target to the image leaves of the stars' places.
+
+    It follows perspective and distortion closely enough to show single stars that are wrong; it is no calibration.
+
+    Parameters
+    ----------
+    nodes
+        (N, 2) float64, column and row of each star on the target.
+    points_px
+        (N, 2) float64, px, stars found.
+
+    Returns
+    -------
+    numpy.ndarray or None
+        (N, 2) float64, px; None if there are too few stars for it.
+    """
+    terms = (_ORDER + 1) * (_ORDER + 2) // 2
+    if len(nodes) < 2 * terms:
+        return None
+    centred = nodes - nodes.mean(axis=0)
+    x, y = (centred / max(float(np.abs(centred).max()), 1e-9)).T
+    powers = [x**i * y**j for i in range(_ORDER + 1) for j in range(_ORDER + 1 - i)]
+    design = np.column_stack(powers)
+    fitted, *_ = np.linalg.lstsq(design, points_px, rcond=None)
+    return np.asarray(points_px - design @ fitted)
+
+
+def _answer(
+    picture: NDArray[np.uint8], points_px: Array, residuals_px: Array | None, residuals_of: str
+) -> Json:
+    height, width = picture.shape
+    answer: Json = {
+        "size": [width, height],
+        "stars": np.round(points_px, _DIGITS).tolist(),
+        "residuals": None,
+        "residuals_of": "",
+        "rms_px": None,
+        "fault": "",
+    }
+    if residuals_px is not None and len(residuals_px):
+        answer["residuals"] = np.round(residuals_px, _DIGITS + 1).tolist()
+        answer["residuals_of"] = residuals_of
+        answer["rms_px"] = float(np.sqrt(np.mean(np.sum(residuals_px**2, axis=1))))
+    return answer
+
+
+@lru_cache(maxsize=_JOBS_KEPT)
+def _job(folder: str) -> Job:
+    from bench.plan.job import Job
+
+    return Job.from_run_folder(Path(folder))
+
+
+OPERATIONS: Mapping[str, Callable[[Mapping[str, Any]], Answer]] = {
+    "picture": make_picture,
+    "coverage": make_coverage,
+    "forecast": make_forecast,
+}
+
+
+def answer_requests(requests: BinaryIO, answers: BinaryIO) -> None:
+    """Answer requests until there are no more.
+
+    Parameters
+    ----------
+    requests
+        Lines of JSON with ``operation`` and its arguments.
+    answers
+        Where the answers go.
+    """
+    from bench.base.failure import Failure
+
+    for line in requests:
+        request = json.loads(line)
+        try:
+            answer, data = OPERATIONS[request["operation"]](request)
+        except Exception as error:  # noqa: BLE001 - one picture that fails must not end the others
+            answer, data = {"fault": Failure.of(error).message}, b""
+        answers.write(json.dumps({**answer, "bytes": len(data)}).encode() + b"\n" + data)
+        answers.flush()
+
+
+def main() -> None:
+    """Answer the panel until its end."""
+    import signal
+
+    from bench.base.kernel_cache import set_kernel_cache
+
+    signal.signal(
+        signal.SIGINT, signal.SIG_IGN
+    )  # Ctrl-C in the terminal ends the panel, and the panel ends this
+    with suppress(AttributeError, OSError):
+        os.nice(19)
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    set_kernel_cache(os.environ)
+    answers = os.fdopen(os.dup(sys.stdout.fileno()), "wb")
+    os.dup2(sys.stderr.fileno(), sys.stdout.fileno())  # nothing that prints can disturb the answers
+    answer_requests(sys.stdin.buffer, answers)
+
+
+if __name__ == "__main__":
+    main()

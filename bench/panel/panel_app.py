@@ -1,0 +1,306 @@
+"""The panel's pages and what they ask for. Every route reads a folder or puts a command into an inbox, nothing else."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
+from pathlib import Path
+from typing import Any
+
+from pydantic import ValidationError
+from starlette.applications import Starlette
+from starlette.concurrency import run_in_threadpool
+from starlette.requests import Request
+from starlette.responses import FileResponse, JSONResponse, RedirectResponse, Response
+from starlette.routing import Route
+
+from bench.base.errors import RunFolderError, UsageError
+from bench.base.failure import Failure
+from bench.panel.extras import Extras
+from bench.panel.folder_list import FolderList
+from bench.panel.helper import Answer, Helper
+from bench.panel.watching import MOST_LOG_LINES, RunWatch, Watcher
+from bench.records.run_folder import REPORT
+from bench.records.run_index import QUEUE_COPY
+from bench.run.control import Command, command_text, send
+from bench.web.guard import POLICY
+from bench.web.pages import page_app, read_object
+from bench.web.stream import EventStream, Message, last_id
+
+ASSETS = Path(__file__).parent / "assets"
+LIST_S = 1.0
+"""Time between two looks at the folder while a page lists it, s."""
+
+
+class Panel:
+    """The panel of one folder.
+
+    Parameters
+    ----------
+    root
+        Folder with runs and batches.
+    """
+
+    def __init__(self, root: Path) -> None:
+        self._list = FolderList(root)
+        self._watcher = Watcher()
+        self._helper = Helper()
+        self._extras: dict[RunWatch, asyncio.Task[None]] = {}
+        self._batches: dict[Path, Any] = {}
+        self._list_text = ""
+        self._list_number = 0
+        self._list_readers = 0
+        self._list_task: asyncio.Task[None] | None = None
+        self._list_changed = asyncio.Condition()
+
+    def app(self) -> Starlette:
+        """Return the application.
+
+        Returns
+        -------
+        Starlette
+            Pages, streams and commands.
+        """
+        return page_app(
+            [
+                Route("/", self._first_page),
+                Route("/run/{key:path}", self._run_page),
+                Route("/batch/{key:path}", self._batch_page),
+                Route("/report/{key:path}", self._report),
+                Route("/api/list", self._list_stream),
+                Route("/api/run/{key:path}/events", self._run_stream),
+                Route("/api/run/{key:path}/state", self._run_state),
+                Route("/api/run/{key:path}/log", self._run_log),
+                Route("/api/run/{key:path}/picture/{pose:int}/{attempt:int}", self._picture),
+                Route("/api/run/{key:path}/command", self._command, methods=["POST"]),
+                Route("/api/batch/{key:path}/events", self._batch_stream),
+            ],
+            assets=ASSETS,
+            lifespan=self._life,
+        )
+
+    @asynccontextmanager
+    async def _life(self, _app: Starlette) -> AsyncIterator[None]:
+        self._watcher.start()
+        try:
+            yield
+        finally:
+            tasks = [*self._extras.values(), *([self._list_task] if self._list_task else [])]
+            for task in tasks:
+                task.cancel()
+            await asyncio.to_thread(self._helper.close)
+            await asyncio.gather(*tasks, return_exceptions=True)
+            await asyncio.to_thread(self._watcher.close)
+
+    # ---------------------------------------------------------------- pages
+    async def _first_page(self, _request: Request) -> Response:
+        if (self._list.root / "journal.jsonl").is_file():  # the folder is a run or a batch itself
+            kind = "batch" if (self._list.root / QUEUE_COPY).is_file() else "run"
+            return RedirectResponse(f"/{kind}/.", status_code=303)
+        return FileResponse(ASSETS / "list.html")
+
+    async def _run_page(self, _request: Request) -> Response:
+        return FileResponse(ASSETS / "run.html")
+
+    async def _batch_page(self, _request: Request) -> Response:
+        return FileResponse(ASSETS / "batch.html")
+
+    async def _report(self, request: Request) -> Response:
+        """Answer with the report of a run, which may run no script here."""
+        folder = self._folder(request)
+        path = folder / ("summary.html" if (folder / QUEUE_COPY).is_file() else REPORT)
+        if not path.is_file():
+            raise RunFolderError("There is no report yet.", where=str(folder), remedy="Wait for its end.")
+        policy = POLICY.replace("script-src 'self'", "script-src 'none'").replace(
+            "img-src", "font-src data:; img-src"
+        )
+        return FileResponse(path, headers={"Content-Security-Policy": policy})
+
+    # ---------------------------------------------------------------- the list
+    async def _list_stream(self, _request: Request) -> EventStream:
+        return EventStream(self._list_messages())
+
+    async def _list_messages(self) -> AsyncIterator[Message]:
+        self._list_readers += 1
+        if self._list_task is None or self._list_task.done():
+            self._list_task = asyncio.create_task(self._look_at_list())
+        told = 0
+        try:
+            while True:
+                async with self._list_changed:
+                    while self._list_number == told:
+                        await self._list_changed.wait()
+                told = self._list_number
+                yield Message(self._list_text, "update", str(told))
+        finally:
+            self._list_readers -= 1
+
+    async def _look_at_list(self) -> None:
+        """Look at the folder as long as a page lists it, once for all pages."""
+        while self._list_readers > 0:
+            try:
+                found = await run_in_threadpool(self._list.look)
+            except Exception as error:  # noqa: BLE001 - the pages must show it; the next look may succeed
+                found = {"root": str(self._list.root), "exists": True, "runs": [], "batches": []}
+                found["faults"] = [Failure.of(error).message]
+            text = json.dumps(found, separators=(",", ":"), allow_nan=False)
+            if text != self._list_text:
+                self._list_text = text
+                self._list_number += 1
+                async with self._list_changed:
+                    self._list_changed.notify_all()
+            await asyncio.sleep(LIST_S)
+
+    # ---------------------------------------------------------------- a run
+    def _folder(self, request: Request) -> Path:
+        return self._list.folder_of(request.path_params["key"])
+
+    def _run_folder(self, request: Request) -> Path:
+        folder = self._folder(request)
+        if (folder / QUEUE_COPY).is_file():
+            raise RunFolderError(
+                "This is a batch, not a run.", where=str(folder), remedy="Open it from the list."
+            )
+        return folder
+
+    async def _run_stream(self, request: Request) -> EventStream:
+        folder = self._run_folder(request)
+        after = last_id(request)
+        return EventStream(
+            self._run_messages(folder, int(after) if after.isascii() and after.isdigit() else 0)
+        )
+
+    async def _run_messages(self, folder: Path, after: int) -> AsyncIterator[Message]:
+        watch = await run_in_threadpool(self._watcher.open, folder)
+        self._keep_extras(watch)
+        generation: int | None = None
+        try:
+            while True:
+                number = watch.changes.number
+                text, after, generation = watch.message(after, generation)
+                yield Message(text, "update", str(after))
+                await watch.changes.after(number)
+        finally:
+            self._watcher.leave(watch)
+            if watch.readers <= 0 and (task := self._extras.pop(watch, None)) is not None:
+                task.cancel()
+
+    def _keep_extras(self, watch: RunWatch) -> None:
+        if watch not in self._extras:
+            self._extras[watch] = asyncio.create_task(Extras(watch, self._helper).keep_up())
+
+    async def _run_state(self, request: Request) -> Response:
+        """Answer with the whole state once, for a page that joins a stream that another page has opened."""
+        watch = await run_in_threadpool(self._watcher.open, self._run_folder(request))
+        try:
+            text, _, _ = watch.message(0, None)
+        finally:
+            self._watcher.leave(watch)
+        return Response(text, media_type="application/json")
+
+    async def _run_log(self, request: Request) -> Response:
+        """Answer with older lines of the log."""
+        before = request.query_params.get("before", "")
+        if not (before.isascii() and before.isdigit()):
+            raise UsageError("The request names no line of the log.", remedy="Load the page again.")
+        watch = await run_in_threadpool(self._watcher.open, self._run_folder(request))
+        try:
+            with watch.lock:
+                lines = watch.model.log_before(int(before), MOST_LOG_LINES)
+        finally:
+            self._watcher.leave(watch)
+        return JSONResponse({"log": lines})
+
+    # ---------------------------------------------------------------- pictures
+    async def _picture(self, request: Request) -> Response:
+        """Answer with the stars of a recording, or with its image (``?png``)."""
+        folder = self._run_folder(request)
+        place = request.path_params["pose"], request.path_params["attempt"]
+        measure = "measure" in request.query_params
+        answer, png = await run_in_threadpool(self._picture_of, folder, place, measure)
+        if "png" not in request.query_params:
+            return JSONResponse(answer)
+        if not png:
+            raise RunFolderError(answer.get("fault") or "There is no picture.", where=str(folder))
+        return Response(png, media_type="image/png")
+
+    def _picture_of(self, folder: Path, place: tuple[int, int], measure: bool) -> Answer:
+        watch = self._watcher.open(folder)
+        try:
+            with watch.lock:
+                model = watch.model
+                found = model.places.get(place)
+                row = model.rows.get(place[0])
+                accepted = model.history.accepted().get(place[0])
+                solved = bool(model.history.solved)
+        finally:
+            self._watcher.leave(watch)
+        if found is None or row is None:
+            return {"fault": "There is no such recording."}, b""
+        is_accepted = accepted is not None and accepted.attempt == place[1]
+        arguments = {
+            "folder": str(folder),
+            "pose": place[0],
+            "pose_name": row["name"],
+            "attempt": place[1],
+            "capture": found.capture,
+            "expected_grid": found.expected_grid,
+            "accepted": is_accepted and solved,
+            "measure": measure,
+        }
+        return self._helper.picture((folder, *place, is_accepted and solved), lambda: arguments)
+
+    # ---------------------------------------------------------------- commands
+    async def _command(self, request: Request) -> Response:
+        """Put a command into the inbox of a run, and answer with what the run has decided."""
+        folder = self._run_folder(request)
+        given = await read_object(request)
+        confirmed = given.pop("confirm", None)
+        try:
+            command = Command(**given)
+        except (ValidationError, TypeError) as error:
+            raise UsageError(_command_fault(given), remedy="Correct it and send it again.") from error
+        if command.word == "abort" and confirmed != folder.name:
+            raise UsageError(
+                "An abort must be confirmed.", where=str(folder), remedy="Confirm it in the second step."
+            )
+        answer = await run_in_threadpool(send, folder, command)
+        return JSONResponse({"taken": answer["taken"], "text": command_text(answer), "why": answer["why"]})
+
+    # ---------------------------------------------------------------- a batch
+    async def _batch_stream(self, request: Request) -> EventStream:
+        from bench.panel.batch_view import BatchView
+
+        folder = self._folder(request)
+        if not (folder / QUEUE_COPY).is_file():
+            raise RunFolderError(
+                "This is a run, not a batch.", where=str(folder), remedy="Open it from the list."
+            )
+        view = self._batches.setdefault(folder, BatchView(folder))
+        return EventStream(view.messages())
+
+
+def _command_fault(given: dict[str, Any]) -> str:
+    """Return what is wrong with a command, in words."""
+    by = given.get("by")
+    if not isinstance(by, str) or not by.strip():
+        return "The command does not say who gives it: write your name."
+    return "This is not a command that a run understands."
+
+
+def panel_app(root: Path) -> Starlette:
+    """Return the panel of a folder.
+
+    Parameters
+    ----------
+    root
+        Folder with runs and batches; it need not exist yet.
+
+    Returns
+    -------
+    Starlette
+        The application, for `bench.web.server.serve_pages`.
+    """
+    return Panel(root).app()

@@ -1,0 +1,80 @@
+"""What a page needs of a run's ``plan.json``: poses, steps, times, disk space. Reads this one file."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from bench.base.errors import StorageError
+from bench.records.run_folder import PLAN
+from bench.records.storage import storage_errors
+
+
+@dataclass(frozen=True)
+class RunPlan:
+    """The plan of a run.
+
+    Attributes
+    ----------
+    poses
+        Name and angles of each pose, by its number.
+    most_poses
+        How many poses there are at most, with those that the run may still choose.
+    untils
+        ``untils`` of the plan.
+    steps
+        ``steps`` of the plan, in order.
+    prompts
+        Numbers of the steps that ask a person.
+    duration_s
+        Planned time, s.
+    most_bytes
+        Disk space that the run may need, bytes.
+    fault
+        Why there is no plan; empty if there is one.
+    """
+
+    poses: Mapping[int, Mapping[str, Any]] = field(default_factory=dict)
+    most_poses: int = 0
+    untils: Sequence[Mapping[str, Any]] = ()
+    steps: Sequence[Mapping[str, Any]] = ()
+    prompts: Sequence[int] = ()
+    duration_s: float = 0.0
+    most_bytes: int = 0
+    fault: str = ""
+
+
+def read_plan(folder: Path) -> RunPlan:
+    """Read the plan of a run.
+
+    Parameters
+    ----------
+    folder
+        Run folder.
+
+    Returns
+    -------
+    RunPlan
+        Also if there is none, or it is damaged: then with ``fault``.
+    """
+    path = folder / PLAN
+    try:
+        with storage_errors(path):
+            plan = json.loads(path.read_text(encoding="utf-8"))
+        poses = {int(pose["index"]): pose for pose in plan["poses"]}
+        return RunPlan(
+            poses,
+            max(len(poses), int(plan.get("most_poses", 0))),
+            plan.get("untils", ()),
+            plan["steps"],
+            [int(step["number"]) for step in plan["steps"] if step["what"] == "prompt"],
+            float(plan["duration_s"]),
+            int(plan.get("most_bytes", 0)),
+        )
+    except StorageError as error:
+        return RunPlan(fault=f"{PLAN} cannot be read: {error.what}")
+    except (ValueError, KeyError, TypeError, AttributeError) as error:
+        return RunPlan(fault=f"{PLAN} is damaged, or another version wrote it ({error}).")

@@ -1,0 +1,227 @@
+"""One reader for all pages: a thread that looks at the journals which pages show, and wakes the pages.
+
+A journal is looked at 50 times a second by one call of the file system, and read only where it has grown. A run that no
+page shows is not looked at. The same message goes to all pages that have the same lines.
+"""
+
+from __future__ import annotations
+
+import json
+import threading
+import time
+from collections.abc import Callable, Mapping
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+from bench.base.failure import Failure
+from bench.panel.process_state import ProcessState, look_at_process
+from bench.panel.run_head import head_of
+from bench.panel.run_model import RunModel
+from bench.web.stream import Changes
+
+LOOK_S = 0.02
+"""Time between two looks at a journal, s."""
+PROCESS_S = 0.5
+"""Time between two looks at a run's process, s."""
+AGAIN_S = 5.0
+"""A run in progress is told again after this time, because its times change, s."""
+LINGER_S = 20.0
+"""A run without readers is kept for this time, s: a page that is loaded again finds it ready."""
+MOST_LOG_LINES = 300
+
+
+class RunWatch:
+    """One run that pages watch.
+
+    Parameters
+    ----------
+    folder
+        Run folder.
+    utc_now
+        Returns the present time, UTC.
+    """
+
+    def __init__(self, folder: Path, utc_now: Callable[[], datetime] = lambda: datetime.now(UTC)) -> None:
+        self.model = RunModel(folder)
+        self.process = ProcessState()
+        self.changes = Changes()
+        self.readers = 0
+        self.left_at_s = time.monotonic()
+        self.extras: dict[str, Any] = {}
+        """What the helper process has calculated: ``coverage``, ``forecast``."""
+        self.lock = threading.RLock()
+        self._utc_now = utc_now
+        self._process_at_s = self._told_at_s = float("-inf")
+        self._messages: dict[tuple[int, bool], str] = {}
+
+    def look(self, now_s: float) -> bool:
+        """Look at the run; wake the pages if anything is new.
+
+        Parameters
+        ----------
+        now_s
+            Time of a monotonic clock, s.
+
+        Returns
+        -------
+        bool
+            Whether there is more to read at once.
+        """
+        with self.lock:
+            new = self._refresh()
+            if new or now_s - self._process_at_s >= PROCESS_S:
+                new = self._look_at_process(now_s) or new
+            if now_s - self._told_at_s >= AGAIN_S and self.process.running:
+                new = True
+            if new:
+                self._messages.clear()
+                self._told_at_s = now_s
+            more = self.model.tail.more
+        if new:
+            self.changes.tell()
+        return more
+
+    def message(self, after: int, generation: int | None) -> tuple[str, int, int]:
+        """Return what is new after a line, as JSON.
+
+        Parameters
+        ----------
+        after
+            Number of lines that the page has; 0 for none.
+        generation
+            Generation of the journal that they are of; None if the page has another process's.
+
+        Returns
+        -------
+        text, lines, generation
+            The message; number of lines that the page has with it; and their generation.
+        """
+        with self.lock:
+            model = self.model
+            anew = after <= 0 or after > model.lines or generation not in {None, model.generation}
+            begin = 0 if anew else after
+            text = self._messages.get((begin, anew))
+            if text is None:
+                body = {
+                    "reset": anew,
+                    "since": begin,
+                    "line": model.lines,
+                    "head": head_of(model, self.process, self._utc_now()),
+                    "rows": model.changed_rows(begin),
+                    "log": model.log_after(begin, MOST_LOG_LINES),
+                    **self.extras,
+                }
+                text = self._messages[begin, anew] = json.dumps(body, separators=(",", ":"), allow_nan=False)
+            return text, model.lines, model.generation
+
+    def tell(self, extras: Mapping[str, Any]) -> None:
+        """Add what the helper process has calculated, and wake the pages.
+
+        Parameters
+        ----------
+        extras
+            New values by name.
+        """
+        with self.lock:
+            self.extras |= extras
+            self._messages.clear()
+        self.changes.tell()
+
+    def _refresh(self) -> bool:
+        try:
+            return self.model.refresh()
+        except Exception as error:  # noqa: BLE001 - one journal must not stop the thread that reads all of them
+            before, self.model.fault = self.model.fault, Failure.of(error).message
+            return before != self.model.fault
+
+    def _look_at_process(self, now_s: float) -> bool:
+        self._process_at_s = now_s
+        states = self.model.history.states
+        found = look_at_process(self.model.folder, states[-1]["state"] if states else "idle")
+        before, self.process = self.process, found
+        return _told_of(before) != _told_of(found)
+
+
+def _told_of(process: ProcessState) -> tuple[Any, ...]:
+    """Return what of a process's state is worth a message at once."""
+    return process.running, process.sealed, process.takes_commands, process.quiet_s is None, process.fault
+
+
+class Watcher:
+    """Looks at all runs that pages watch, in one thread."""
+
+    def __init__(self) -> None:
+        self._watches: dict[Path, RunWatch] = {}
+        self._lock = threading.Lock()
+        self._awake = threading.Event()
+        self._closing = False
+        self._thread = threading.Thread(target=self._run, name="journals", daemon=True)
+
+    def start(self) -> None:
+        """Begin to look."""
+        self._thread.start()
+
+    def close(self) -> None:
+        """Look no more."""
+        self._closing = True
+        self._awake.set()
+        if self._thread.is_alive():
+            self._thread.join()
+
+    def open(self, folder: Path) -> RunWatch:
+        """Watch a run for one more page. Reads the begin of its journal, so not for the server's own thread.
+
+        Parameters
+        ----------
+        folder
+            Run folder.
+
+        Returns
+        -------
+        RunWatch
+            The run; to be given back by `leave`.
+        """
+        with self._lock:
+            watch = self._watches.get(folder)
+            is_new = watch is None
+            if watch is None:
+                watch = self._watches[folder] = RunWatch(folder)
+            watch.readers += 1
+        if is_new:
+            watch.look(time.monotonic())
+        self._awake.set()
+        return watch
+
+    def leave(self, watch: RunWatch) -> None:
+        """Watch a run for one page fewer.
+
+        Parameters
+        ----------
+        watch
+            The run.
+        """
+        with self._lock:
+            watch.readers -= 1
+            watch.left_at_s = time.monotonic()
+
+    def _run(self) -> None:
+        while not self._closing:
+            watches = self._in_use()
+            if not watches:
+                self._awake.wait(LINGER_S)
+                self._awake.clear()
+                continue
+            begin_s = time.monotonic()
+            more = [watch.look(begin_s) for watch in watches]
+            if not any(more):
+                time.sleep(max(LOOK_S - (time.monotonic() - begin_s), LOOK_S / 4))
+
+    def _in_use(self) -> list[RunWatch]:
+        """Return the runs that pages watch; forget those that none has watched for a while."""
+        now_s = time.monotonic()
+        with self._lock:
+            for folder, watch in list(self._watches.items()):
+                if watch.readers <= 0 and now_s - watch.left_at_s > LINGER_S:
+                    del self._watches[folder]
+            return [watch for watch in self._watches.values() if watch.readers > 0]

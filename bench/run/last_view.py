@@ -1,0 +1,107 @@
+"""The picture of the last recording, for people who watch a run from another process.
+
+It is one file in ``control/`` of the run folder, no evidence: it is not synced, it is replaced with each recording, and
+it goes with ``control/`` when the run ends. If it cannot be written, the run goes on without it.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from bench.records.storage import TEMPORARY
+from bench.run.heartbeat import CONTROL
+
+if TYPE_CHECKING:
+    from bench.views.measure import Measurement
+
+LAST_VIEW = ".last-view"
+_DIGITS = 3
+
+
+@dataclass(frozen=True)
+class LastView:
+    """The picture of a recording.
+
+    Attributes
+    ----------
+    pose, attempt
+        Number of the pose and of the attempt, from 1.
+    ids
+        Ids of the N stars that were found.
+    points_px
+        Their places, N times [x, y], px, to a thousandth.
+    fault
+        Why no stars were found; empty if there are some.
+    png
+        The image as a PNG file.
+    """
+
+    pose: int
+    attempt: int
+    ids: Sequence[int]
+    points_px: Sequence[Sequence[float]]
+    fault: str
+    png: bytes
+
+
+def leave_view(folder: Path, pose: int, attempt: int, found: Measurement) -> None:
+    """Leave the picture of a recording for others; nothing happens if there is no image or nobody can be told.
+
+    Parameters
+    ----------
+    folder
+        Run folder.
+    pose, attempt
+        Number of the pose and of the attempt, from 1.
+    found
+        What the recording showed.
+    """
+    if found.image is None or not (folder / CONTROL).is_dir():
+        return
+    stars = (
+        {"ids": [], "points_px": []}
+        if found.view is None
+        else {
+            "ids": found.view.ids.tolist(),
+            "points_px": found.view.points_px.round(_DIGITS).tolist(),
+        }
+    )
+    head = json.dumps({"pose": pose, "attempt": attempt, "fault": found.fault, **stars})
+    path = folder / CONTROL / LAST_VIEW
+    part = path.with_name(f"{LAST_VIEW}{TEMPORARY}")
+    with suppress(OSError):
+        part.write_bytes(head.encode() + b"\n" + found.image.png)
+        part.replace(path)
+
+
+def read_last_view(folder: Path) -> LastView | None:
+    """Read the picture of the last recording of a run in progress.
+
+    Parameters
+    ----------
+    folder
+        Run folder.
+
+    Returns
+    -------
+    LastView or None
+        None if there is none.
+    """
+    try:
+        head, _, png = (folder / CONTROL / LAST_VIEW).read_bytes().partition(b"\n")
+        found = json.loads(head)
+        return LastView(
+            int(found["pose"]),
+            int(found["attempt"]),
+            [int(one) for one in found["ids"]],
+            [[float(x), float(y)] for x, y in found["points_px"]],
+            str(found["fault"]),
+            png,
+        )
+    except (OSError, ValueError, KeyError, TypeError):
+        return None
