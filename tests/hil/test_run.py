@@ -136,14 +136,14 @@ def test_calibrating_from_bare_captures_comes_within_the_uncertainty(finished, h
 
 
 KILLED = [
-    entering("homing"),
-    entering("recording", 2),
-    lambda line: line["event"] == "capture_stored" and line["pose"] == 2,
-    entering("reporting"),
+    pytest.param(entering("homing"), id="homing", marks=pytest.mark.slow),
+    pytest.param(entering("recording", 2), id="recording"),
+    pytest.param(lambda line: line["event"] == "capture_stored" and line["pose"] == 2, id="stored"),
+    pytest.param(entering("reporting"), id="reporting", marks=pytest.mark.slow),
 ]
 
 
-@pytest.mark.parametrize("reached", KILLED, ids=["homing", "recording", "stored", "reporting"])
+@pytest.mark.parametrize("reached", KILLED)
 def test_a_killed_run_resumes_to_the_same_numbers(finished, home, tmp_path, reached):
     _, _, undisturbed = finished
     folder = tmp_path / "killed"
@@ -157,7 +157,14 @@ def test_a_killed_run_resumes_to_the_same_numbers(finished, home, tmp_path, reac
     assert results(folder)["run"]["resumed"] == 1
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+@pytest.mark.parametrize(
+    "number",
+    [
+        signal.SIGINT,
+        pytest.param(signal.SIGTERM, marks=pytest.mark.slow),
+        pytest.param(signal.SIGHUP, marks=pytest.mark.slow),
+    ],
+)
 def test_a_signal_stops_the_run_safely_and_it_can_be_resumed(home, tmp_path, number):
     folder = tmp_path / "stopped"
     process = start("run", "three_pose", "-s", "simulated", "--seed", SEED, "-o", folder, home=home)
