@@ -15,9 +15,9 @@ class FakeStage:
     """Two axes, 10 degrees a second; every call that reaches the controllers is in ``calls``."""
 
     axes = ("pan", "tilt")
-    limits = {"pan": AxisLimits(-15, 15, 10, 100), "tilt": AxisLimits(-10, 10, 10, 100)}
 
     def __init__(self):
+        self.limits = {"pan": AxisLimits(-15, 15, 10, 100), "tilt": AxisLimits(-10, 10, 10, 100)}
         self.at = {"pan": 0.0, "tilt": 0.0}
         self.homed = True
         self.calls = []

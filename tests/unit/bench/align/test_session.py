@@ -171,7 +171,7 @@ def test_the_light_is_read_back_and_its_range_is_kept(opened):
     assert shown["read_back"]["high_v"] == pytest.approx(2.0)
     assert devices.light.calls[-1] == "on"
     before = list(devices.light.calls)
-    with pytest.raises(ControlRefused, match="frequency_hz 20000 is outside 0.1 to 10000"):
+    with pytest.raises(ControlRefused, match=r"frequency_hz 20000 is outside 0\.1 to 10000"):
         session.light(frequency_hz=20_000.0)
     with pytest.raises(ControlRefused, match="level_percent 0 is outside"):
         session.light(level_percent=0.0)

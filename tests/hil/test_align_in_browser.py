@@ -1,0 +1,199 @@
+"""The align page in a real browser: what a person sees, jogs, stops and writes down. Skipped where no Chromium is."""
+
+import os
+import re
+import shutil
+import time
+from pathlib import Path
+
+import pytest
+from align_fakes import fake_session, wait_until
+from pages import served
+
+from bench.align.app import align_app
+from bench.align.page_requests import PageFiles
+from bench.align.session import Session
+from bench.stations.devices import Devices
+from bench.stations.station import SHIPPED_STATIONS, load_station
+
+CHROMIUM = os.environ.get("STARBENCH_CHROMIUM", "/usr/bin/chromium")
+FLAGS = [
+    "--headless", "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run",
+    "--disable-background-networking", "--disable-component-update", "--disable-sync",
+]  # fmt: skip
+
+pytestmark = pytest.mark.skipif(not Path(CHROMIUM).exists(), reason=f"no Chromium at {CHROMIUM}")
+
+
+@pytest.fixture(scope="module")
+def chromium():
+    sync_api = pytest.importorskip("playwright.sync_api")
+    with sync_api.sync_playwright() as playwright:
+        browser = playwright.chromium.launch(executable_path=CHROMIUM, args=FLAGS)
+        yield browser
+        browser.close()
+
+
+class Tab:
+    """One tab of the browser; it notes errors of scripts and every host that it asks."""
+
+    def __init__(self, chromium, url, width=1280):
+        self.tab = chromium.new_page(viewport={"width": width, "height": 900})
+        self.errors, self.hosts = [], set()
+        self.tab.on("pageerror", lambda error: self.errors.append(str(error)))
+        self.tab.on(
+            "request", lambda request: self.hosts.add(re.sub(r"^blob:", "", request.url).split("/")[2])
+        )
+        self.tab.goto(url)
+
+    def wait(self, script, timeout_s=10.0):
+        wait_until(lambda: self.tab.evaluate(script), timeout_s)
+
+    def text(self, selector):
+        return self.tab.inner_text(selector)
+
+    def wait_text(self, selector, words, timeout_s=10.0):
+        wait_until(lambda: words in self.text(selector), timeout_s)
+
+    def close(self):
+        self.tab.close()
+        assert self.errors == []
+
+
+class Wire:
+    """Notes when something was sent to a port."""
+
+    def __init__(self):
+        self.sent = []
+
+    def record(self, _t_s, port, direction, data):
+        if direction == ">":
+            self.sent.append((time.time(), port, data))
+
+
+@pytest.fixture
+def bench(tmp_path):
+    path = tmp_path / "bench.yaml"
+    shutil.copy(SHIPPED_STATIONS / "simulated.yaml", path)
+    session, devices = fake_session(station=path)
+    session.open()
+    with served(align_app(session, PageFiles(str(path), tmp_path))) as server:
+        yield server, session, devices
+    session.close()
+
+
+def test_a_person_looks_jogs_stops_and_writes_down(chromium, bench, tmp_path):
+    server, session, devices = bench
+    one = Tab(chromium, server.url)
+    one.wait("alignStats.images > 1")
+    one.wait_text("#holder", "This page (page 1) has the controls")
+    assert devices.stage.calls == []  # opening, and looking, moves nothing
+
+    one.tab.click("[data-axis=pan] .plus")
+    one.wait_text("[data-axis=pan] .deg", "0.500°")
+    one.tab.select_option("#step", "5")
+    one.tab.click("[data-axis=tilt] .minus")
+    wait_until(lambda: devices.stage.at["tilt"] < 0)
+    one.tab.click("#stop")
+    assert session.bench.stage.moving is False or devices.stage.calls[-1] == "stop"
+    one.wait_text("#stage-state", "at rest")
+    assert -4.5 < devices.stage.at["tilt"] < 0
+
+    two = Tab(chromium, server.url)
+    two.wait_text("#holder", "Page 1")
+    assert two.tab.is_disabled("[data-axis=pan] .plus")
+    two.tab.click("#take")
+    one.wait_text("#holder", "Page 2")
+    two.close()
+
+    one.tab.click("#take")
+    one.wait("!document.querySelector('#light-on').disabled")
+    one.tab.fill("#level", "50")
+    one.tab.click("#light-on")
+    one.wait_text("#light-state", "on")
+    one.tab.uncheck("[value=biases]")
+    one.tab.click("#propose")
+    one.wait_text("#difference", "+  high_v: 2.5")
+    assert "high_v: 5" in (tmp_path / "bench.yaml").read_text()
+    one.tab.click("#write")
+    wait_until(lambda: "high_v: 2.5" in (tmp_path / "bench.yaml").read_text())
+
+    one.tab.select_option("#step", "5")
+    one.tab.click("[data-axis=pan] .plus")
+    wait_until(lambda: session.bench.stage.moving)
+    stops = devices.stage.stops
+    one.close()  # in motion
+    wait_until(lambda: devices.stage.stops > stops, 1.0)
+    assert one.hosts == {server.url.split("/")[2]}
+
+
+def test_a_reload_in_motion_stops_the_stage_and_the_page_comes_back_with_its_controls(chromium, bench):
+    server, session, devices = bench
+    one = Tab(chromium, server.url)
+    one.wait("alignStats.images > 0")
+    one.tab.select_option("#step", "5")
+    one.tab.click("[data-axis=pan] .plus")
+    wait_until(lambda: session.bench.stage.moving)
+    one.tab.reload()
+    wait_until(lambda: "stop" in devices.stage.calls, 1.0)
+    wait_until(lambda: not session.bench.stage.moving)
+    assert devices.stage.at["pan"] < 5
+    one.wait_text("#holder", "This page")
+    moves = [call for call in devices.stage.calls if call[0] == "move"]
+    time.sleep(0.3)
+    assert [call for call in devices.stage.calls if call[0] == "move"] == moves  # coming back moves nothing
+    one.close()
+
+
+def test_a_phone_shows_everything_and_nothing_is_cut(chromium, bench):
+    one = Tab(chromium, bench[0].url, width=390)
+    one.wait("alignStats.images > 0")
+    assert one.tab.evaluate("document.documentElement.scrollWidth") <= 390
+    box = one.tab.locator("#stop").bounding_box()
+    one.tab.evaluate("window.scrollTo(0, 1500)")
+    assert one.tab.locator("#stop").bounding_box() == box  # always in reach
+    one.close()
+
+
+@pytest.mark.slow
+def test_the_simulated_bench_is_aligned_in_the_browser(chromium, tmp_path):
+    """The whole way with real drivers: live image, home, light, jog; a stop reaches the wire in 50 ms."""
+    path = tmp_path / "bench.yaml"
+    shutil.copy(SHIPPED_STATIONS / "simulated.yaml", path)
+    wire = Wire()
+
+    def opener(station, seed, clock):
+        return Devices(station, seed=seed, clock=clock, wire_log=wire)
+
+    session = Session(load_station(str(path)), opener=opener)
+    assert session.open() is None
+    try:
+        with served(align_app(session, PageFiles(str(path), tmp_path))) as server:
+            one = Tab(chromium, server.url)
+            one.wait("alignStats.images > 0", 30)
+            one.tab.click("#home")
+            one.tab.click("#home-now")
+            wait_until(lambda: session.bench.stage.state.homed, 30)
+            one.tab.click("#light-on")
+            one.wait_text("#light-state", "on")
+            seen = session.picture().number
+            wait_until(lambda: session.picture().number > seen + 3, 30)
+            one.tab.click("[data-axis=pan] .plus")
+            one.wait_text("[data-axis=pan] .deg", "0.500°")
+            one.tab.select_option("#step", "5")
+            one.tab.evaluate("addEventListener('pointerdown', () => { window.pressed = Date.now(); }, true)")
+            one.tab.click("[data-axis=pan] .plus")
+            wait_until(lambda: session.bench.stage.moving)
+            one.tab.click("#stop")
+            wait_until(lambda: any(b"stop" in data for _, _, data in wire.sent))
+            stopped_s = next(t for t, _, data in wire.sent if b"stop" in data)
+            assert (
+                stopped_s - one.tab.evaluate("window.pressed") / 1e3 < 0.5
+            )  # on a busy computer; 50 ms on a free one
+            one.wait_text("#stage-state", "at rest")
+            one.tab.click("#check")
+            one.wait_text("#check-note", "ready for a run", 60)
+            one.close()
+    finally:
+        confirmed = session.close()
+    assert all(item.safe for item in confirmed)
