@@ -1,0 +1,133 @@
+"""The command around the align page: the URL first, a stop from the signal itself, and a word of every device."""
+
+import os
+import signal
+import threading
+import time
+
+import httpx
+import pytest
+from align_fakes import fake_session, wait_until
+
+from bench.align import serve
+from bench.base.errors import UsageError
+from drivers.errors import CameraBusy
+from sequences.errors import DocumentFaults
+
+
+def _interrupt_when(condition, *, first=lambda: None):
+    """Send SIGINT to this process as soon as a condition holds."""
+
+    def wait():
+        wait_until(condition)
+        first()
+        os.kill(os.getpid(), signal.SIGINT)
+
+    thread = threading.Thread(target=wait, daemon=True)
+    thread.start()
+    return thread
+
+
+def test_ctrl_c_stops_the_stage_at_once_and_every_device_confirms(monkeypatch, capsys):
+    session, devices = fake_session()
+    monkeypatch.setattr(serve, "make_session", lambda *_, **__: session)
+    asked = {}
+
+    def move():
+        session.light(on=True)
+        session.jog("pan", 5.0)
+        wait_until(lambda: devices.stage.at["pan"] > 0)
+        asked["s"] = time.monotonic()
+        real = devices.stage.stop
+
+        def stop():
+            asked.setdefault("stop_s", time.monotonic())
+            real()
+
+        devices.stage.stop = stop
+
+    thread = _interrupt_when(lambda: session.is_open, first=move)
+    before = signal.getsignal(signal.SIGINT)
+    assert serve.align_on_page("simulated", open_browser=False) == 0
+    thread.join()
+    assert asked["stop_s"] - asked["s"] < 0.5
+    assert devices.stage.at["pan"] < 5
+    assert not devices.light.lit
+    assert devices.closed
+    assert signal.getsignal(signal.SIGINT) is before
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[0].startswith("http://127.0.0.1:")
+    assert lines[-3:] == [
+        "stage: stopped; every axis stands.",
+        "light: off, as it reports itself.",
+        "camera: closed; it does not record.",
+    ]
+
+
+def test_a_device_that_does_not_confirm_is_shouted_and_the_status_is_1(monkeypatch, capsys):
+    session, devices = fake_session()
+    monkeypatch.setattr(serve, "make_session", lambda *_, **__: session)
+    devices.stage.stop_fails = True
+    _interrupt_when(lambda: session.is_open)
+    assert serve.align_on_page("simulated", open_browser=False) == 1
+    assert "CHECK THE BENCH: stage: NOT CONFIRMED" in capsys.readouterr().out
+
+
+def test_a_busy_camera_is_named_and_the_page_stays(monkeypatch, capsys):
+    session, _ = fake_session()
+    monkeypatch.setattr(serve, "make_session", lambda *_, **__: session)
+
+    def opener(*_):
+        raise CameraBusy("another program holds it.", where="camera", remedy="Close that program.")
+
+    session._opener = opener
+    _interrupt_when(lambda: session.state()["devices"]["state"] == "failed")
+    assert serve.align_on_page("simulated", open_browser=False) == 0
+    out = capsys.readouterr().out
+    assert "camera: another program holds it. Close that program." in out
+    assert out.splitlines()[-1] == "No device was open."
+
+
+def test_the_page_answers_while_the_devices_open(monkeypatch):
+    session, devices = fake_session()
+    monkeypatch.setattr(serve, "make_session", lambda *_, **__: session)
+    release, answers = threading.Event(), []
+
+    def opener(*_):
+        release.wait(5)
+        return devices
+
+    session._opener = opener
+    urls = []
+    monkeypatch.setattr(serve, "announce_url", urls.append)
+
+    def look():
+        answers.append(httpx.get(f"{urls[0]}state").json()["devices"]["state"])
+        release.set()
+
+    _interrupt_when(lambda: urls and session.state()["devices"]["state"] == "opening", first=look)
+    serve.align_on_page("simulated", open_browser=False)
+    assert answers == ["opening"]
+
+
+def test_settings_replace_values_of_the_station_file():
+    for path in ("camera.biases.bias_fo", "station.camera.biases.bias_fo"):
+        session = serve.make_session("simulated", [f"{path}=7"])
+        assert session.station.value.camera.biases.bias_fo == 7
+    with pytest.raises(UsageError, match="PATH=VALUE"):
+        serve.make_session("simulated", ["camera"])
+    with pytest.raises(DocumentFaults, match="bias_fo"):
+        serve.make_session("simulated", ["camera.biases.bias_fo=9999"])
+
+
+def test_a_station_without_a_light_is_named_before_anything_opens(tmp_path):
+    path = tmp_path / "bench.yaml"
+    path.write_text("format: starbench/station/1\nname: A\n")
+    with pytest.raises(DocumentFaults, match="light"):
+        serve.make_session(str(path))
+
+
+def test_other_computers_need_a_token(monkeypatch):
+    monkeypatch.delenv("STARBENCH_PAGE_TOKEN", raising=False)
+    with pytest.raises(UsageError, match="need a token"):
+        serve.align_on_page("simulated", host="0.0.0.0", open_browser=False)
