@@ -30,15 +30,20 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import log_ndtr
 
+from calib.model.rim_evidence import (
+    UNKNOWNS,
+    Evidence,
+    Sites,
+    bright_sites,
+    evidence_of,
+    reweighted,
+    with_sites,
+)
 from calib.view import RimPoints
 
 Array = NDArray[np.float64]
 
-#: Highest Fourier order of the edge's shape; order 1 is the centre.
-_ORDERS = 5
-_UNKNOWNS = 3 + 2 * (_ORDERS - 1)
 #: Grid of the 1-sigma scatters between views, as shares of the radius: centre, radius, coefficients of the shape. Each
 #: grid is even in the logarithm, from differences that do not matter to those of the published recordings.
 _CENTRE_SCATTERS = (0.003, 0.01, 0.03, 0.09, 0.2)
@@ -46,20 +51,24 @@ _RADIUS_SCATTERS = (0.001, 0.004, 0.018, 0.08)
 _SHAPE_SCATTERS = (0.0004, 0.0015, 0.005, 0.015, 0.04)
 #: Prior weight of a scatter: its power of this exponent. A few arcs cannot exclude large scatters, and sigmas would be
 #: too small on benches whose rims differ from view to view; where the rims are alike, the data decide.
-_SCATTER_POWER = 0.5
+_SCATTER_POWER = 1.0
+#: Power of the likelihood of the scatters. Views that look in neighbouring directions look through the same glass, so
+#: the nine views of a bench are about five independent ones.
+_LIKELIHOOD_POWER = 0.5
+#: Scatters of a smaller weight no longer take part after two rounds.
+_LEAST_WEIGHT = 1e-6
 #: Prior 1-sigma of what the views have in common: centre and radius as shares of the first guess, motion of the disc
 #: in mm per mm of the camera's look, and coefficients of the shape as shares of the radius.
 _CENTRE_PRIOR, _RADIUS_PRIOR, _WALK_PRIOR, _SHAPE_PRIOR = 0.6, 0.4, 0.3, 0.03
 #: Smallest 1-sigma of a point, mm: neighbouring points share errors of the map.
 _POINT_FLOOR_MM = 0.03
-#: 1-sigma of the border between bright and dark at a bright point of the frame's border, mm.
-_LIT_SIGMA_MM = 0.5
-#: Largest number of bright points of a view that take part, and the share of its new value that a site takes.
-_MOST_BRIGHT, _DAMPING = 30, 0.5
-_ROUNDS, _SETTLED_MM = 12, 1e-3
+#: Largest number of bright points of a view that take part.
+_MOST_BRIGHT = 30
+_ROUNDS, _SETTLED_MM = 20, 1e-3
 #: The same for the fits that average over the scatters.
-_FINAL_ROUNDS, _FINAL_SETTLED_MM = 6, 0.02
-_HUBER = 2.5
+_FINAL_ROUNDS, _FINAL_SETTLED_MM = 10, 0.02
+#: Share of a step that is taken. Whole steps run away where a short arc does not tell its shape from its centre.
+_STEP = 0.5
 #: Scatters, as shares of the radius, with which the fit starts: centre, radius, shape.
 _FIRST_SCATTERS = (0.12, 0.05, 0.03)
 
@@ -102,28 +111,6 @@ class DiscMotion:
 
     matrix: Array
     covariance: Array
-
-
-class _Evidence(NamedTuple):
-    """What the rim points of all views say about their unknowns, linearised.
-
-    Attributes
-    ----------
-    information
-        (V, P, P) Fisher information of the unknowns of each view.
-    product
-        (V, P) normal equations' right sides: information times the best unknowns.
-    """
-
-    information: Array
-    product: Array
-
-
-class _Sites(NamedTuple):
-    """Gaussian sites of the bright points of a view, (L,) precisions and (L,) precisions times means, of the gap."""
-
-    precision: Array
-    shift: Array
 
 
 class _Posterior(NamedTuple):
@@ -209,32 +196,20 @@ def fit_rims_and_motion(
     points = [rim.points_mm - middle_mm for rim in rims]
     bright = [rim.lit_mm[:: 1 + len(rim.lit_mm) // _MOST_BRIGHT] - middle_mm for rim in rims]
     sigmas = [np.hypot(rim.sigmas_mm, _POINT_FLOOR_MM) for rim in rims]
-    sites = [_Sites(np.zeros(len(own)), np.zeros(len(own))) for own in bright]
-    means = np.zeros((len(rims), _UNKNOWNS))
-    means[:, 2] = reach_mm
-    weights, scatters = sigmas, _scatters(reach_mm, *_FIRST_SCATTERS)
-    for round_ in range(_ROUNDS):
-        evidence = _evidence(points, weights, means)
-        found = _posterior(_with_sites(evidence, bright, sites, means), scatters, common)
-        sites = [
-            _bright_sites(own, site, mean, covariance, about)
-            for own, site, mean, covariance, about in zip(
-                bright, sites, found.mean, found.covariance, means, strict=True
-            )
-        ]
-        moved = float(np.abs(found.mean[:, :2] - means[:, :2]).max())
-        means = _with_common_shape(found)
-        if round_ > 0:
-            weights = _reweighted(points, sigmas, evidence, found)
-        if moved < _SETTLED_MM and round_ > 1:
+    weights, sites, means = _start(points, bright, sigmas, reach_mm, common)
+    grid = [
+        _scatters(reach_mm, *shares)
+        for shares in product(_CENTRE_SCATTERS, _RADIUS_SCATTERS, _SHAPE_SCATTERS)
+    ]
+    for round_ in range(_FINAL_ROUNDS):
+        evidence = evidence_of(points, weights, means)
+        whole = with_sites(evidence, bright, sites, means)
+        found, own, likely = _averaged(evidence, whole, reach_mm, common, grid)
+        step = found.mean - means
+        means = means + _STEP * step
+        if np.abs(step[:, :2]).max() < _FINAL_SETTLED_MM:
             break
-    for _ in range(_FINAL_ROUNDS):  # about the averaged means: the scatters above only start the fit
-        evidence = _evidence(points, weights, means)
-        found, own = _averaged(evidence, _with_sites(evidence, bright, sites, means), reach_mm, common)
-        moved = float(np.abs(found.mean[:, :2] - means[:, :2]).max())
-        means = _with_common_shape(found)
-        if moved < _FINAL_SETTLED_MM:
-            break
+        grid = likely if round_ > 0 else grid
     discs = []
     for i, rim in enumerate(rims):
         covariance = found.covariance[i, :2, :2] + rim.level_sigma_mm**2 * np.eye(2)
@@ -244,10 +219,36 @@ def fit_rims_and_motion(
     return discs, DiscMotion(found.shared[motion].reshape(2, 2), found.shared_covariance[motion, motion])
 
 
+def _start(
+    points: Sequence[Array],
+    bright: Sequence[Array],
+    sigmas: Sequence[Array],
+    reach_mm: float,
+    common: _Common,
+) -> tuple[list[Array], list[Sites], Array]:
+    """Fit with large scatters between views: return sigmas of the points, sites of the bright points, and unknowns."""
+    sites = [Sites(np.zeros(len(own)), np.zeros(len(own))) for own in bright]
+    means = np.zeros((len(points), UNKNOWNS))
+    means[:, 2] = reach_mm
+    weights, scatters = list(sigmas), _scatters(reach_mm, *_FIRST_SCATTERS)
+    for round_ in range(_ROUNDS):
+        evidence = evidence_of(points, weights, means)
+        found = _posterior(with_sites(evidence, bright, sites, means), scatters, common)
+        views = zip(bright, sites, found.mean, found.covariance, means, strict=True)
+        sites = [bright_sites(*one) for one in views]
+        step = found.mean - means
+        means = means + (_STEP if round_ > 0 else 1.0) * step
+        if round_ > 0:
+            weights = reweighted(points, sigmas, evidence, found.mean, found.covariance)
+        if np.abs(step[:, :2]).max() < _SETTLED_MM and round_ > 1:
+            break
+    return weights, sites, means
+
+
 def _common(looks_mm: Array, reach_mm: float) -> _Common:
     """Return how unknowns follow from the common values: centre, motion of the centre, radius, shape."""
-    views, shapes = len(looks_mm), _UNKNOWNS - 3
-    designs = np.zeros((views, _UNKNOWNS, 7 + shapes))
+    views, shapes = len(looks_mm), UNKNOWNS - 3
+    designs = np.zeros((views, UNKNOWNS, 7 + shapes))
     designs[:, 0, 0] = designs[:, 1, 1] = 1.0
     designs[:, 0, 2:4] = designs[:, 1, 4:6] = looks_mm
     designs[:, 2:, 6:] = np.eye(1 + shapes)
@@ -266,46 +267,10 @@ def _common(looks_mm: Array, reach_mm: float) -> _Common:
 
 def _scatters(reach_mm: float, centre: float, radius: float, shape: float) -> Array:
     """Return the (P,) 1-sigma scatters of the unknowns between views, mm, from shares of the radius."""
-    return reach_mm * np.array([centre, centre, radius, *[shape] * (_UNKNOWNS - 3)])
+    return reach_mm * np.array([centre, centre, radius, *[shape] * (UNKNOWNS - 3)])
 
 
-def _design(points: Array, about: Array) -> tuple[Array, Array]:
-    """Return the (K, P) derivatives of the points' distances, and the (K,) linearised distances.
-
-    ``about`` are the (P,) unknowns at which the distances are linearised. With the direction u of a point from the
-    centre, the direction t across it, and n = u - shape'(phi) t / distance, distance + n . centre = n . c + R +
-    shape(phi).
-    """
-    away = points - about[:2]
-    rho = np.maximum(np.hypot(*away.T), 1e-9)
-    u = away / rho[:, None]
-    orders = np.arange(2, _ORDERS + 1)
-    phi = np.arctan2(u[:, 1], u[:, 0])[:, None] * orders
-    waves = np.stack([np.cos(phi), np.sin(phi)], axis=-1).reshape(len(points), _UNKNOWNS - 3)
-    slopes = np.stack([-orders * np.sin(phi), orders * np.cos(phi)], axis=-1).reshape(waves.shape) @ about[3:]
-    n = u - (slopes / rho)[:, None] * np.column_stack([-u[:, 1], u[:, 0]])
-    return np.column_stack([n, np.ones(len(points)), waves]), rho + n @ about[:2]
-
-
-def _with_common_shape(found: _Posterior) -> Array:
-    """Return the (V, P) unknowns about which to linearise: a short arc does not show the slopes of its own edge."""
-    about = found.mean.copy()
-    about[:, 3:] = found.shared[7:]
-    return about
-
-
-def _evidence(points: Sequence[Array], sigmas: Sequence[Array], means: Array) -> _Evidence:
-    """Linearise the points of all views about the (V, P) unknowns."""
-    information = np.zeros((len(points), _UNKNOWNS, _UNKNOWNS))
-    product = np.zeros((len(points), _UNKNOWNS))
-    for i, (own, sigma, about) in enumerate(zip(points, sigmas, means, strict=True)):
-        design, distance = _design(own, about)
-        weighted = design / sigma[:, None] ** 2
-        information[i], product[i] = weighted.T @ design, weighted.T @ distance
-    return _Evidence(information, product)
-
-
-def _posterior(evidence: _Evidence, scatters: Array, common: _Common) -> _Posterior:
+def _posterior(evidence: Evidence, scatters: Array, common: _Common) -> _Posterior:
     """Return the posterior of all unknowns for given scatters, averaged over the common values.
 
     Linear Gaussian model of Lindley and Smith (1972): with information J, product z, scatter S and A = J + S^-1, the
@@ -331,16 +296,16 @@ def _posterior(evidence: _Evidence, scatters: Array, common: _Common) -> _Poster
 
 
 def _averaged(
-    points_only: _Evidence, evidence: _Evidence, reach_mm: float, common: _Common
-) -> tuple[_Posterior, Array]:
-    """Average the posterior over the grid of scatters; return also the (V,) sigmas of the views' own centres, mm."""
-    grid = [
-        _scatters(reach_mm, *shares)
-        for shares in product(_CENTRE_SCATTERS, _RADIUS_SCATTERS, _SHAPE_SCATTERS)
-    ]
+    points_only: Evidence, evidence: Evidence, reach_mm: float, common: _Common, grid: Sequence[Array]
+) -> tuple[_Posterior, Array, list[Array]]:
+    """Average the posterior over a grid of scatters.
+
+    Return also the (V,) sigmas of the views' own centres, mm, and the scatters that are not excluded. The likelihood
+    enters by a power below 1 (SafeBayes; Grünwald and van Ommen, 2017), because views are not independent.
+    """
     every = [_posterior(evidence, scatters, common) for scatters in grid]
     preference = [_SCATTER_POWER * float(np.log(s[[0, 2, 3]]).sum()) for s in grid]
-    logs = np.array([one.log_likelihood for one in every]) + preference
+    logs = _LIKELIHOOD_POWER * np.array([one.log_likelihood for one in every]) + preference
     weights = np.exp(logs - logs.max())
     weights /= weights.sum()
     kept = weights > 1e-4
@@ -354,7 +319,7 @@ def _averaged(
     for w, scatters in zip(share, [s for s, keep in zip(grid, kept, strict=True) if keep], strict=True):
         own += w * _own_variance(points_only, scatters, reach_mm)
     found = _Posterior(mean, covariance, shared, shared_covariance, float(logs.max()))
-    return found, np.sqrt(own)
+    return found, np.sqrt(own), [s for s, w in zip(grid, weights, strict=True) if w > _LEAST_WEIGHT]
 
 
 def _mixed(weights: Array, means: Sequence[Array], covariances: Sequence[Array]) -> tuple[Array, Array]:
@@ -366,72 +331,10 @@ def _mixed(weights: Array, means: Sequence[Array], covariances: Sequence[Array])
     return mean, within + np.einsum("w,w...i,w...j->...ij", weights, off, off)
 
 
-def _own_variance(evidence: _Evidence, scatters: Array, reach_mm: float) -> Array:
+def _own_variance(evidence: Evidence, scatters: Array, reach_mm: float) -> Array:
     """Return the (V,) variances of the centres, mm^2, of circles located by each view alone."""
     loose = scatters**-2.0
     loose[3:] = (_SHAPE_SCATTERS[0] * reach_mm) ** -2.0
     loose[:2] = (2.0 * reach_mm) ** -2.0
     covariance = np.linalg.inv(evidence.information + np.diag(loose))
     return np.asarray(np.linalg.eigvalsh(covariance[:, :2, :2])[:, -1])
-
-
-def _reweighted(
-    points: Sequence[Array], sigmas: Sequence[Array], evidence: _Evidence, found: _Posterior
-) -> list[Array]:
-    """Return the (K,) sigmas of the points of each view, enlarged to what the residuals show, and for outliers.
-
-    The added noise is the robust spread of the residuals (median absolute deviation over 0.6745) that the points' own
-    sigmas do not explain, enlarged for the fitted unknowns. Weights of outliers are Huber's (1981).
-    """
-    off = []
-    for own, mean in zip(points, found.mean, strict=True):
-        design, distance = _design(own, mean)
-        off.append(distance - design @ mean)
-    every = np.concatenate(off)
-    if not len(every):
-        return list(sigmas)
-    used = float(np.einsum("vij,vji->", evidence.information, found.covariance))
-    spare = max(1.0 - used / len(every), 0.2)
-    spread = (float(np.median(np.abs(every))) / 0.6745) ** 2 / spare
-    added = max(spread - float(np.median(np.concatenate(sigmas))) ** 2, 0.0)
-    out = []
-    for own, sigma in zip(off, sigmas, strict=True):
-        whole = np.sqrt(sigma**2 + added)
-        out.append(whole * np.sqrt(np.maximum(np.abs(own) / (_HUBER * whole), 1.0)))
-    return out
-
-
-def _with_sites(
-    evidence: _Evidence, bright: Sequence[Array], sites: Sequence[_Sites], means: Array
-) -> _Evidence:
-    """Add what the bright points of the frame's border say, by their Gaussian sites."""
-    information, product = evidence.information.copy(), evidence.product.copy()
-    for i, (own, site, about) in enumerate(zip(bright, sites, means, strict=True)):
-        design, distance = _design(own, about)
-        information[i] += (design.T * site.precision) @ design
-        product[i] += design.T @ (site.shift + site.precision * distance)
-    return _Evidence(information, product)
-
-
-def _bright_sites(bright: Array, sites: _Sites, mean: Array, covariance: Array, about: Array) -> _Sites:
-    """Return better Gaussian sites for bright points, each a factor Phi((rim - point) / sigma).
-
-    Expectation propagation (Minka, 2001) with all sites at once and damping; moments of the probit factor: Rasmussen
-    and Williams (2006), section 3.6.
-    """
-    design, distance = _design(bright, about)
-    gap = design @ mean - distance
-    variance = np.einsum("ki,ij,kj->k", design, covariance, design)
-    alone = 1.0 / np.maximum(1.0 / variance - sites.precision, 1e-3 / variance)
-    gap_alone = alone * (gap / variance - sites.shift)
-    whole = alone + _LIT_SIGMA_MM**2
-    z = gap_alone / np.sqrt(whole)
-    ratio = np.exp(-0.5 * z * z - log_ndtr(z)) / np.sqrt(2.0 * np.pi)
-    matched = alone - alone**2 * ratio * (z + ratio) / whole
-    matched_gap = gap_alone + alone * ratio / np.sqrt(whole)
-    precision = np.maximum(1.0 / matched - 1.0 / alone, 0.0)
-    shift = matched_gap / matched - gap_alone / alone
-    return _Sites(
-        sites.precision + _DAMPING * (precision - sites.precision),
-        sites.shift + _DAMPING * (shift - sites.shift),
-    )

@@ -1,0 +1,208 @@
+"""What the rims of the views say about their discs, linearised: information and right sides of normal equations.
+
+A view has the unknowns centre, mean radius and Fourier coefficients of its edge (`calib.model.rim_fit`). Points of the
+rim say where it is. Bright points at the border of the frame say where it is not; they enter as Gaussian sites by
+expectation propagation (Minka, 2001).
+
+The module uses the views one by one; it knows nothing of what they have in common.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import log_ndtr
+
+Array = NDArray[np.float64]
+
+#: Highest Fourier order of the edge's shape; order 1 is the centre.
+_ORDERS = 5
+UNKNOWNS = 3 + 2 * (_ORDERS - 1)
+"""Number of unknowns of a view: centre x and y, mean radius, cosine and sine of each order of the shape, all in mm."""
+#: 1-sigma of the border between bright and dark at a bright point of the frame's border, mm.
+_LIT_SIGMA_MM = 0.5
+#: Share of its new value that a site takes.
+_DAMPING = 0.5
+_HUBER = 2.5
+
+
+class Evidence(NamedTuple):
+    """What the rim points of all views say about their unknowns, linearised.
+
+    Attributes
+    ----------
+    information
+        (V, P, P) Fisher information of the unknowns of each view.
+    product
+        (V, P) normal equations' right sides: information times the best unknowns.
+    """
+
+    information: Array
+    product: Array
+
+
+class Sites(NamedTuple):
+    """Gaussian sites of the bright points of a view, (L,) precisions and (L,) precisions times means, of the gap."""
+
+    precision: Array
+    shift: Array
+
+
+def _linearised(points: Array, about: Array) -> tuple[Array, Array]:
+    """Return the (K, P) derivatives of the points' distances, and the (K,) linearised distances.
+
+    ``about`` are the (P,) unknowns at which the distances are linearised. With the direction u of a point from the
+    centre, the direction t across it, and n = u - shape'(phi) t / distance, distance + n . centre = n . c + R +
+    shape(phi).
+    """
+    away = points - about[:2]
+    rho = np.maximum(np.hypot(*away.T), 1e-9)
+    u = away / rho[:, None]
+    orders = np.arange(2, _ORDERS + 1)
+    phi = np.arctan2(u[:, 1], u[:, 0])[:, None] * orders
+    waves = np.stack([np.cos(phi), np.sin(phi)], axis=-1).reshape(len(points), UNKNOWNS - 3)
+    slopes = np.stack([-orders * np.sin(phi), orders * np.cos(phi)], axis=-1).reshape(waves.shape) @ about[3:]
+    n = u - (slopes / rho)[:, None] * np.column_stack([-u[:, 1], u[:, 0]])
+    return np.column_stack([n, np.ones(len(points)), waves]), rho + n @ about[:2]
+
+
+def evidence_of(points: Sequence[Array], sigmas: Sequence[Array], means: Array) -> Evidence:
+    """Return what the points of all views say about the unknowns of the views.
+
+    One step of Gauss-Newton (Björck, 1996, section 9.2), not solved yet.
+
+    Parameters
+    ----------
+    points
+        (K, 2) float64 points of the rim for each view, mm.
+    sigmas
+        (K,) float64 1-sigma of the points for each view, mm.
+    means
+        (V, P) float64, mm, unknowns about which the distances are linearised.
+
+    Returns
+    -------
+    Evidence
+        Information and right sides.
+    """
+    information = np.zeros((len(points), UNKNOWNS, UNKNOWNS))
+    product = np.zeros((len(points), UNKNOWNS))
+    for i, (own, sigma, about) in enumerate(zip(points, sigmas, means, strict=True)):
+        design, distance = _linearised(own, about)
+        weighted = design / sigma[:, None] ** 2
+        information[i], product[i] = weighted.T @ design, weighted.T @ distance
+    return Evidence(information, product)
+
+
+def reweighted(
+    points: Sequence[Array], sigmas: Sequence[Array], evidence: Evidence, means: Array, covariances: Array
+) -> list[Array]:
+    """Return the sigmas of the points, enlarged to what the residuals show, and for outliers.
+
+    The added noise is the robust spread of the residuals (median absolute deviation over 0.6745) that the points' own
+    sigmas do not explain, enlarged for the fitted unknowns. Weights of outliers are Huber's (1981).
+
+    Parameters
+    ----------
+    points
+        (K, 2) float64 points of the rim for each view, mm.
+    sigmas
+        (K,) float64 1-sigma of the points for each view, mm, without enlargement.
+    evidence
+        What the points said with their last sigmas.
+    means, covariances
+        (V, P) and (V, P, P) float64, mm and mm^2, the unknowns that were found.
+
+    Returns
+    -------
+    list of Array
+        (K,) float64 1-sigma of the points for each view, mm.
+    """
+    off = []
+    for own, mean in zip(points, means, strict=True):
+        design, distance = _linearised(own, mean)
+        off.append(distance - design @ mean)
+    every = np.concatenate(off)
+    if not len(every):
+        return list(sigmas)
+    used = float(np.einsum("vij,vji->", evidence.information, covariances))
+    spare = max(1.0 - used / len(every), 0.2)
+    spread = (float(np.median(np.abs(every))) / 0.6745) ** 2 / spare
+    added = max(spread - float(np.median(np.concatenate(sigmas))) ** 2, 0.0)
+    out = []
+    for own, sigma in zip(off, sigmas, strict=True):
+        whole = np.sqrt(sigma**2 + added)
+        out.append(whole * np.sqrt(np.maximum(np.abs(own) / (_HUBER * whole), 1.0)))
+    return out
+
+
+def with_sites(evidence: Evidence, bright: Sequence[Array], sites: Sequence[Sites], means: Array) -> Evidence:
+    """Add what the bright points of the frame's border say.
+
+    Product of Gaussian factors (Minka, 2001).
+
+    Parameters
+    ----------
+    evidence
+        What the points of the rims say.
+    bright
+        (L, 2) float64 bright points for each view, mm.
+    sites
+        Their Gaussian sites for each view.
+    means
+        (V, P) float64, mm, unknowns about which the distances are linearised.
+
+    Returns
+    -------
+    Evidence
+        Sum of both.
+    """
+    information, product = evidence.information.copy(), evidence.product.copy()
+    for i, (own, site, about) in enumerate(zip(bright, sites, means, strict=True)):
+        design, distance = _linearised(own, about)
+        information[i] += (design.T * site.precision) @ design
+        product[i] += design.T @ (site.shift + site.precision * distance)
+    return Evidence(information, product)
+
+
+def bright_sites(bright: Array, sites: Sites, mean: Array, covariance: Array, about: Array) -> Sites:
+    """Return better Gaussian sites for bright points, each a factor Phi((rim - point) / sigma).
+
+    Expectation propagation (Minka, 2001) with all sites at once and damping; moments of the probit factor: Rasmussen
+    and Williams (2006), section 3.6.
+
+    Parameters
+    ----------
+    bright
+        (L, 2) float64 bright points of a view, mm.
+    sites
+        Their Gaussian sites so far.
+    mean, covariance
+        (P,) and (P, P) float64, mm and mm^2, unknowns of the view with these sites.
+    about
+        (P,) float64, mm, unknowns about which the distances are linearised.
+
+    Returns
+    -------
+    Sites
+        Sites that match mean and variance of the factors, damped.
+    """
+    design, distance = _linearised(bright, about)
+    gap = design @ mean - distance
+    variance = np.einsum("ki,ij,kj->k", design, covariance, design)
+    alone = 1.0 / np.maximum(1.0 / variance - sites.precision, 1e-3 / variance)
+    gap_alone = alone * (gap / variance - sites.shift)
+    whole = alone + _LIT_SIGMA_MM**2
+    z = gap_alone / np.sqrt(whole)
+    ratio = np.exp(-0.5 * z * z - log_ndtr(z)) / np.sqrt(2.0 * np.pi)
+    matched = alone - alone**2 * ratio * (z + ratio) / whole
+    matched_gap = gap_alone + alone * ratio / np.sqrt(whole)
+    precision = np.maximum(1.0 / matched - 1.0 / alone, 0.0)
+    shift = matched_gap / matched - gap_alone / alone
+    return Sites(
+        sites.precision + _DAMPING * (precision - sites.precision),
+        sites.shift + _DAMPING * (shift - sites.shift),
+    )
