@@ -58,6 +58,7 @@ def align_app(session: Session, files: PageFiles | None = None) -> Starlette:
             Route("/image", pages.image),
             Route("/state", pages.state),
             Route("/files", pages.files),
+            Route("/course", pages.course),
             Route("/do/{what}", pages.do, methods=["POST"]),
         ],
         assets=PAGE,
@@ -81,6 +82,11 @@ class _Pages:
 
     async def files(self, _request: Request) -> Response:
         return JSONResponse(self._files.as_data())
+
+    async def course(self, _request: Request) -> Response:
+        session = self._session
+        found = session.bench.loop.course() if session.is_open else []
+        return JSONResponse({"edge_width_px": [[round(t, 3), round(w, 3)] for t, w in found]})
 
     async def image(self, _request: Request) -> Response:
         picture = self._session.picture()

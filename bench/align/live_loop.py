@@ -116,8 +116,10 @@ class LiveLoop:
         self._waiting: _Slice | None = None
         self._tasks: deque[tuple[Callable[[], Any], Future[Any]]] = deque()
         self._closing = False
+        self._forget_asked = False
         self._times_s: deque[float] = deque(maxlen=200)
         self._star_times_s: deque[tuple[float, float]] = deque(maxlen=200)
+        self._course: deque[tuple[float, float]] = deque(maxlen=2400)
         self.latest = LivePicture()
         """The newest picture."""
         self.failure: Failure | None = None
@@ -158,8 +160,19 @@ class LiveLoop:
         return future
 
     def forget(self) -> None:
-        """Forget the course of the focus."""
-        self._meter.forget()
+        """Forget the course of the focus, before the next slice is measured."""
+        self._forget_asked = True
+        self._course.clear()
+
+    def course(self) -> list[tuple[float, float]]:
+        """Return the course of the focus.
+
+        Returns
+        -------
+        list of (float, float)
+            Time of each slice in which it was measured, s, and edge width, px.
+        """
+        return list(self._course)
 
     def images_per_s(self) -> float:
         """Return how many pictures came in a second, over the last seconds.
@@ -277,6 +290,9 @@ class LiveLoop:
 
     def _publish(self, part: _Slice) -> None:
         started_s = time.monotonic()
+        if self._forget_asked:
+            self._forget_asked = False
+            self._meter.forget()
         live_slice = LiveSlice(part.path, part.time_s, part.facts, part.reading_deg)
         image, figures = self._meter.measure(live_slice, part.setting)
         coded, jpeg = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY])
@@ -291,6 +307,9 @@ class LiveLoop:
             (now_s - started_s) * 1e3,
         )
         self._times_s.append(now_s)
+        width_px = figures.focus.get("edge_width_px")
+        if isinstance(width_px, int | float):
+            self._course.append((figures.time_s, float(width_px)))
         searched_s = figures.stars_time_s
         if searched_s is not None and (not self._star_times_s or self._star_times_s[-1][1] != searched_s):
             self._star_times_s.append((now_s, searched_s))

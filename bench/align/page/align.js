@@ -2,7 +2,7 @@
 // Nothing is sent to the devices when the page opens, reloads or reconnects.
 import { el, fill, get, listen, post, setText } from "/assets/bench.js";
 import { draw } from "/assets/own/overlay.js";
-import { forgetCourse, showFigures } from "/assets/own/figures.js";
+import { beginCourse, forgetCourse, showFigures } from "/assets/own/figures.js";
 
 const at = (id) => document.getElementById(id);
 const page = ownId();
@@ -320,6 +320,7 @@ async function write() {
     at("change").close();
     toast(`Written: ${done.file}`);
     loadFiles();
+get("/course").then((found) => beginCourse(found.edge_width_px)).catch(() => {});
   } catch (error) { setText(at("change-error"), error.message); }
 }
 
@@ -391,3 +392,4 @@ const beat = new Worker("/assets/own/beat.js");
 beat.postMessage(page);
 listen(`/stream?page=${page}`, { state: showState, picture: showPicture });
 loadFiles();
+get("/course").then((found) => beginCourse(found.edge_width_px)).catch(() => {});

@@ -26,15 +26,17 @@ export function showFigures(f) {
     ["Image", f.image_kind === "none" ? null : f.image_kind, ""],
   ]);
   showFocus(f);
-  const turn = f.turn || {};
-  setText(at("turn-of"), turn.of ? `by the ${turn.of}` : "");
-  const unit = turn.unit || "°";
+  const turn = f.turn || {}, inPx = turn.unit === "px";
+  setText(at("turn-of"), turn.of ? `to bring the ${turn.of} to the middle` : "");
   table(at("turn"), [
-    ["Pan", signed(turn.pan_deg, 2), unit], ["Tilt", signed(turn.tilt_deg, 2), unit],
+    inPx ? ["It must move right by", signed(turn.right_px, 0), "px"] : ["Turn pan by", signed(turn.pan_deg, 2), "°"],
+    inPx ? ["It must move up by", signed(turn.up_px, 0), "px"] : ["Turn tilt by", signed(turn.tilt_deg, 2), "°"],
     ["Roll to the pixels", signed(turn.roll_deg, 1), "°"],
+    ["Roll it by", turn.roll_by_deg === 0 ? "enough" : signed(turn.roll_by_deg, 1), "°"],
     ["Frame in the beam", percent(f.beam_share), "%"],
     ["Rim of the beam", f.rim_in_view === null || f.rim_in_view === undefined ? null : f.rim_in_view ? "in view" : "not in view", ""],
   ]);
+  setText(at("rim-poses"), turn.rim_poses || "");
 }
 
 function table(holder, rows) {
@@ -44,7 +46,7 @@ function table(holder, rows) {
   rows.forEach(([name, value, unit], i) => {
     const cell = holder.children[i], known = value !== null && value !== undefined;
     setText(cell.querySelector(".value"), known ? value : "–");
-    setText(cell.querySelector("small"), known && unit ? ` ${unit}` : "");
+    setText(cell.querySelector("small"), known && unit && value !== "enough" ? ` ${unit}` : "");
     setText(cell.lastChild, name);
   });
 }
@@ -55,7 +57,7 @@ function showFocus(f) {
     const last = course[course.length - 1];
     if (last && f.time_s < last[0]) course.length = 0; // the session began anew
     if (!last || last[0] !== f.time_s) course.push([f.time_s, width]);
-    if (course.length > 600) course.shift();
+    if (course.length > 2400) course.shift();
   }
   best = typeof focus.best_edge_width_px === "number" ? focus.best_edge_width_px
     : course.length ? Math.min(...course.map(([, w]) => w)) : null;
@@ -68,6 +70,12 @@ function showFocus(f) {
   setText(at("focus-note"), "smaller edges are sharper");
   drawCourse(f.time_s);
   drawRegions(focus.regions, focus.tilt);
+}
+
+/** Take over the course that the server has, after a reload. */
+export function beginCourse(points) {
+  const first = course.length ? course[0][0] : Infinity;
+  course.unshift(...points.filter(([t]) => t < first));
 }
 
 /** Forget the course, as the server does. */
@@ -111,8 +119,8 @@ function drawRegions(regions, tilt) {
     const isWorst = known.length > 1 && value === worst && worst > 1.15 * least;
     parts.push(el("text", { x, y: y + 5, "text-anchor": "middle", "font-size": 14, "font-weight": 650, style: isWorst ? "fill: var(--warn)" : "" }, typeof value === "number" ? value.toFixed(2) : "–"));
   }
-  if (typeof tilt === "string") parts.push(el("title", {}, tilt));
   fill(svg, ...parts);
+  setText(at("tilt"), typeof tilt === "string" ? tilt : "");
 }
 
 function regionValues(regions, places) {
