@@ -22,6 +22,7 @@ from bench.commands.engine_commands import ENGINE_COMMANDS
 from bench.commands.help_text import Sections, complete
 from bench.commands.options import JSON, RUN, SEED, ExistingFile, NewFile, OutputFolder, RunFolder
 from bench.commands.run_commands import RUN_COMMANDS
+from bench.commands.target_commands import TARGET_COMMANDS
 
 _SET = click.option(
     "--set",
@@ -294,6 +295,8 @@ for engine_command in ENGINE_COMMANDS:
 for run_command in (*RUN_COMMANDS, *BATCH_COMMANDS):
     cli.add_command(run_command)
 cli.add_command(align)
+for target_command in TARGET_COMMANDS:
+    cli.add_command(target_command)
 complete(cli)
 
 

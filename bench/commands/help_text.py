@@ -14,7 +14,7 @@ SECTIONS = {
     "While it runs, from another terminal": ("status", "hold", "release", "skip", "abort", "answer"),
     "Many runs": ("batch", "rehearse", "runs", "messages"),
     "Without devices": ("calibrate", "passport", "rig", "study", "convert"),
-    "The bench": ("devices", "station", "simulate", "keys", "schema"),
+    "The bench": ("devices", "station", "target", "simulate", "keys", "schema"),
 }
 
 EXAMPLES = {
@@ -73,6 +73,15 @@ EXAMPLES = {
     "devices": ("starbench devices",),
     "station": ("starbench station new my_bench.yaml",),
     "station new": ("starbench station new my_bench.yaml --name 'Optics bench 2' --stage ximc",),
+    "target": ("starbench target draw -s my_bench.yaml -o reticle.gds",),
+    "target draw": (
+        "starbench target draw -s my_bench.yaml -o reticle.gds",
+        "starbench target draw -s simulated -o target.pdf",
+    ),
+    "target show": (
+        "starbench target show -s my_bench.yaml",
+        "starbench target show -s simulated --focal-length-mm 12 --r-mm 200",
+    ),
     "simulate": ("starbench simulate --station simulated --seed 1",),
     "keys": ("starbench keys show",),
     "keys show": ("starbench keys show",),
@@ -125,6 +134,7 @@ _SHORT = {
     "convert": "Convert event files.",
     "devices": "List connected devices.",
     "station": "Create a station file.",
+    "target": "Draw the reticle of a station; show what it is good for.",
     "simulate": "Keep a simulated bench running.",
     "keys": "Show, create and trust signing keys.",
     "schema": "Print the JSON Schema of a kind of file.",
