@@ -8,110 +8,30 @@ switches a light.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
-from pathlib import Path
-from typing import Any, Literal
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from bench.stations.station import Station
-from bench.stations.station_cameras import FrameCameraConfig
-from calib.target import StarTarget
+from bench.align.advice import Seen, advice_for, dropped_share
+from bench.align.focus_figure import FocusCourse, FocusFigures, measure_focus
+from bench.align.live_image import LiveImage, read_image, show
+from bench.align.live_setting import LiveSetting, LiveSlice
+from bench.align.signal_figures import SignalFigures
+from bench.align.where_to_turn import Bench, where_to_turn
+from calib.errors import CalibrationError, TargetNotFound
+from calib.stars.beam import Beam, find_beam
+from calib.stars.focus import contrast
+from calib.stars.quick import QuickStars, find_stars_quickly
 from drivers.camera import RecordingFacts
-from drivers.camera.frames import FrameFacts
-from sequences.schema import GateConfig
-from sequences.script import Gates
+from drivers.errors import RecordingFileError
+
+__all__ = ["LiveFigures", "LiveMeter", "LiveSetting", "LiveSlice", "measure_live"]
 
 Corners = tuple[tuple[float, float], ...]
-
-
-@dataclass(frozen=True)
-class LiveSetting:
-    """What is known of the bench while slices are measured.
-
-    Attributes
-    ----------
-    target
-        The printed target.
-    camera
-        Kind of camera.
-    frequency_hz
-        Frequency of the light's flicker as set, Hz; None if unknown.
-    light_on
-        Whether the light is on by its own read-back; None if unknown. It is used for the wording of the advice only.
-    limits_deg
-        Lowest and highest angle of each axis of the stage, degrees.
-    focal_px
-        Approximate focal length, px; None if the station does not state it. Turns are then in px, not in degrees.
-    half_angle_deg
-        Half angle of the beam, degrees; None if the station does not state it.
-    gates
-        Gates that the recordings of a run will have to pass.
-    """
-
-    target: StarTarget
-    camera: Literal["event", "frame"] = "event"
-    frequency_hz: float | None = None
-    light_on: bool | None = None
-    limits_deg: Mapping[str, tuple[float, float]] = field(default_factory=dict)
-    focal_px: float | None = None
-    half_angle_deg: float | None = None
-    gates: Gates = field(default_factory=lambda: Gates.from_settings(dict(GateConfig())))
-
-    @classmethod
-    def of_station(
-        cls, station: Station, *, frequency_hz: float | None = None, light_on: bool | None = None
-    ) -> LiveSetting:
-        """Take from a station file what the figures need.
-
-        Parameters
-        ----------
-        station
-            The station file.
-        frequency_hz
-            Frequency of the light's flicker as set, Hz; None if unknown.
-        light_on
-            Whether the light is on by its own read-back; None if unknown.
-
-        Returns
-        -------
-        LiveSetting
-            With the gates that a sequence has by default.
-        """
-        expected = station.expected
-        return cls(
-            target=station.target.pattern(),
-            camera="frame" if isinstance(station.camera, FrameCameraConfig) else "event",
-            frequency_hz=frequency_hz,
-            light_on=light_on,
-            limits_deg={name: axis.limits_deg for name, axis in station.axes.items()},
-            focal_px=expected.focal_px if expected else None,
-            half_angle_deg=expected.half_angle_deg if expected else None,
-        )
-
-
-@dataclass(frozen=True)
-class LiveSlice:
-    """A recorded slice.
-
-    Attributes
-    ----------
-    path
-        RAW file of an event camera, or picture file of a frame camera.
-    time_s
-        Time of the recording on any steady clock, s; the course of the focus is plotted over it.
-    facts
-        What the driver states about the recording; None if unknown.
-    reading_deg
-        Present angles of the stage by axis, degrees; empty if unknown.
-    """
-
-    path: Path
-    time_s: float = 0.0
-    facts: RecordingFacts | FrameFacts | None = None
-    reading_deg: Mapping[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -136,6 +56,8 @@ class LiveFigures:
         Flicker frequency by the sync triggers, and by the events alone, Hz.
     jitter_us
         Rms distance of the sync edges from an even train, us.
+    event_jitter_us
+        The same of the bursts of ON events, us; it takes three whole periods.
     hot_pixels
         Number of pixels that fire far more often than their surroundings.
     temperature_c
@@ -156,13 +78,14 @@ class LiveFigures:
         Share of the frame that the beam covers.
     focus
         Focus figures (`bench.align.focus_figure`) as plain values: ``edge_width_px``, ``best_edge_width_px``,
-        ``sharpness``, ``best_sharpness``, ``regions``, ``tilt``.
+        ``blur_circle_px``, ``sharpness``, ``best_sharpness``, ``trend``, ``regions``, ``tilt``.
     contrast
         Contrast of the pattern, 0 to 1.
     saturation
-        Share of the pixels that cannot go higher, 0 to 1.
+        Share of the pixels at the highest grey value; of an event camera, share of the events that its rate
+        controller has dropped.
     turn
-        Where to turn (`bench.align.where_to_turn`) as plain values: ``pan_deg``, ``tilt_deg``, ``roll_deg``, ``of``.
+        Where to turn, the plain values of `bench.align.where_to_turn.TurnFigures.to_json`.
     advice
         What to do, plain sentences, the most important first.
     took_ms
@@ -179,6 +102,7 @@ class LiveFigures:
     trigger_hz: float | None = None
     event_hz: float | None = None
     jitter_us: float | None = None
+    event_jitter_us: float | None = None
     hot_pixels: int | None = None
     temperature_c: float | None = None
     stars: Sequence[tuple[int, float, float]] = ()
@@ -252,11 +176,15 @@ class LiveMeter:
     Parameters
     ----------
     stars_every_s
-        Shortest time between two searches for stars, s; in between, the last stars are shown again.
+        Shortest time between two searches for stars, s; in between, the last stars are shown again. If a search takes
+        long, as without a tag, the next one waits longer, so that pictures keep coming.
     """
 
     def __init__(self, *, stars_every_s: float = 0.4) -> None:
         self._stars_every_s = stars_every_s
+        self._course = FocusCourse()
+        self._found: _Found | None = None
+        self._size = (1280, 720)
 
     def measure(self, part: LiveSlice, setting: LiveSetting) -> tuple[NDArray[np.uint8], LiveFigures]:
         """Measure the next slice. See `measure_live`.
@@ -275,11 +203,155 @@ class LiveMeter:
         figures
             What the slice showed.
         """
-        del setting
-        return np.zeros((720, 1280), np.uint8), LiveFigures(time_s=part.time_s, width_px=1280, height_px=720)
+        watch = _StopWatch()
+        try:
+            image = read_image(part.path, setting)
+        except (CalibrationError, RecordingFileError) as error:
+            figures = LiveFigures(
+                time_s=part.time_s,
+                width_px=self._size[0],
+                height_px=self._size[1],
+                temperature_c=_temperature_c(part),
+                advice=(f"The slice cannot be read: {error.what} {error.remedy}".strip(),),
+                took_ms=watch.lap("image"),
+            )
+            return np.zeros(self._size[::-1], np.uint8), figures
+        self._size = image.values.shape[1], image.values.shape[0]
+        shown = show(image.values)
+        watch.lap("image")
+        beam = find_beam(image.values, least=image.least)
+        in_beam = contrast(image.values, beam.lit) if beam.share > 0.0 else None
+        watch.lap("beam")
+        found = self._search(part, setting, image, beam, watch)
+        seen = Seen(
+            image=image,
+            facts=part.facts,
+            beam=beam,
+            stars=found.stars,
+            other_tag=found.other_tag,
+            focus=found.focus,
+            best_edge_width_px=self._course.best_edge_width_px,
+            best_sharpness=self._course.best_sharpness,
+            trend=self._course.trend(),
+            contrast=in_beam,
+            turn=where_to_turn(self._size, beam, found.stars, setting.target, _bench(part, setting)),
+        )
+        figures = _figures(part, setting, seen, found.time_s)
+        return shown, replace(figures, advice=tuple(advice_for(seen, setting)), took_ms=watch.lap("advice"))
 
     def forget(self) -> None:
         """Forget the course of the focus and the last stars, for example after the lens was changed."""
+        self._course.forget()
+        self._found = None
+
+    def _search(
+        self, part: LiveSlice, setting: LiveSetting, image: LiveImage, beam: Beam, watch: _StopWatch
+    ) -> _Found:
+        """Search stars and measure the focus if it is time to, else return what was found last."""
+        last = self._found
+        if beam.share <= 0.0 or (image.signal is not None and image.signal.flicker is None):
+            self._found = None
+            return _Found(part.time_s, None, "", FocusFigures(), 0.0)
+        if last is not None and 0.0 <= part.time_s - last.time_s < max(
+            self._stars_every_s, 1.5 * last.took_s
+        ):
+            return last
+        started_s = time.perf_counter()
+        stars, other_tag = None, ""
+        try:
+            stars = find_stars_quickly(image.values, setting.target)
+        except TargetNotFound as fault:
+            other_tag = f"{fault.what} {fault.remedy}"
+        watch.lap("stars")
+        focus = measure_focus(image.values, beam, stars, setting.target)
+        watch.lap("focus")
+        self._course.add(part.time_s, focus)
+        self._found = _Found(part.time_s, stars, other_tag, focus, time.perf_counter() - started_s)
+        return self._found
+
+
+class _Found(NamedTuple):
+    """Result of a search for stars: time of its slice, s, and how long it took, s."""
+
+    time_s: float
+    stars: QuickStars | None
+    other_tag: str
+    focus: FocusFigures
+    took_s: float
+
+
+class _StopWatch:
+    """Durations of the stages, ms."""
+
+    def __init__(self) -> None:
+        self._last_s = time.perf_counter()
+        self._took_ms: dict[str, float] = {}
+
+    def lap(self, stage: str) -> dict[str, float]:
+        """Add the time since the last call to a stage; return all durations so far."""
+        now_s = time.perf_counter()
+        self._took_ms[stage] = self._took_ms.get(stage, 0.0) + round(1e3 * (now_s - self._last_s), 1)
+        self._last_s = now_s
+        return dict(self._took_ms)
+
+
+def _figures(part: LiveSlice, setting: LiveSetting, seen: Seen, stars_time_s: float) -> LiveFigures:
+    """Collect the figures of a slice, without advice."""
+    image, beam, stars, focus = seen.image, seen.beam, seen.stars, seen.focus
+    signal = image.signal or SignalFigures()
+    tag = stars.tag if stars is not None else None
+    return LiveFigures(
+        time_s=part.time_s,
+        image_kind=image.kind,
+        width_px=image.values.shape[1],
+        height_px=image.values.shape[0],
+        events_per_s=signal.events_per_s,
+        link_share=signal.link_share,
+        on_share=signal.on_share,
+        trigger_hz=signal.trigger_hz,
+        event_hz=signal.event_hz,
+        jitter_us=signal.jitter_us,
+        event_jitter_us=signal.event_jitter_us,
+        hot_pixels=image.hot_pixels,
+        temperature_c=_temperature_c(part),
+        stars=() if stars is None else tuple(_star_list(stars)),
+        stars_time_s=stars_time_s if stars is not None else None,
+        tag_id=setting.target.tag_id if tag is not None else None,
+        tag_corners_px=None if tag is None else tuple((float(x), float(y)) for x, y in tag.corners_px),
+        disc_centre_px=beam.centre_px,
+        disc_radius_px=beam.radius_px,
+        rim_in_view=beam.rim_in_view,
+        beam_share=beam.share,
+        focus={
+            "edge_width_px": focus.edge_width_px,
+            "best_edge_width_px": seen.best_edge_width_px,
+            "blur_circle_px": focus.blur_circle_px,
+            "sharpness": focus.sharpness,
+            "best_sharpness": seen.best_sharpness,
+            "trend": seen.trend,
+            "regions": {name: {"edge_width_px": width} for name, width in focus.regions.items()},
+            "tilt": focus.tilt or None,
+        },
+        contrast=seen.contrast,
+        saturation=image.saturation if image.signal is None else dropped_share(part.facts),
+        turn=seen.turn.to_json(),
+    )
+
+
+def _star_list(stars: QuickStars) -> Iterator[tuple[int, float, float]]:
+    """Yield id, column and row of each star."""
+    for number, (x, y) in zip(stars.ids, stars.points_px, strict=True):
+        yield int(number), float(x), float(y)
+
+
+def _bench(part: LiveSlice, setting: LiveSetting) -> Bench:
+    """Return what the bench knows for a turn."""
+    return Bench(setting.focal_px, setting.r_mm, setting.half_angle_deg, part.reading_deg, setting.limits_deg)
+
+
+def _temperature_c(part: LiveSlice) -> float | None:
+    """Return the sensor's temperature as the driver states it."""
+    return part.facts.temperature_c if isinstance(part.facts, RecordingFacts) else None
 
 
 def _plain(value: Any) -> Any:

@@ -1,0 +1,251 @@
+"""The focus figures of a live picture, and their course while a person turns the focus ring.
+
+The edge width is one number from far out of focus to sharp: the width of the stars' edges while these are narrow, and
+the blur circle of the print around the tag beyond that. Where neither star nor tag can be read, the sharpness remains.
+The module computes with arrays; times come in as arguments.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calib.model.homography import fit_homography
+from calib.stars.beam import Beam
+from calib.stars.focus import blur_circle, edge_widths_px, sharpness
+from calib.stars.quick import QuickStars
+from calib.target import StarTarget
+
+REGIONS: Final[Mapping[str, tuple[float, float]]] = {
+    "centre": (0.5, 0.5),
+    "top left": (0.17, 0.2),
+    "top right": (0.83, 0.2),
+    "bottom left": (0.17, 0.8),
+    "bottom right": (0.83, 0.8),
+}
+"""Middle of each region, as shares of width and height."""
+_HALF_SIZE: Final = (0.25, 0.3)
+_STARS_A_REGION: Final = 9
+_TRUSTED_CIRCLE_PX: Final = 9.0
+"""Blur circle from which it counts more than the stars' edges; these stop to grow there."""
+_SIGMA_OF_CIRCLE: Final = 0.25
+"""Standard deviation of a uniform disc along an axis, in units of its diameter."""
+_NEAR_TAG: Final = 40
+_TILT_PX, _TILT_SHARE = 0.15, 0.15
+_LEAST_BETTER: Final = 0.05
+_RECENT: Final = 3
+
+
+@dataclass(frozen=True)
+class FocusFigures:
+    """How sharp a picture is. What was not measured is None.
+
+    Attributes
+    ----------
+    edge_width_px
+        Standard deviation of the edges' blur, px.
+    blur_circle_px
+        Diameter of the circle by which the print around the tag is blurred, px.
+    sharpness
+        Amount of detail in the beam, without unit; it depends on what is in the picture.
+    regions
+        Edge width of each region of `REGIONS`, px.
+    tilt
+        Which side of the field is less sharp, a sentence; empty if none is.
+    """
+
+    edge_width_px: float | None = None
+    blur_circle_px: float | None = None
+    sharpness: float | None = None
+    regions: Mapping[str, float | None] = field(default_factory=dict)
+    tilt: str = ""
+
+
+def measure_focus(
+    image: NDArray[np.float32], beam: Beam, stars: QuickStars | None, target: StarTarget
+) -> FocusFigures:
+    """Measure how sharp a picture is.
+
+    Parameters
+    ----------
+    image
+        (H, W) float32, grey values.
+    beam
+        The beam's disc in it.
+    stars
+        Tag and stars in it; None if they were not searched.
+    target
+        The printed target.
+
+    Returns
+    -------
+    FocusFigures
+        With the sharpness alone if there are neither tag nor stars.
+    """
+    detail = sharpness(image, beam.lit) if beam.share > 0.0 else None
+    if stars is None:
+        return FocusFigures(sharpness=detail)
+    regions = _region_widths(image, stars, target)
+    known = [width for width in regions.values() if width is not None]
+    width = float(np.median(known)) if known else None
+    circle = _circle(image, stars, target)
+    if circle is not None and (width is None or circle >= _TRUSTED_CIRCLE_PX):
+        width = max(width or 0.0, _SIGMA_OF_CIRCLE * circle)
+    return FocusFigures(width, circle, detail, regions, tilt_of(regions))
+
+
+def tilt_of(regions: Mapping[str, float | None]) -> str:
+    """Return which side of the field is less sharp.
+
+    Parameters
+    ----------
+    regions
+        Edge width of each region, px; None where it is unknown.
+
+    Returns
+    -------
+    str
+        A sentence; empty if no side is clearly less sharp, or a side is unknown.
+
+    Examples
+    --------
+    >>> tilt_of({"top left": 0.8, "top right": 1.2, "bottom left": 0.8, "bottom right": 1.2})
+    'Edges are 1.2 px wide on the right and 0.8 px on the left.'
+    """
+    found = []
+    for one, other in (("left", "right"), ("top", "bottom")):
+        widths = [[w for name, w in regions.items() if side in name.split()] for side in (one, other)]
+        sides = [float(np.mean([w for w in ws if w is not None])) for ws in widths if ws and None not in ws]
+        if len(sides) == 2 and abs(sides[1] - sides[0]) > max(_TILT_PX, _TILT_SHARE * min(sides)):
+            (low, less), (high, more) = sorted(((sides[0], one), (sides[1], other)))
+            where = {
+                "left": "on the left",
+                "right": "on the right",
+                "top": "at the top",
+                "bottom": "at the bottom",
+            }
+            text = f"Edges are {high:.1f} px wide {where[more]} and {low:.1f} px {where[less]}."
+            found.append((high - low, text))
+    return max(found)[1] if found else ""
+
+
+def _region_widths(
+    image: NDArray[np.float32], stars: QuickStars, target: StarTarget
+) -> dict[str, float | None]:
+    """Return the edge width of each region, from the stars nearest to its middle."""
+    if stars.local_map is None:
+        return dict.fromkeys(REGIONS)
+    size = np.array([image.shape[1], image.shape[0]], float)
+    groups = []
+    for middle in REGIONS.values():
+        off = (stars.points_px - np.array(middle) * size) / size
+        inside = np.flatnonzero((np.abs(off) <= np.array(_HALF_SIZE)).all(axis=1))
+        order = np.argsort(np.linalg.norm((off * size)[inside], axis=1), kind="stable")
+        groups.append(inside[order[:_STARS_A_REGION]].astype(np.int64))
+    widths = edge_widths_px(image, stars.points_px, stars.local_map, target, groups)
+    return dict(zip(REGIONS, widths, strict=True))
+
+
+def _circle(image: NDArray[np.float32], stars: QuickStars, target: StarTarget) -> float | None:
+    """Return the blur circle around the tag, px; None if the tag is not in view."""
+    if stars.named_by and len(stars.points_px):
+        # Stars give the place of the print better than the tag: bright light does not move them.
+        off = stars.nodes - np.array(target.tag_centre_mm) / target.pitch_mm
+        near = np.argsort(np.linalg.norm(off, axis=1))[:_NEAR_TAG]
+        found = blur_circle(
+            image, fit_homography(stars.nodes[near], stars.points_px[near]), target, enlarged=(1.0,)
+        )
+    elif stars.tag is not None:
+        found = blur_circle(image, stars.tag.homography, target)
+    else:
+        return None
+    return found.diameter_px if found is not None else None
+
+
+class FocusCourse:
+    """The focus figures over time, with the best seen. Times come from the caller's clock.
+
+    Parameters
+    ----------
+    kept_s
+        How long the course reaches back, s. The best values are kept until `forget`.
+    """
+
+    def __init__(self, *, kept_s: float = 600.0) -> None:
+        self._kept_s = kept_s
+        self._course: deque[tuple[float, float | None, float | None]] = deque(maxlen=6000)
+        self.best_edge_width_px: float | None = None
+        """Smallest edge width seen, px: the median of `_RECENT` neighbouring values."""
+        self.best_sharpness: float | None = None
+        """Largest sharpness seen, likewise."""
+
+    def add(self, time_s: float, figures: FocusFigures) -> None:
+        """Add the figures of a picture.
+
+        Parameters
+        ----------
+        time_s
+            Time of the picture, s; it does not decrease.
+        figures
+            Its figures.
+        """
+        self._course.append((time_s, figures.edge_width_px, figures.sharpness))
+        while self._course[0][0] < time_s - self._kept_s:
+            self._course.popleft()
+        width, detail = self._recent(1), self._recent(2)
+        if width is not None and (self.best_edge_width_px is None or width < self.best_edge_width_px):
+            self.best_edge_width_px = width
+        if detail is not None and (self.best_sharpness is None or detail > self.best_sharpness):
+            self.best_sharpness = detail
+
+    def forget(self) -> None:
+        """Forget course and best values."""
+        self._course.clear()
+        self.best_edge_width_px = self.best_sharpness = None
+
+    def edge_widths(self) -> list[tuple[float, float]]:
+        """Return the course of the edge width.
+
+        Returns
+        -------
+        list of (float, float)
+            Time, s, and edge width, px.
+        """
+        return [(t, width) for t, width, _ in self._course if width is not None]
+
+    def trend(self, *, over_s: float = 4.0) -> str:
+        """Return where the focus goes: ``better``, ``worse``, or an empty text if it does not change.
+
+        The edge width counts; without it, the sharpness does.
+
+        Parameters
+        ----------
+        over_s
+            Length of the time that is compared, s.
+
+        Returns
+        -------
+        str
+            ``better``, ``worse`` or empty.
+        """
+        if not self._course:
+            return ""
+        last_s = self._course[-1][0]
+        recent = [one for one in self._course if one[0] >= last_s - over_s]
+        for column, sign in ((1, -1.0), (2, 1.0)):
+            values = [float(v) for one in recent if (v := one[column]) is not None]
+            if len(values) >= 2 * _RECENT:
+                before, now = np.median(values[:_RECENT]), np.median(values[-_RECENT:])
+                change = sign * float(now - before) / max(float(before), 1e-9)
+                return "better" if change > _LEAST_BETTER else "worse" if change < -_LEAST_BETTER else ""
+        return ""
+
+    def _recent(self, column: int) -> float | None:
+        """Return the median of the newest values of a column; None if there are fewer than `_RECENT`."""
+        values = [float(v) for one in list(self._course)[-_RECENT:] if (v := one[column]) is not None]
+        return float(np.median(values)) if len(values) == _RECENT else None

@@ -1,0 +1,153 @@
+"""The live image: from a slice to grey values in which stars are searched, and to a picture for the screen.
+
+An event camera's slice becomes the event image of whole flicker periods; without a flicker, the number of events of
+each pixel is shown. A frame camera's slice becomes the mean of its frames. The module reads the slice's file and
+nothing else.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Final, NamedTuple
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from bench.align.live_setting import LiveSetting
+from bench.align.signal_figures import SignalFigures, measure_signal
+from calib.errors import CalibrationError
+from calib.events.event_image import EventImages, make_images
+from drivers.camera.event_arrays import Events
+from drivers.camera.frames import read_frames
+from drivers.camera.raw_file import RawFile
+
+GAMMA: Final = 0.6
+"""Exponent of the tone map: a pattern at a tenth of the brightest light is shown at a quarter."""
+_CLIPPED: Final = 0.004
+_LEAST_FIRED: Final = 0.3
+_LEAST_GREY: Final = 0.02
+_HOT_EVENTS: Final = 6
+
+
+class LiveImage(NamedTuple):
+    """Grey values of a slice, and what belongs to them.
+
+    Attributes
+    ----------
+    values
+        (H, W) float32, brighter where the target is brighter.
+    kind
+        Kind of image: ``fired-per-edge``, ``lock-in``, ``count`` or ``picture``.
+    least
+        Brightness of white print below which nothing counts as light, in the unit of the values.
+    signal
+        The signal; None for a frame camera.
+    hot_pixels
+        Number of hot pixels; None if unknown.
+    saturation
+        Share of the pixels at the highest grey value; None for an event camera.
+    """
+
+    values: NDArray[np.float32]
+    kind: str
+    least: float
+    signal: SignalFigures | None
+    hot_pixels: int | None
+    saturation: float | None
+
+
+def read_image(path: Path, setting: LiveSetting) -> LiveImage:
+    """Read a slice and make its image.
+
+    Parameters
+    ----------
+    path
+        RAW file, or file of frames.
+    setting
+        What is known of the bench: the kind of camera, the frequency.
+
+    Returns
+    -------
+    LiveImage
+        Also of a slice without any light.
+
+    Raises
+    ------
+    drivers.errors.RecordingFileError
+        If the file cannot be read.
+    """
+    return _read_frames(path) if setting.camera == "frame" else _read_events(path, setting.frequency_hz)
+
+
+def show(values: NDArray[np.float32]) -> NDArray[np.uint8]:
+    """Return the picture for the screen: stretched between its quantiles, with faint parts made brighter.
+
+    Own tone map: 255 u^`GAMMA`, where u is the stretched value (gamma correction: Poynton, 2012).
+
+    Parameters
+    ----------
+    values
+        (H, W) float32, grey values.
+
+    Returns
+    -------
+    ndarray
+        (H, W) uint8; all 0 if the values are all equal.
+    """
+    sample = values[::4, ::4]
+    low, high = (float(q) for q in np.quantile(sample, [_CLIPPED, 1.0 - _CLIPPED]))
+    if high <= low:
+        low, high = float(values.min()), float(values.max())
+    if high <= low:
+        return np.zeros(values.shape, np.uint8)
+    scaled = np.clip((values - low) * (255.0 / (high - low)), 0.0, 255.0).astype(np.uint8)
+    table = np.round(255.0 * (np.arange(256) / 255.0) ** GAMMA).astype(np.uint8)
+    return np.asarray(cv2.LUT(scaled, table), np.uint8)
+
+
+def _read_events(path: Path, expected_hz: float | None) -> LiveImage:
+    """Make the image of an event camera's slice."""
+    raw = RawFile.open(path)
+    events, triggers = raw.read()
+    starts = [int(a[0]) for a in (events.t, triggers.t) if len(a)]
+    origin_us = min(starts, default=0)
+    events.t[:] -= origin_us
+    triggers.t[:] -= origin_us
+    signal = measure_signal(events, triggers, path.stat().st_size - raw.raw_header.size_bytes, expected_hz)
+    size = raw.width, raw.height
+    images = _images(events, size, signal)
+    if images is None:
+        counts = _counts(events, size)
+        hot = int(np.count_nonzero(counts > _HOT_EVENTS + 4.0 * float(counts.mean())))
+        return LiveImage(counts, "count", 0.5, signal, hot, None)
+    chosen = images.best()
+    least = _LEAST_FIRED if chosen.name == "fired-per-edge" else 1.0
+    return LiveImage(chosen.image, chosen.name, least, signal, images.facts.hot_pixels, None)
+
+
+def _images(events: Events, size: tuple[int, int], signal: SignalFigures) -> EventImages | None:
+    """Return the event images of whole periods; None if the slice holds none."""
+    if signal.flicker is None or not len(events.t):
+        return None
+    window_us = 0.0, float(events.t[-1]) + 1.0
+    try:
+        return make_images(events.t, events.x, events.y, events.p, size, signal.flicker, window_us=window_us)
+    except CalibrationError:
+        return None
+
+
+def _counts(events: Events, size: tuple[int, int]) -> NDArray[np.float32]:
+    """Return the number of events of each pixel, (H, W)."""
+    inside = (events.x < size[0]) & (events.y < size[1])
+    places = events.y[inside].astype(np.int64) * size[0] + events.x[inside]
+    return np.bincount(places, minlength=size[0] * size[1]).reshape(size[1], size[0]).astype(np.float32)
+
+
+def _read_frames(path: Path) -> LiveImage:
+    """Make the image of a frame camera's slice."""
+    frames = read_frames(path)
+    highest = float(np.iinfo(frames.dtype).max)
+    values = frames[0].astype(np.float32) if len(frames) == 1 else frames.mean(axis=0, dtype=np.float32)
+    saturated = float(np.mean(frames == highest))
+    return LiveImage(np.asarray(values, np.float32), "picture", _LEAST_GREY * highest, None, None, saturated)

@@ -1,0 +1,122 @@
+"""What the measurement of live slices is told: the slice, and what is known of the bench.
+
+The module holds data only; it opens nothing.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Literal
+
+from bench.stations.station import Station
+from bench.stations.station_cameras import FrameCameraConfig
+from bench.stations.station_collimator import CertificateConfig
+from calib.target import StarTarget
+from drivers.camera import RecordingFacts
+from drivers.camera.frames import FrameFacts
+from sequences.schema import GateConfig
+from sequences.script import Gates, Waveform
+
+
+@dataclass(frozen=True)
+class LiveSetting:
+    """What is known of the bench while slices are measured.
+
+    Attributes
+    ----------
+    target
+        The printed target.
+    camera
+        Kind of camera.
+    frequency_hz
+        Frequency of the light's flicker as set, Hz; None if unknown.
+    light_on
+        Whether the light is on by its own read-back; None if unknown. It is used for the wording of the advice only.
+    limits_deg
+        Lowest and highest angle of each axis of the stage, degrees.
+    focal_px
+        Approximate focal length, px; None if the station does not state it.
+    half_angle_deg
+        Half angle of the beam, degrees; None if the station does not state it.
+    r_mm
+        Approximate focal length of the collimator, mm; None if the station does not state it.
+    gates
+        Gates that the recordings of a run will have to pass.
+    """
+
+    target: StarTarget
+    camera: Literal["event", "frame"] = "event"
+    frequency_hz: float | None = None
+    light_on: bool | None = None
+    limits_deg: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    focal_px: float | None = None
+    half_angle_deg: float | None = None
+    r_mm: float | None = None
+    gates: Gates = field(default_factory=lambda: Gates.from_settings(dict(GateConfig())))
+
+    @classmethod
+    def of_station(
+        cls,
+        station: Station,
+        *,
+        frequency_hz: float | None = None,
+        light_on: bool | None = None,
+        waveform: Waveform = "square",
+    ) -> LiveSetting:
+        """Take from a station file what the figures need.
+
+        Parameters
+        ----------
+        station
+            The station file.
+        frequency_hz
+            Frequency of the light's flicker as set, Hz; None if unknown.
+        light_on
+            Whether the light is on by its own read-back; None if unknown.
+        waveform
+            Waveform of the light; some gates depend on it.
+
+        Returns
+        -------
+        LiveSetting
+            With the gates that a sequence has by default.
+        """
+        expected, collimator = station.expected, station.collimator
+        r_mm = collimator.nominal_r_mm or (expected.r_mm if expected else None)
+        if isinstance(collimator.certificate, CertificateConfig):
+            r_mm = collimator.certificate.r_mm
+        return cls(
+            target=station.target.pattern(),
+            camera="frame" if isinstance(station.camera, FrameCameraConfig) else "event",
+            frequency_hz=frequency_hz,
+            light_on=light_on,
+            limits_deg={name: axis.limits_deg for name, axis in station.axes.items()},
+            focal_px=expected.focal_px if expected else None,
+            half_angle_deg=expected.half_angle_deg if expected else None,
+            r_mm=r_mm,
+            gates=Gates.from_settings(dict(GateConfig()), waveform),
+        )
+
+
+@dataclass(frozen=True)
+class LiveSlice:
+    """A recorded slice.
+
+    Attributes
+    ----------
+    path
+        RAW file of an event camera, or picture file of a frame camera.
+    time_s
+        Time of the recording on any steady clock, s; the course of the focus is plotted over it.
+    facts
+        What the driver states about the recording; None if unknown.
+    reading_deg
+        Present angles of the stage by axis, degrees; empty if unknown.
+    """
+
+    path: Path
+    time_s: float = 0.0
+    facts: RecordingFacts | FrameFacts | None = None
+    reading_deg: Mapping[str, float] = field(default_factory=dict)

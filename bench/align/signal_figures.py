@@ -1,0 +1,163 @@
+"""Figures of the signal of an event camera's slice: rate, load of the link, flicker, jitter.
+
+The module reads no file and opens no device: it gets decoded events.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from calib.errors import FlickerNotFound, TooFewEvents
+from calib.events.flicker import Flicker, flicker_from_events, flicker_from_triggers
+from drivers.camera.event_arrays import Events, Triggers
+
+LINK_GBIT_S: Final = 1.6
+"""Data that the link of an EVK4 carries, Gbit/s."""
+_MOST_EVENTS: Final = 150_000
+"""Number of events from which the flicker is searched; more do not make the figure better."""
+_LEAST_PERIODS: Final = 3
+
+
+@dataclass(frozen=True)
+class SignalFigures:
+    """What the events of a slice say, apart from where they are. What was not measured is None.
+
+    Attributes
+    ----------
+    events
+        Number of events.
+    events_per_s
+        Event rate, 1/s.
+    on_share
+        Share of ON events.
+    link_share
+        Data rate as a share of what the link carries.
+    triggers
+        Number of rising sync edges.
+    flicker
+        The flicker that the image is made with; None if there is none.
+    trigger_hz, event_hz
+        Frequency by the sync edges, and by the events alone, Hz.
+    jitter_us
+        Rms distance of the sync edges from an even train, us.
+    event_jitter_us
+        Rms distance of the ON bursts from an even train, us. It takes three whole periods.
+    sync_fault
+        What is wrong with the sync edges; empty if nothing is, or there are none.
+    """
+
+    events: int = 0
+    events_per_s: float | None = None
+    on_share: float | None = None
+    link_share: float | None = None
+    triggers: int = 0
+    flicker: Flicker | None = None
+    trigger_hz: float | None = None
+    event_hz: float | None = None
+    jitter_us: float | None = None
+    event_jitter_us: float | None = None
+    sync_fault: str = ""
+
+
+def measure_signal(
+    events: Events, triggers: Triggers, data_bytes: int, expected_hz: float | None
+) -> SignalFigures:
+    """Measure the signal of a slice.
+
+    Parameters
+    ----------
+    events, triggers
+        The decoded slice, with times from 0 on.
+    data_bytes
+        Length of the file without its header.
+    expected_hz
+        Frequency to which the light is set, Hz; None if unknown.
+
+    Returns
+    -------
+    SignalFigures
+        Figures without a flicker if none is found.
+    """
+    ends = [int(a[-1]) for a in (events.t, triggers.t) if len(a)]
+    duration_s = (max(ends) + 1) * 1e-6 if ends else 0.0
+    count = len(events.t)
+    by_triggers, fault = _by_triggers(triggers, expected_hz)
+    by_events = _by_events(events, by_triggers.frequency_hz if by_triggers else expected_hz)
+    flicker = by_triggers or by_events
+    return SignalFigures(
+        events=count,
+        events_per_s=count / duration_s if duration_s else None,
+        on_share=float(np.count_nonzero(events.p)) / count if count else None,
+        link_share=8e-9 * data_bytes / (duration_s * LINK_GBIT_S) if duration_s else None,
+        triggers=int(np.count_nonzero(triggers.value == 1)),
+        flicker=flicker,
+        trigger_hz=by_triggers.frequency_hz if by_triggers else None,
+        event_hz=by_events.frequency_hz if by_events else None,
+        jitter_us=by_triggers.jitter_us if by_triggers else None,
+        event_jitter_us=burst_jitter_us(events, flicker) if flicker else None,
+        sync_fault=fault,
+    )
+
+
+def burst_jitter_us(events: Events, flicker: Flicker) -> float | None:
+    """Return how far the ON bursts are from an even train.
+
+    Own estimate: the median time of the ON events of each period, against a straight line through these times.
+
+    Parameters
+    ----------
+    events
+        The slice.
+    flicker
+        Its flicker.
+
+    Returns
+    -------
+    float or None
+        Rms, us; None if the slice holds fewer than three whole periods.
+    """
+    if not len(events.t):
+        return None
+    # The window begins a quarter period before the light rises, so that no burst is cut.
+    starts = flicker.rising_edges_us(0.0, float(events.t[-1])) - 0.25 * flicker.period_us
+    starts = starts[(starts >= 0.0) & (starts + flicker.period_us <= float(events.t[-1]) + 1.0)]
+    middles = []
+    for start in starts:
+        first, last = np.searchsorted(events.t, [start, start + flicker.period_us])
+        on = events.t[first:last][events.p[first:last] > 0]
+        if len(on) >= 100:
+            middles.append(float(np.median(on)))
+    if len(middles) < _LEAST_PERIODS:
+        return None
+    numbers = np.round((np.array(middles) - middles[0]) / flicker.period_us)
+    off = np.array(middles) - np.polyval(np.polyfit(numbers, middles, 1), numbers)
+    return float(np.sqrt((off**2).sum() / (len(off) - 2)))
+
+
+def _by_triggers(triggers: Triggers, expected_hz: float | None) -> tuple[Flicker | None, str]:
+    """Return the flicker by the sync edges, and what is wrong with them."""
+    if len(triggers.t) < 2:
+        return None, ""
+    try:
+        return flicker_from_triggers(triggers.t, triggers.value, expected_hz=expected_hz), ""
+    except FlickerNotFound as fault:
+        if expected_hz is None:
+            return None, fault.what
+        first = fault.what
+    try:
+        return flicker_from_triggers(triggers.t, triggers.value), first
+    except FlickerNotFound:
+        return None, first
+
+
+def _by_events(events: Events, near_hz: float | None) -> Flicker | None:
+    """Return the flicker by the events alone, from some of them."""
+    step = max(1, len(events.t) // _MOST_EVENTS)
+    band = (15.0, 1000.0) if near_hz is None else (min(15.0, 0.6 * near_hz), max(1000.0, 1.5 * near_hz))
+    try:
+        return flicker_from_events(events.t[::step], events.p[::step], band_hz=band)
+    except (FlickerNotFound, TooFewEvents):
+        return None

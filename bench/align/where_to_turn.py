@@ -1,0 +1,352 @@
+"""Where to turn the camera: the offset of tag and beam from the middle of the image, the roll, poses that show the rim.
+
+Conventions are those of the bench (`calib.model.rotation.euler_zxy`): a larger pan moves the pattern to the right in
+the image, a larger tilt moves it up, and a larger roll turns it clockwise. The module computes with numbers only.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calib.model.homography import apply_homography, fit_homography
+from calib.model.rotation import euler_zxy
+from calib.stars.beam import Beam
+from calib.stars.growth import linear_at
+from calib.stars.quick import QuickStars
+from calib.target import StarTarget
+
+ROLL_WANTED_DEG: Final = 10.0
+"""Roll of the pattern against the pixel grid at which stars are located best (docs/stars.md)."""
+CENTRED_DEG, CENTRED_PX = 0.25, 15.0
+"""Offset up to which the pattern counts as centred, degrees, or px if no focal length is known."""
+_RIM_INSIDE_SHARE: Final = 0.1
+
+Offset = tuple[float, float]
+
+
+@dataclass(frozen=True)
+class TurnFigures:
+    """Where to turn. What is not known is None.
+
+    Attributes
+    ----------
+    of
+        What the turn brings to the middle of the image: ``tag`` or ``beam``; empty if neither is seen.
+    unit
+        Unit of the turns: ``°``, or ``px`` if no focal length is known.
+    pan, tilt
+        Turn of each axis that brings it there, in this unit; in px: how far it has to move right and up.
+    tag_off, beam_off
+        The same turns for the tag, and for the centre of the beam's disc.
+    focal_px
+        Focal length used, px.
+    roll_deg
+        Angle of the pattern against the pixel rows or diagonals, degrees, -22.5 to 22.5; positive is clockwise.
+    roll_by_deg
+        Roll that brings this angle to `ROLL_WANTED_DEG`, degrees; 0 if it is large enough.
+    rim_poses
+        Which poses show the beam's rim, a sentence; empty if unknown.
+    """
+
+    of: str = ""
+    unit: str = "°"
+    pan: float | None = None
+    tilt: float | None = None
+    tag_off: Offset | None = None
+    beam_off: Offset | None = None
+    focal_px: float | None = None
+    roll_deg: float | None = None
+    roll_by_deg: float | None = None
+    rim_poses: str = ""
+
+    @property
+    def centred(self) -> bool:
+        """Whether what is brought to the middle is there."""
+        if self.pan is None or self.tilt is None:
+            return False
+        limit = CENTRED_DEG if self.unit == "°" else CENTRED_PX
+        return math.hypot(self.pan, self.tilt) <= limit
+
+    def to_json(self) -> dict[str, object]:
+        """Return the figures as plain values.
+
+        Returns
+        -------
+        dict
+            ``pan_deg`` and ``tilt_deg`` (None if no focal length is known; then ``right_px`` and ``up_px``),
+            ``roll_deg``, ``roll_by_deg``, ``of``, ``unit``, ``tag``, ``beam``, ``focal_px``, ``rim_poses``.
+        """
+        in_deg = self.unit == "°"
+        return {
+            "pan_deg": self.pan if in_deg else None,
+            "tilt_deg": self.tilt if in_deg else None,
+            "right_px": None if in_deg else self.pan,
+            "up_px": None if in_deg else self.tilt,
+            "roll_deg": self.roll_deg,
+            "roll_by_deg": self.roll_by_deg,
+            "of": self.of,
+            "unit": self.unit,
+            "tag": list(self.tag_off) if self.tag_off else None,
+            "beam": list(self.beam_off) if self.beam_off else None,
+            "focal_px": self.focal_px,
+            "rim_poses": self.rim_poses,
+        }
+
+
+@dataclass(frozen=True)
+class Bench:
+    """What the bench knows for a turn.
+
+    Attributes
+    ----------
+    focal_px
+        Approximate focal length, px; None if unknown.
+    r_mm
+        Focal length of the collimator, mm; None if unknown. With the pitch of the stars it gives the focal length.
+    half_angle_deg
+        Half angle of the beam, degrees; None if unknown.
+    reading_deg
+        Present angles of the stage by axis, degrees.
+    limits_deg
+        Lowest and highest angle of each axis, degrees.
+    """
+
+    focal_px: float | None = None
+    r_mm: float | None = None
+    half_angle_deg: float | None = None
+    reading_deg: Mapping[str, float] = field(default_factory=dict)
+    limits_deg: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+
+
+def where_to_turn(
+    size: tuple[int, int], beam: Beam, stars: QuickStars | None, target: StarTarget, bench: Bench
+) -> TurnFigures:
+    """Find out where to turn.
+
+    Parameters
+    ----------
+    size
+        Width and height of the image, px.
+    beam
+        The beam's disc in it.
+    stars
+        Tag and stars in it; None if they were not searched.
+    target
+        The printed target.
+    bench
+        What the bench knows.
+
+    Returns
+    -------
+    TurnFigures
+        What is known of it.
+    """
+    grid = grid_of(stars)
+    named = stars is not None and (bool(stars.named_by) or stars.tag is not None)
+    focal = _focal_px(grid if named else None, size, target, bench)
+    tag_at = beam_at = None
+    if grid is not None and named:
+        middle = np.array(target.tag_centre_mm) / target.pitch_mm
+        tag_at = tuple(float(v) for v in apply_homography(grid, middle[None])[0])
+    if beam.centre_px is not None:
+        beam_at = beam.centre_px
+    offs = [
+        None if at is None else turn_to_centre((at[0], at[1]), size, focal, bench.reading_deg)
+        for at in (tag_at, beam_at)
+    ]
+    chosen = offs[0] or offs[1]
+    roll = roll_deg(grid, size)
+    return TurnFigures(
+        of="tag" if offs[0] else "beam" if offs[1] else "",
+        unit="°" if focal else "px",
+        pan=chosen[0] if chosen else None,
+        tilt=chosen[1] if chosen else None,
+        tag_off=offs[0],
+        beam_off=offs[1],
+        focal_px=focal,
+        roll_deg=roll,
+        roll_by_deg=None if roll is None else roll_by_deg(roll),
+        rim_poses=rim_poses(size, focal, offs[1] or offs[0], beam, bench),
+    )
+
+
+def turn_to_centre(
+    point_px: Offset, size: tuple[int, int], focal_px: float | None, reading_deg: Mapping[str, float]
+) -> Offset:
+    """Return the turns of pan and tilt that bring a point of the image to its middle.
+
+    The direction d of the point satisfies d = G(pan, tilt) b. Wanted are angles with G b along the optical axis, for
+    G = Rz(roll) Rx(tilt) Ry(pan); own solution of this equation.
+
+    Parameters
+    ----------
+    point_px
+        Column and row of the point, px.
+    size
+        Width and height of the image, px.
+    focal_px
+        Focal length, px; None if unknown.
+    reading_deg
+        Present angles of the stage, degrees; a missing axis is at 0.
+
+    Returns
+    -------
+    pan, tilt
+        Turns, degrees. Without a focal length: how far the point has to move right and up, px.
+
+    Examples
+    --------
+    >>> pan, tilt = turn_to_centre((639.5 - 100, 359.5 + 50), (1280, 720), 1000.0, {})
+    >>> round(pan, 3), round(tilt, 3)
+    (5.711, 2.848)
+    """
+    right, down = point_px[0] - (size[0] - 1) / 2.0, point_px[1] - (size[1] - 1) / 2.0
+    if focal_px is None:
+        return -right, down
+    angles = [float(reading_deg.get(axis, 0.0)) for axis in ("pan", "tilt", "roll")]
+    x, y, z = euler_zxy(*angles).T @ np.array([right / focal_px, down / focal_px, 1.0])
+    pan = math.degrees(math.atan2(-x, z))
+    tilt = math.degrees(math.atan2(y, math.hypot(x, z)))
+    return _wrapped(pan - angles[0]), _wrapped(tilt - angles[1])
+
+
+def roll_deg(grid: NDArray[np.float64] | None, size: tuple[int, int]) -> float | None:
+    """Return the angle of the pattern against the pixel rows or diagonals in the middle of the image.
+
+    Parameters
+    ----------
+    grid
+        (3, 3) float64, from [column row 1] to [u v 1] px; None if unknown.
+    size
+        Width and height of the image, px.
+
+    Returns
+    -------
+    float or None
+        Degrees, -22.5 to 22.5; positive is clockwise.
+    """
+    if grid is None:
+        return None
+    middle = np.array([[(size[0] - 1) / 2.0, (size[1] - 1) / 2.0]])
+    along = linear_at(grid, apply_homography(np.asarray(np.linalg.inv(grid)), middle))[0][:, 0]
+    angle = math.degrees(math.atan2(along[1], along[0]))
+    return (angle + 22.5) % 45.0 - 22.5
+
+
+def roll_by_deg(roll: float) -> float:
+    """Return by how much to roll the pattern so that its angle against the pixels is `ROLL_WANTED_DEG`.
+
+    Parameters
+    ----------
+    roll
+        Present angle, degrees, -22.5 to 22.5.
+
+    Returns
+    -------
+    float
+        Degrees; positive turns the pattern clockwise. 0 if the angle is at least half of the wanted one.
+
+    Examples
+    --------
+    >>> roll_by_deg(1.0), roll_by_deg(-2.0), roll_by_deg(12.0)
+    (9.0, -8.0, 0.0)
+    """
+    return 0.0 if abs(roll) >= ROLL_WANTED_DEG / 2.0 else math.copysign(ROLL_WANTED_DEG, roll) - roll
+
+
+def rim_poses(
+    size: tuple[int, int], focal_px: float | None, off: Offset | None, beam: Beam, bench: Bench
+) -> str:
+    """Return which poses show the rim of the beam.
+
+    The rim is taken to be `half_angle_deg` or the radius in the image away from the beam's centre, whichever is larger;
+    if the centre is not seen, from the tag. A tenth of the image beyond the rim has to be in view.
+
+    Parameters
+    ----------
+    size
+        Width and height of the image, px.
+    focal_px
+        Focal length, px; None if unknown.
+    off
+        Turns of pan and tilt that centre the beam, degrees; None if unknown.
+    beam
+        The beam's disc.
+    bench
+        What the bench knows.
+
+    Returns
+    -------
+    str
+        A sentence; empty if it is not known.
+    """
+    if focal_px is None or off is None:
+        return ""
+    half_angle = bench.half_angle_deg
+    if beam.radius_px is not None:
+        half_angle = max(half_angle or 0.0, math.degrees(math.atan(beam.radius_px / focal_px)))
+    if half_angle is None:
+        return ""
+    parts = []
+    for axis, turn, side in (("pan", off[0], size[0]), ("tilt", off[1], size[1])):
+        reach = half_angle - math.degrees(math.atan((0.5 - _RIM_INSIDE_SHARE) * side / focal_px))
+        middle = float(bench.reading_deg.get(axis, 0.0)) + turn
+        low, high = bench.limits_deg.get(axis, (-90.0, 90.0))
+        if reach <= 0.0:
+            return "Every pose shows the rim of the beam."
+        ends = []
+        if middle - reach >= low:
+            ends.append(f"below {middle - reach:.1f}°")
+        if middle + reach <= high:
+            ends.append(f"above {middle + reach:.1f}°")
+        if ends:
+            parts.append(f"{axis} {' or '.join(ends)}")
+    return (
+        f"Poses with {', or '.join(parts)}, show the rim of the beam."
+        if parts
+        else ("No pose within the limits of the stage shows the rim of the beam.")
+    )
+
+
+def grid_of(stars: QuickStars | None) -> NDArray[np.float64] | None:
+    """Return the homography of the grid: from the stars, or from the tag alone.
+
+    Parameters
+    ----------
+    stars
+        Tag and stars; None if they were not searched.
+
+    Returns
+    -------
+    ndarray or None
+        (3, 3) float64, from [column row 1] to [u v 1] px. Columns and rows are those of the target if the stars have
+        ids, else of any origin and quarter turn. None if there is nothing.
+    """
+    if stars is None:
+        return None
+    if len(stars.points_px):
+        return fit_homography(stars.nodes, stars.points_px)
+    return stars.tag.homography if stars.tag is not None else None
+
+
+def _focal_px(
+    grid: NDArray[np.float64] | None, size: tuple[int, int], target: StarTarget, bench: Bench
+) -> float | None:
+    """Return the focal length by the pitch of the stars in the middle of the image, or the expected one."""
+    if grid is None or bench.r_mm is None:
+        return bench.focal_px
+    middle = np.array([[(size[0] - 1) / 2.0, (size[1] - 1) / 2.0]])
+    linear = linear_at(grid, apply_homography(np.asarray(np.linalg.inv(grid)), middle))[0]
+    pitch_px = math.sqrt(abs(float(np.linalg.det(linear))))
+    found = pitch_px * bench.r_mm / target.pitch_mm
+    return found if math.isfinite(found) and found > 0.1 * size[0] else bench.focal_px
+
+
+def _wrapped(angle_deg: float) -> float:
+    return (angle_deg + 180.0) % 360.0 - 180.0
