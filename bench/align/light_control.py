@@ -15,8 +15,8 @@ from bench.base.failure import Failure
 from bench.stations.station_lights import LightConfig
 from drivers.errors import DriverError
 from drivers.light import Light, LightSettings
-from sequences.schema import FlickerConfig
-from sequences.script import Flicker, Waveform
+from sequences.schema import FlickerConfig, Waveform
+from sequences.script import Flicker
 
 RANGES = {"duty_percent": (1.0, 99.0), "level_percent": (0.1, 100.0)}
 """Lowest and highest value of each number besides the frequency, whose range the station states."""
@@ -122,7 +122,7 @@ class LightControl:
             "duty_percent": duty_percent,
             "level_percent": level_percent,
         }
-        given = {name: value for name, value in changes.items() if value is not None}
+        given: dict[str, Any] = {name: value for name, value in changes.items() if value is not None}
         self._check(given)
         with self._lock:
             flicker = replace(self.reading.flicker, **given)

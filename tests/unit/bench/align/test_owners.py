@@ -1,0 +1,71 @@
+"""Who holds the controls of the align page."""
+
+import pytest
+
+from bench.align.owners import BEAT_LIMIT_S, Owners
+from bench.base.errors import ControlRefused
+
+
+class Clock:
+    now_s = 100.0
+
+    def __call__(self):
+        return self.now_s
+
+
+@pytest.fixture
+def owners():
+    clock = Clock()
+    made = Owners(lambda: None, clock)
+    made.clock = clock
+    return made
+
+
+def test_the_first_page_gets_the_controls_and_the_second_does_not(owners):
+    owners.enter("one", "Firefox at 127.0.0.1")
+    owners.enter("two", "Chrome at 127.0.0.1")
+    owners.require("one")
+    with pytest.raises(ControlRefused, match=r"Page 1 \(Firefox at 127.0.0.1\) has the controls"):
+        owners.require("two")
+    assert owners.as_data()["pages"]["two"]["number"] == 2
+
+
+def test_controls_of_a_closed_page_are_free(owners):
+    owners.enter("one", "")
+    owners.enter("two", "")
+    assert owners.leave("one")
+    assert owners.as_data()["holder"] == ""
+    owners.require("two")
+    assert owners.holder == "two"
+
+
+def test_a_page_with_two_streams_is_open_until_both_close(owners):
+    owners.enter("one", "")
+    owners.enter("one", "")  # a reload opens the new stream before the old one is seen to be closed
+    assert not owners.leave("one")
+    owners.require("one")
+    assert owners.leave("one")
+
+
+def test_a_page_is_lost_when_its_heartbeat_is_old(owners):
+    owners.enter("one", "")
+    owners.clock.now_s += BEAT_LIMIT_S
+    assert not owners.is_lost("one")
+    owners.clock.now_s += 0.01
+    assert owners.is_lost("one")
+    owners.beat("one")
+    assert not owners.is_lost("one")
+    assert owners.is_lost("never seen")
+
+
+def test_pages_closed_long_ago_are_forgotten_and_their_number_is_bounded(owners):
+    for number in range(300):
+        owners.enter(f"page-{number}", "")
+        owners.leave(f"page-{number}")
+        owners.clock.now_s += 10
+    assert owners.as_data()["pages"] == {}
+    owners.clock.now_s += 1000
+    for number in range(200):
+        owners.enter(f"more-{number}", "")
+    with pytest.raises(ControlRefused, match="Too many pages"):
+        owners.enter("one-more", "")
