@@ -235,13 +235,17 @@ class AttemptLost(TypedDict):
 
 
 class Solved(TypedDict):
-    """Payload of ``solved``: model, convergence, rms, values and standard uncertainties by parameter."""
+    """Payload of ``solved``: model, convergence, rms, values and standard uncertainties by parameter.
+
+    ``coverage_factor`` is the k of the expanded uncertainty; an earlier version did not write it.
+    """
 
     model: str
     converged: bool
     rms_px: float
     values: Mapping[str, float]
     sigma: Mapping[str, float]
+    coverage_factor: NotRequired[float]
 
 
 UntilEnd = Literal["met", "unreachable", "at_most", "minutes", "failures", "no_pose"]

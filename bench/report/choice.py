@@ -16,7 +16,10 @@ _WORST = 3
 _NOT_PASSED = ("fail", "marginal")
 _POSE_OF_GATE = re.compile(r"pose (\d+): ")
 
-PLOTS = ("truth", "uncertainty", "vectors", "cloud", "coverage")
+PLOTS = (
+    "truth", "uncertainty", "direction", "halves", "distortion", "poses", "frames", "vectors", "cloud", "radial",
+    "coverage", "regions", "change", "change_ratio",
+)  # fmt: skip
 """Names of the plots in the template."""
 
 

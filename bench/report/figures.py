@@ -6,22 +6,33 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from bench.report import calibration_tables
+from bench.report.camera_values import camera_covariance, camera_of, change_maps
 from bench.report.choice import PLOTS
+from bench.report.lens_plot import distortion_curve, field_angles_deg, outermost_deg
+from bench.report.maps import sensor_map
 from bench.report.plots import (
     coverage,
     deviations_from_truth,
+    regions,
     residual_cloud,
+    residual_radial,
     residual_vectors,
-    uncertainty_contours,
 )
+from bench.report.pose_plot import pose_directions, pose_frames
 from bench.report.view_picture import ViewPicture
-from calib.model.camera import PINHOLE, CameraModel
-from calib.uncertainty.projection_uncertainty import camera_difference, projection_uncertainty
+from calib.uncertainty.projection_uncertainty import ARCSEC, camera_difference, projection_uncertainty
+
+Array = NDArray[np.float64]
+Json = Mapping[str, Any]
+
+_URAD_PER_ARCSEC = 1e6 / ARCSEC
+_WIDE_ANGLE_DEG = 25.0
 
 
-def report_plots(results: Mapping[str, Any], views: Sequence[ViewPicture]) -> dict[str, str]:
+def report_plots(results: Json, views: Sequence[ViewPicture]) -> dict[str, str]:
     """Draw all plots of a report.
 
     Parameters
@@ -29,7 +40,7 @@ def report_plots(results: Mapping[str, Any], views: Sequence[ViewPicture]) -> di
     results
         Content of results.json.
     views
-        The poses that entered the calibration.
+        The poses that entered the calibration; without them, only the comparison with the truth is drawn.
 
     Returns
     -------
@@ -41,41 +52,71 @@ def report_plots(results: Mapping[str, Any], views: Sequence[ViewPicture]) -> di
     if compared:
         names = [row["name"] for row in compared]
         plots["truth"] = deviations_from_truth(names, [row["error_sigmas"] for row in compared])
-    camera = results["calibration"]["camera"]
-    if views:
-        plots["uncertainty"] = _uncertainty_plot(results)
-    if any(len(view.detected) for view in views):
+    if not views:
+        return plots
+    seen = [view for view in views if len(view.detected)]
+    plots |= _camera_plots(results, [view.detected for view in seen])
+    plots["poses"], plots["frames"] = pose_directions(results), pose_frames(results["calibration"])
+    if seen:
         width, height = results["calibration"]["image_size"]
+        camera = results["calibration"]["camera"]
         centre = (camera["cx"], camera["cy"])
         plots["vectors"] = residual_vectors(views, (width, height))
-        plots["cloud"] = residual_cloud(views, centre)
+        plots["cloud"] = residual_cloud(views)
+        plots["radial"] = residual_radial(views, centre)
         plots["coverage"] = coverage(views, (width, height), centre)
+        plots["regions"] = regions(views, (width, height))
     return plots
 
 
-def _uncertainty_plot(results: Mapping[str, Any]) -> str:
-    """Draw the projection uncertainty that follows from the camera's covariance; empty if there is no covariance.
-
-    If halves of the poses were calibrated separately, the plot also shows the difference between their projections.
-    """
+def _camera_plots(results: Json, stars: Sequence[Array]) -> dict[str, str]:
+    """Draw what follows from the values of the camera and their covariance; nothing if there is no covariance."""
     calibration = results["calibration"]
-    values, covariance = dict(calibration["camera"]), calibration["covariance"]
-    names = [name for name in values if name in covariance["names"]]
-    if names != list(values):
-        return ""
-    at = [covariance["names"].index(name) for name in names]
-    matrix = np.array(covariance["matrix"])[np.ix_(at, at)]
-    size = tuple(calibration["image_size"])
-    found = projection_uncertainty(_camera(values, size), matrix)
-    difference = None
+    covariance = camera_covariance(calibration)
+    if covariance is None:
+        return {}
+    camera, k = (
+        camera_of(calibration["camera"], calibration["image_size"]),
+        calibration_tables.coverage_factor(calibration),
+    )
+    found, points = projection_uncertainty(camera, covariance), np.concatenate(stars) if stars else None
+    plots = {
+        "uncertainty": sensor_map(
+            found.grid_px, k * found.sigma_px, "U of an image point, px", "uncertainty",
+            "Uncertainty of an image point over the sensor", stars=points,
+        ),
+        "distortion": distortion_curve(camera, covariance, k, outermost_deg(camera, stars)),
+    }  # fmt: skip
+    if max(field_angles_deg(camera).values()) > _WIDE_ANGLE_DEG:  # else it looks as that of the image points
+        plots["direction"] = sensor_map(
+            found.grid_px, k * _URAD_PER_ARCSEC * found.sigma_arcsec, "U of a direction, \N{MICRO SIGN}rad",
+            "direction", "Uncertainty of a direction over the sensor", stars=points,
+        )  # fmt: skip
     if cameras := (results.get("halves") or {}).get("cameras"):
-        first, second = (_camera(half, size) for half in cameras)
+        first, second = (camera_of(half, calibration["image_size"]) for half in cameras)
         difference = camera_difference(first, second)
-    return uncertainty_contours(found, calibration_tables.coverage_factor(calibration), difference)
+        plots["halves"] = sensor_map(
+            difference.grid_px, np.linalg.norm(difference.offset_px, axis=2), "Difference of the halves, px",
+            "halves", "Difference between two halves of the poses", arrows=difference,
+        )  # fmt: skip
+    return plots | _change_plots(results)
 
 
-def _camera(values: Mapping[str, float], image_size: tuple[int, int]) -> CameraModel:
-    """Return the camera model for a camera of results.json."""
-    lens = {name: value for name, value in values.items() if name not in PINHOLE}
-    fx, fy, cx, cy = (values[name] for name in PINHOLE)
-    return CameraModel(fx, fy, cx, cy, image_size, lens)
+def _change_plots(results: Json) -> dict[str, str]:
+    """Draw the change since the last calibration, in px and in units of its expanded uncertainty."""
+    then: Json = (results.get("previous") or {}).get("calibration") or {}
+    maps = change_maps(then, results["calibration"]) if then else None
+    if maps is None:
+        return {}
+    grid, offset, expanded = maps
+    before, now = (camera_of(one["camera"], one["image_size"]) for one in (then, results["calibration"]))
+    return {
+        "change": sensor_map(
+            grid, offset, "Change of an image point, px", "change", "Change since the last calibration",
+            arrows=camera_difference(now, before),
+        ),
+        "change_ratio": sensor_map(
+            grid, offset / expanded, "Change / U of the change", "change-ratio",
+            "Change since the last calibration over its uncertainty",
+        ),
+    }  # fmt: skip

@@ -18,8 +18,10 @@ from markupsafe import Markup
 
 from bench.report import budget_tables, calibration_tables, run_tables, text
 from bench.report.bench_knowledge import source_rows
+from bench.report.change_rows import change
 from bench.report.choice import PLOTS, pictured_poses
 from bench.report.course import courses
+from bench.report.verdict import verdict
 from bench.report.view_picture import ViewPicture, thinned
 from bench.report.walk import state_diagram
 
@@ -85,7 +87,10 @@ def render_report(data: ReportData, *, draw: bool = True) -> str:
         .render(
             run=results["run"],
             takes_pictures=results["run"].get("camera") == "frame",
+            verdict=verdict(results),
             identification=run_tables.identification(results),
+            inputs=run_tables.inputs(results),
+            change=change(results),
             software=run_tables.software(results),
             journal_head=data.journal_head,
             calibration=calibration,
@@ -106,7 +111,6 @@ def render_report(data: ReportData, *, draw: bool = True) -> str:
             poses=run_tables.poses(results.get("poses") or []),
             recordings=run_tables.recordings(results.get("poses") or []),
             gates=run_tables.gates(results.get("gates") or []),
-            alerts=run_tables.alerts(results),
             deviations=run_tables.deviations(results),
             sources=source_rows(results.get("sources") or []),
             walk=_markup(state_diagram(results["states"])) if results.get("states") else "",

@@ -18,6 +18,9 @@ Json = Mapping[str, Any]
 
 _POSE_PREFIX = re.compile(r"pose \d+: ")
 _VERDICTS = ("pass", "marginal", "fail")
+_STATUS_VERDICTS = {"used": "pass", "not used": "marginal", "refused": "fail"}
+_ENDS = {"open": "without an end"}
+"""Words for the ends of runs in the ledger."""
 
 
 @dataclass(frozen=True)
@@ -44,6 +47,8 @@ class PoseRow:
     flicker: str
     image: str
     reason: str
+    status: str
+    verdict: str
 
 
 @dataclass(frozen=True)
@@ -91,7 +96,7 @@ def identification(results: Json) -> list[tuple[str, str]]:
     run = results["run"]
     camera = (results.get("devices") or {}).get("camera") or {}
     ledger, collimator = run.get("ledger"), run.get("collimator")
-    entered = [("Laboratory's ledger", _place_in_ledger(ledger))] if ledger else []
+    entered = [("Number of the run", _place_in_ledger(ledger))] if ledger else []
     item = " ".join(str(camera[key]) for key in ("maker", "model", "sensor") if camera.get(key))
     return [
         ("Item", item or NOTHING),
@@ -99,14 +104,31 @@ def identification(results: Json) -> list[tuple[str, str]]:
         ("Firmware", value_text(camera.get("firmware"))),
         ("Lens", value_text(camera.get("lens"))),
         *([("Collimator", _collimator(collimator))] if collimator else []),
-        *passport_rows(results.get("passport")),
-        *readings_rows(results.get("gimbal_readings"), results["calibration"].get("gimbal")),
         ("Laboratory", value_text(run.get("laboratory"))),
         ("Operator", value_text(run.get("operator"))),
         ("Sequence", value_text(run.get("sequence"))),
         ("Station", value_text(run.get("station"))),
         *_times(run),
         *entered,
+    ]
+
+
+def inputs(results: Json) -> list[tuple[str, str]]:
+    """List what the calibration used besides its recordings: the passport of the collimator, the gimbal's readings.
+
+    Parameters
+    ----------
+    results
+        Content of results.json.
+
+    Returns
+    -------
+    list of tuple
+        Name and value.
+    """
+    return [
+        *passport_rows(results.get("passport")),
+        *readings_rows(results.get("gimbal_readings"), results["calibration"].get("gimbal")),
     ]
 
 
@@ -122,7 +144,7 @@ def _collimator(details: Json) -> str:
     """Return in one line what the station file says about the collimator."""
     parts = []
     if "serial" in details:
-        parts.append(f"serial {details['serial']}")
+        parts.append(f"serial number {details['serial']}")
     if "nominal_r_mm" in details:
         parts.append(f"nominal focal length {details['nominal_r_mm']:g} mm")
     certificate = details.get("certificate")
@@ -217,11 +239,12 @@ def poses(found: Sequence[Json]) -> list[PoseRow]:
     Returns
     -------
     list of PoseRow
-        A row for each pose.
+        A row for each pose. The reason for a kind of image stands in the first row that has this kind.
     """
-    rows = []
+    rows: list[PoseRow] = []
+    kinds: set[object] = set()
     for pose in found:
-        image = pose.get("image") or {}
+        image, status = pose.get("image") or {}, _status(pose)
         rows.append(
             PoseRow(
                 name=str(pose["name"]),
@@ -232,10 +255,21 @@ def poses(found: Sequence[Json]) -> list[PoseRow]:
                 rms=number(pose.get("rms_px"), 3),
                 flicker=number(pose.get("flicker_hz"), 6),
                 image=_image(image),
-                reason=str(image.get("reason") or ""),
+                reason="" if image.get("kind") in kinds else str(image.get("reason") or ""),
+                status=status,
+                verdict=_STATUS_VERDICTS[status],
             )
         )
+        kinds.add(image.get("kind"))
     return rows
+
+
+def _status(pose: Json) -> str:
+    """Return whether a pose is part of the calibration."""
+    if pose.get("rms_px") is not None:
+        return "used"
+    accepted = any(attempt["accepted"] for attempt in pose.get("attempts") or [])
+    return "not used" if accepted else "refused"
 
 
 def _stars(pose: Json) -> str:
@@ -358,8 +392,10 @@ def _failure_text(error: Json) -> str:
 
 
 def _place_in_ledger(ledger: Json) -> str:
-    counts = ", ".join(f"{count} {how}" for how, count in ledger["of_camera"].items())
-    return f"run {ledger['number']}; runs of this camera, including this one: {counts}"
+    earlier = dict(ledger["of_camera"])
+    earlier["open"] = earlier.get("open", 0) - 1  # this run was entered when it began
+    counts = ", ".join(f"{count} {_ENDS.get(how, how)}" for how, count in earlier.items() if count > 0)
+    return f"{ledger['number']} of this bench; earlier runs of this camera: {counts or 'none'}"
 
 
 def _angles(found: Json | None, decimals: int) -> str:

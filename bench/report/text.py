@@ -36,6 +36,7 @@ _MEANINGS = {
     "r": "collimator focal length, in the target's scale",
     "pupil_shift": "collimator: reticle out of focus",
     "radial": "collimator: distortion, or a curved reticle",
+    "radial_4": "collimator: distortion, 4th order",
     "field_curve": "collimator: field curvature",
     "tilt_x": "collimator: reticle tilted, about Y",
     "tilt_y": "collimator: reticle tilted, about X",

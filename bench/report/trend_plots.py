@@ -18,8 +18,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from numpy.typing import NDArray
 
-from bench.report.drawing import INK, LINE, MUTED, STYLE, hide_frame, to_svg
-from bench.report.plots import POSE_COLOURS
+from bench.report.drawing import INK, LINE, MUTED, POSE_COLOURS, STYLE, hide_frame, to_svg
 from bench.report.text import unit_of
 
 _K = 2.0

@@ -21,6 +21,7 @@ from bench.report.html import ReportData, render_report
 from bench.report.view_picture import ViewPicture
 from bench.results.exports import exports
 from bench.results.offline import OfflineResult
+from bench.results.projection_facts import projection_facts
 from bench.results.result import collimator_data, software
 from bench.results.view_sources import PHOTOGRAPHS, ViewSource
 
@@ -128,6 +129,12 @@ def offline_results(result: OfflineResult, name: str, sources: Sequence[dict[str
         },
         "devices": {},
         "calibration": calibration.to_dict(),
+        "projection": projection_facts(
+            calibration.camera,
+            calibration.camera_covariance,
+            calibration.coverage_factor,
+            [view.points_px for view in result.views],
+        ),
         "planar": result.planar.to_dict() if result.planar else None,
         "passport": result.passport.to_dict() if result.passport else None,
         "gimbal_readings": result.readings,

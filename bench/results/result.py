@@ -30,6 +30,8 @@ from bench.results.comparison import compare_with_truth, planar_calibration
 from bench.results.cross_checks import gimbal_check, split_half_check
 from bench.results.exports import exports
 from bench.results.parallax_check import parallax_check
+from bench.results.previous_calibration import bench_ledger, previous_calibration
+from bench.results.projection_facts import projection_facts
 from bench.results.solve_options import (
     limited_numbers,
     readings_result,
@@ -200,6 +202,8 @@ class ResultWriter:
             )
         solution = self._solution
         results = self._results(log.history, solution, truth)
+        if previous := previous_calibration(bench_ledger(), log.history.ledger, results):
+            results["previous"] = previous
         self._folder.write_atomic(RESULTS, _json_bytes(results))
         residuals = solution.calibration.residuals_px
         self._folder.write_atomic(VIEWS, views_file(solution.measurements, residuals))
@@ -259,6 +263,7 @@ class ResultWriter:
             "devices": dict(history.devices),
             "conditions": _conditions(history, self._job.camera_kind),
             "calibration": calibration.to_dict(),
+            "projection": _projection(calibration, solution.measurements),
             "planar": solution.planar.to_dict() if solution.planar else None,
             "passport": solution.passport.to_dict() if solution.passport else None,
             "gimbal_readings": dict(solution.readings),
@@ -276,6 +281,12 @@ class ResultWriter:
 
 def _with_notes(calibration: Calibration, notes: Sequence[str]) -> Calibration:
     return replace(calibration, notes=(*calibration.notes, *notes))
+
+
+def _projection(calibration: Calibration, measurements: Sequence[Measurement]) -> dict[str, Any] | None:
+    points = [m.view.points_px for m in measurements if m.view is not None]
+    camera, k = calibration.camera, calibration.coverage_factor
+    return projection_facts(camera, calibration.camera_covariance, k, points)
 
 
 def _alignment_note(aligned: int, total: int) -> str:
@@ -322,6 +333,7 @@ def main_numbers(calibration: Calibration) -> Solved:
         "rms_px": calibration.rms_px,
         "values": dict(zip(calibration.parameter_names, calibration.values.tolist(), strict=True)),
         "sigma": dict(calibration.sigma),
+        "coverage_factor": calibration.coverage_factor,
     }
 
 

@@ -89,6 +89,18 @@ def results(views, *, simulated=True):
             "bound": None,
             "why_not": "The station does not bound the parallax.",
         },
+        "projection": {
+            "coverage_factor": 2.0,
+            "worst_corner": {"corner": "top left", "expanded_px": 0.2512, "expanded_urad": 71.41},
+            "median": {"expanded_px": 0.113, "expanded_urad": 33.2},
+            "supported": {
+                "reach_px": 73.4,
+                "share": 0.874,
+                "expanded_px": 0.1871,
+                "expanded_urad": 53.2,
+            },
+        },
+        "previous": _previous(views, values),
         "planar": _planar(values),
         "poses": [_pose(number, view) for number, view in enumerate(views, 1)],
         "halves": {
@@ -209,6 +221,35 @@ def _calibration(views, values):
         "views": [{"name": v.name, "n": len(v.ids), "rms_px": 0.08, "mean_px": 0.07} for v in views],
         "candidates": [],
         "notes": ["Three poses only: the distortion coefficients are weakly constrained."],
+    }
+
+
+def _previous(views, values):
+    """The last calibration of the camera; since then, fx has changed by 1.5 px."""
+    sigma = {name: SIGMA[name] for name in TRUE}
+    return {
+        "run": "three_pose-20260225-090000",
+        "number": 9,
+        "finished_utc": "2026-02-25T09:01:00.100000Z",
+        "sequence": "three_pose",
+        "temperature_c": 40.9,
+        "seal": "aa" * 32,
+        "results_sha256": "bb" * 32,
+        "calibration": {
+            "image_size": list(views[0].image.shape[::-1]),
+            "model": "spherical",
+            "camera": {name: values[name] for name in TRUE} | {"fx": values["fx"] - 1.5},
+            "sigma": sigma,
+            "covariance": {"names": list(sigma), "matrix": np.diag(np.square(list(sigma.values()))).tolist()},
+            "coverage_factor": 2.0,
+        },
+        "change": {
+            "rms_px": 0.0231,
+            "largest_px": 0.0612,
+            "largest_ratio": 0.412,
+            "px_there": 0.0533,
+            "at_px": [319.0, 88.5],
+        },
     }
 
 

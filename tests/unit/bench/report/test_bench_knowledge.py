@@ -2,11 +2,11 @@
 
 from bench.report.bench_knowledge import passport_rows, readings_rows, source_rows
 from bench.report.html import ReportData, printed_text, render_report
-from bench.report.run_tables import identification
+from bench.report.run_tables import inputs
 
 
 def test_the_report_names_the_passport_with_values_and_hash(data):
-    rows = dict(identification(data.results))
+    rows = dict(inputs(data.results))
     assert rows["Collimator passport"] == (
         "number T-2041, of the collimator C-17, dated 2026-02-11, valid until 2028-02-11, at 20 °C, "
         "stated in the station file (certificate)"
@@ -32,7 +32,7 @@ def test_a_passport_from_views_lists_its_centre_and_names_its_aberrations(data):
 
 def test_results_of_older_versions_have_no_such_rows(data):
     older = {k: v for k, v in data.results.items() if k not in ("passport", "gimbal_readings")}
-    names = [name for name, _ in identification(older)]
+    names = [name for name, _ in inputs(older)]
     assert not {"Collimator passport", "Gimbal readings"} & set(names)
     assert (passport_rows(None), readings_rows(None, None), source_rows([])) == ([], [], [])
 

@@ -49,12 +49,15 @@ def test_gates_that_did_not_pass_and_deviations_stand_before_the_result(data):
     before = html.partition("<h2>Result</h2>")[0]
     assert "Gate rms: fail (0.310, limit ≤ 0.2 px; 0 of 1 passed)." in before
     assert "Held by ada for 3 s." in before
-    assert 'class="warning"' in before
+    assert 'class="verdict fail"' in before
+    assert "Calibrated, but 1 of 1 gates fails." in before
 
 
 def test_a_run_without_either_has_no_warning(data):
     html = told(data, gates=[], failures=[], deviations=[])
     assert "Read this before" not in html
+    assert 'class="verdict pass"' in html
+    assert ">Calibrated.<" in html
 
 
 def test_an_error_that_ended_the_run_before_it_was_resumed_keeps_its_kind_and_place(data):

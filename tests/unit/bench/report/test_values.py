@@ -48,6 +48,15 @@ def test_each_value_is_printed_with_its_uncertainty(html):
         ("calibration", "left_out_rms_px"),
         ("calibration", "coverage_factor"),
         ("calibration", "budget", "noise of the stars", "cx"),
+        ("projection", "worst_corner", "expanded_px"),
+        ("projection", "worst_corner", "expanded_urad"),
+        ("projection", "supported", "share"),
+        ("projection", "supported", "expanded_px"),
+        ("previous", "number"),
+        ("previous", "calibration", "camera", "cx"),
+        ("previous", "calibration", "sigma", "k1"),
+        ("previous", "change", "largest_px"),
+        ("previous", "change", "largest_ratio"),
         ("halves", "worst_px"),
         ("gimbal", "rms_arcsec"),
         ("gimbal", "scale_sigma", "pan_deg"),
@@ -112,9 +121,9 @@ def test_the_uncertainty_of_a_direction_is_drawn_from_the_covariance(data, html)
     covariance = np.array(data.results["calibration"]["covariance"]["matrix"])[:6, :6]
     found = projection_uncertainty(camera, covariance)
     titles = re.findall(
-        r">U, (px|arc seconds)</text>\s*<text[^>]*>median [\d.e+]+, at most ([\d.e+]+)<", html
+        r">U of an image point, px</text>\s*<text[^>]*>median [\d.e+]+, at most ([\d.e+]+)<", html
     )
-    assert titles == [("px", f"{2 * found.worst_px:.2g}"), ("arc seconds", f"{2 * found.worst_arcsec:.2g}")]
+    assert titles == [f"{2 * found.worst_px:.2g}"]
 
 
 def test_beside_it_stands_how_far_halves_of_the_poses_lie_apart(data, html):

@@ -35,7 +35,7 @@ def test_a_page_s_words_leave_out_what_is_drawn():
 
 def test_the_ledger_tells_of_the_camera_s_other_runs(data, html):
     words = printed_text(html)
-    assert "run 12; runs of this camera, including this one: 2 finished, 1 open" in words
+    assert "12 of this bench; earlier runs of this camera: 2 finished" in words
     assert data.results["run"]["ledger"]["head"] in words
     results = copy.deepcopy(dict(data.results))
     del results["run"]["ledger"]
@@ -43,7 +43,7 @@ def test_the_ledger_tells_of_the_camera_s_other_runs(data, html):
 
 
 def test_the_collimator_is_told_as_the_station_file_does(data, html):
-    assert "serial C-7, nominal focal length 255 mm, certificate 2026-114" in printed_text(html)
+    assert "serial number C-7, nominal focal length 255 mm, certificate 2026-114" in printed_text(html)
     results = copy.deepcopy(dict(data.results))
     results["run"]["collimator"] = {"certificate": "none"}
     assert "certificate none" in printed_text(render_report(ReportData(results)))

@@ -1,0 +1,149 @@
+"""Maps over the sensor as contours at round numbers: uncertainty, difference of halves, change since another result."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import matplotlib as mpl
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+
+from bench.report.drawing import (
+    INK,
+    POSE_COLOURS,
+    SENSOR_PANEL,
+    STYLE,
+    sensor,
+    shade_unsupported,
+    strokes,
+    to_svg,
+)
+from calib.uncertainty.projection_uncertainty import CameraDifference
+
+Array = NDArray[np.float64]
+
+_MOST_LINES = 7
+_LARGE_RANGE = 6.0
+"""From this ratio of the largest to the smallest value on, contours are at 1, 2 and 5 times powers of ten."""
+_MESH = 4
+"""Distance between two arrows, in grid points of the map."""
+
+
+def sensor_map(
+    grid_px: Array,
+    values: Array,
+    name: str,
+    identifier: str,
+    label: str,
+    *,
+    stars: Array | None = None,
+    arrows: CameraDifference | None = None,
+) -> str:
+    """Draw a quantity over the sensor as contours at round numbers.
+
+    Parameters
+    ----------
+    grid_px
+        (h, w, 2) float64 image points, px.
+    values
+        (h, w) float64, the quantity, not negative; NaN where it is not known.
+    name
+        Name and unit of the quantity: the title.
+    identifier, label
+        As for `bench.report.drawing.to_svg`.
+    stars
+        (N, 2) float64, px: stars of all poses, to shade what they do not support; None to shade nothing.
+    arrows
+        A difference to draw as arrows; the longest one is one mesh long.
+
+    Returns
+    -------
+    str
+        SVG.
+    """
+    x, y, shown = grid_px[..., 0], grid_px[..., 1], _to_digits(values, 6)
+    size = (int(x.max()) + 1, int(y.max()) + 1)
+    lowest, worst, middle = (float(f(shown)) for f in (np.nanmin, np.nanmax, np.nanmedian))
+    levels = round_levels(lowest, worst)
+    edges = [lowest - 1e-9 - 1e-6 * worst, *levels, worst + 1e-9 + 1e-6 * worst]
+    with mpl.rc_context(STYLE):
+        figure = Figure(figsize=SENSOR_PANEL, layout="constrained")
+        axes = figure.add_subplot()
+        shades = mpl.colormaps["Blues"](np.linspace(0.05, 0.6, len(edges) - 1))
+        axes.contourf(x, y, shown, levels=edges, colors=shades)
+        if levels:
+            lines = axes.contour(x, y, shown, levels=levels, colors=INK, linewidths=0.6)
+            axes.clabel(lines, fmt=lambda level: f"{level:g}", fontsize=8)
+        if stars is not None and len(stars):
+            shade_unsupported(axes, stars, size)
+        if arrows is not None:
+            _arrows(axes, arrows)
+        axes.set_title(f"{name}\nmedian {middle:.2g}, at most {worst:.2g}")
+        sensor(axes, size)
+        return to_svg(figure, identifier, label)
+
+
+def round_levels(lowest: float, largest: float) -> list[float]:
+    """Return round numbers between two values: at equal steps, or 1, 2, 5 times powers of ten for a large range.
+
+    Parameters
+    ----------
+    lowest, largest
+        The values, not negative.
+
+    Returns
+    -------
+    list of float
+        At most seven numbers strictly between them; empty if the values are equal.
+
+    Examples
+    --------
+    >>> round_levels(0.034, 0.0512)
+    [0.035, 0.04, 0.045, 0.05]
+    >>> round_levels(0.31, 8.1)
+    [0.5, 1.0, 2.0, 5.0]
+    >>> round_levels(0.0, 0.21)
+    [0.05, 0.1, 0.15, 0.2]
+    """
+    if not 0 <= lowest < largest:
+        return []
+    if lowest > 0 and largest / lowest > _LARGE_RANGE:
+        levels = _series(lowest, largest, (1, 2, 5))
+        return levels if len(levels) <= _MOST_LINES else _series(lowest, largest, (1,))[-_MOST_LINES:]
+    power = 10.0 ** math.floor(math.log10(largest - lowest))
+    for step in (power * part for part in (0.1, 0.2, 0.5, 1.0, 2.0, 5.0)):
+        multiples = range(math.floor(lowest / step), math.ceil(largest / step) + 1)
+        levels = sorted({float(f"{n * step:.9g}") for n in multiples})
+        levels = [level for level in levels if lowest < level < largest]
+        if len(levels) <= _MOST_LINES:
+            return levels
+    return []
+
+
+def _series(lowest: float, largest: float, parts: Sequence[int]) -> list[float]:
+    """Return the numbers ``parts`` times powers of ten between two values."""
+    powers = range(math.floor(math.log10(lowest)), math.ceil(math.log10(largest)) + 1)
+    found = (float(f"{part}e{power}") for power in powers for part in parts)
+    return [level for level in found if lowest < level < largest]
+
+
+def _arrows(axes: Axes, difference: CameraDifference) -> None:
+    """Draw how the image points of the first camera are shifted in the second; the longest arrow is one mesh."""
+    every = (slice(_MESH // 2, None, _MESH), slice(_MESH // 2, None, _MESH))
+    begins = difference.grid_px[every].reshape(-1, 2)
+    offsets = _to_digits(difference.offset_px[every], 6).reshape(-1, 2)
+    seen = np.isfinite(offsets).all(axis=1)
+    begins, offsets = begins[seen], offsets[seen]
+    mesh_px = _MESH * float(difference.grid_px[0, 1, 0])
+    longest = max(float(np.linalg.norm(offsets, axis=1).max()), 1e-12)
+    strokes(axes, begins, begins, POSE_COLOURS[1], 2.4)
+    strokes(axes, begins, begins + mesh_px / longest * offsets, POSE_COLOURS[1], 1.0)
+
+
+def _to_digits(values: Array, digits: int) -> Array:
+    """Round an array relative to its largest value, because its last bits differ between processes."""
+    unit = 10.0 ** (np.ceil(np.log10(max(float(np.nanmax(np.abs(values))), 1e-30))) - digits)
+    return np.asarray(np.round(values / unit) * unit)

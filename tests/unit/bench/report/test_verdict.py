@@ -1,0 +1,96 @@
+"""What a report says first: the verdict, the worst corner, the stars' support, the change since the last calibration."""
+
+import copy
+
+import pytest
+
+from bench.report.change_rows import change
+from bench.report.verdict import angle_text, verdict
+
+
+def told(data, **more):
+    return verdict({**data.results, "gates": [], "failures": [], "deviations": [], **more})
+
+
+def test_a_good_result_says_so_with_its_worst_corner_and_its_factor(data):
+    found = told(data)
+    assert (found.kind, found.headline, found.reasons) == ("pass", "Calibrated.", ())
+    assert found.sentences == (
+        "fx 3346.4 ± 4.3 px, fy 3346.7 ± 4.3 px (k = 2, about 95 %).",
+        (
+            "Error of a direction: at most 71 µrad = 0.25 px in the worst corner (top left); "
+            "33 µrad = 0.11 px in the median over the sensor (k = 2)."
+        ),
+        (
+            "Stars support 87 % of the sensor; there, the error of a direction is at most 53 µrad = 0.19 px (k = 2). "
+            "Elsewhere, the model extrapolates."
+        ),
+        (
+            "Since the last calibration of this camera (three_pose-20260225-090000, 4 days earlier): "
+            "no change beyond the uncertainty; largest change 0.061 px."
+        ),
+    )
+
+
+def test_gates_that_fail_and_reservations_change_it(data):
+    gate = {"name": "rms", "value": 0.31, "unit": "px", "limit": "<= 0.2", "verdict": "fail"}
+    good = {**gate, "name": "mean", "verdict": "pass"}
+    found = told(data, gates=[gate, good])
+    assert (found.kind, found.headline) == ("fail", "Calibrated, but 1 of 2 gates fails.")
+    assert found.reasons[0].startswith("Gate rms: fail")
+    found = told(data, deviations=["Pose 2 was skipped."])
+    assert (found.kind, found.headline) == ("marginal", "Calibrated, with reservations.")
+    assert found.reasons == ("Pose 2 was skipped.",)
+
+
+def test_without_convergence_no_value_is_stated(data):
+    results = copy.deepcopy(dict(data.results))
+    results["calibration"]["converged"] = False
+    found = verdict(results)
+    assert (found.kind, found.headline) == ("fail", "Not calibrated.")
+    assert not any("±" in sentence for sentence in found.sentences)
+
+
+def test_results_of_earlier_versions_still_name_a_worst_corner(data):
+    results = {key: value for key, value in data.results.items() if key not in ("projection", "previous")}
+    sentences = verdict(results).sentences
+    assert any(
+        sentence.startswith("Error of an image point in the worst corner: at most 0.9")
+        for sentence in sentences
+    )
+    assert change(results) is None
+
+
+def test_the_first_calibration_of_a_camera_is_told(data):
+    found = told(
+        data, previous={"run": None, "why_not": "This is the first calibration of this camera on this bench."}
+    )
+    assert found.sentences[-1] == "This is the first calibration of this camera on this bench."
+
+
+def test_a_change_beyond_its_uncertainty_is_told_with_its_size(data):
+    results = copy.deepcopy(dict(data.results))
+    results["previous"]["change"] |= {"largest_ratio": 2.4, "px_there": 0.31, "largest_px": 0.44}
+    results["previous"]["calibration"]["camera"]["fx"] -= 20
+    assert (
+        verdict(results)
+        .sentences[-1]
+        .endswith(": changed by up to 0.31 px = 2.4 U at one place; largest change 0.44 px.")
+    )
+    (fx, *others) = change(results).rows
+    # 21.5 px, U = hypot(4.26, 4.26)
+    assert (fx.name, fx.change, fx.change_expanded, fx.normalised, fx.verdict) == (
+        "fx",
+        "21.5",
+        "6.0",
+        "3.57",
+        "marginal",
+    )
+    assert {row.normalised for row in others} == {"0.00"}
+
+
+@pytest.mark.parametrize(
+    ("urad", "text"), [(0.0, "0 µrad"), (994.0, "990 µrad"), (996.0, "1.0 mrad"), (5123.0, "5.1 mrad")]
+)
+def test_small_angles_have_two_digits(urad, text):
+    assert angle_text(urad) == text
