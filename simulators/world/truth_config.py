@@ -227,7 +227,7 @@ def _collimator(given: object, target: StarTarget) -> CollimatorTruth:
             remedy=f"Use one of: {names}.",
         )
     collimator, profile = _section("collimator", COLLIMATORS[name], rest), COLLIMATORS[name]
-    if target == StarTarget():
+    if target == StarTarget() or not isinstance(rest, Mapping):
         return collimator
     standard, own = StarTarget().tag_centre_mm, target.tag_centre_mm
     return dataclasses.replace(

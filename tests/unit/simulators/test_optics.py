@@ -44,7 +44,7 @@ def test_stars_lie_where_opencv_projects_them_through_a_fisheye(pan, tilt, roll)
     c, col = truth.camera, truth.collimator
     rotation = optics.pose_rotation({"pan": pan, "tilt": tilt, "roll": roll}, truth.optics)
     ids, points = optics.star_centres(truth, rotation)
-    assert len(ids) > 100
+    assert len(ids) > 80
     target = np.column_stack([optics.TARGET.positions_mm(ids), np.zeros(len(ids))])
     matrix = np.array([[c.fx, 0, c.cx], [0, c.fy, c.cy], [0, 0, 1.0]])
     translation = -rotation @ np.array([col.x, col.y, -col.r])
