@@ -21,6 +21,7 @@ from bench.commands.batch_commands import BATCH_COMMANDS, BEGIN
 from bench.commands.engine_commands import ENGINE_COMMANDS
 from bench.commands.help_text import Sections, complete
 from bench.commands.options import JSON, RUN, SEED, ExistingFile, NewFile, OutputFolder, RunFolder
+from bench.commands.panel_command import panel
 from bench.commands.run_commands import RUN_COMMANDS
 from bench.commands.target_commands import TARGET_COMMANDS
 
@@ -295,6 +296,7 @@ for engine_command in ENGINE_COMMANDS:
 for run_command in (*RUN_COMMANDS, *BATCH_COMMANDS):
     cli.add_command(run_command)
 cli.add_command(align)
+cli.add_command(panel)
 for target_command in TARGET_COMMANDS:
     cli.add_command(target_command)
 complete(cli)

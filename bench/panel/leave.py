@@ -63,6 +63,8 @@ def may_leave(model: RunModel, process: ProcessState, now: datetime) -> Leave:
 
 def _without_process(model: RunModel) -> Leave:
     history = model.history
+    if model.tail.fault or model.fault:
+        return Leave(False, "The journal cannot be read further, so it is not known how the run ended.")
     if history.ended in {"finished", "aborted"}:
         return Leave(True, f"The run has {'finished' if history.ended == 'finished' else 'stopped'}.")
     if history.ended == "failed":
@@ -89,14 +91,18 @@ def _needs_a_person(model: RunModel, process: ProcessState) -> Leave | None:
         name, _, why = history.interlock.partition(":")
         return Leave(False, f"The {interlock_text(name)} interlock holds the run:{why}.")
     if history.holder:
-        return Leave(
-            False,
-            f"{history.holder} holds the run. It waits for a release; after {MAX_HOLD_H} h of holding it is aborted.",
-        )
+        return Leave(False, _hold_text(model))
     if process.free_bytes is not None and _needed_bytes(model) > process.free_bytes:
         free, needed = process.free_bytes / _GIGABYTE, _needed_bytes(model) / _GIGABYTE
         return Leave(False, f"The disk has {free:.1f} GB free; the run may need {needed:.1f} GB.")
     return None
+
+
+def _hold_text(model: RunModel) -> str:
+    holder, states = model.history.holder, model.history.states
+    if not states or states[-1]["state"] != "holding":
+        return f"{holder} has asked for a hold. The run holds at its next safe point."
+    return f"{holder} holds the run. It waits for a release; after {MAX_HOLD_H} h of holding it is aborted."
 
 
 def _needs_one_later(model: RunModel, now: datetime) -> Leave:

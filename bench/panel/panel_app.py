@@ -7,7 +7,7 @@ import json
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from pydantic import ValidationError
 from starlette.applications import Starlette
@@ -29,6 +29,9 @@ from bench.web.guard import POLICY
 from bench.web.pages import page_app, read_object
 from bench.web.stream import EventStream, Message, last_id
 
+if TYPE_CHECKING:
+    from bench.panel.batch_view import BatchView
+
 ASSETS = Path(__file__).parent / "assets"
 LIST_S = 1.0
 """Time between two looks at the folder while a page lists it, s."""
@@ -48,7 +51,7 @@ class Panel:
         self._watcher = Watcher()
         self._helper = Helper()
         self._extras: dict[RunWatch, asyncio.Task[None]] = {}
-        self._batches: dict[Path, Any] = {}
+        self._batches: dict[Path, BatchView] = {}
         self._list_text = ""
         self._list_number = 0
         self._list_readers = 0
@@ -70,12 +73,14 @@ class Panel:
                 Route("/batch/{key:path}", self._batch_page),
                 Route("/report/{key:path}", self._report),
                 Route("/api/list", self._list_stream),
+                Route("/api/list/state", self._list_state),
                 Route("/api/run/{key:path}/events", self._run_stream),
                 Route("/api/run/{key:path}/state", self._run_state),
                 Route("/api/run/{key:path}/log", self._run_log),
                 Route("/api/run/{key:path}/picture/{pose:int}/{attempt:int}", self._picture),
                 Route("/api/run/{key:path}/command", self._command, methods=["POST"]),
                 Route("/api/batch/{key:path}/events", self._batch_stream),
+                Route("/api/batch/{key:path}/state", self._batch_state),
             ],
             assets=ASSETS,
             lifespan=self._life,
@@ -121,6 +126,10 @@ class Panel:
     # ---------------------------------------------------------------- the list
     async def _list_stream(self, _request: Request) -> EventStream:
         return EventStream(self._list_messages())
+
+    async def _list_state(self, _request: Request) -> Response:
+        found = await run_in_threadpool(self._list.look)
+        return JSONResponse(found)
 
     async def _list_messages(self) -> AsyncIterator[Message]:
         self._list_readers += 1
@@ -262,7 +271,7 @@ class Panel:
             command = Command(**given)
         except (ValidationError, TypeError) as error:
             raise UsageError(_command_fault(given), remedy="Correct it and send it again.") from error
-        if command.word == "abort" and confirmed != folder.name:
+        if command.word == "abort" and confirmed != "abort":
             raise UsageError(
                 "An abort must be confirmed.", where=str(folder), remedy="Confirm it in the second step."
             )
@@ -270,7 +279,7 @@ class Panel:
         return JSONResponse({"taken": answer["taken"], "text": command_text(answer), "why": answer["why"]})
 
     # ---------------------------------------------------------------- a batch
-    async def _batch_stream(self, request: Request) -> EventStream:
+    def _batch(self, request: Request) -> BatchView:
         from bench.panel.batch_view import BatchView
 
         folder = self._folder(request)
@@ -278,8 +287,14 @@ class Panel:
             raise RunFolderError(
                 "This is a run, not a batch.", where=str(folder), remedy="Open it from the list."
             )
-        view = self._batches.setdefault(folder, BatchView(folder))
-        return EventStream(view.messages())
+        return self._batches.setdefault(folder, BatchView(folder))
+
+    async def _batch_stream(self, request: Request) -> EventStream:
+        return EventStream(self._batch(request).messages())
+
+    async def _batch_state(self, request: Request) -> Response:
+        text, _ = await run_in_threadpool(self._batch(request).text)
+        return Response(text, media_type="application/json")
 
 
 def _command_fault(given: dict[str, Any]) -> str:

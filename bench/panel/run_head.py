@@ -38,14 +38,12 @@ def verdict_of(model: RunModel, process: ProcessState) -> tuple[str, str]:
     if process.running and not history.ended:
         if history.question:
             return "asks", "warn"
-        if history.interlock or history.holder:
-            return "held", "warn"
-        return "running", "busy"
+        return ("held", "warn") if history.interlock or history.holder else ("running", "busy")
+    if model.tail.fault or model.fault:
+        return "not readable", "bad"
     how = history.ended or "interrupted"
-    if how == "finished" and process.running:
-        return "being sealed", "busy"
-    if how == "finished" and not process.sealed:
-        return "not sealed", "warn"
+    if how == "finished" and not process.sealed and not history.started.get("rehearsal", False):
+        return ("being sealed", "busy") if process.running else ("not sealed", "warn")
     return how, _TONES[how]
 
 

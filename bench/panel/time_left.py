@@ -12,6 +12,8 @@ from bench.records.journal_entry import Entry
 
 _LEAST_STEPS = 3
 _SMALLEST, _LARGEST = 0.5, 50.0
+_FIXED = frozenset({"prompt", "wait", "settle"})
+"""Steps that take the time that the sequence states, on any bench."""
 
 
 class TimeLeft:
@@ -28,8 +30,14 @@ class TimeLeft:
     def __init__(self, steps: Sequence[Mapping[str, Any]], duration_s: float) -> None:
         self._planned_s = {int(step["number"]): float(step["duration_s"]) for step in steps}
         self._after_s = {int(step["number"]): float(step["done_after_s"]) for step in steps}
+        self._fixed = {int(step["number"]) for step in steps if step["what"] in _FIXED}
+        self._fixed_after_s: dict[int, float] = {}
+        self._fixed_s = 0.0
+        for number in self._planned_s:
+            self._fixed_s += self._planned_s[number] if number in self._fixed else 0.0
+            self._fixed_after_s[number] = self._fixed_s
         self._duration_s = duration_s
-        self._begun_s = 0.0
+        self._begun_s = self._begun_fixed_s = 0.0
         self._counted_s = self._took_s = 0.0
         self._counted = 0
         self._mark_utc = ""
@@ -48,15 +56,24 @@ class TimeLeft:
             self._mark_utc = entry.utc
         if entry.event == Event.STEP_DONE:
             step = int(entry.data["step"])
-            self._begun_s = max(self._begun_s, self._after_s.get(step, 0.0))
+            self._begin(step)
             planned_s = self._planned_s.get(step, 0.0)
-            if planned_s > 0 and not entry.data.get("skipped"):
+            if planned_s > 0 and step not in self._fixed and not entry.data.get("skipped"):
                 self._counted += 1
                 self._counted_s += planned_s
                 self._took_s += history.worked_s.get(step, planned_s)
         elif entry.event == Event.UNTIL_DECIDED and "ended" in entry.data:
-            last = int(entry.data["until_last"])
-            self._begun_s = max(self._begun_s, self._after_s.get(last, 0.0))
+            self._begin(int(entry.data["until_last"]))
+
+    def _begin(self, after_step: int) -> None:
+        """Begin the steps after one that is done or left out."""
+        self._begun_s = max(self._begun_s, self._after_s.get(after_step, 0.0))
+        self._begun_fixed_s = max(self._begun_fixed_s, self._fixed_after_s.get(after_step, 0.0))
+
+    def _scaled_s(self, until_s: float, fixed_until_s: float) -> float:
+        """Return the time from the last step done to a moment of the plan, with its fixed part, scaled."""
+        fixed_s = max(0.0, fixed_until_s - self._begun_fixed_s)
+        return fixed_s + max(0.0, until_s - self._begun_s - fixed_s) * self.pace
 
     def left_s(self, now: datetime, *, held: bool) -> float:
         """Return the time left.
@@ -73,7 +90,7 @@ class TimeLeft:
         float
             Time, s. From the third step on, the planned times are scaled by what the steps so far took.
         """
-        left_s = max(0.0, self._duration_s - self._begun_s) * self.pace
+        left_s = self._scaled_s(self._duration_s, self._fixed_s)
         if held or not self._mark_utc:
             return left_s
         since_s = (now - datetime.fromisoformat(self._mark_utc)).total_seconds()
@@ -92,8 +109,9 @@ class TimeLeft:
         float
             Time, s.
         """
-        begin_s = self._after_s.get(step, 0.0) - self._planned_s.get(step, 0.0)
-        return max(0.0, begin_s - self._begun_s) * self.pace
+        own_s = self._planned_s.get(step, 0.0)
+        fixed_s = self._fixed_after_s.get(step, 0.0) - (own_s if step in self._fixed else 0.0)
+        return self._scaled_s(self._after_s.get(step, 0.0) - own_s, fixed_s)
 
     @property
     def pace(self) -> float:
