@@ -329,7 +329,11 @@ def _turn_text(turn: TurnFigures, setting: LiveSetting) -> str:
     by_hand = (
         f" The stage has no {' and no '.join(missing)} axis: turn the camera in its mount." if missing else ""
     )
-    return f"Turn {text}.{by_hand}"
+    beyond = "".join(
+        f" {axis.capitalize()} would be at {there:.1f} degrees, beyond its limit: turn the camera in its mount."
+        for axis, there in turn.beyond.items()
+    )
+    return f"Turn {text}.{by_hand}{beyond}"
 
 
 def _pattern(seen: Seen, setting: LiveSetting) -> Iterator[str]:

@@ -11,7 +11,7 @@ from __future__ import annotations
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,6 +30,11 @@ from drivers.camera import RecordingFacts
 from drivers.errors import RecordingFileError
 
 __all__ = ["LiveFigures", "LiveMeter", "LiveSetting", "LiveSlice", "measure_live"]
+
+_REST: Final = 1.5
+"""Time from one search for stars to the next, at least, in units of the time that the last one took."""
+_COMPARED_EVERY_S: Final = 1.0
+"""Time from one measurement of the frequency by the events to the next, s."""
 
 Corners = tuple[tuple[float, float], ...]
 
@@ -184,6 +189,7 @@ class LiveMeter:
         self._stars_every_s = stars_every_s
         self._course = FocusCourse()
         self._found: _Found | None = None
+        self._event_hz: tuple[float, float] | None = None
         self._size = (1280, 720)
 
     def measure(self, part: LiveSlice, setting: LiveSetting) -> tuple[NDArray[np.uint8], LiveFigures]:
@@ -205,7 +211,7 @@ class LiveMeter:
         """
         watch = _StopWatch()
         try:
-            image = read_image(part.path, setting)
+            image = read_image(part.path, setting, compare=self._compares(part))
         except (CalibrationError, RecordingFileError) as error:
             figures = LiveFigures(
                 time_s=part.time_s,
@@ -217,6 +223,7 @@ class LiveMeter:
             )
             return np.zeros(self._size[::-1], np.uint8), figures
         self._size = image.values.shape[1], image.values.shape[0]
+        event_hz = self._by_events(part, image)
         shown = show(image.values)
         watch.lap("image")
         beam = find_beam(image.values, least=image.least)
@@ -237,12 +244,42 @@ class LiveMeter:
             turn=where_to_turn(self._size, beam, found.stars, setting.target, _bench(part, setting)),
         )
         figures = _figures(part, setting, seen, found.time_s)
-        return shown, replace(figures, advice=tuple(advice_for(seen, setting)), took_ms=watch.lap("advice"))
+        return shown, replace(
+            figures,
+            event_hz=event_hz,
+            advice=tuple(advice_for(seen, setting)),
+            took_ms=watch.lap("advice"),
+        )
 
     def forget(self) -> None:
         """Forget the course of the focus and the last stars, for example after the lens was changed."""
         self._course.forget()
         self._found = None
+        self._event_hz = None
+
+    def _by_events(self, part: LiveSlice, image: LiveImage) -> float | None:
+        """Return the frequency by the events, Hz: of this slice, or the last one while the sync edges go on."""
+        if image.signal is None or image.signal.flicker is None:
+            self._event_hz = None
+            return None
+        if image.signal.event_hz is not None:
+            self._event_hz = part.time_s, image.signal.event_hz
+        elif self._compares(part):
+            self._event_hz = None
+        return self._event_hz[1] if self._event_hz is not None else None
+
+    def _compares(self, part: LiveSlice) -> bool:
+        """Return whether it is time to measure the frequency by the events too."""
+        if self._event_hz is None:
+            return True
+        return not 0.0 <= part.time_s - self._event_hz[0] < _COMPARED_EVERY_S
+
+    def _is_due(self, part: LiveSlice) -> bool:
+        """Return whether it is time to search stars again."""
+        last = self._found
+        if last is None:
+            return True
+        return not 0.0 <= part.time_s - last.time_s < max(self._stars_every_s, _REST * last.took_s)
 
     def _search(
         self, part: LiveSlice, setting: LiveSetting, image: LiveImage, beam: Beam, watch: _StopWatch
@@ -266,7 +303,8 @@ class LiveMeter:
         focus = measure_focus(image.values, beam, stars, setting.target)
         watch.lap("focus")
         self._course.add(part.time_s, focus)
-        self._found = _Found(part.time_s, stars, other_tag, focus, time.perf_counter() - started_s)
+        took_s = time.perf_counter() - started_s
+        self._found = _Found(part.time_s, stars, other_tag, focus, took_s)
         return self._found
 
 

@@ -57,7 +57,7 @@ class LiveImage(NamedTuple):
     saturation: float | None
 
 
-def read_image(path: Path, setting: LiveSetting) -> LiveImage:
+def read_image(path: Path, setting: LiveSetting, *, compare: bool = True) -> LiveImage:
     """Read a slice and make its image.
 
     Parameters
@@ -66,6 +66,8 @@ def read_image(path: Path, setting: LiveSetting) -> LiveImage:
         RAW file, or file of frames.
     setting
         What is known of the bench: the kind of camera, the frequency.
+    compare
+        Whether the frequency is measured by the events also if the sync edges give it.
 
     Returns
     -------
@@ -77,7 +79,9 @@ def read_image(path: Path, setting: LiveSetting) -> LiveImage:
     drivers.errors.RecordingFileError
         If the file cannot be read.
     """
-    return _read_frames(path) if setting.camera == "frame" else _read_events(path, setting.frequency_hz)
+    if setting.camera == "frame":
+        return _read_frames(path)
+    return _read_events(path, setting.frequency_hz, compare=compare)
 
 
 def show(values: NDArray[np.float32]) -> NDArray[np.uint8]:
@@ -106,7 +110,7 @@ def show(values: NDArray[np.float32]) -> NDArray[np.uint8]:
     return np.asarray(cv2.LUT(scaled, table), np.uint8)
 
 
-def _read_events(path: Path, expected_hz: float | None) -> LiveImage:
+def _read_events(path: Path, expected_hz: float | None, *, compare: bool) -> LiveImage:
     """Make the image of an event camera's slice."""
     raw = RawFile.open(path)
     events, triggers = raw.read()
@@ -114,7 +118,8 @@ def _read_events(path: Path, expected_hz: float | None) -> LiveImage:
     origin_us = min(starts, default=0)
     events.t[:] -= origin_us
     triggers.t[:] -= origin_us
-    signal = measure_signal(events, triggers, path.stat().st_size - raw.raw_header.size_bytes, expected_hz)
+    data_bytes = path.stat().st_size - raw.raw_header.size_bytes
+    signal = measure_signal(events, triggers, data_bytes, expected_hz, compare=compare)
     size = raw.width, raw.height
     images = _images(events, size, signal)
     if images is None:

@@ -52,6 +52,8 @@ class TurnFigures:
         Roll that brings this angle to `ROLL_WANTED_DEG`, degrees; 0 if it is large enough.
     rim_poses
         Which poses show the beam's rim, a sentence; empty if unknown.
+    beyond
+        Axes that would have to turn beyond their limits, with the angle that they would reach, degrees.
     """
 
     of: str = ""
@@ -64,6 +66,7 @@ class TurnFigures:
     roll_deg: float | None = None
     roll_by_deg: float | None = None
     rim_poses: str = ""
+    beyond: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def centred(self) -> bool:
@@ -80,7 +83,7 @@ class TurnFigures:
         -------
         dict
             ``pan_deg`` and ``tilt_deg`` (None if no focal length is known; then ``right_px`` and ``up_px``),
-            ``roll_deg``, ``roll_by_deg``, ``of``, ``unit``, ``tag``, ``beam``, ``focal_px``, ``rim_poses``.
+            ``roll_deg``, ``roll_by_deg``, ``of``, ``unit``, ``tag``, ``beam``, ``focal_px``, ``rim_poses``, ``beyond``.
         """
         in_deg = self.unit == "°"
         return {
@@ -96,6 +99,7 @@ class TurnFigures:
             "beam": list(self.beam_off) if self.beam_off else None,
             "focal_px": self.focal_px,
             "rim_poses": self.rim_poses,
+            "beyond": dict(self.beyond),
         }
 
 
@@ -173,7 +177,19 @@ def where_to_turn(
         roll_deg=roll,
         roll_by_deg=None if roll is None else roll_by_deg(roll),
         rim_poses=rim_poses(size, focal, offs[1] or offs[0], beam, bench),
+        beyond=_beyond(chosen, bench) if chosen and focal else {},
     )
+
+
+def _beyond(turn: Offset, bench: Bench) -> dict[str, float]:
+    """Return the angles that lie beyond the limits of their axes after a turn, degrees, by axis."""
+    found = {}
+    for axis, by in zip(("pan", "tilt"), turn, strict=True):
+        there = bench.reading_deg.get(axis, 0.0) + by
+        low, high = bench.limits_deg.get(axis, (-math.inf, math.inf))
+        if not low <= there <= high:
+            found[axis] = there
+    return found
 
 
 def turn_to_centre(

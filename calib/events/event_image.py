@@ -21,6 +21,7 @@ first-ON latency
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, NamedTuple
@@ -258,7 +259,8 @@ def make_images(
     """
     _check(t, x, y, p, size)
     start, end, whole = whole_period_window(t, flicker, window_us, periods)
-    first, last = (int(i) for i in np.searchsorted(t, [np.ceil(start), np.ceil(end)]))
+    # Whole numbers: with floats, NumPy would convert all times.
+    first, last = (int(i) for i in np.searchsorted(t, [math.ceil(start), math.ceil(end)]))
     if last == first:
         raise TooFewEvents(
             f"No event lies between {start:.0f} and {end:.0f} us.",
