@@ -32,6 +32,7 @@ _LOADED_LINK: Final = 0.9
 _ON_SHARES: Final = (0.25, 0.75)
 _MANY_HOT: Final = 2000
 _LITTLE_LIGHT: Final = 0.6
+_BLINDED: Final = 0.6
 _FREQUENCY_SLACK: Final = 0.03
 
 
@@ -110,6 +111,8 @@ def advice_for(seen: Seen, setting: LiveSetting) -> list[str]:
     advice += _signal(seen, setting)
     if seen.other_tag:
         return [*advice, seen.other_tag]
+    if seen.image.signal is None and (seen.image.saturation or 0.0) > _BLINDED:
+        return advice
     flat = _flat(seen)
     if flat:
         return [*advice, flat, *_aim(seen, setting)]
@@ -169,9 +172,9 @@ def _light(seen: Seen, setting: LiveSetting) -> Iterator[str]:
             "camera points at the collimator."
         )
     elif signal.flicker is not None:
-        source = "its sync signal" if signal.trigger_hz else "some events"
+        source = "The sync signal comes" if signal.triggers else "Some events flicker"
         yield (
-            f"The light flickers by {source}, but the picture shows no lit area: remove the lens cap, open the "
+            f"{source}, but the picture shows no lit area: remove the lens cap, open the "
             "aperture, turn the camera towards the collimator, or raise the light's level."
         )
     elif setting.light_on:
@@ -231,12 +234,17 @@ def _sync(signal: SignalFigures, setting: LiveSetting) -> Iterator[str]:
         yield f"{signal.sync_fault} Check the sync cable and the light's settings."
     elif not signal.triggers and setting.gates.require_triggers:
         yield "No sync triggers come: check the cable from the light's sync output to the camera's trigger input."
+    elif signal.triggers_expected - signal.triggers > setting.gates.limits.get("max_triggers_missed", 1):
+        yield (
+            f"{signal.triggers} of {signal.triggers_expected} sync edges came: check the sync cable, its level, and "
+            "the frequency of the light."
+        )
     elif signal.jitter_us is not None and signal.jitter_us > setting.gates.limits.get(
         "max_trigger_jitter_us", float("inf")
     ):
         yield f"The sync edges jitter by {signal.jitter_us:.0f} us: check the sync cable and its level."
-    wanted, source = setting.frequency_hz, signal.flicker.source if signal.flicker else "events"
-    found = signal.flicker.frequency_hz if signal.flicker else None
+    wanted, source = setting.frequency_hz, "triggers" if signal.trigger_hz else "events"
+    found = signal.trigger_hz or signal.event_hz
     # A live slice is too short for the tolerance of a run if only events give the frequency.
     tolerance = FREQUENCY_TOLERANCE["triggers"] if source == "triggers" else _FREQUENCY_SLACK
     if wanted and found and not signal.sync_fault and abs(found / wanted - 1.0) > tolerance:
@@ -248,14 +256,16 @@ def _sync(signal: SignalFigures, setting: LiveSetting) -> Iterator[str]:
 
 def _flat(seen: Seen) -> str:
     """Return what to do if bright light hides the pattern of a lens far out of focus; else an empty text."""
-    if seen.count or seen.tag_seen or seen.image.signal is None or seen.contrast is None:
+    if seen.count or seen.tag_seen or seen.contrast is None:
         return ""
     if seen.contrast > _FLAT_CONTRAST or (seen.focus.sharpness or 0.0) > _FLAT_DETAIL:
         return ""
+    what = "The lit area shows no pattern: the lens is far out of focus, or it looks beside the target."
+    if seen.image.signal is None:
+        return f"{what} Turn the focus ring until dark shapes appear{_sharpness_text(seen)}."
     return (
-        "The lit area shows no pattern: the lens is far out of focus, or it looks beside the target. Set the light's "
-        f"level to {FOCUSING_LEVEL_PERCENT} %, so that dark shapes become visible, then turn the focus ring until "
-        f"they grow clear{_sharpness_text(seen)}."
+        f"{what} Set the light's level to {FOCUSING_LEVEL_PERCENT} %, so that dark shapes become visible, then turn "
+        f"the focus ring until they grow clear{_sharpness_text(seen)}."
     )
 
 

@@ -20,6 +20,7 @@ LINK_GBIT_S: Final = 1.6
 _MOST_EVENTS: Final = 150_000
 """Number of events from which the flicker is searched; more do not make the figure better."""
 _LEAST_PERIODS: Final = 3
+_SHORT_PERIODS: Final = 2.2
 
 
 @dataclass(frozen=True)
@@ -36,10 +37,11 @@ class SignalFigures:
         Share of ON events.
     link_share
         Data rate as a share of what the link carries.
-    triggers
-        Number of rising sync edges.
+    triggers, triggers_expected
+        Number of rising sync edges found, and expected by their frequency.
     flicker
-        The flicker that the image is made with; None if there is none.
+        The flicker that the image is made with; None if there is none. A slice too short to show one is taken to
+        have the frequency to which the light is set; then neither ``trigger_hz`` nor ``event_hz`` is known.
     trigger_hz, event_hz
         Frequency by the sync edges, and by the events alone, Hz.
     jitter_us
@@ -55,6 +57,7 @@ class SignalFigures:
     on_share: float | None = None
     link_share: float | None = None
     triggers: int = 0
+    triggers_expected: int = 0
     flicker: Flicker | None = None
     trigger_hz: float | None = None
     event_hz: float | None = None
@@ -92,15 +95,18 @@ def measure_signal(
     by_events = None
     if compare or by_triggers is None:
         by_events = _by_events(events, by_triggers.frequency_hz if by_triggers else expected_hz)
-    flicker = by_triggers or by_events
+    flicker = by_triggers or by_events or _assumed(count, duration_s, expected_hz)
+    up = int(np.count_nonzero(triggers.value == 1))
+    expected = len(by_triggers.rising_edges_us(0.0, 1e6 * duration_s)) if by_triggers else 0
     return SignalFigures(
         events=count,
         events_per_s=count / duration_s if duration_s else None,
         on_share=float(np.count_nonzero(events.p)) / count if count else None,
         link_share=8e-9 * data_bytes / (duration_s * LINK_GBIT_S) if duration_s else None,
-        triggers=int(np.count_nonzero(triggers.value == 1)),
+        triggers=up,
+        triggers_expected=expected,
         flicker=flicker,
-        trigger_hz=by_triggers.frequency_hz if by_triggers else None,
+        trigger_hz=by_triggers.frequency_hz if by_triggers and _shows_period(triggers) else None,
         event_hz=by_events.frequency_hz if by_events else None,
         jitter_us=by_triggers.jitter_us if by_triggers else None,
         event_jitter_us=burst_jitter_us(events, flicker) if flicker else None,
@@ -145,7 +151,7 @@ def burst_jitter_us(events: Events, flicker: Flicker) -> float | None:
 
 def _by_triggers(triggers: Triggers, expected_hz: float | None) -> tuple[Flicker | None, str]:
     """Return the flicker by the sync edges, and what is wrong with them."""
-    if len(triggers.t) < 2:
+    if not len(triggers.t) or (expected_hz is None and len(triggers.t) < 2):
         return None, ""
     try:
         return flicker_from_triggers(triggers.t, triggers.value, expected_hz=expected_hz), ""
@@ -157,6 +163,20 @@ def _by_triggers(triggers: Triggers, expected_hz: float | None) -> tuple[Flicker
         return flicker_from_triggers(triggers.t, triggers.value), first
     except FlickerNotFound:
         return None, first
+
+
+def _assumed(events: int, duration_s: float, expected_hz: float | None) -> Flicker | None:
+    """Return the flicker to which the light is set, if the slice is too short to show any; its phase is unknown."""
+    if expected_hz is None or not events or duration_s * expected_hz > _SHORT_PERIODS:
+        return None
+    nan = float("nan")
+    return Flicker(1e6 / expected_hz, 0.0, nan, nan, 0, 0, 0, "events")
+
+
+def _shows_period(triggers: Triggers) -> bool:
+    """Return whether two edges of one direction are there: a single one takes its frequency from the settings."""
+    up = int(np.count_nonzero(triggers.value == 1))
+    return max(up, len(triggers.t) - up) >= 2
 
 
 def _by_events(events: Events, near_hz: float | None) -> Flicker | None:
