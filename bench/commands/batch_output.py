@@ -23,6 +23,7 @@ from sequences.queue import Queue
 
 if TYPE_CHECKING:
     from bench.results.forecasts import PlanForecast
+    from calib.studies.planning import Forecast
 
 _SHOWN = ("fx", "cx", "cy", "r")
 _MOST_LINES = 80
@@ -284,20 +285,23 @@ def _night_text(night: BatchPlan, forecasts: Mapping[str, PlanForecast | None]) 
             "",
             f"No time for {len(night.without_time)}: {', '.join(item.key for item in night.without_time)}",
         ]
-    lines += ["", f"{'job':<16} {'a run takes':>12} {'disk':>8}  expected, 1 sigma"]
+    lines += ["", f"{'job':<16} {'a run takes':>12} {'disk':>8}  expected U (about 95 %)"]
     for name, planned in night.plans.items():
         found = forecasts[name]
-        sigmas = (
-            ", ".join(f"{n} {found.forecast.sigma[n]:.2g}" for n in _SHOWN if n in found.forecast.sigma)
-            if found
-            else "unknown"
-        )
+        expected = _expected_text(found.forecast) if found else "unknown"
         lines.append(
-            f"{name:<16} {duration_text(planned.duration_s):>12} {size_text(planned.size_bytes):>8}  {sigmas}"
+            f"{name:<16} {duration_text(planned.duration_s):>12} {size_text(planned.size_bytes):>8}  {expected}"
         )
     runs = len(night.slots) - len(night.without_time)
     end = f"{night.end.astimezone(zone):%a %H:%M %Z}"
     return "\n".join([*lines, "", f"{runs} runs, until {end}, about {size_text(night.size_bytes)} on disk."])
+
+
+def _expected_text(forecast: Forecast) -> str:
+    """Return the expected expanded uncertainties of a job, with their coverage factor."""
+    k = forecast.coverage_factor
+    values = ", ".join(f"{n} {k * forecast.sigma[n]:.2g}" for n in _SHOWN if n in forecast.sigma)
+    return f"{values} (k = {k:.3g})"
 
 
 def refuse_extra(queue: Path, station: str | None, suggest: int) -> None:

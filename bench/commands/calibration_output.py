@@ -44,17 +44,28 @@ def show_run(end: RunEnd, *, as_json: bool) -> int:
         results = end.outcome.results if end.outcome else {}
         print_json({**facts, **dict(results.get("calibration", {})), "results": dict(results) or None})
         return status
+    if end.how == "finished" and end.outcome is None:
+        click.echo("The run is finished and sealed. Its sequence has no report step, so there is no result.")
+        click.echo(f"Recordings and journal: {end.folder}")
+        return status
     if end.outcome is None:
-        click.echo(f"The run {'was aborted' if end.how == 'aborted' else 'failed'}: {end.why}", err=True)
-        if not end.opened:
-            click.echo("No device was used; nothing was moved or switched.", err=True)
-        elif not end.unsafe:
-            click.echo("The bench is safe: stage stopped, light off.", err=True)
-        click.echo(f"All recordings are kept. To continue:\n  starbench resume {end.folder}", err=True)
+        for line in _early_end_lines(end):
+            click.echo(line, err=True)
         return status
     click.echo(_run_text(end.outcome.results))
     click.echo(f"Report: {report}")
     return status
+
+
+def _early_end_lines(end: RunEnd) -> list[str]:
+    """Return why a run ended early, what is known of the bench, and how to continue."""
+    lines = [f"The run {'was aborted' if end.how == 'aborted' else 'failed'}: {end.why}"]
+    if not end.opened:
+        lines.append("No device was used; nothing was moved or switched.")
+        lines.append("Whether the light is on and the stage is still is not known: look at the bench.")
+    elif not end.unsafe:
+        lines += ["The bench is safe: stage stopped, light off.", "The devices confirmed this."]
+    return [*lines, "All recordings are kept. To continue:", f"  starbench resume {end.folder}"]
 
 
 def print_calibration(
@@ -201,20 +212,20 @@ def comparison_text(baselines: list[MethodResult | MethodFailure]) -> str:
     """
     from calib.studies.reference_methods import MethodFailure
 
-    head = f"  {'':<34}{'fx':>10}{'stated':>9}{'cx':>10}{'cy':>10}{'rms px':>9}{'left out':>10}"
+    head = f"  {'':<34}{'fx':>10}{'U(fx)':>9}{'cx':>10}{'cy':>10}{'rms px':>9}{'left out':>10}"
     lines = ["On the same points:", head]
     for row in baselines:
         if isinstance(row, MethodFailure):
             lines.append(f"  {row.name:<34}no result: {row.why}")
             continue
         left_out = f"{row.left_out_rms_px:.4f}" if row.left_out_rms_px is not None else "-"
-        stated = f"{row.sigma['fx']:.2f}" if "fx" in row.sigma else "-"
+        stated = f"{2 * row.sigma['fx']:.2f}" if "fx" in row.sigma else "-"
         lines.append(
             f"  {row.name:<34}{row.camera.fx:>10.2f}{stated:>9}{row.camera.cx:>10.2f}"
             f"{row.camera.cy:>10.2f}{row.rms_px:>9.4f}{left_out:>10}"
         )
     lines.append(
-        "stated: 1 sigma of fx, as the method states it. left out: rms of views that were not used, with only their"
-        " rotation solved."
+        "U(fx): 2 times the sigma that the method states (k = 2). left out: rms of views that were not used, with"
+        " only their rotation solved."
     )
     return "\n".join(lines)

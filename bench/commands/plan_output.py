@@ -11,11 +11,14 @@ import click
 from bench.commands.output import print_json
 from bench.plan.plan import Plan
 from bench.plan.plan_text import render_plan
-from bench.results.forecasts import PlanForecast, expected_uncertainty, suggest_poses
+from bench.report.verdict import angle_text
+from bench.results.forecasts import PlanForecast, expected_uncertainty, forecasts_with, suggest_poses
 from bench.results.until_forecast import expected_courses
 from calib.model.budget_row import WORST_CORNER, BudgetRow
-from calib.studies.planning import SuggestedPose
+from calib.studies.planning import Forecast, SuggestedPose
+from calib.uncertainty.projection_uncertainty import ARCSEC
 
+_URAD_PER_ARCSEC = 1e6 / ARCSEC
 _MOST_TERMS = 5
 _SMALLEST_SHARE = 0.005
 """Terms with a smaller share of the variance are not printed."""
@@ -65,9 +68,10 @@ def show_plan(planned: Plan, *, suggest: int, as_json: bool) -> int:
             click.echo(f"\n{_forecast_text(found)}")
         for course in courses:
             click.echo(course.text)
-        for pose in suggested:
-            angles = ", ".join(f"{name}: {angle:g}" for name, angle in pose.angles_deg.items())
-            click.echo(f"Suggested: {{{angles}}} {_why(pose)}")
+        before = None if found is None or found.chosen else found.forecast
+        for pose, forecast in zip(suggested, forecasts_with(planned, suggested), strict=True):
+            click.echo(_suggestion_text(pose, before, forecast))
+            before = forecast
     return 2 if planned.faults else 0
 
 
@@ -100,14 +104,14 @@ def _forecast_text(found: PlanForecast) -> str:
     if found.chosen:
         poses = f"as many poses as allowed, {found.poses}"
     fx, corners = forecast.limited["expanded_fx"], forecast.limited[WORST_CORNER]
-    arcsec = k * forecast.projection_map.worst_arcsec
+    direction = angle_text(_URAD_PER_ARCSEC * k * forecast.projection_map.worst_arcsec)
     lines = [
-        f"Expected with {poses}, {forecast.model} model, k = {k:.1f}:",
-        f"  U(fx) {fx:.2g} px, U at the corners {corners:.2g} px, of a direction at most {arcsec:.2g} arcsec",
-        f"  {'largest terms, 1 sigma, px':<44}{'fx':>8}{'corners':>10}",
+        f"Expected with {poses}, {forecast.model} model; U with k = {k:.3g}:",
+        f"  U(fx) {fx:.2g} px, U at the corners {corners:.2g} px, U of a direction at most {direction}",
+        f"  {'largest parts of U, px':<44}{'fx':>8}{'corners':>10}",
     ]
     for row in _largest(forecast.budget_rows):
-        parts = [row.contribution.get(name, 0.0) for name in ("fx", WORST_CORNER)]
+        parts = [k * row.contribution.get(name, 0.0) for name in ("fx", WORST_CORNER)]
         lines.append(f"  {row.name:<44}{parts[0]:>8.2g}{parts[1]:>10.2g}")
     return "\n".join([*lines, *found.remarks])
 
@@ -119,13 +123,29 @@ def _largest(rows: Sequence[BudgetRow]) -> list[BudgetRow]:
     return [row for row in shown if share[row.name] >= _SMALLEST_SHARE]
 
 
+def _suggestion_text(pose: SuggestedPose, before: Forecast | None, found: Forecast | None) -> str:
+    """Return a suggested pose with the uncertainty that it is expected to give."""
+    angles = ", ".join(f"{name}: {round(a, 3):g}" for name, a in pose.angles_deg.items())
+    parts = [f"it {why}"] if (why := _rim_text(pose)) else []
+    if found is None:
+        parts.append("the poses do not determine the camera yet")
+    else:
+        for name, quantity in (("U(fx)", "expanded_fx"), ("U at the corners", WORST_CORNER)):
+            instead = f" instead of {before.limited[quantity]:.2g} px" if before is not None else ""
+            parts.append(f"{name} {found.limited[quantity]:.2g} px{instead}")
+        parts[-1] += f" (k = {found.coverage_factor:.3g})"
+    return f"Suggested: {{{angles}}}: {', '.join(parts)}"
+
+
+def _rim_text(pose: SuggestedPose) -> str:
+    if not pose.rim_reason:
+        return ""
+    return f"shows {100 * pose.rim_share:.0f} % of the rim of the beam, which {pose.rim_reason}"
+
+
 def _why(pose: SuggestedPose) -> str:
-    """Return why a pose is suggested."""
-    if pose.rim_reason:
-        why = f"shows {100 * pose.rim_share:.0f} % of the rim of the beam, which {pose.rim_reason}"
-        return (
-            why if not math.isfinite(pose.worst_px) else f"{why}; largest uncertainty {pose.worst_px:.2g} px"
-        )
+    """Return why a pose is suggested, for programs."""
     if not math.isfinite(pose.worst_px):
-        return "the poses do not determine the camera yet"
-    return f"largest uncertainty on the sensor {pose.worst_px:.2g} px, 1 sigma"
+        return _rim_text(pose) or "the poses do not determine the camera yet"
+    worst = f"largest uncertainty on the sensor {pose.worst_px:.2g} px, 1 sigma"
+    return f"{why}; {worst}" if (why := _rim_text(pose)) else worst

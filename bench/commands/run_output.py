@@ -21,6 +21,7 @@ from bench.records.run_folder import JOURNAL
 from bench.records.run_index import IndexedRun, RunIndex, run_folders
 from bench.report.text import with_uncertainty
 from bench.results.agreement import Agreement, compare_runs
+from bench.terminal.wording import counted
 
 
 def show_intentions(lines: Sequence[str], *, as_json: bool) -> int:
@@ -169,7 +170,7 @@ def _runs_text(runs: Sequence[IndexedRun]) -> str:
         rms = "" if run.rms_px is None else f"{run.rms_px:.4f}"
         marks = "  REHEARSAL" if run.rehearsal else "  SIMULATED" if run.simulated else ""
         marks += "" if run.sealed else "  not sealed"
-        marks += f"  {run.deviations} deviations" if run.deviations else ""
+        marks += f"  {counted(run.deviations, 'deviation')}" if run.deviations else ""
         begun = run.begun_utc[:16].replace("T", " ")
         lines.append(
             f"{begun:<17} {run.camera:<10} {run.how:<9} {run.accepted:>5}  {rms:>7}  {run.folder}{marks}"
@@ -184,14 +185,19 @@ def _signed(number: float) -> str:
 
 
 def _agreement_text(runs: Sequence[IndexedRun], compared: Sequence[Agreement]) -> str:
-    lines = [f"{len(runs)} runs of camera {runs[0].camera}, {runs[0].model} model; ± is 1 sigma."]
+    head = f"{len(runs)} runs of camera {runs[0].camera}, {runs[0].model} model."
+    head += " ± is the expanded uncertainty U (about 95 %): k = 2 for a mean, the k of its report for a run."
+    lines = [head]
     for parameter in compared:
-        mean, sigma = with_uncertainty(parameter.mean, parameter.sigma)
-        lines.append(f"{parameter.name}: mean {mean} ± {sigma}, Birge ratio {parameter.birge:.2f}")
+        mean, expanded = with_uncertainty(parameter.mean, 2.0 * parameter.sigma)
+        lines.append(f"{parameter.name}: mean {mean} ± {expanded}, Birge ratio {parameter.birge:.2f}")
         for run, deviation in zip(runs, parameter.deviations, strict=True):
-            value, own = with_uncertainty(*run.parameters[parameter.name])
+            found, sigma = run.parameters[parameter.name]
+            value, own = with_uncertainty(found, run.k * sigma)
             begun = run.begun_utc[:16].replace("T", " ")
-            lines.append(f"  {begun}  {value:>12} ± {own:<8} {_signed(deviation):>6} sigma  {run.id}")
+            lines.append(
+                f"  {begun}  {value:>12} ± {own:<8} (k = {run.k:.2f})  {_signed(deviation):>6} sigma  {run.id}"
+            )
     return "\n".join(lines)
 
 

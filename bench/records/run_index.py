@@ -25,10 +25,11 @@ from bench.records.storage import make_folder, storage_errors
 INDEX = "runs.sqlite3"
 QUEUE_COPY = "queue.yaml"
 """A file that the folder of a batch has and a run folder has not."""
-VERSION = 3
+VERSION = 4
 _COLUMNS = (
     "id", "sequence", "station", "camera", "operator", "simulated", "rehearsal", "begun_utc", "ended", "accepted",
     "recordings", "deviations", "temperature_c", "model", "rms_px",
+    "coverage_factor",
 )  # fmt: skip
 _SCHEMA = f"""
 CREATE TABLE runs (folder TEXT PRIMARY KEY, size INTEGER, mtime_ns INTEGER, {", ".join(_COLUMNS)}) WITHOUT ROWID;
@@ -63,6 +64,8 @@ class IndexedRun:
         Model and root mean square of the residuals of its calibration, px; None without a calibration.
     parameters
         Value and standard uncertainty of each parameter, by name.
+    coverage_factor
+        The k of its expanded uncertainties; None without a calibration, or if an earlier version made it.
     """
 
     folder: str
@@ -83,6 +86,12 @@ class IndexedRun:
     model: str | None
     rms_px: float | None
     parameters: Mapping[str, tuple[float, float]]
+    coverage_factor: float | None = None
+
+    @property
+    def k(self) -> float:
+        """The k of its expanded uncertainties; 2 if it is not known."""
+        return self.coverage_factor or 2.0
 
     def to_dict(self) -> dict[str, Any]:
         """Return the run as JSON carries it.
@@ -355,6 +364,7 @@ def _facts(history: History, folder: Path) -> dict[str, Any]:
         "temperature_c": _temperature_c(history),
         "model": solved.get("model"),
         "rms_px": solved.get("rms_px"),
+        "coverage_factor": solved.get("coverage_factor"),
     }
 
 

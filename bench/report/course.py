@@ -74,6 +74,8 @@ class Course:
         Time that the step worked, minutes.
     plot
         SVG; empty if nothing is drawn or no uncertainty was reached.
+    factors
+        Smallest and largest coverage factor of the calibrations.
     """
 
     goals: str
@@ -83,6 +85,7 @@ class Course:
     end: str
     minutes: str
     plot: str
+    factors: str
 
 
 def courses(decisions: Sequence[Json], *, draw: bool = True) -> list[Course]:
@@ -123,7 +126,17 @@ def _course(decisions: Sequence[Json], *, draw: bool) -> Course:
         _end_text(end, last.get("why", "")),
         fixed(last["worked_s"] / 60.0, 1),
         plot,
+        _factors(decisions),
     )
+
+
+def _factors(decisions: Sequence[Json]) -> str:
+    """Return the range of the coverage factors."""
+    found = [float(decided["coverage_factor"]) for decided in decisions if decided.get("coverage_factor")]
+    if not found:
+        return NOTHING
+    least, most = number(min(found), 3), number(max(found), 3)
+    return least if least == most else f"{least} to {most}"
 
 
 def _end_text(end: str | None, why: str) -> str:

@@ -57,10 +57,12 @@ def reached_text(decided: Mapping[str, Any]) -> str:
     Returns
     -------
     str
-        For example ``4 poses: U(fx) 3.1 px (wanted 2)``.
+        For example ``4 poses (k = 2.2): U(fx) 3.1 px (wanted 2)``.
     """
     now = decided["now"]
     poses = f"{decided['poses']} pose{'' if decided['poses'] == 1 else 's'}"
+    if now and decided.get("coverage_factor"):
+        poses += f" (k = {decided['coverage_factor']:.3g})"
     if not now:
         return f"{poses}: no calibration yet. {decided.get('problem', '')}".strip()
     parts = [

@@ -6,7 +6,7 @@ station's budget. The errors of the collimator are those that the station expect
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
 
@@ -201,6 +201,37 @@ def suggest_poses(planned: Plan, count: int) -> list[SuggestedPose]:
     """
     bench = forecast_bench(planned)
     return list(next_poses(bench, _poses_deg(planned), list(_candidates(planned)), count))
+
+
+def forecasts_with(planned: Plan, further: Sequence[SuggestedPose]) -> list[Forecast | None]:
+    """Predict the uncertainties that the poses of a plan give with the first further pose, the first two, and so on.
+
+    Parameters
+    ----------
+    planned
+        The plan.
+    further
+        Poses to add, in order.
+
+    Returns
+    -------
+    list
+        For each further pose the forecast with it and those before it; None if these poses show too few stars.
+
+    Raises
+    ------
+    UsageError
+        When the station file has no ``expected`` section.
+    """
+    bench, poses = forecast_bench(planned), _poses_deg(planned)
+    found: list[Forecast | None] = []
+    for pose in further:
+        poses = [*poses, dict(pose.angles_deg)]
+        try:
+            found.append(forecast(bench, poses))
+        except (TooFewStars, DegenerateViews):
+            found.append(None)
+    return found
 
 
 def _poses_deg(planned: Plan) -> list[dict[str, float]]:

@@ -13,6 +13,7 @@ from bench.commands.calibration_output import show_run
 from bench.records.events import Event
 from bench.records.history import replay
 from bench.records.journal import read_journal
+from bench.run.runner import RunEnd
 from calib.errors import CalibrationError
 from drivers.errors import DriverError, MoveFailed
 from sequences.errors import SequencesError
@@ -84,6 +85,23 @@ def test_a_failed_run_is_called_safe_only_if_devices_were_opened(tmp_path, capsy
     assert text in capsys.readouterr().err.splitlines()
     assert show_run(replace(end, unsafe=["the light"]), as_json=False) == 1
     assert ("safe" in capsys.readouterr().err) is False
+
+
+def test_what_is_not_known_of_devices_never_opened_is_said(capsys, tmp_path):
+    end = RunEnd("failed", "the port is missing", tmp_path, None)
+    assert show_run(end, as_json=False) == 1
+    assert (
+        "Whether the light is on and the stage is still is not known: look at the bench."
+        in capsys.readouterr().err
+    )
+
+
+def test_a_sequence_without_a_report_step_has_not_failed(capsys, tmp_path):
+    assert show_run(RunEnd("finished", "", tmp_path, None, opened=True), as_json=False) == 0
+    said = capsys.readouterr()
+    assert "finished and sealed. Its sequence has no report step, so there is no result." in said.out
+    assert "resume" not in said.out + said.err
+    assert "failed" not in said.out + said.err
 
 
 def test_a_resumed_run_knows_the_error_that_ended_it_before(tmp_path):

@@ -117,6 +117,6 @@ def test_lines_for_people():
     assert goals_text({"worst_corner_px": 0.25}) == "U at the corners is at most 0.25 px"
     assert reached_text(COURSE[0]) == "3 poses: no calibration yet."
     assert decision_text(COURSE[1]) == (
-        "4 poses: U(fx) 5.12 px (wanted 2), U at the corners 0.9 px (wanted 0.3); next: pose 5 at pan -1.25, tilt 4 deg"
+        "4 poses (k = 2.1): U(fx) 5.12 px (wanted 2), U at the corners 0.9 px (wanted 0.3); next: pose 5 at pan -1.25, tilt 4 deg"
     )
     assert decision_text(COURSE[2]).endswith("(wanted 0.3). The goals are met.")

@@ -97,10 +97,13 @@ def test_the_plan_prints_the_expected_uncertainty_with_its_largest_terms(capsys)
     with pytest.raises(SystemExit):
         main(["plan", "nine_pose", "-s", "simulated", "--suggest", "1"])
     printed = capsys.readouterr().out
-    assert "Expected with 9 poses, radial model, k = 2." in printed
+    assert "Expected with 9 poses, radial model; U with k = 2." in printed
     assert "U(fx)" in printed
     assert "\n  readings of the gimbal  " in printed
-    assert "\nSuggested: {pan_deg: " in printed
+    (suggested,) = re.findall(r"\nSuggested: \{pan_deg: .*", printed)
+    assert re.search(r"U\(fx\) [\d.]+ px instead of [\d.]+ px, .* \(k = 2[.\d]*\)$", suggested)
+    assert "1 sigma" not in printed
+    assert "\N{MICRO SIGN}rad" in printed
     with pytest.raises(SystemExit):
         main(["plan", "nine_pose", "-s", "simulated", "--suggest", "1", "--json"])
     found = json.loads(capsys.readouterr().out)
