@@ -97,6 +97,53 @@ def evidence_of(points: Sequence[Array], sigmas: Sequence[Array], means: Array) 
     return Evidence(information, product)
 
 
+def second_order_sigmas(points: Sequence[Array], means: Array, covariances: Array) -> list[Array]:
+    """Return the sigmas of the terms that the linearised distances leave out.
+
+    Variance of a product of two Gaussian variables, as in the second-order filter (Bar-Shalom, Li and Kirubarajan,
+    2001, section 10.3.2): to second order, a distance changes by s (w + k s / 2). Here s is the turn of the point's
+    direction as seen from the centre, w the change of the edge's slope, and k the curvature of the edge.
+
+    Parameters
+    ----------
+    points
+        (K, 2) float64 points of the rim for each view, mm.
+    means, covariances
+        (V, P) and (V, P, P) float64, mm and mm^2, unknowns and how uncertain they are.
+
+    Returns
+    -------
+    list of Array
+        (K,) float64 1-sigma of each point for each view, mm.
+    """
+    found = []
+    orders = np.arange(2, _ORDERS + 1)
+    for own, mean, covariance in zip(points, means, covariances, strict=True):
+        away = own - mean[:2]
+        rho = np.maximum(np.hypot(*away.T), 1e-9)
+        u = away / rho[:, None]
+        phi = np.arctan2(u[:, 1], u[:, 0])[:, None] * orders
+        slopes = np.stack([-orders * np.sin(phi), orders * np.cos(phi)], axis=-1).reshape(len(own), -1)
+        bends = np.stack([orders**2 * np.cos(phi), orders**2 * np.sin(phi)], axis=-1).reshape(len(own), -1)
+        turn, change = np.zeros((2, len(own), UNKNOWNS))
+        turn[:, :2] = np.column_stack([u[:, 1], -u[:, 0]]) / rho[:, None]
+        change[:, :2] = (slopes @ mean[3:] / rho)[:, None] * u
+        change[:, 3:] = slopes
+        curvature = -bends @ mean[3:] - rho
+        by_turn, by_change, both = (
+            np.einsum("ki,ij,kj->k", a, covariance, b)
+            for a, b in ((turn, turn), (change, change), (turn, change))
+        )
+        variance = (
+            by_turn * by_change
+            + both**2
+            + 0.5 * (curvature * by_turn) ** 2
+            + 2.0 * curvature * by_turn * both
+        )
+        found.append(np.sqrt(np.maximum(variance, 0.0)))
+    return found
+
+
 def reweighted(
     points: Sequence[Array], sigmas: Sequence[Array], evidence: Evidence, means: Array, covariances: Array
 ) -> list[Array]:

@@ -38,6 +38,7 @@ from calib.model.rim_evidence import (
     bright_sites,
     evidence_of,
     reweighted,
+    second_order_sigmas,
     with_sites,
 )
 from calib.view import RimPoints
@@ -226,13 +227,17 @@ def _start(
     reach_mm: float,
     common: _Common,
 ) -> tuple[list[Array], list[Sites], Array]:
-    """Fit with large scatters between views: return sigmas of the points, sites of the bright points, and unknowns."""
+    """Fit with large scatters between views: return sigmas of the points, sites of the bright points, and unknowns.
+
+    What the linearised distances leave out counts as noise, because the first unknowns may be far off.
+    """
     sites = [Sites(np.zeros(len(own)), np.zeros(len(own))) for own in bright]
     means = np.zeros((len(points), UNKNOWNS))
     means[:, 2] = reach_mm
     weights, scatters = list(sigmas), _scatters(reach_mm, *_FIRST_SCATTERS)
+    neglected = [np.zeros(len(own)) for own in points]
     for round_ in range(_ROUNDS):
-        evidence = evidence_of(points, weights, means)
+        evidence = evidence_of(points, [*map(np.hypot, weights, neglected)], means)
         found = _posterior(with_sites(evidence, bright, sites, means), scatters, common)
         views = zip(bright, sites, found.mean, found.covariance, means, strict=True)
         sites = [bright_sites(*one) for one in views]
@@ -240,6 +245,7 @@ def _start(
         means = means + (_STEP if round_ > 0 else 1.0) * step
         if round_ > 0:
             weights = reweighted(points, sigmas, evidence, found.mean, found.covariance)
+        neglected = second_order_sigmas(points, means, found.covariance)
         if np.abs(step[:, :2]).max() < _SETTLED_MM and round_ > 1:
             break
     return weights, sites, means
