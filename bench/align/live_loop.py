@@ -7,6 +7,7 @@ are changed between two slices, by the recording thread (`LiveLoop.on_camera`).
 
 from __future__ import annotations
 
+import math
 import shutil
 import tempfile
 import threading
@@ -14,15 +15,15 @@ import time
 from collections import deque
 from collections.abc import Callable, Mapping
 from concurrent.futures import Future
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, TypeVar, cast
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from bench.align.live_figures import LiveFigures, LiveMeter, LiveSetting, LiveSlice
+from bench.align.live_figures import LiveFigures, LiveSetting, LiveSlice
+from bench.align.meter import Meter
 from bench.base.clock import Aborted
 from bench.base.failure import Failure
 from bench.stations.devices import Camera
@@ -30,16 +31,17 @@ from drivers.camera import EventCamera, RecordingFacts
 from drivers.camera.frames import FrameCamera, FrameFacts
 from drivers.errors import DriverError
 
-PERIODS = 2
-"""Flicker periods of a slice: the fewest that show the period itself, by two sync edges of one kind."""
-NO_FLICKER_S = 0.02
-"""Length of a slice where there is no flicker, s."""
-LONGEST_SLICE_S = 2.0
-"""Longest slice, s. Below 1 Hz a slice holds less than two periods."""
+SHORT_S = 1 / 60
+"""Length of most slices, s, rounded to whole flicker periods, at least one. A short slice makes a quick picture."""
+SIGNAL_PERIODS = 3
+"""Periods of a slice that shows the flicker itself: frequency by triggers and by events, and jitter."""
+SIGNAL_EVERY_S = 1.5
+"""Time between two such slices, s. The advice is that of the last one; so it can be read before it changes."""
+LONGEST_SLICE_S = 4.0
+"""Longest slice, s. With a slower flicker, a slice holds no whole period."""
 _AFTER_FAULT_S = 1.0
 _WAIT_S = 0.2
 _RATE_OVER_S = 4.0
-_JPEG_QUALITY = 82
 
 T = TypeVar("T")
 Recorded = RecordingFacts | FrameFacts
@@ -82,6 +84,7 @@ class _Slice:
     reading_deg: Mapping[str, float]
     time_s: float
     record_ms: float
+    shows_signal: bool
 
 
 class LiveLoop:
@@ -97,6 +100,8 @@ class LiveLoop:
         Returns the present angles of the stage, degrees.
     on_picture
         Called after each new picture or fault, by any thread.
+    meter
+        Measures the slices; the loop closes it.
     """
 
     def __init__(
@@ -105,18 +110,22 @@ class LiveLoop:
         setting: Callable[[], LiveSetting],
         reading_deg: Callable[[], Mapping[str, float]],
         on_picture: Callable[[], None],
+        meter: Meter,
     ) -> None:
         self._camera = camera
         self._setting = setting
         self._reading_deg = reading_deg
         self._on_picture = on_picture
         self._folder = Path(tempfile.mkdtemp(prefix="starbench-align-"))
-        self._meter = LiveMeter()
+        self._meter = meter
         self._wake = threading.Condition()
         self._waiting: _Slice | None = None
         self._tasks: deque[tuple[Callable[[], Any], Future[Any]]] = deque()
         self._closing = False
         self._forget_asked = False
+        self._signal_s = -math.inf
+        self._signal = LiveFigures()
+        self._light: tuple[bool | None, float | None] = (None, None)
         self._times_s: deque[float] = deque(maxlen=200)
         self._star_times_s: deque[tuple[float, float]] = deque(maxlen=200)
         self._course: deque[tuple[float, float]] = deque(maxlen=2400)
@@ -206,6 +215,7 @@ class LiveLoop:
             self._closing = True
             self._wake.notify_all()
         self._camera.stop()
+        self._meter.close()
         for thread in self._threads:
             if thread.is_alive():
                 thread.join(timeout=6.0)
@@ -242,6 +252,14 @@ class LiveLoop:
         """Record a slice; None if it was ended early."""
         setting = self._setting()
         started_s = time.monotonic()
+        wanted = slice_periods(setting)
+        shows_signal = wanted >= SIGNAL_PERIODS or wanted == 0
+        light = setting.light_on, setting.frequency_hz
+        if not shows_signal and (light != self._light or started_s - self._signal_s >= SIGNAL_EVERY_S):
+            wanted, shows_signal = SIGNAL_PERIODS, True
+        self._light = light
+        if shows_signal:
+            self._signal_s = started_s
         facts: Recorded
         if setting.camera == "frame":
             path = self._folder / f"slice-{number}.tif"
@@ -249,7 +267,7 @@ class LiveLoop:
         else:
             path = self._folder / f"slice-{number}.raw"
             try:
-                facts = cast("EventCamera", self._camera).record(path, slice_duration_s(setting))
+                facts = cast("EventCamera", self._camera).record(path, _duration_s(setting, wanted))
             except DriverError:
                 path.unlink(missing_ok=True)
                 raise
@@ -258,7 +276,7 @@ class LiveLoop:
             return None
         took_ms = (time.monotonic() - started_s) * 1e3
         self.last_facts = facts
-        return _Slice(path, setting, facts, dict(self._reading_deg()), started_s, took_ms)
+        return _Slice(path, setting, facts, dict(self._reading_deg()), started_s, took_ms, shows_signal)
 
     def _do_tasks(self) -> None:
         while self._tasks:
@@ -294,13 +312,16 @@ class LiveLoop:
             self._forget_asked = False
             self._meter.forget()
         live_slice = LiveSlice(part.path, part.time_s, part.facts, part.reading_deg)
-        image, figures = self._meter.measure(live_slice, part.setting)
-        coded, jpeg = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY])
+        image, jpeg, figures = self._meter.measure(live_slice, part.setting)
+        if part.shows_signal:
+            self._signal = figures
+        else:
+            figures = with_signal_of(figures, self._signal)
         now_s = time.monotonic()
         self.latest = LivePicture(
             self.latest.number + 1,
             image,
-            jpeg.tobytes() if coded else b"",
+            jpeg,
             figures,
             time.time(),
             part.record_ms,
@@ -323,8 +344,8 @@ class LiveLoop:
         self._on_picture()
 
 
-def slice_duration_s(setting: LiveSetting) -> float:
-    """Return how long a slice of an event camera is.
+def slice_periods(setting: LiveSetting) -> int:
+    """Return how many flicker periods a short slice holds.
 
     Parameters
     ----------
@@ -333,15 +354,43 @@ def slice_duration_s(setting: LiveSetting) -> float:
 
     Returns
     -------
-    float
-        Whole flicker periods, s.
+    int
+        At least 1; 0 if there is no flicker.
     """
     if not setting.light_on or not setting.frequency_hz:
-        return NO_FLICKER_S
-    whole = PERIODS / setting.frequency_hz
-    if whole < NO_FLICKER_S / 2:  # a fast flicker: more periods cost nothing
-        whole = round(NO_FLICKER_S / 2 * setting.frequency_hz) / setting.frequency_hz
-    return min(whole, LONGEST_SLICE_S)
+        return 0
+    return max(1, round(SHORT_S * setting.frequency_hz))
+
+
+def with_signal_of(figures: LiveFigures, signal: LiveFigures) -> LiveFigures:
+    """Return the figures of a short slice with what only a longer one shows.
+
+    Parameters
+    ----------
+    figures
+        Figures of the short slice.
+    signal
+        Figures of the last slice of at least `SIGNAL_PERIODS`.
+
+    Returns
+    -------
+    LiveFigures
+        Flicker and advice are those of the longer slice.
+    """
+    return replace(
+        figures,
+        trigger_hz=signal.trigger_hz,
+        event_hz=signal.event_hz,
+        jitter_us=signal.jitter_us,
+        event_jitter_us=signal.event_jitter_us,
+        advice=signal.advice,
+    )
+
+
+def _duration_s(setting: LiveSetting, periods: int) -> float:
+    if periods == 0 or not setting.frequency_hz:
+        return SHORT_S
+    return min(periods / setting.frequency_hz, LONGEST_SLICE_S)
 
 
 def _rate(times_s: Any) -> float:

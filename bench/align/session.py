@@ -23,6 +23,7 @@ from bench.align.controls import StageControl
 from bench.align.light_control import LightControl
 from bench.align.live_figures import LiveFigures, LiveSetting
 from bench.align.live_loop import LiveLoop, LivePicture
+from bench.align.meter import Meter, MeterProcess
 from bench.align.owners import Owners
 from bench.align.simulated_hands import SimulatedHands
 from bench.base.clock import BenchClock
@@ -121,6 +122,8 @@ class Session:
         Random seed of the simulated bench.
     opener
         Opens the devices.
+    make_meter
+        Makes what measures the slices.
 
     Attributes
     ----------
@@ -131,11 +134,17 @@ class Session:
     """
 
     def __init__(
-        self, station: Located[Station], *, seed: int = 1, opener: OpenDevices = open_devices
+        self,
+        station: Located[Station],
+        *,
+        seed: int = 1,
+        opener: OpenDevices = open_devices,
+        make_meter: Callable[[], Meter] = MeterProcess,
     ) -> None:
         self.station = station
         self._seed = seed
         self._opener = opener
+        self._make_meter = make_meter
         self.changes = Changes()
         self.owners = Owners(self.changes.tell)
         self._lock = threading.Lock()
@@ -194,18 +203,24 @@ class Session:
 
     def _opened(self) -> Bench:
         station, tell, clock = self.station.value, self.changes.tell, BenchClock()
-        devices = self._opener(station, self._seed, clock)
+        meter = self._make_meter()  # first: its process starts while the devices open
+        try:
+            devices = self._opener(station, self._seed, clock)
+        except BaseException:
+            meter.close()
+            raise
         try:
             light = LightControl(devices.light, station.light, camera_kind(station).light_for, tell)
             light.look()
             camera = CameraControl(devices.camera, station, tell)
         except BaseException:
             devices.close()
+            meter.close()
             raise
         stage = StageControl(devices.stage, tell, self.say)
         with suppress(DriverError):  # the watcher reads it again, and shows why it cannot
             stage.look()
-        loop = LiveLoop(devices.camera, self._setting, lambda: stage.state.position_deg, tell)
+        loop = LiveLoop(devices.camera, self._setting, lambda: stage.state.position_deg, tell, meter)
         camera.use(loop)
         bench = Bench(devices, clock, stage, light, camera, loop, SimulatedHands(devices.simulation))
         self._bench = bench

@@ -3,6 +3,7 @@
 import threading
 import time
 
+from bench.align.meter import MeterHere
 from bench.align.session import Session
 from bench.stations.station import load_station
 from drivers.camera import CameraIdentity, CameraSettings, RecordingFacts
@@ -183,7 +184,7 @@ class FakeDevices:
 def fake_session(devices=None, station="simulated"):
     """Return a session with fakes, not open yet, and the fakes."""
     devices = devices or FakeDevices()
-    return Session(load_station(str(station)), opener=lambda *_: devices), devices
+    return Session(load_station(str(station)), opener=lambda *_: devices, make_meter=MeterHere), devices
 
 
 def wait_until(condition, timeout_s=5.0):

@@ -7,6 +7,8 @@ from pathlib import Path
 import pytest
 from align_fakes import FakeDevices, fake_session, wait_until
 
+from bench.align.live_figures import LiveFigures
+from bench.align.live_loop import with_signal_of
 from bench.base.errors import ControlRefused
 from drivers.errors import CameraBusy, CameraLost, DriverError, PortLost
 
@@ -304,3 +306,34 @@ def test_nothing_is_left_in_the_temporary_folder_after_a_fault(opened, tmp_path)
     folder: Path = devices.camera.paths[0].parent
     session.close()
     assert not folder.exists()
+
+
+def test_most_slices_are_short_and_some_show_the_flicker(opened):
+    session, devices = opened
+    lengths = []
+    record = devices.camera.record
+
+    def noted(path, duration_s):
+        lengths.append(round(duration_s * 60))
+        return record(path, duration_s)
+
+    devices.camera.record = noted
+    session.light(on=True, frequency_hz=60.0)
+    wait_until(lambda: lengths.count(3) >= 2, 6.0)
+    assert set(lengths[1:]) == {1, 3}
+    assert lengths.count(1) > 3 * lengths.count(3)
+    first = lengths.index(3)
+    assert 1 not in lengths[1:first]  # the first slice after a change of the light shows the flicker
+
+
+def test_a_short_slice_keeps_flicker_and_advice_of_the_last_longer_one():
+    short = LiveFigures(time_s=2.0, trigger_hz=None, on_share=0.4, advice=("short",))
+    longer = LiveFigures(time_s=1.0, trigger_hz=60.0, jitter_us=0.5, on_share=0.5, advice=("long",))
+    shown = with_signal_of(short, longer)
+    assert (shown.time_s, shown.trigger_hz, shown.jitter_us, shown.on_share, shown.advice) == (
+        2.0,
+        60.0,
+        0.5,
+        0.4,
+        ("long",),
+    )

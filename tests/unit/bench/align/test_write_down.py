@@ -6,6 +6,7 @@ import stat
 from pathlib import Path
 
 import pytest
+from filled_stations import filled_example
 
 from bench.align.write_down import must_be_copied, propose_pose, propose_values, station_values
 from bench.base.errors import ControlRefused, ScriptError
@@ -19,7 +20,7 @@ SEQUENCES = Path(SHIPPED_STATIONS).parents[1] / "sequences"
 @pytest.fixture
 def station(tmp_path):
     path = tmp_path / "bench.yaml"
-    shutil.copy(SHIPPED_STATIONS / "example_evk4.yaml", path)
+    path.write_text(filled_example("example_evk4"), encoding="utf-8")
     return path
 
 
@@ -42,8 +43,8 @@ def test_zero_biases_and_light_change_only_their_own_lines(station):
         "-      limits_deg: [-12, 12]",
         "+      zero_deg: -1.2346           # angle of the bench at which the controller's counter is 0",
         "+      limits_deg: [-13.2346, 10.7654]",
-        "-  high_v: 2.5                     # voltage at which the lamp has full brightness",
-        "+  high_v: 1.5                     # voltage at which the lamp has full brightness",
+        "-  high_v: 2.5      # voltage at which the lamp has full brightness; a higher one may destroy the lamp",
+        "+  high_v: 1.5      # voltage at which the lamp has full brightness; a higher one may destroy the lamp",
         "-  biases: {bias_diff_on: 0, bias_diff_off: 0}",
         "+  biases: {bias_diff_on: 20, bias_diff_off: 0, bias_fo: -5}",
     ]
