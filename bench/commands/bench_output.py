@@ -51,7 +51,9 @@ def show_devices(found: Discovery, *, as_json: bool) -> int:
     return 0
 
 
-def write_station(path: Path, name: str, stage: str, camera: str | None, found: Discovery) -> int:
+def write_station(
+    path: Path, name: str, *, stage: str, light: str, camera: str | None, found: Discovery
+) -> int:
     """Write a new station file, never over an existing one.
 
     Parameters
@@ -62,6 +64,8 @@ def write_station(path: Path, name: str, stage: str, camera: str | None, found: 
         Name of the bench.
     stage
         Kind of stage.
+    light
+        Kind of light.
     camera
         Kind of camera; the connected one where None.
     found
@@ -85,7 +89,7 @@ def write_station(path: Path, name: str, stage: str, camera: str | None, found: 
         raise UsageError(
             "A file with this name already exists.", where=str(path), remedy="Choose another name."
         )
-    write_atomic(path, draft_station(name, found, stage=stage, camera=camera).encode())
+    write_atomic(path, draft_station(name, found, stage=stage, light=light, camera=camera).encode())
     click.echo(
         f"Written: {path}. Replace every placeholder (such as {UNKNOWN_SERIAL}), check scales and limits, then:"
         f" starbench plan three_pose -s {path}"

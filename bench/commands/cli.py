@@ -228,16 +228,23 @@ def station() -> None:
     help="Kind of stage.",
 )
 @click.option(
+    "--light",
+    type=click.Choice(["scpi", "gardasoft"]),
+    default="scpi",
+    show_default=True,
+    help="Kind of light: a function generator, or a strobe controller.",
+)
+@click.option(
     "--camera",
     type=click.Choice(["metavision", "neuromorphic_evk4", "opencv", "recorded", "pictures"]),
     help="Kind of camera.  [default: the connected one]",
 )
-def station_new(path: Path, name: str, stage: str, camera: str | None) -> int:
+def station_new(path: Path, name: str, stage: str, light: str, camera: str | None) -> int:
     """Create a station file at PATH, filled in with the connected devices."""
     from bench.commands.bench_output import write_station
     from bench.stations.discovery import discover
 
-    return write_station(path, name, stage, camera, discover())
+    return write_station(path, name, stage=stage, light=light, camera=camera, found=discover())
 
 
 @cli.group(invoke_without_command=True)

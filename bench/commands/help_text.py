@@ -73,7 +73,9 @@ EXAMPLES = {
     "convert": ("starbench convert pose-001-attempt-1.raw pose.hdf5", "starbench convert pose.hdf5 pose.raw"),
     "devices": ("starbench devices",),
     "station": ("starbench station new my_bench.yaml",),
-    "station new": ("starbench station new my_bench.yaml --name 'Optics bench 2' --stage ximc",),
+    "station new": (
+        "starbench station new my_bench.yaml --name 'Optics bench 2' --stage ximc --light gardasoft",
+    ),
     "target": ("starbench target draw -s my_bench.yaml -o reticle.gds",),
     "target draw": (
         "starbench target draw -s my_bench.yaml -o reticle.gds",

@@ -1,13 +1,24 @@
 """Drafts a new station file for the chosen drivers, with the ports and cameras that are connected.
 
 A value that the computer cannot find out (scales, limits, unknown serial numbers) is an example or a placeholder, with
-a comment. A draft is a valid file, but no run starts until all placeholders are replaced (`placeholders`).
+a comment. A draft is a valid file, but no run starts until all placeholders are replaced (`placeholders`). The draft
+has every section of a station file; those that a bench may do without are comments.
 """
 
 from __future__ import annotations
 
+import json
+import re
+
 from bench.stations.discovery import Discovery
-from bench.stations.placeholders import UNKNOWN_PORT, UNKNOWN_SCALE, UNKNOWN_SERIAL, UNKNOWN_SOURCE
+from bench.stations.placeholders import (
+    UNKNOWN_BOARD,
+    UNKNOWN_LABORATORY,
+    UNKNOWN_NUMBER,
+    UNKNOWN_PORT,
+    UNKNOWN_SERIAL,
+    UNKNOWN_SOURCE,
+)
 
 _AXIS_END = "limits_deg: [-12, 12], speed_deg_s: 10, acceleration_deg_s2: 50"
 _SERIAL_NOTE = "# another device on this port is refused before anything moves"
@@ -16,21 +27,23 @@ STAGE_SECTIONS = {
   driver: zaber_ascii
   port: {{stage_port}}
   axes:   # microsteps_per_deg: from the data sheet of the stage; never guess it
-    pan: {{{{device: 1, serial: {UNKNOWN_SERIAL}, microsteps_per_deg: {UNKNOWN_SCALE}, {_AXIS_END}}}}}
-    tilt: {{{{device: 2, serial: {UNKNOWN_SERIAL}, microsteps_per_deg: {UNKNOWN_SCALE}, {_AXIS_END}}}}}
+    pan: {{{{device: 1, serial: {UNKNOWN_SERIAL}, microsteps_per_deg: {UNKNOWN_NUMBER}, {_AXIS_END}}}}}
+    tilt: {{{{device: 2, serial: {UNKNOWN_SERIAL}, microsteps_per_deg: {UNKNOWN_NUMBER}, {_AXIS_END}}}}}
 """,
     "ximc": f"""\
   driver: ximc
   axes:   # one controller for each axis; full steps per degree from the data sheet
-    pan: {{{{port: {{stage_port}}, serial: {UNKNOWN_SERIAL}, steps_per_deg: 80, {_AXIS_END}}}}}
+    pan: {{{{port: {{stage_port}}, serial: {UNKNOWN_SERIAL}, steps_per_deg: {UNKNOWN_NUMBER}, {_AXIS_END}}}}}
+    # tilt: its own controller, with the same keys
 """,
     "grbl": f"""\
   driver: grbl
   port: {{stage_port}}
-  serial: {UNKNOWN_SERIAL}   # name given to the board with $I=...
-  axes:   # zero_deg: angle at machine position 0; all limits lie below it
-    pan: {{{{letter: X, steps_per_deg: 80, zero_deg: 15, {_AXIS_END}}}}}
-    tilt: {{{{letter: Y, steps_per_deg: 80, zero_deg: 15, {_AXIS_END}}}}}
+  # A board has no serial number. Give it a name once: send $I=gimbal-1 with any terminal program, and write it here.
+  serial: {UNKNOWN_BOARD}
+  axes:   # zero_deg: angle at machine position 0; all limits lie below it. steps_per_deg: as $100 (X), $101 (Y)
+    pan: {{{{letter: X, steps_per_deg: {UNKNOWN_NUMBER}, zero_deg: 15, {_AXIS_END}}}}}
+    tilt: {{{{letter: Y, steps_per_deg: {UNKNOWN_NUMBER}, zero_deg: 15, {_AXIS_END}}}}}
 """,
     "esp30x": f"""\
   driver: esp30x
@@ -42,6 +55,25 @@ STAGE_SECTIONS = {
 }
 
 
+LIGHT_SECTIONS = {
+    "scpi": f"""\
+  driver: scpi
+  dialect: keysight   # or: numbered (SOUR1: as 33500B, Rigol DG), siglent
+  port: {{light_port}}   # of a generator on the network: socket://ADDRESS:5025 (Rigol: 5555)
+  serial: {UNKNOWN_SERIAL}   # leave it out if the generator reports 0
+  low_v: 0
+  high_v: {UNKNOWN_NUMBER}   # voltage at which the lamp has full brightness; a higher one may destroy the lamp
+""",
+    "gardasoft": """\
+  driver: gardasoft
+  port: {light_port}
+  # model: RT420F-20   # other models on this port are then refused
+  channel: 1   # the lamp's channel
+  sync_channel: 2   # the channel that goes to the camera's trigger input
+""",
+}
+"""Sections of the light by driver."""
+
 CAMERA_SECTIONS = {
     "metavision": "serial: {serial}   # text, with all zeros",
     "neuromorphic_evk4": "serial: {serial}   # text, with all zeros",
@@ -52,7 +84,64 @@ CAMERA_SECTIONS = {
 """Keys that each camera driver needs."""
 
 
-def draft_station(name: str, found: Discovery, *, stage: str, camera: str | None = None) -> str:
+COMMON_SECTIONS = """\
+# The printed pattern. `starbench target draw` draws it, `target show` says what it is good for (docs/target.md).
+target:
+  # serial: R-1                   # of the target; it is drawn on it
+  squares: [50, 72]
+  pitch_mm: 4.0138889             # as measured or as made, not as ordered
+  segments: 16
+  tag_family: 36h11
+  tag_id: 3
+  tag_square: [23, 34]
+  tag_squares: 4
+  polarity: positive
+
+# Without a certificate of the focal length, and without the section `gimbal`, the focal length of the camera is known
+# to some per cent only, because views cannot show a distortion of the collimator.
+# collimator:
+#   serial: C-17
+#   nominal_r_mm: 255                     # focal length by the data sheet; only printed
+#   certificate: {r_mm: 255.03, uncertainty_mm: 0.1, k: 2, number: T-2041, date: 2026-02-11, temperature_c: 20}
+#   temperature_c: 20                     # of the collimator on this bench
+#   defocus: {value: 0.0, sigma: 0.005}   # from a parallax test
+
+# gimbal:                                 # from the data sheet or certificate of the stages
+#   reading_sigma_deg: 0.002
+#   scale_sigma: 2.0e-4
+#   source: data sheet
+#   pupil_off_pivot_mm: {value: 0, sigma: 0.5}    # `starbench run parallax_test` measures it
+
+# budget:                                 # from the drawing and the material of the target
+#   print_scale: {value: 2.0e-5, distribution: rectangular, source: drawing}
+#   print_bow: {value_mm: 0.01, radius_mm: 40, distribution: rectangular, source: drawing}
+#   thermal: {expansion_per_c: 9.0e-6, reference_c: 20, sigma_c: 1, source: data sheet of the glass}
+
+# Approximate values. With them, `starbench plan` forecasts the uncertainty of the result.
+# expected:
+#   focal_px: 3300                        # 1000 x focal length in mm / 4.86 um (IMX636)
+#   r_mm: 255                             # focal length of the collimator
+#   half_angle_deg: 12                    # half angle of the beam that leaves the collimator
+
+# What makes a run hold, and when it goes on. Delete what you do not want (docs/stations.md, Interlocks).
+interlocks:
+  disk_space: {min_free_gb: 2, release_gb: 4, max_hold_s: 14400}
+  # device_lost: {retry_s: 5, max_hold_s: 900}    # the stage then moves again without a request
+  # camera_temperature: {max_c: 60, release_c: 55, max_hold_s: 3600}
+  # event_rate: {max_mev_s: 150, release_mev_s: 5, max_hold_s: 1800}
+  # door: {path: /sys/class/gpio/gpio17/value, closed: "1", max_hold_s: 600}
+
+# messages:                               # what is sent when a run holds, fails or ends
+#   webhooks: [{url_env: BENCH_CHAT}]
+
+disk: {min_free_gb: 5}
+"""
+"""Sections that do not depend on the drivers."""
+
+
+def draft_station(
+    name: str, found: Discovery, *, stage: str, light: str = "scpi", camera: str | None = None
+) -> str:
     """Write a new station file.
 
     Parameters
@@ -60,9 +149,11 @@ def draft_station(name: str, found: Discovery, *, stage: str, camera: str | None
     name
         Name of the bench.
     found
-        What is connected. The first port is used for the stage, the second for the light.
+        What is connected. The first adapter is used for the stage, the second for the light.
     stage
         Driver of the stage: a key of ``STAGE_SECTIONS``.
+    light
+        Driver of the light: a key of ``LIGHT_SECTIONS``.
     camera
         Driver of the camera: a key of ``CAMERA_SECTIONS``; None for the first connected camera, event cameras first.
 
@@ -71,20 +162,25 @@ def draft_station(name: str, found: Discovery, *, stage: str, camera: str | None
     str
         Text of the file.
     """
-    ports = [port.name for port in found.ports]
+    # A port of the computer itself mostly has nothing behind it: it is listed, and not chosen.
+    ports = [port.name for port in found.ports if not port.device.startswith("/dev/ttyS")]
     stage_port, light_port = [*ports, UNKNOWN_PORT, UNKNOWN_PORT][:2]
     others = "".join(f"# connected: {port.name}  {port.what}\n" for port in found.ports)
     return (
-        f"format: starbench/station/1\nname: {name}\nlaboratory: Your laboratory\n\n"
+        f"format: starbench/station/1\nname: {_as_yaml(name)}\n"
+        f"laboratory: {UNKNOWN_LABORATORY}   # printed in the report\n\n"
         f"{others}"
         f"stage:   {_SERIAL_NOTE}\n{STAGE_SECTIONS[stage].format(stage_port=stage_port)}\n"
-        f"light:\n  driver: scpi\n  port: {light_port}\n  serial: {UNKNOWN_SERIAL}\n"
-        "  low_v: 0\n  high_v: 2.5   # voltage at which the lamp has full brightness\n\n"
+        f"light:\n{LIGHT_SECTIONS[light].format(light_port=light_port)}\n"
         f"camera:\n{_camera(found, camera)}"
-        "  lens: which, and how it is locked\n\n"
-        "target: {squares: [50, 72], pitch_mm: 4.0138889, tag_id: 3, tag_square: [23, 34]}\n"
-        "disk: {min_free_gb: 5}\n"
+        "  # lens: which, and how it is locked   # for the report\n\n"
+        f"{COMMON_SECTIONS}"
     )
+
+
+def _as_yaml(text: str) -> str:
+    """Return a text as YAML: in quotes, if it has more than letters, digits, blanks and some harmless signs."""
+    return text if re.fullmatch(r"[A-Za-z][\w ,./-]*(?<! )", text) else json.dumps(text, ensure_ascii=False)
 
 
 def _camera(found: Discovery, family: str | None) -> str:

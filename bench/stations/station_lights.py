@@ -7,6 +7,7 @@ from typing import Annotated, Literal
 from pydantic import Field, model_validator
 from pydantic_core import PydanticCustomError
 
+from bench.stations.placeholders import ToFillIn
 from bench.stations.station_fields import Port, Positive, Serial, Text
 from drivers.light import LightSettings
 from drivers.light.scpi_dialects import DialectName, Load
@@ -28,7 +29,7 @@ class ScpiLightConfig(StrictModel):
     ] = "keysight"
     load: Annotated[Load, Field(description="Load impedance for which the levels are stated.")] = "high-z"
     low_v: Annotated[Volts, Field(description="Level at which the lamp is dark, V.")] = 0.0
-    high_v: Annotated[Volts, Field(description="Level at which the lamp is brightest, V.")] = 5.0
+    high_v: Annotated[Volts, ToFillIn, Field(description="Level at which the lamp is brightest, V.")] = 5.0
     frequency_range_hz: tuple[Positive, Positive] = (0.1, 10_000.0)
     sync_output: bool = True
 

@@ -7,10 +7,10 @@ from __future__ import annotations
 
 from typing import Annotated, Any, Literal
 
-from pydantic import AfterValidator, BeforeValidator, Field, field_validator
+from pydantic import AfterValidator, Field, field_validator
 from pydantic_core import PydanticCustomError
 
-from bench.stations.placeholders import UNKNOWN_SCALE
+from bench.stations.placeholders import ToFillIn
 from bench.stations.station_fields import Port, Serial
 from drivers.stage import AxisLimits
 from sequences.schema import Angle, Axis
@@ -23,12 +23,7 @@ def _not_zero(scale: float) -> float:
     return scale
 
 
-def _accept_placeholder(scale: Any) -> Any:
-    """Replace the placeholder of a draft by 1, so that `plan` can read the file and name what is missing."""
-    return 1.0 if scale == UNKNOWN_SCALE else scale
-
-
-Scale = Annotated[float, AfterValidator(_not_zero)]
+Scale = Annotated[float, AfterValidator(_not_zero), ToFillIn]
 
 
 class AxisConfig(StrictModel):
@@ -91,7 +86,6 @@ class ZaberAxisConfig(AxisConfig):
     serial: Serial
     microsteps_per_deg: Annotated[
         Scale,
-        BeforeValidator(_accept_placeholder),
         Field(description="Negative if the counter decreases while the angle increases."),
     ]
     encoder_tolerance_deg: Annotated[float, Field(gt=0, le=5)] = 0.05
@@ -141,6 +135,7 @@ class GrblAxisConfig(AxisConfig):
     ]
     steps_per_deg: Annotated[
         float,
+        ToFillIn,
         Field(gt=0, description="Must equal the setting of the board: $100 for X, $101 for Y, and so on."),
     ]
 

@@ -4,12 +4,13 @@ from datetime import UTC, datetime
 
 import numpy as np
 import pytest
+from filled_stations import filled_example
 from station_texts import PLAIN
 
 from bench.base.clock import Aborted, VirtualClock
 from bench.plan.estimate import MOVE_EXTRA_S, RECORD_EXTRA_S, travel_s
 from bench.rehearsal.virtual_devices import FIRST_LINE, VirtualDevices, read_view
-from bench.stations.station import Station, load_station
+from bench.stations.station import Station
 from calib.target import StarTarget
 from drivers.camera import CameraSettings
 from drivers.errors import NotHomed, OutsideLimits, RecordingFailed, WrongDevice
@@ -90,7 +91,8 @@ def test_a_camera_other_than_the_station_s_is_refused_at_opening(clock):
 
 
 def test_a_station_of_real_devices_is_rehearsed_by_its_expected_section(clock):
-    real = load_station("example_evk4").value
+    text = filled_example("example_evk4") + "expected: {focal_px: 3300, r_mm: 255, half_angle_deg: 12}\n"
+    real = check_document(text.encode(), "bench.yaml", Station).value
     held = VirtualDevices(real, seed=1, clock=clock)
     assert held.truth()["camera"]["fx"] == real.expected.focal_px
     assert held.camera.identify().serial == "00051234"

@@ -4,10 +4,11 @@ from pathlib import Path
 from unittest.mock import create_autospec
 
 import pytest
+from filled_stations import filled_example
 
 from bench.base.clock import BenchClock
 from bench.stations.devices import Devices
-from bench.stations.station import SHIPPED_STATIONS, Station
+from bench.stations.station import Station
 from drivers.camera.metavision import MetavisionEvk4
 from drivers.camera.neuromorphic_evk4 import NeuromorphicEvk4
 from drivers.camera.recorded import RecordedCamera
@@ -22,7 +23,7 @@ from drivers.stage.zaber_axis import ZaberAxis
 from sequences.reader import check_document
 from sequences.script import Flicker
 
-EXAMPLE = (SHIPPED_STATIONS / "example_evk4.yaml").read_text(encoding="utf-8")
+EXAMPLE = filled_example("example_evk4")
 MOTION = "limits_deg: [-9, 8], speed_deg_s: 5, acceleration_deg_s2: 20, tolerance_deg: 0.01"
 LIMITS = AxisLimits(-9, 8, 5, 20)
 

@@ -1,24 +1,28 @@
 """What is connected, and the station file drafted from it."""
 
+import re
 import types
 from typing import get_args
 
 import pytest
+from filled_stations import filled
 
 from bench.commands.bench_output import show_devices
 from bench.commands.cli import station_new
 from bench.plan.plan import load_documents, make_plan
 from bench.stations import discovery
 from bench.stations.discovery import Discovery, FoundPort, discover
-from bench.stations.placeholders import UNKNOWN_SCALE, UNKNOWN_SERIAL
-from bench.stations.station import load_station
+from bench.stations.placeholders import UNKNOWN_PORT, UNKNOWN_SERIAL
+from bench.stations.station import SHIPPED_STATIONS, Station, load_station
 from bench.stations.station_cameras import CameraConfig
-from bench.stations.station_draft import CAMERA_SECTIONS, STAGE_SECTIONS, draft_station
+from bench.stations.station_draft import CAMERA_SECTIONS, LIGHT_SECTIONS, STAGE_SECTIONS, draft_station
+from bench.stations.station_lights import LightConfig
 from drivers.camera import FoundCamera
 
 PORTS = (
     FoundPort("/dev/serial/by-id/zaber", "/dev/ttyUSB0", "X-USBDC", "A1", ""),
-    FoundPort("/dev/ttyS1", "/dev/ttyS1", "", "", ""),
+    FoundPort("/dev/ttyS0", "/dev/ttyS0", "", "", ""),
+    FoundPort("/dev/ttyACM1", "/dev/ttyACM1", "", "", ""),
 )
 
 
@@ -49,17 +53,18 @@ def test_what_is_missing_is_said(monkeypatch, tmp_path):
 
 
 @pytest.mark.parametrize("stage", STAGE_SECTIONS)
+@pytest.mark.parametrize("light", LIGHT_SECTIONS)
 @pytest.mark.parametrize("ports", [(), PORTS])
-def test_a_draft_reads_without_a_fault_and_names_what_is_connected(tmp_path, stage, ports):
+def test_a_draft_reads_without_a_fault_and_names_what_is_connected(tmp_path, stage, light, ports):
     found = Discovery(ports, (FoundCamera("neuromorphic_evk4", "00051", "EVK4"),) if ports else (), ())
     path = tmp_path / "bench.yaml"
-    path.write_text(draft_station("Cellar", found, stage=stage))
+    path.write_text(draft_station("Cellar: #2", found, stage=stage, light=light))
     station = load_station(str(path)).value
-    assert station.stage.driver == stage
+    assert (station.name, station.stage.driver, station.light.driver) == ("Cellar: #2", stage, light)
     assert station.camera.serial == ("00051" if ports else UNKNOWN_SERIAL)
     if ports:
         assert station.stage.ports[0] == "/dev/serial/by-id/zaber"
-        assert station.light.port == "/dev/ttyS1"
+        assert station.light.port == "/dev/ttyACM1"
 
 
 WEBCAM = FoundCamera("opencv", "8A0A3C5F", "video device", source="/dev/v4l/by-id/usb-Maker")
@@ -104,16 +109,34 @@ def test_each_camera_is_listed_in_the_words_of_a_station_file(capsys):
     assert "missing      Something." in said
 
 
-def test_a_draft_cannot_be_planned_before_all_of_it_is_filled_in(tmp_path):
+@pytest.mark.parametrize("stage", STAGE_SECTIONS)
+@pytest.mark.parametrize("light", LIGHT_SECTIONS)
+def test_a_draft_cannot_be_planned_before_all_of_it_is_filled_in(tmp_path, stage, light):
     path = tmp_path / "bench.yaml"
-    path.write_text(draft_station("Cellar", Discovery((), (), ()), stage="zaber_ascii"))
-    told = [str(fault) for fault in make_plan(*load_documents("three_pose", str(path))).faults]
-    assert len(told) == 8  # two ports, four serial numbers, two scales
-    column = path.read_text().splitlines()[8].index(UNKNOWN_SERIAL) + 1
-    assert (
-        f"{path}:9:{column}: stage.axes.pan.serial: this value is missing (placeholder {UNKNOWN_SERIAL})."
-        in told
+    path.write_text(draft_station("Cellar", Discovery((), (), ()), stage=stage, light=light))
+    told = [str(fault) for fault in make_plan(*load_documents("turntable", str(path))).faults]
+    assert len(told) == len(re.findall("ASK-THE|CHOOSE-A|NAME-THE|YOUR-LAB", path.read_text()))
+    row = next(n for n, line in enumerate(path.read_text().splitlines(), 1) if UNKNOWN_PORT in line)
+    place = "stage.axes.pan.port" if stage == "ximc" else "stage.port"
+    assert any(
+        told_here.startswith(f"{path}:{row}:")
+        and f"{place}: this value is missing (placeholder {UNKNOWN_PORT})." in told_here
+        for told_here in told
     )
-    filled = path.read_text().replace(UNKNOWN_SERIAL, "00051").replace("CHOOSE-A-PORT", "usb-0")
-    path.write_text(filled.replace(UNKNOWN_SCALE, "6400"))
-    assert make_plan(*load_documents("three_pose", str(path))).faults == ()
+    path.write_text(filled(path.read_text()))
+    assert make_plan(*load_documents("turntable", str(path))).faults == ()
+
+
+@pytest.mark.parametrize("section", Station.model_fields)
+def test_a_draft_and_each_example_have_every_section(section):
+    drafted = draft_station("Cellar", Discovery((), (), ()), stage="grbl")
+    examples = [path.read_text(encoding="utf-8") for path in SHIPPED_STATIONS.glob("example_*.yaml")]
+    for text in (drafted, *examples):
+        assert section in {"operator", "simulation"} or re.search(rf"^(# )?{section}:", text, re.MULTILINE)
+
+
+def test_every_family_of_lights_can_be_drafted():
+    assert set(LIGHT_SECTIONS) == set(next(p for p in station_new.params if p.name == "light").type.choices)
+    assert set(LIGHT_SECTIONS) == {
+        model.model_fields["driver"].annotation.__args__[0] for model in get_args(get_args(LightConfig)[0])
+    }

@@ -1,6 +1,7 @@
 """Station files: what they may name, what is refused, and what the shipped ones say."""
 
 import pytest
+from filled_stations import filled_example
 from station_texts import PLAIN
 
 from bench.stations.station import SHIPPED_STATIONS, Station, load_station
@@ -43,14 +44,10 @@ def test_the_simulated_station_has_the_simulated_bench_s_devices():
 
 def test_every_shipped_station_reads_without_a_fault():
     shipped = sorted(path.stem for path in SHIPPED_STATIONS.glob("*.yaml"))
-    assert shipped == [
-        "example_evk4",
-        "simulated",
-        "simulated_frames",
-        "simulated_ideal",
-        "simulated_unaligned",
-    ]
-    assert [load_station(name).value.is_simulated for name in shipped] == [False, True, True, True, True]
+    examples = ["example_evk4", "example_network", "example_turntable"]
+    simulated = ["simulated", "simulated_frames", "simulated_ideal", "simulated_unaligned"]
+    assert shipped == [*examples, *simulated]
+    assert [load_station(name).value.is_simulated for name in shipped] == [False] * 3 + [True] * 4
 
 
 def test_an_unknown_station_is_met_with_those_that_are_shipped():
@@ -242,7 +239,7 @@ def test_every_family_of_stages_can_be_described_and_handed_to_its_driver(family
     from drivers.stage.grbl import GrblAxis
     from drivers.stage.ximc import XimcAxis
 
-    text = (SHIPPED_STATIONS / "example_evk4.yaml").read_text()
+    text = filled_example("example_evk4")
     before, rest = text.split("stage:\n")
     path = tmp_path / "b.yaml"
     path.write_text(before + "stage:" + FAMILIES[family] + "\nlight:\n" + rest.split("light:\n")[1])

@@ -137,7 +137,9 @@ def test_what_the_simulated_target_is_good_for():
     assert said["stars_in_view"] == 274
     assert said["warnings"] == []
     plain = CliRunner().invoke(
-        cli, ["target", "show", "-s", "example_evk4", "--focal-length-mm", "4"], standalone_mode=False
+        cli,
+        ["target", "show", "-s", "example_evk4", "--focal-length-mm", "4", "--r-mm", "255"],
+        standalone_mode=False,
     )
     assert "lens 823 px, collimator 255 mm" in plain.output
     assert "A segment of a star is 2.0 px wide: some stars are not found." in plain.output

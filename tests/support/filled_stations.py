@@ -1,0 +1,48 @@
+"""Example and drafted station files as a person fills them in."""
+
+import re
+
+from bench.stations.placeholders import (
+    UNKNOWN_ADDRESS,
+    UNKNOWN_BOARD,
+    UNKNOWN_LABORATORY,
+    UNKNOWN_NUMBER,
+    UNKNOWN_PORT,
+    UNKNOWN_SERIAL,
+    UNKNOWN_SOURCE,
+)
+from bench.stations.station import SHIPPED_STATIONS
+
+_TEXTS = {
+    UNKNOWN_PORT: "/dev/serial/by-id/usb-Maker_Adapter_{}-if00-port0",
+    UNKNOWN_ADDRESS: "socket://192.168.7.20:5025",
+    UNKNOWN_SOURCE: "/dev/v4l/by-id/usb-Maker_{}",
+    UNKNOWN_BOARD: "turntable-{}",
+    UNKNOWN_SERIAL: "10000{}",
+    UNKNOWN_LABORATORY: "Camera laboratory",
+}
+
+
+def filled(text: str) -> str:
+    """Return a station file with a value in place of every placeholder."""
+    text = re.sub(
+        rf"(\w+): {UNKNOWN_NUMBER}",
+        lambda found: f"{found[1]}: {'2.5' if found[1] == 'high_v' else '6400'}",
+        text,
+    )
+    text = text.replace(
+        f"driver: metavision\n  serial: {UNKNOWN_SERIAL}", "driver: metavision\n  serial: 00051234"
+    )
+    count = 0
+
+    def next_value(found: re.Match[str]) -> str:
+        nonlocal count
+        count += 1
+        return _TEXTS[found[0]].format(count)
+
+    return re.sub("|".join(map(re.escape, _TEXTS)), next_value, text)
+
+
+def filled_example(name: str) -> str:
+    """Return a shipped example, filled in."""
+    return filled((SHIPPED_STATIONS / f"{name}.yaml").read_text(encoding="utf-8"))
