@@ -171,7 +171,7 @@ def _light(seen: Seen, setting: LiveSetting) -> Iterator[str]:
             "The picture is dark: open the aperture, remove the lens cap, raise the light's level, and check that the "
             "camera points at the collimator."
         )
-    elif signal.flicker is not None:
+    elif signal.triggers or signal.event_hz:
         source = "The sync signal comes" if signal.triggers else "Some events flicker"
         yield (
             f"{source}, but the picture shows no lit area: remove the lens cap, open the "

@@ -108,7 +108,7 @@ def measure_signal(
         flicker=flicker,
         trigger_hz=by_triggers.frequency_hz if by_triggers and _shows_period(triggers) else None,
         event_hz=by_events.frequency_hz if by_events else None,
-        jitter_us=by_triggers.jitter_us if by_triggers else None,
+        jitter_us=by_triggers.jitter_us if by_triggers and math.isfinite(by_triggers.jitter_us) else None,
         event_jitter_us=burst_jitter_us(events, flicker) if flicker else None,
         sync_fault=fault,
     )
