@@ -16,8 +16,8 @@ from bench.stations.station_collimator import CertificateConfig
 from calib.target import StarTarget
 from drivers.camera import RecordingFacts
 from drivers.camera.frames import FrameFacts
-from sequences.schema import GateConfig
-from sequences.script import Gates, Waveform
+from sequences.schema import GateConfig, Waveform
+from sequences.script import Gates
 
 
 @dataclass(frozen=True)

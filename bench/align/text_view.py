@@ -27,7 +27,7 @@ _SHADES: Final = " \N{LIGHT SHADE}\N{MEDIUM SHADE}\N{DARK SHADE}\N{FULL BLOCK}"
 _PLAIN_SHADES: Final = " .:+#"
 _PICTURE_COLUMNS: Final = 72
 _LEAST_ROWS: Final = 9
-_FOCUS_NAMES: Final = ("edge_width_px", "sharpness")
+_FOCUS_NAMES: Final = {"edge_width_px": " px", "sharpness": ""}
 _CELL_ASPECT: Final = 2.0
 """Height of a character, in units of its width."""
 
@@ -171,11 +171,11 @@ def figure_lines(figures: LiveFigures) -> list[str]:
         f"contrast {_share(f.contrast)}",
         f"saturated {_share(f.saturation)}",
     ]
-    width, detail = ((focus.get(f"{best}{name}") for best in ("", "best_")) for name in _FOCUS_NAMES)
-    edges = [
-        "edges {} (best {})".format(*(_text(one, ".2f", " px") for one in width)),
-        "sharpness {} (best {})".format(*(_text(one, ".2f", "") for one in detail)),
-    ]
+    now, best = (
+        [_text(focus.get(f"{which}{name}"), ".2f", unit) for name, unit in _FOCUS_NAMES.items()]
+        for which in ("", "best_")
+    )
+    edges = [f"edges {now[0]} (best {best[0]})", f"sharpness {now[1]} (best {best[1]})"]
     subjects = {"Signal": signal, "Flicker": flicker, "Stars": stars, "Focus": edges}
     lines = [f"{subject:9s}{', '.join(parts)}" for subject, parts in subjects.items()]
     if regions:
