@@ -267,6 +267,8 @@ class Panel:
         folder = self._run_folder(request)
         given = await read_object(request)
         confirmed = given.pop("confirm", None)
+        if isinstance(given.get("by"), str):
+            given["by"] = given["by"].strip()
         try:
             command = Command(**given)
         except (ValidationError, TypeError) as error:
