@@ -36,7 +36,9 @@ SHORT_S = 1 / 60
 SIGNAL_PERIODS = 3
 """Periods of a slice that shows the flicker itself: frequency by triggers and by events, and jitter."""
 SIGNAL_EVERY_S = 1.5
-"""Time between two such slices, s. The advice is that of the last one; so it can be read before it changes."""
+"""Time between two such slices, s."""
+_OF_THE_FLICKER = ("sync", "flicker is")
+"""Words of advice that only such a slice can give."""
 LONGEST_SLICE_S = 4.0
 """Longest slice, s. With a slower flicker, a slice holds no whole period."""
 _AFTER_FAULT_S = 1.0
@@ -375,15 +377,16 @@ def with_signal_of(figures: LiveFigures, signal: LiveFigures) -> LiveFigures:
     Returns
     -------
     LiveFigures
-        Flicker and advice are those of the longer slice.
+        Flicker, and advice about it, are those of the longer slice.
     """
+    kept = [one for one in signal.advice if any(word in one for word in _OF_THE_FLICKER)]
     return replace(
         figures,
         trigger_hz=signal.trigger_hz,
         event_hz=signal.event_hz,
         jitter_us=signal.jitter_us,
         event_jitter_us=signal.event_jitter_us,
-        advice=signal.advice,
+        advice=(*kept, *(one for one in figures.advice if one not in kept)),
     )
 
 

@@ -219,7 +219,7 @@ function showPicture(next) {
   if (next.number === 0) return;
   const f = next.figures;
   if (state && state.devices.state === "open") {
-    showAdvice(f.advice.length ? f.advice : ["Nothing is to be improved at this pose. Check below whether the bench is ready for a run."]);
+    showAdvice(f.advice.length ? f.advice : ["This picture needs no improvement. Check below whether the bench is ready for a run."]);
   }
   setText(at("rates"), `Picture ${next.number}: ${next.images_per_s.toFixed(1)} pictures/s, stars ${next.stars_per_s.toFixed(1)} times/s; recorded in ${Math.round(next.record_ms)} ms, measured in ${Math.round(next.measure_ms)} ms`);
   showFigures(f);

@@ -326,14 +326,10 @@ def test_most_slices_are_short_and_some_show_the_flicker(opened):
     assert 1 not in lengths[1:first]  # the first slice after a change of the light shows the flicker
 
 
-def test_a_short_slice_keeps_flicker_and_advice_of_the_last_longer_one():
-    short = LiveFigures(time_s=2.0, trigger_hz=None, on_share=0.4, advice=("short",))
-    longer = LiveFigures(time_s=1.0, trigger_hz=60.0, jitter_us=0.5, on_share=0.5, advice=("long",))
+def test_a_short_slice_keeps_the_flicker_and_the_advice_about_it_of_the_last_longer_one():
+    wrong = "The flicker is 50.00 Hz, but the light is set to 60.00 Hz."
+    short = LiveFigures(time_s=2.0, trigger_hz=None, on_share=0.4, advice=("Turn the focus ring.",))
+    longer = LiveFigures(time_s=1.0, trigger_hz=50.0, jitter_us=0.5, advice=(wrong, "Turn pan."))
     shown = with_signal_of(short, longer)
-    assert (shown.time_s, shown.trigger_hz, shown.jitter_us, shown.on_share, shown.advice) == (
-        2.0,
-        60.0,
-        0.5,
-        0.4,
-        ("long",),
-    )
+    assert (shown.time_s, shown.trigger_hz, shown.jitter_us, shown.on_share) == (2.0, 50.0, 0.5, 0.4)
+    assert shown.advice == (wrong, "Turn the focus ring.")
