@@ -142,7 +142,6 @@ def plan(
     to expect. For a queue: shows when each run will begin and end, and for which runs there is no time.
     """
     from bench.batch.batch_plan import is_queue
-    from bench.commands.plan_output import show_plan
     from bench.plan.plan import load_documents, make_plan
 
     if is_queue(sequence):
@@ -153,6 +152,8 @@ def plan(
     if station is None:
         raise click.UsageError("Missing option '--station' / '-s'.")
     planned = make_plan(*load_documents(sequence, station, _settings(settings)))
+    from bench.commands.plan_output import show_plan
+
     return show_plan(planned, suggest=suggest, as_json=as_json)
 
 

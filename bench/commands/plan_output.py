@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -12,11 +12,13 @@ from bench.commands.output import print_json
 from bench.plan.plan import Plan
 from bench.plan.plan_text import render_plan
 from bench.report.verdict import angle_text
-from bench.results.forecasts import PlanForecast, expected_uncertainty, forecasts_with, suggest_poses
-from bench.results.until_forecast import expected_courses
 from calib.model.budget_row import WORST_CORNER, BudgetRow
-from calib.studies.planning import Forecast, SuggestedPose
 from calib.uncertainty.projection_uncertainty import ARCSEC
+
+if TYPE_CHECKING:
+    from bench.results.forecasts import PlanForecast
+    from bench.results.until_forecast import ExpectedCourse
+    from calib.studies.planning import Forecast, SuggestedPose
 
 _URAD_PER_ARCSEC = 1e6 / ARCSEC
 _MOST_TERMS = 5
@@ -41,9 +43,29 @@ def show_plan(planned: Plan, *, suggest: int, as_json: bool) -> int:
     int
         Exit status: 0, or 2 if the files have faults.
     """
-    found = None if planned.faults else expected_uncertainty(planned)
-    courses = [] if planned.faults else expected_courses(planned)
-    suggested = suggest_poses(planned, suggest) if suggest and not planned.faults else []
+    if planned.faults:  # the engine is not needed, and it takes a second to load
+        _print_plan(planned, None, [], [], as_json=as_json)
+        return 2
+    from bench.results.forecasts import expected_uncertainty, suggest_poses
+
+    found, courses = expected_uncertainty(planned), []
+    if planned.most_poses > len(planned.poses):  # an `until` may choose poses
+        from bench.results.until_forecast import expected_courses
+
+        courses = expected_courses(planned)
+    suggested = suggest_poses(planned, suggest) if suggest else []
+    _print_plan(planned, found, courses, suggested, as_json=as_json)
+    return 0
+
+
+def _print_plan(
+    planned: Plan,
+    found: PlanForecast | None,
+    courses: Sequence[ExpectedCourse],
+    suggested: Sequence[SuggestedPose],
+    *,
+    as_json: bool,
+) -> None:
     if as_json:
         poses = [
             {
@@ -62,17 +84,19 @@ def show_plan(planned: Plan, *, suggest: int, as_json: bool) -> int:
                 "suggested": poses,
             }
         )
-    else:
-        click.echo(render_plan(planned))
-        if found is not None:
-            click.echo(f"\n{_forecast_text(found)}")
-        for course in courses:
-            click.echo(course.text)
+        return
+    click.echo(render_plan(planned))
+    if found is not None:
+        click.echo(f"\n{_forecast_text(found)}")
+    for course in courses:
+        click.echo(course.text)
+    if suggested:
+        from bench.results.forecasts import forecasts_with
+
         before = None if found is None or found.chosen else found.forecast
         for pose, forecast in zip(suggested, forecasts_with(planned, suggested), strict=True):
             click.echo(_suggestion_text(pose, before, forecast))
             before = forecast
-    return 2 if planned.faults else 0
 
 
 def _forecast_dict(found: PlanForecast | None) -> dict[str, Any] | None:

@@ -7,11 +7,10 @@ give the same result.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from bench.plan.job import Job, calibration_options
 from bench.plan.passport_file import determines_one_view
 from bench.stations.station import Station
 from bench.views.expected_grid import best_angles_deg
@@ -21,6 +20,9 @@ from calib.model.gimbal_readings import GimbalReadings, ParallaxBound
 from calib.uncertainty.projection_uncertainty import projection_uncertainty
 from calib.view import View
 from sequences.script import SolveStep
+
+if TYPE_CHECKING:
+    from bench.plan.job import Job
 
 NO_SECTION = (
     "The station file has no gimbal section, so the uncertainty of the gimbal's readings is not known."
@@ -54,6 +56,8 @@ def solve_options(
     CalibrationOptions
         Options with the passport of the run, the readings of the gimbal and the station's budget.
     """
+    from bench.plan.job import calibration_options
+
     station = job.station
     readings = None if step.readings == "witness" else gimbal_readings(station, measured_deg)
     budget = station.budget.terms(station.collimator)
