@@ -18,6 +18,7 @@ import click
 from bench import __version__
 from bench.commands.align_command import align
 from bench.commands.batch_commands import BATCH_COMMANDS, BEGIN
+from bench.commands.completion import add_completion
 from bench.commands.engine_commands import ENGINE_COMMANDS
 from bench.commands.help_text import Sections, complete
 from bench.commands.options import JSON, RUN, SEED, ExistingFile, NewFile, OutputFolder, RunFolder
@@ -308,6 +309,7 @@ cli.add_command(panel)
 for target_command in TARGET_COMMANDS:
     cli.add_command(target_command)
 complete(cli)
+add_completion(cli)
 
 
 def _settings(texts: tuple[str, ...]) -> Mapping[str, str]:

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import click
+from click.shell_completion import CompletionItem
 
 from bench.base.errors import UsageError
 
@@ -58,6 +59,14 @@ class _Path(click.ParamType, ABC):
     """A path that is checked before the command begins."""
 
     name = "path"
+    completed_as = "file"
+
+    def shell_complete(
+        self, ctx: click.Context, param: click.Parameter, incomplete: str
+    ) -> list[CompletionItem]:
+        """See `click.ParamType.shell_complete`: the shell completes the path."""
+        del ctx, param
+        return [CompletionItem(incomplete, type=self.completed_as)]
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Path:
         """Return the path after checking it. Raises UsageError, OSError."""
@@ -99,6 +108,7 @@ class ExistingFolder(_Path):
     """A folder that exists."""
 
     name = "folder"
+    completed_as = "dir"
 
     def check(self, path: Path) -> None:
         """Check that the folder exists.
@@ -172,6 +182,7 @@ class OutputFolder(_Path):
     """A folder to write into; the command creates it if it does not exist."""
 
     name = "folder"
+    completed_as = "dir"
 
     def check(self, path: Path) -> None:
         """Check that neither the path nor a folder above it is a file.
@@ -207,6 +218,7 @@ class RunFolder(_Path):
     """
 
     name = "folder"
+    completed_as = "dir"
 
     def __init__(self, *, batch: bool = False, journal: bool = True) -> None:
         self._batch, self._journal = batch, journal
