@@ -149,11 +149,12 @@ def rig(first: Path, second: Path, as_json: bool, **options: Any) -> int:
     FIRST and SECOND are run folders or folders of files. Views of the same name must show the same pose of the rig.
     """
     from bench.commands.engine_output import show_rig
-    from bench.results.offline import calibrate_paths
+    from bench.results.offline import calibrate_paths, require_common_views
     from bench.results.offline_options import OfflineOptions
     from calib.studies.rig import relative_rotation
 
     choices = OfflineOptions.from_command_line(**options)
+    require_common_views(first, second, choices)
     results = [calibrate_paths([path], choices) for path in (first, second)]
     rotation = relative_rotation(*(result.calibration for result in results))
     skipped = [reason for result in results for reason in result.skipped]

@@ -19,10 +19,13 @@ from bench.results.view_sources import ViewSource, view_sources
 from bench.stations.station_collimator import CollimatorConfig
 from calib.calibration import CalibrationOptions
 from calib.engine import Calibration, calibrate
-from calib.errors import CalibrationError
+from calib.errors import CalibrationError, DegenerateViews
 from calib.studies.reference_methods import MethodFailure, MethodResult, reference_results, starbench_result
 from calib.view import View
 from sequences.script import SolveStep
+
+_MOST_NAMES = 5
+"""Views of a folder that a message names."""
 
 
 @dataclass(frozen=True)
@@ -131,6 +134,32 @@ def calibrate_paths(paths: Sequence[Path], choices: OfflineOptions) -> OfflineRe
     calibration = replace(calibration, notes=(*calibration.notes, *cautions))
     planar = planar_calibration(views, options) if calibration.model != "planar" else None
     return OfflineResult(calibration, planar, skipped, views, options, used, passport)
+
+
+def require_common_views(first: Path, second: Path, choices: OfflineOptions) -> None:
+    """Refuse two folders of a rig that share no pose, before any star is looked for.
+
+    Parameters
+    ----------
+    first, second
+        Run folders or folders of files.
+    choices
+        Options of the calibration.
+
+    Raises
+    ------
+    DegenerateViews
+        If no view of one has the name of a view of the other.
+    UsageError, BenchError
+        When a path cannot be used.
+    """
+    names = [{source.name for source in view_sources(path, choices)} for path in (first, second)]
+    if not names[0] & names[1]:
+        shown = [", ".join(sorted(some)[:_MOST_NAMES]) for some in names]
+        raise DegenerateViews(
+            f"The two cameras share no pose: {shown[0]} and {shown[1]}.",
+            remedy="Give the two views of one pose the same name.",
+        )
 
 
 def _engine_options(

@@ -62,6 +62,11 @@ class ViewSource:
     job: Job | None = None
     attempt: Attempt | None = None
 
+    @property
+    def name(self) -> str:
+        """Name of its view: that of the pose, or of the file without its ending."""
+        return self.attempt.pose_name if self.attempt else self.path.stem
+
 
 def view_sources(path: Path, choices: OfflineOptions) -> Iterator[ViewSource]:
     """List the files of a path from which views can be made.

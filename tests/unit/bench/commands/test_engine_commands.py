@@ -84,7 +84,16 @@ def test_cameras_that_saw_different_poses_are_refused_as_a_rig(capsys, points, t
     with pytest.raises(SystemExit) as end:
         main(["rig", str(points[0]), str(tmp_path), "--image-size", "1280x720"])
     assert end.value.code == 1
-    assert "view" in capsys.readouterr().err
+    assert "share no pose: view1, view2, view3, view4, view5 and other-view1," in capsys.readouterr().err
+
+
+def test_a_rig_without_a_common_pose_is_refused_before_any_calibration(capsys, points, tmp_path, monkeypatch):
+    for file in points[0].iterdir():
+        (tmp_path / f"other-{file.name}").write_bytes(file.read_bytes())
+    monkeypatch.setattr("bench.results.offline.calibrate", lambda *_: pytest.fail("calibrated"))
+    with pytest.raises(SystemExit):
+        main(["rig", str(points[0]), str(tmp_path), "--image-size", "1280x720"])
+    assert "share no pose" in capsys.readouterr().err
 
 
 def test_with_a_passport_one_view_is_enough_and_the_focal_length_is_more_certain(capsys, points, tmp_path):
