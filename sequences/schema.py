@@ -250,10 +250,10 @@ class WaitConfig(StrictModel):
 
 
 class PromptConfig(StrictModel):
-    """Ask the operator; after the time-out the default answer counts."""
+    """Ask the operator; after the time-out the default answer counts: without one, the run ends safely."""
 
     text: Annotated[str, Field(min_length=1, max_length=500)]
-    default: Answer = "continue"
+    default: Answer = "abort"
     timeout_s: Annotated[float, Field(gt=0, le=7 * 86_400)] = 600.0
 
 

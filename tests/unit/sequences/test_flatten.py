@@ -310,3 +310,8 @@ def test_numbers_names_and_poses_hold_together_in_any_script(text):
         if isinstance(step, RecordStep):
             assert step.pose.angles_deg == angles
     assert not any(isinstance(step, SolveStep) and step.distortion != ("k1", "k2") for step in script)
+
+
+def test_a_question_that_nobody_answers_ends_the_run_unless_the_sequence_says_otherwise():
+    (prompt,) = steps("steps: [{prompt: {text: 'Is the lens cap off?'}}]\n")
+    assert prompt.default == "abort"
