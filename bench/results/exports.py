@@ -23,6 +23,7 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from typing import Any
 
 import cv2
@@ -49,7 +50,9 @@ class FormatCannotCarry(BenchError):
     """The file format cannot represent this lens model."""
 
 
-def exports(calibration: Calibration, *, camera_name: str) -> dict[str, bytes]:
+def exports(
+    calibration: Calibration, *, camera_name: str, target: StarTarget | None = None
+) -> dict[str, bytes]:
     """Write a calibration in every format that can represent it.
 
     Parameters
@@ -59,6 +62,8 @@ def exports(calibration: Calibration, *, camera_name: str) -> dict[str, bytes]:
     camera_name
         Name of the camera in the files. Every character that is not a letter, digit or ``_`` becomes ``_``, as ROS
         requires.
+    target
+        The printed target; None: the standard one.
 
     Returns
     -------
@@ -69,7 +74,8 @@ def exports(calibration: Calibration, *, camera_name: str) -> dict[str, bytes]:
     files: dict[str, bytes] = {}
     refused = []
     camera_name = re.sub(r"[^A-Za-z0-9_]", "_", camera_name)
-    for name, write in WRITERS.items():
+    described = partial(metavision_json, target=target or StarTarget())
+    for name, write in {**WRITERS, "metavision.json": described}.items():
         try:
             files[name] = write(calibration, camera_name)
         except FormatCannotCarry as refusal:
@@ -245,7 +251,7 @@ def colmap_cameras(calibration: Calibration, camera_name: str) -> bytes:
     return f"# {camera_name}\n# CAMERA_ID, MODEL, WIDTH, HEIGHT, PARAMS[]\n1 {model} {size} {text}\n".encode()
 
 
-def metavision_json(calibration: Calibration, camera_name: str) -> bytes:
+def metavision_json(calibration: Calibration, camera_name: str, target: StarTarget = StarTarget()) -> bytes:  # noqa: B008 - immutable
     """Write the intrinsics.json of Metavision SDK 4 (OpenCV FileStorage JSON), with lengths in metres.
 
     ``pattern`` describes the squares of the star target, because the format has no stars.
@@ -256,6 +262,8 @@ def metavision_json(calibration: Calibration, camera_name: str) -> bytes:
         The calibration.
     camera_name
         Name of the camera.
+    target
+        The printed target.
 
     Returns
     -------
@@ -268,7 +276,6 @@ def metavision_json(calibration: Calibration, camera_name: str) -> bytes:
         When the lens is a fisheye lens.
     """
     _refuse_fisheye(calibration.camera, "Metavision's intrinsics.json")
-    target = StarTarget()
     rotations, translations = _poses(calibration)
     text = _file_storage(
         ".json",

@@ -207,7 +207,8 @@ class ResultWriter:
         self._folder.write_atomic(RESULTS, _json_bytes(results))
         residuals = solution.calibration.residuals_px
         self._folder.write_atomic(VIEWS, views_file(solution.measurements, residuals))
-        for name, data in exports(solution.calibration, camera_name=self._job.camera_name).items():
+        written = exports(solution.calibration, camera_name=self._job.camera_name, target=self._job.target)
+        for name, data in written.items():
             self._folder.write_atomic(f"exports/{name}", data)
         html = render_report(ReportData(results, _view_pictures(results, solution), log.journal.head))
         path = self._folder.write_atomic(REPORT, html.encode())

@@ -12,6 +12,7 @@ from bench.results.exports import FormatCannotCarry, exports, kalibr_camchain, o
 from calib.calibration import Calibration, ViewSummary
 from calib.model.camera import CameraModel
 from calib.model.collimator import Collimator
+from calib.target import StarTarget
 
 LENSES = {
     "none": {},
@@ -191,6 +192,16 @@ def test_colmap_s_pixels_lie_half_a_pixel_further(lens, model, count):
     assert len(line[4:]) == count
     image = by_opencv([[fx, 0, cx], [0, fy, cy], [0, 0, 1]], coefficients)
     np.testing.assert_allclose(image - 0.5, wanted.camera.project(RAYS), atol=1e-9)
+
+
+def test_metavision_s_json_describes_the_target_that_was_seen():
+    own = StarTarget(squares_x=30, squares_y=40, pitch_mm=2.5, tag_square=(13, 18))
+    for target, expected in ((None, (72, 50, 144.5 / 36_000)), (own, (40, 30, 0.0025))):
+        pattern = json.loads(exports(calibration("k1k2"), camera_name="c", target=target)["metavision.json"])[
+            "pattern"
+        ]
+        assert (pattern["n_rows"], pattern["n_cols"]) == expected[:2]
+        assert pattern["square_width"] == pattern["square_height"] == pytest.approx(expected[2])
 
 
 @pytest.mark.parametrize("lens", LENSES)
