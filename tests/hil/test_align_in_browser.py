@@ -1,12 +1,11 @@
 """The align page in a real browser: what a person sees, jogs, stops and writes down. Skipped where no Chromium is."""
 
-import os
 import re
 import shutil
 import time
-from pathlib import Path
 
 import pytest
+from align_browser import NEEDS_CHROMIUM, Tab, running_chromium
 from align_fakes import fake_session, wait_until
 from pages import served
 
@@ -16,48 +15,13 @@ from bench.align.session import Session
 from bench.stations.devices import Devices
 from bench.stations.station import SHIPPED_STATIONS, load_station
 
-CHROMIUM = os.environ.get("STARBENCH_CHROMIUM", "/usr/bin/chromium")
-FLAGS = [
-    "--headless", "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run",
-    "--disable-background-networking", "--disable-component-update", "--disable-sync",
-]  # fmt: skip
-
-pytestmark = pytest.mark.skipif(not Path(CHROMIUM).exists(), reason=f"no Chromium at {CHROMIUM}")
+pytestmark = NEEDS_CHROMIUM
 
 
 @pytest.fixture(scope="module")
 def chromium():
-    sync_api = pytest.importorskip("playwright.sync_api")
-    with sync_api.sync_playwright() as playwright:
-        browser = playwright.chromium.launch(executable_path=CHROMIUM, args=FLAGS)
+    with running_chromium() as browser:
         yield browser
-        browser.close()
-
-
-class Tab:
-    """One tab of the browser; it notes errors of scripts and every host that it asks."""
-
-    def __init__(self, chromium, url, width=1280):
-        self.tab = chromium.new_page(viewport={"width": width, "height": 900})
-        self.errors, self.hosts = [], set()
-        self.tab.on("pageerror", lambda error: self.errors.append(str(error)))
-        self.tab.on(
-            "request", lambda request: self.hosts.add(re.sub(r"^blob:", "", request.url).split("/")[2])
-        )
-        self.tab.goto(url)
-
-    def wait(self, script, timeout_s=10.0):
-        wait_until(lambda: self.tab.evaluate(script), timeout_s)
-
-    def text(self, selector):
-        return self.tab.inner_text(selector)
-
-    def wait_text(self, selector, words, timeout_s=10.0):
-        wait_until(lambda: words in self.text(selector), timeout_s)
-
-    def close(self):
-        self.tab.close()
-        assert self.errors == []
 
 
 class Wire:
@@ -197,3 +161,82 @@ def test_the_simulated_bench_is_aligned_in_the_browser(chromium, tmp_path):
     finally:
         confirmed = session.close()
     assert all(item.safe for item in confirmed)
+
+
+def _adviser(one):
+    """Return the advice of a picture that was made after this call."""
+    seen = one.tab.evaluate("alignStats.images")
+    one.wait(f"alignStats.images >= {seen} + 3", 60)
+    return one.text("#advice")
+
+
+def _edge_px(one):
+    text = one.text("#focus-figures > div:first-child b")
+    return float(text.split()[0]) if text[0].isdigit() else None
+
+
+def _focus(one):
+    """Turn the ring as a person does: on while the edges shrink, back when they grow, in ever smaller steps."""
+    step, best = -5, 99.0
+    for _ in range(40):
+        one.tab.click(f"[data-action='lens turn'] [data-step='{step}']")
+        _adviser(one)
+        width = _edge_px(one) or 99.0
+        if width > best:
+            if abs(step) == 1:
+                break
+            step = -1 if step > 0 else 1
+            width = 99.0
+        best = width
+    assert "Turn the focus ring" not in _adviser(one)
+
+
+@pytest.mark.slow
+def test_following_the_page_alone_leads_from_a_new_camera_to_a_bench_that_is_ready(chromium, tmp_path):
+    """Out of focus, beside the beam, not rolled: a person who does what the advice says ends with green checks."""
+    session = Session(load_station("simulated_unaligned"))
+    assert session.open() is None
+    done = []
+    try:
+        with served(align_app(session, PageFiles(session.station.file, tmp_path))) as server:
+            one = Tab(chromium, server.url)
+            one.wait("alignStats.images > 0", 60)
+            one.tab.click("#home")
+            one.tab.click("#home-now")
+            wait_until(lambda: session.bench.stage.state.homed and not session.bench.stage.moving, 30)
+            for _ in range(15):
+                advice = _adviser(one).splitlines()[0]
+                done.append(advice)
+                if "switch it on" in advice:
+                    one.tab.click("#light-on")
+                    one.wait_text("#light-state", "on", 20)
+                elif level := re.search(r"level to (\d+) %", advice):
+                    one.tab.fill("#level", level[1])
+                    one.tab.click("#light-form button")
+                    _focus(one)
+                elif "Turn the focus ring" in advice:
+                    _focus(one)
+                elif "Turn pan" in advice or "Turn tilt" in advice:
+                    one.tab.click("#turn-there")
+                    wait_until(lambda: not session.bench.stage.moving, 20)
+                elif "Roll the camera" in advice:
+                    for _ in range(2):
+                        one.tab.click("[data-action='mount turn'] [data-step='5']")
+                elif "needs no improvement" in advice:
+                    break
+            assert "needs no improvement" in _adviser(one), done
+            one.tab.click("#check")
+            one.wait_text("#check-note", "ready for a run", 60)
+            one.tab.check("[value=zero]")
+            one.tab.fill("#copy", "aligned")
+            one.tab.click("#propose")
+            one.wait_text("#difference", "+      zero_deg")
+            one.tab.click("#write")
+            wait_until((tmp_path / "aligned.yaml").exists)
+            one.close()
+    finally:
+        confirmed = session.close()
+    assert all(item.safe for item in confirmed)
+    assert any("focus" in advice for advice in done)
+    assert any("Turn pan" in advice for advice in done)
+    assert any("Roll" in advice for advice in done)

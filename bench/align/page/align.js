@@ -376,7 +376,7 @@ async function sendLight(body) {
 for (const holder of document.querySelectorAll("[data-action]")) {
   const { action, name } = holder.dataset;
   for (const step of [-20, -5, -1, 1, 5, 20]) {
-    holder.append(el("button", { onclick: () => ask("hands", { action, [name]: step }) }, `${step > 0 ? "+" : "−"}${Math.abs(step)}°`));
+    holder.append(el("button", { "data-step": step, onclick: () => ask("hands", { action, [name]: step }) }, `${step > 0 ? "+" : "−"}${Math.abs(step)}°`));
   }
 }
 for (const f of [1.4, 2, 2.8, 4, 5.6, 8]) {
