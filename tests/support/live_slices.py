@@ -7,42 +7,49 @@ import math
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from simulators.optics.picture import render, true_rotation
+from simulators.optics.lens_focus import blur_px
+from simulators.optics.scene import picture
 from simulators.pixels.evt3_writer import Evt3Writer
 from simulators.pixels.sensor import Sensor
+from simulators.world.lens_truth import LensTruth
 from simulators.world.truth import NOISE_LEVELS, OpticsTruth, Truth
 from simulators.world.world import FULL_DRIVE_V, LightState
 
-HEADER = b"% evt 3.0\n% format EVT3;height=720;width=1280\n% geometry 1280x720\n% serial_number 00050423\n% end\n"
+HEADER = (
+    b"% evt 3.0\n% format EVT3;height=720;width=1280\n% geometry 1280x720\n% serial_number 00050423\n% end\n"
+)
 
 
-def bench(psf_px: float = 0.7, roll_deg: float = 10.0, **truth: Any) -> Truth:
-    """Return the simulated bench with the camera rolled against the target."""
+def bench(*, psf_px: float = 0.7, roll_deg: float = 10.0, circle_px: float = 0.0, **truth: Any) -> Truth:
+    """Return the simulated bench, its camera rolled against the target, its lens out of focus by a blur circle."""
     optics = OpticsTruth(psf_px=psf_px, mounting_deg=(0.31, -0.22, roll_deg))
-    return dataclasses.replace(Truth(), optics=optics, **truth)
+    found = dataclasses.replace(Truth(), optics=optics, **truth)
+    if circle_px <= 0.0:
+        return found
+    at_1_m = blur_px(dataclasses.replace(found, lens=LensTruth(focus_distance_m=1.0)))
+    return dataclasses.replace(found, lens=LensTruth(focus_distance_m=at_1_m / circle_px))
 
 
-def picture(truth: Truth, angles_deg: dict[str, float], circle_px: float = 0.0) -> NDArray[np.float32]:
-    """Return the share of the light at each pixel, blurred by a circle of the given diameter as a lens out of focus."""
-    sharp = render(truth, true_rotation(angles_deg, truth))
-    if circle_px <= 0.5:
-        return sharp
-    side = math.ceil(circle_px) + 2
-    fine = np.zeros((8 * (2 * side + 1),) * 2, np.float32)
-    middle = (fine.shape[0] - 1) / 2.0
-    y, x = np.indices(fine.shape)
-    fine[np.hypot(x - middle, y - middle) <= 4.0 * circle_px] = 1.0
-    kernel = cv2.resize(fine, (2 * side + 1,) * 2, interpolation=cv2.INTER_AREA)
-    return cv2.filter2D(sharp, cv2.CV_32F, kernel / kernel.sum(), borderType=cv2.BORDER_REFLECT)
+def seen(truth: Truth, **angles_deg: float) -> NDArray[np.float32]:
+    """Return the share of the light at each pixel with the gimbal at some angles."""
+    return picture(truth, angles_deg)
+
+
+def fired(share: NDArray[np.float32], *, level_percent: float = 100.0, seed: int = 1) -> NDArray[np.float32]:
+    """Return about the event image of a bright square flicker, without the time it takes to simulate a sensor.
+
+    A pixel fires at a small share of the light, with a threshold of its own.
+    """
+    thresholds = np.random.default_rng(seed).normal(1.0, 0.1, share.shape) * 4.0 / level_percent
+    return (share > thresholds).astype(np.float32)
 
 
 def write_slice(
     path: Path,
-    seen: NDArray[np.float32],
+    light_share: NDArray[np.float32],
     *,
     periods: int = 1,
     noise: str = "typical",
@@ -55,7 +62,7 @@ def write_slice(
     phase = float(np.random.default_rng(seed).random())
     length_us = math.ceil((periods + 1) * light.period_us + 1000.0)
     sensor = Sensor(noise=NOISE_LEVELS[noise], camera_seed=7, seed=seed)
-    sensor.begin(seen, light, phase)
+    sensor.begin(light_share, light, phase)
     events = sensor.run(length_us)
     first = -phase * light.period_us % light.period_us
     up = np.arange(first - light.period_us, length_us + light.period_us, light.period_us)

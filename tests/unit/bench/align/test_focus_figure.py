@@ -1,0 +1,92 @@
+"""The focus figure over the whole travel of the ring, its course, and the tilt of the field."""
+
+import numpy as np
+import pytest
+
+from bench.align.focus_figure import FocusCourse, FocusFigures, measure_focus, tilt_of
+from calib.stars.beam import find_beam
+from calib.stars.quick import find_stars_quickly
+from simulators.optics.picture import TARGET
+from tests.support.live_slices import bench, fired, seen
+
+
+def figures_of(image):
+    return measure_focus(image, find_beam(image), find_stars_quickly(image, TARGET), TARGET)
+
+
+def test_the_edge_width_falls_while_the_ring_is_turned_to_focus():
+    widths = [
+        figures_of(fired(seen(bench(circle_px=circle)), level_percent=20.0)).edge_width_px
+        for circle in (20.0, 14.0, 9.0, 5.0, 0.0)
+    ]
+    assert None not in widths
+    assert (np.diff(widths) < -0.1).all(), widths
+    assert widths[-1] == pytest.approx(0.7, abs=0.15)
+    assert widths[0] == pytest.approx(20.0 / 4.0, abs=0.8)
+
+
+def test_regions_show_a_tilted_field():
+    sharp, soft = seen(bench(psf_px=0.6)), seen(bench(psf_px=1.1))
+    right = np.linspace(0.0, 1.0, 1280, dtype=np.float32)[None, :] > 0.55
+    found = figures_of(fired(np.where(right, soft, sharp)))
+    assert found.regions["top right"] > found.regions["top left"] + 0.2
+    assert "on the right" in found.tilt
+    assert found.tilt.index("right") < found.tilt.index("left")
+
+
+def test_an_even_field_has_no_tilt():
+    found = figures_of(fired(seen(bench())))
+    assert found.tilt == ""
+    assert len(found.regions) == 5
+    assert max(found.regions.values()) - min(found.regions.values()) < 0.12
+
+
+def test_tilt_needs_both_sides():
+    assert tilt_of({"top left": 2.0, "top right": None, "bottom left": 2.0, "bottom right": None}) == ""
+    assert "at the top" in tilt_of(
+        {"top left": 2.0, "top right": 2.0, "bottom left": 1.0, "bottom right": 1.0}
+    )
+
+
+def test_without_stars_the_sharpness_remains():
+    image = np.ones((720, 1280), np.float32)
+    image[300:400, 500:700] = 0.0
+    found = figures_of(image)
+    assert (found.edge_width_px, found.blur_circle_px) == (None, None)
+    assert found.sharpness > 0.0
+
+
+def test_the_course_keeps_the_best_but_no_single_outlier():
+    course = FocusCourse(kept_s=10.0)
+    for time_s, width in enumerate([3.0, 2.5, 2.0, 0.4, 1.5, 1.2, 1.1, 1.0, 1.4, 1.9, 2.4, 2.9]):
+        course.add(float(time_s), FocusFigures(edge_width_px=width, sharpness=1.0 / width))
+    assert course.best_edge_width_px == pytest.approx(1.1)
+    assert course.best_sharpness == pytest.approx(1.0 / 1.1)
+    assert course.edge_widths()[0] == (1.0, 2.5)  # 10 s before the last
+    course.forget()
+    assert course.best_edge_width_px is None
+    assert course.edge_widths() == []
+
+
+@pytest.mark.parametrize(
+    ("widths", "expected"),
+    [
+        ((4, 3.5, 3, 2.5, 2, 1.5), "better"),
+        ((1.5, 2, 2.5, 3), ""),
+        ((1, 1, 1.5, 2, 2, 3), "worse"),
+        ((2,) * 8, ""),
+    ],
+)
+def test_the_trend_of_the_last_seconds(widths, expected):
+    course = FocusCourse()
+    for number, width in enumerate(widths):
+        course.add(0.5 * number, FocusFigures(edge_width_px=float(width)))
+    assert course.trend() == expected
+
+
+def test_the_trend_by_sharpness_alone():
+    course = FocusCourse()
+    for number in range(8):
+        course.add(0.4 * number, FocusFigures(sharpness=0.1 + 0.02 * number))
+    assert course.trend() == "better"
+    assert FocusCourse().trend() == ""
