@@ -90,6 +90,7 @@ def render_report(data: ReportData, *, draw: bool = True) -> str:
             verdict=verdict(results),
             identification=run_tables.identification(results),
             inputs=run_tables.inputs(results),
+            passport=results.get("passport"),
             change=change(results),
             software=run_tables.software(results),
             journal_head=data.journal_head,

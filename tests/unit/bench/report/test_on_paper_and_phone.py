@@ -26,6 +26,10 @@ SCROLLS = """() => [...document.querySelectorAll('.wide')].filter(e =>
   e.scrollWidth > e.clientWidth + 1 && getComputedStyle(e).overflowX === 'visible').length"""
 
 
+OVERLAPS = """() => [...document.querySelectorAll('.pair > *, .panels > *, .residuals > *')].filter(e =>
+  e.scrollWidth > e.clientWidth + 1).map(e => e.outerHTML.slice(0, 80))"""
+
+
 def test_it_prints_on_at_most_six_pages_and_fits_a_phone(html, tmp_path):
     page_file, pdf = tmp_path / "report.html", tmp_path / "report.pdf"
     page_file.write_text(html, encoding="utf-8")
@@ -36,6 +40,8 @@ def test_it_prints_on_at_most_six_pages_and_fits_a_phone(html, tmp_path):
         assert page.evaluate("document.documentElement.scrollWidth") == 390
         assert page.evaluate(CUT) == []
         assert page.evaluate(SCROLLS) == 0
+        page.set_viewport_size({"width": 1200, "height": 900})
+        assert page.evaluate(OVERLAPS) == []
         page.pdf(path=str(pdf), prefer_css_page_size=True, print_background=True)
         browser.close()
     pages = len(re.findall(rb"/Type\s*/Page\b", pdf.read_bytes()))

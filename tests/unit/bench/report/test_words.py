@@ -70,6 +70,7 @@ def test_nothing_is_claimed_that_was_not_done(html):
     words = " ".join(printed_text(html)).lower()
     assert "not a certificate" in words
     assert "no metrological traceability is claimed" in words
+    assert "no certified value was used" not in words  # the sample has a certificate
     assert " due" not in words  # no recalibration interval
 
 
