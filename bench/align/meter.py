@@ -179,7 +179,9 @@ def serve_measurements(requests: IO[bytes], answers: IO[bytes]) -> None:
             return
         answer: Any
         try:
-            answer = meter.forget() if message == _FORGET else tuple(meter.measure(*message))
+            answer = None if message == _FORGET else tuple(meter.measure(*message))
+            if message == _FORGET:
+                meter.forget()
         except Exception as error:  # noqa: BLE001 - one bad slice must not end the measuring
             answer = f"{type(error).__name__}: {error}"
         try:

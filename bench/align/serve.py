@@ -114,6 +114,7 @@ def align_in_terminal(station: str, settings: Sequence[str] = (), *, seed: int =
     int
         Exit status: 0 if every device confirmed a safe state, 1 if not.
     """
+    from bench.align.terminal_keys import HELP, TerminalKeys, keys_of_terminal
     from bench.align.text_view import show_in_terminal
 
     session = make_session(station, settings, seed=seed)
@@ -124,7 +125,10 @@ def align_in_terminal(station: str, settings: Sequence[str] = (), *, seed: int =
             if failure is not None:
                 _print(failure.message)
                 return _NOT_CONFIRMED
-            show_in_terminal(session, ended)
+            keys = TerminalKeys(session, ended.set)
+            with keys_of_terminal(keys) as has_keys:
+                tail = f"{HELP} Ctrl-C ends too." if has_keys else "Ctrl-C ends."
+                show_in_terminal(session, ended, notice=keys.notice, tail=tail)
         finally:
             status = leave(session)
     return status

@@ -32,7 +32,14 @@ _CELL_ASPECT: Final = 2.0
 """Height of a character, in units of its width."""
 
 
-def show_in_terminal(session: Session, ended: threading.Event, *, stream: TextIO | None = None) -> None:
+def show_in_terminal(
+    session: Session,
+    ended: threading.Event,
+    *,
+    stream: TextIO | None = None,
+    notice: Callable[[], str] = str,
+    tail: str = "Ctrl-C ends.",
+) -> None:
     """Show the figures of an open session until it shall end.
 
     Parameters
@@ -43,12 +50,18 @@ def show_in_terminal(session: Session, ended: threading.Event, *, stream: TextIO
         Set by another thread, or by a signal, to end.
     stream
         Where to write; None for standard output.
+    notice
+        Returns what stands in the place of the advice for the moment; empty for the advice.
+    tail
+        Last line of the block.
     """
-    view = TextView(session.station.value.name, stream=stream)
+    view = TextView(session.station.value.name, stream=stream, tail=tail)
     while not ended.wait(REDRAWN_EVERY_S):
         number, image, figures = session.latest()
         failure = session.bench.loop.failure
-        view.show(number, image, figures, trouble=failure.message if failure is not None else "")
+        view.show(
+            number, image, figures, trouble=notice() or (failure.message if failure is not None else "")
+        )
 
 
 class TextView:
@@ -62,11 +75,19 @@ class TextView:
         Where to write; None for standard output.
     clock
         Returns the time, s; it counts pictures per second and spaces plain lines.
+    tail
+        Last line of the block.
     """
 
     def __init__(
-        self, name: str, *, stream: TextIO | None = None, clock: Callable[[], float] = time.monotonic
+        self,
+        name: str,
+        *,
+        stream: TextIO | None = None,
+        clock: Callable[[], float] = time.monotonic,
+        tail: str = "Ctrl-C ends.",
     ) -> None:
+        self._tail = tail
         self._name = name
         self._stream = stream or sys.stdout
         self._block = Block(self._stream)
@@ -92,7 +113,7 @@ class TextView:
         """
         if self._block.can_redraw:
             head = self._head(number, figures, trouble)
-            self._block.draw(head, self._picture(image, head) if number else [], ["Ctrl-C ends."])
+            self._block.draw(head, self._picture(image, head) if number else [], [self._tail])
             return
         for line in self._plain_lines(number, figures, trouble):
             print(line, file=self._stream, flush=True)

@@ -1,0 +1,207 @@
+"""Keys that control a session in a terminal: light, small steps of the stage, home, and a stop that waits for nothing.
+
+Keys are read one by one while the terminal shows the figures. Where the input is no terminal, there are no keys. This
+module calls the session and moves nothing itself.
+"""
+
+from __future__ import annotations
+
+import os
+import select
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator, Mapping
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager, suppress
+from typing import Final
+
+from bench.align.session import Session
+from bench.base.failure import FORESEEN, Failure
+
+STEPS_DEG: Final = (0.01, 0.1, 0.5, 1.0, 5.0)
+HELP: Final = (
+    "Keys: L light on or off; arrows turn pan and tilt by the step; , and . change the step; H twice homes; "
+    "space stops; Q ends."
+)
+_ARROWS: Final[Mapping[bytes, tuple[str, int]]] = {
+    b"\x1b[C": ("pan", 1),
+    b"\x1b[D": ("pan", -1),
+    b"\x1b[A": ("tilt", 1),
+    b"\x1b[B": ("tilt", -1),
+}
+_STOPS: Final = (b" ", b"\x1b")
+_NOTICE_S: Final = 5.0
+_SURE_S: Final = 3.0
+
+
+class TerminalKeys:
+    """What the keys do.
+
+    Parameters
+    ----------
+    session
+        The session.
+    end
+        Called to end the program.
+    monotonic
+        Returns the time of a monotonic clock, s.
+    """
+
+    def __init__(
+        self, session: Session, end: Callable[[], None], monotonic: Callable[[], float] = time.monotonic
+    ) -> None:
+        self._session = session
+        self._end = end
+        self._monotonic = monotonic
+        self._step = 2
+        self._home_asked_s = -_SURE_S
+        self._notice, self._notice_s = "", -_NOTICE_S
+        self._work = ThreadPoolExecutor(1, thread_name_prefix="align-keys")
+
+    def notice(self) -> str:
+        """Return what the last key did, for some seconds.
+
+        Returns
+        -------
+        str
+            A sentence; empty if the last key was pressed long ago.
+        """
+        return self._notice if self._monotonic() - self._notice_s < _NOTICE_S else ""
+
+    def press(self, key: bytes) -> None:
+        """Do what a key asks for. A stop is sent at once; anything else after what was asked for before.
+
+        Parameters
+        ----------
+        key
+            The bytes that the terminal sends for the key.
+        """
+        if key in _STOPS:
+            threading.Thread(target=self._do, args=(self._stop,), daemon=True).start()
+        elif key in _ARROWS:
+            axis, sign = _ARROWS[key]
+            step_deg = sign * STEPS_DEG[self._step]
+            self._work.submit(self._do, lambda: self._jog(axis, step_deg))
+        elif key.lower() == b"l":
+            self._work.submit(self._do, self._light)
+        elif key.lower() == b"h":
+            self._home()
+        elif key in (b",", b"."):
+            self._step = min(max(self._step + (1 if key == b"." else -1), 0), len(STEPS_DEG) - 1)
+            self._say(f"The step is {STEPS_DEG[self._step]:g} degrees.")
+        elif key.lower() == b"q":
+            self._end()
+
+    def close(self) -> None:
+        """Do no more."""
+        self._work.shutdown(wait=False, cancel_futures=True)
+
+    def _stop(self) -> str:
+        self._session.stop("by a key")
+        return "The stage was stopped."
+
+    def _jog(self, axis: str, step_deg: float) -> str:
+        goal_deg = self._session.jog(axis, step_deg)[axis]
+        return f"{axis} turns to {goal_deg:.3f} degrees."
+
+    def _light(self) -> str:
+        on = not self._session.bench.light.reading.on
+        self._session.light(on=on)
+        return f"The light is {'on' if on else 'off'}."
+
+    def _home(self) -> None:
+        now_s = self._monotonic()
+        if now_s - self._home_asked_s < _SURE_S:
+            self._home_asked_s = -_SURE_S
+            self._work.submit(self._do, lambda: self._session.home() or "The stage is homing.")
+        else:
+            self._home_asked_s = now_s
+            self._say("Homing turns the axes over a large part of their range. Press H again to do it.")
+
+    def _do(self, action: Callable[[], str]) -> None:
+        """Do something and show what it says; an error is shown too."""
+        try:
+            self._say(action())
+        except FORESEEN as error:
+            self._say(Failure.of(error).message)
+
+    def _say(self, text: str) -> None:
+        self._notice, self._notice_s = text, self._monotonic()
+
+
+@contextmanager
+def keys_of_terminal(keys: TerminalKeys) -> Iterator[bool]:
+    """Read keys from the terminal while the block runs.
+
+    Parameters
+    ----------
+    keys
+        What they do; it is closed at the end.
+
+    Yields
+    ------
+    bool
+        Whether there are keys: standard input is a terminal that can send single keys.
+    """
+    closing = threading.Event()
+    with suppress(ImportError):
+        import termios
+        import tty
+
+        if sys.stdin.isatty():
+            number = sys.stdin.fileno()
+            before = termios.tcgetattr(number)
+            tty.setcbreak(number)
+            reader = threading.Thread(target=_read, args=(number, keys, closing), daemon=True)
+            reader.start()
+            try:
+                yield True
+            finally:
+                closing.set()
+                reader.join(timeout=1.0)
+                termios.tcsetattr(number, termios.TCSADRAIN, before)
+                keys.close()
+            return
+    try:
+        yield False
+    finally:
+        keys.close()
+
+
+def _read(number: int, keys: TerminalKeys, closing: threading.Event) -> None:
+    while not closing.is_set():
+        if not select.select([number], [], [], 0.1)[0]:
+            continue
+        data = os.read(number, 64)
+        if not data:
+            return
+        for key in split_keys(data):
+            keys.press(key)
+
+
+def split_keys(data: bytes) -> list[bytes]:
+    r"""Split what a terminal has sent into keys.
+
+    Parameters
+    ----------
+    data
+        The bytes.
+
+    Returns
+    -------
+    list of bytes
+        One entry a key.
+
+    Examples
+    --------
+    >>> split_keys(b"l\x1b[A\x1b[A ")
+    [b'l', b'\x1b[A', b'\x1b[A', b' ']
+    """
+    found = []
+    while data:
+        length = 3 if data[:2] in (b"\x1b[", b"\x1bO") and len(data) >= 3 else 1
+        key = data[:length]
+        found.append(key.replace(b"\x1bO", b"\x1b["))
+        data = data[length:]
+    return found
