@@ -75,7 +75,8 @@ def exports(
     refused = []
     camera_name = re.sub(r"[^A-Za-z0-9_]", "_", camera_name)
     described = partial(metavision_json, target=target or StarTarget())
-    for name, write in {**WRITERS, "metavision.json": described}.items():
+    writers: dict[str, Writer] = {**WRITERS, "metavision.json": described}
+    for name, write in writers.items():
         try:
             files[name] = write(calibration, camera_name)
         except FormatCannotCarry as refusal:

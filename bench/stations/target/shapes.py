@@ -116,7 +116,7 @@ def draw_target(target: TargetConfig) -> Drawing:
     marks = _marks(target, field)
     cells = (-0.5 * field[0], -0.5 * field[1], 0.5 * field[0], 0.5 * field[1])
     glass = (-0.5 * width, -0.5 * height, 0.5 * width, 0.5 * height)
-    parts = (
+    parts: tuple[Shapes, ...] = (
         Shapes("stars", _stars(pattern, offset, negative=negative), pattern.segments // 2),
         Shapes("tag", _tag(pattern, offset, negative=negative)),
         Shapes("margin", _corners(_left_over(glass, [cells, *marks]) if negative else marks)),

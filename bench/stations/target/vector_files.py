@@ -135,7 +135,7 @@ def _paths(part: Shapes, scale: float, signs: str) -> Iterator[str]:
 
 def _path(polygon: NDArray[np.float64], signs: str) -> str:
     """Return a polygon as a path: in SVG the sign stands before a point, in PDF after it."""
-    begin, along, close = signs
+    begin, along, close = signs[0], signs[1], signs[2]
     points = [f"{_short(x)} {_short(y)}" for x, y in polygon.tolist()]
     if begin == "M":
         return begin + along.join(points) + close
