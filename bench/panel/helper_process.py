@@ -19,26 +19,24 @@ from typing import TYPE_CHECKING, Any, BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
+from bench.panel.pictures import own_residuals, picture_answer
+
 if TYPE_CHECKING:
     from bench.plan.job import Job
-    from bench.run.last_view import LastView
     from bench.views.stored_image import StoredImage
 
 Json = dict[str, Any]
 Answer = tuple[Json, bytes]
 Array = NDArray[np.float64]
 
-_ORDER = 3
 _JOBS_KEPT = 4
-_DIGITS = 3
 
 
 def make_picture(request: Mapping[str, Any]) -> Answer:
     """Make the picture of a recording, with its stars and their residuals.
 
-    For a pose of a solved run they are those of its calibration. While a run is in progress, its last picture is the
-    one that it has left for others. Otherwise the stars are found again in the recording. Without a calibration the
-    residuals are those of a smooth fit of this pose alone.
+    For a pose of a solved run they are those of its calibration. Otherwise the stars are found again in the recording,
+    and the residuals are those of a smooth fit of this pose alone.
 
     Parameters
     ----------
@@ -52,7 +50,6 @@ def make_picture(request: Mapping[str, Any]) -> Answer:
         ``stars`` and ``residuals`` as lists of [x, y] px, ``residuals_of``, ``rms_px``, ``size``, ``fault``; PNG. With
         ``absent`` if there is no picture without measuring.
     """
-    from bench.run.last_view import read_last_view
     from bench.views.views_file import VIEWS
 
     folder = Path(request["folder"])
@@ -60,9 +57,6 @@ def make_picture(request: Mapping[str, Any]) -> Answer:
         found = _solved_picture(folder / VIEWS, str(request["pose_name"]))
         if found is not None:
             return found
-    left = read_last_view(folder)
-    if left is not None and (left.pose, left.attempt) == (request["pose"], request["attempt"]):
-        return _left_picture(folder, left)
     if not request["measure"]:
         return {"absent": True, "fault": ""}, b""
     return _measured_picture(folder, request)
@@ -151,22 +145,10 @@ def _solved_picture(path: Path, name: str) -> Answer | None:
     except RunFolderError:
         return None
     stored = views[number - 1]
-    answer = _answer(picture, stored.view.points_px, stored.residuals_px, "the calibration")
+    answer = picture_answer(
+        stored.view.image_size, stored.view.points_px, stored.residuals_px, "the calibration"
+    )
     return answer, StoredImage.from_image(picture).png
-
-
-def _left_picture(folder: Path, left: LastView) -> Answer:
-    """Return the picture that a run in progress has left."""
-    from bench.views.stored_image import StoredImage
-
-    picture = StoredImage(left.png).decoded()
-    nodes = _job(str(folder)).target.node_of(np.array(left.ids, np.int64)).astype(np.float64)
-    points_px = np.array(left.points_px, np.float64).reshape(-1, 2)
-    return {**_own_residuals(picture, nodes, points_px), "fault": left.fault}, left.png
-
-
-def _own_residuals(picture: NDArray[np.uint8], nodes: Array, points_px: Array) -> Json:
-    return _answer(picture, points_px, smooth_residuals(nodes, points_px), "a smooth fit of this pose alone")
 
 
 def _measured_picture(folder: Path, request: Mapping[str, Any]) -> Answer:
@@ -183,62 +165,16 @@ def _measured_picture(folder: Path, request: Mapping[str, Any]) -> Answer:
     image: StoredImage | None = found.image
     if image is None:
         return {"fault": found.fault or "No image can be made of this recording."}, b""
-    picture = image.decoded()
+    height, width = image.decoded().shape
+    size = width, height
     if found.view is None:
-        return {**_answer(picture, np.zeros((0, 2)), None, ""), "fault": found.fault}, image.png
+        return {**picture_answer(size, np.zeros((0, 2))), "fault": found.fault}, image.png
     nodes = job.target.node_of(found.view.ids).astype(np.float64)
-    return _own_residuals(picture, nodes, found.view.points_px), image.png
+    return own_residuals(size, nodes, found.view.points_px), image.png
 
 
 def _given_grid(grid: Any, _image_size: tuple[int, int]) -> Array:
     return np.array(grid, np.float64)
-
-
-def smooth_residuals(nodes: Array, points_px: Array) -> Array | None:
-    """Return what a polynomial of third order from the target to the image leaves of the stars' places.
-
-    It follows perspective and distortion closely enough to show single stars that are wrong; it is no calibration.
-
-    Parameters
-    ----------
-    nodes
-        (N, 2) float64, column and row of each star on the target.
-    points_px
-        (N, 2) float64, px, stars found.
-
-    Returns
-    -------
-    numpy.ndarray or None
-        (N, 2) float64, px; None if there are too few stars for it.
-    """
-    terms = (_ORDER + 1) * (_ORDER + 2) // 2
-    if len(nodes) < 2 * terms:
-        return None
-    centred = nodes - nodes.mean(axis=0)
-    x, y = (centred / max(float(np.abs(centred).max()), 1e-9)).T
-    powers = [x**i * y**j for i in range(_ORDER + 1) for j in range(_ORDER + 1 - i)]
-    design = np.column_stack(powers)
-    fitted, *_ = np.linalg.lstsq(design, points_px, rcond=None)
-    return np.asarray(points_px - design @ fitted)
-
-
-def _answer(
-    picture: NDArray[np.uint8], points_px: Array, residuals_px: Array | None, residuals_of: str
-) -> Json:
-    height, width = picture.shape
-    answer: Json = {
-        "size": [width, height],
-        "stars": np.round(points_px, _DIGITS).tolist(),
-        "residuals": None,
-        "residuals_of": "",
-        "rms_px": None,
-        "fault": "",
-    }
-    if residuals_px is not None and len(residuals_px):
-        answer["residuals"] = np.round(residuals_px, _DIGITS + 1).tolist()
-        answer["residuals_of"] = residuals_of
-        answer["rms_px"] = float(np.sqrt(np.mean(np.sum(residuals_px**2, axis=1))))
-    return answer
 
 
 @lru_cache(maxsize=_JOBS_KEPT)

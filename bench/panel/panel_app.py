@@ -49,7 +49,7 @@ class Panel:
     def __init__(self, root: Path) -> None:
         self._list = FolderList(root)
         self._watcher = Watcher()
-        self._helper = Helper()
+        self._helper, self._background = Helper(), Helper()
         self._extras: dict[RunWatch, asyncio.Task[None]] = {}
         self._batches: dict[Path, BatchView] = {}
         self._list_text = ""
@@ -95,7 +95,8 @@ class Panel:
             tasks = [*self._extras.values(), *([self._list_task] if self._list_task else [])]
             for task in tasks:
                 task.cancel()
-            await asyncio.to_thread(self._helper.close)
+            for helper in (self._helper, self._background):
+                await asyncio.to_thread(helper.close)
             await asyncio.gather(*tasks, return_exceptions=True)
             await asyncio.to_thread(self._watcher.close)
 
@@ -198,7 +199,7 @@ class Panel:
 
     def _keep_extras(self, watch: RunWatch) -> None:
         if watch not in self._extras:
-            self._extras[watch] = asyncio.create_task(Extras(watch, self._helper).keep_up())
+            self._extras[watch] = asyncio.create_task(Extras(watch, self._background).keep_up())
 
     async def _run_state(self, request: Request) -> Response:
         """Answer with the whole state once, for a page that joins a stream that another page has opened."""
@@ -236,6 +237,8 @@ class Panel:
         return Response(png, media_type="image/png")
 
     def _picture_of(self, folder: Path, place: tuple[int, int], measure: bool) -> Answer:
+        from bench.panel.pictures import picture_of_view
+
         watch = self._watcher.open(folder)
         try:
             with watch.lock:
@@ -244,11 +247,14 @@ class Panel:
                 row = model.rows.get(place[0])
                 accepted = model.history.accepted().get(place[0])
                 solved = bool(model.history.solved)
+                left = watch.views.get(place)
         finally:
             self._watcher.leave(watch)
         if found is None or row is None:
             return {"fault": "There is no such recording."}, b""
         is_accepted = accepted is not None and accepted.attempt == place[1]
+        if left is not None and not (is_accepted and solved):
+            return picture_of_view(left), left.png
         arguments = {
             "folder": str(folder),
             "pose": place[0],

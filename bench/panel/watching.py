@@ -18,6 +18,7 @@ from bench.base.failure import Failure
 from bench.panel.process_state import ProcessState, look_at_process
 from bench.panel.run_head import head_of
 from bench.panel.run_model import RunModel
+from bench.run.last_view import LastView, read_last_view
 from bench.web.stream import Changes
 
 LOOK_S = 0.02
@@ -29,6 +30,8 @@ AGAIN_S = 5.0
 LINGER_S = 20.0
 """A run without readers is kept for this time, s: a page that is loaded again finds it ready."""
 MOST_LOG_LINES = 300
+MOST_VIEWS = 40
+"""Pictures that are kept for each run."""
 
 
 class RunWatch:
@@ -50,6 +53,8 @@ class RunWatch:
         self.left_at_s = time.monotonic()
         self.extras: dict[str, Any] = {}
         """What the helper process has calculated: ``coverage``, ``forecast``."""
+        self.views: dict[tuple[int, int], LastView] = {}
+        """Pictures that the run has left, by pose and attempt; the newest last."""
         self.lock = threading.RLock()
         self._utc_now = utc_now
         self._process_at_s = self._told_at_s = float("-inf")
@@ -70,6 +75,8 @@ class RunWatch:
         """
         with self.lock:
             new = self._refresh()
+            if new:
+                self._keep_view()
             if new or now_s - self._process_at_s >= PROCESS_S:
                 new = self._look_at_process(now_s) or new
             if now_s - self._told_at_s >= AGAIN_S and self.process.running:
@@ -127,6 +134,20 @@ class RunWatch:
             self.extras |= extras
             self._messages.clear()
         self.changes.tell()
+
+    def _keep_view(self) -> None:
+        """Keep the picture of the recording that was checked last; the next one will replace it in the folder."""
+        checked = self.model.last_checked
+        if not checked or self.model.tail.more or self.model.history.ended:
+            return
+        place = int(checked["pose"]), int(checked["attempt"])
+        if place in self.views:
+            return
+        left = read_last_view(self.model.folder)
+        if left is not None and (left.pose, left.attempt) == place:
+            self.views[place] = left
+            while len(self.views) > MOST_VIEWS:
+                del self.views[next(iter(self.views))]
 
     def _refresh(self) -> bool:
         try:

@@ -18,6 +18,7 @@ from bench.run.heartbeat import CONTROL
 
 if TYPE_CHECKING:
     from bench.views.measure import Measurement
+    from calib.target import StarTarget
 
 LAST_VIEW = ".last-view"
 _DIGITS = 3
@@ -31,10 +32,10 @@ class LastView:
     ----------
     pose, attempt
         Number of the pose and of the attempt, from 1.
-    ids
-        Ids of the N stars that were found.
+    nodes
+        Column and row of each star on the target.
     points_px
-        Their places, N times [x, y], px, to a thousandth.
+        Place of each star, [x, y], px, to a thousandth.
     fault
         Why no stars were found; empty if there are some.
     png
@@ -43,13 +44,13 @@ class LastView:
 
     pose: int
     attempt: int
-    ids: Sequence[int]
+    nodes: Sequence[Sequence[float]]
     points_px: Sequence[Sequence[float]]
     fault: str
     png: bytes
 
 
-def leave_view(folder: Path, pose: int, attempt: int, found: Measurement) -> None:
+def leave_view(folder: Path, pose: int, attempt: int, found: Measurement, target: StarTarget) -> None:
     """Leave the picture of a recording for others; nothing happens if there is no image or nobody can be told.
 
     Parameters
@@ -60,14 +61,16 @@ def leave_view(folder: Path, pose: int, attempt: int, found: Measurement) -> Non
         Number of the pose and of the attempt, from 1.
     found
         What the recording showed.
+    target
+        The printed target.
     """
     if found.image is None or not (folder / CONTROL).is_dir():
         return
     stars = (
-        {"ids": [], "points_px": []}
+        {"nodes": [], "points_px": []}
         if found.view is None
         else {
-            "ids": found.view.ids.tolist(),
+            "nodes": target.node_of(found.view.ids).tolist(),
             "points_px": found.view.points_px.round(_DIGITS).tolist(),
         }
     )
@@ -98,7 +101,7 @@ def read_last_view(folder: Path) -> LastView | None:
         return LastView(
             int(found["pose"]),
             int(found["attempt"]),
-            [int(one) for one in found["ids"]],
+            [[float(column), float(row)] for column, row in found["nodes"]],
             [[float(x), float(y)] for x, y in found["points_px"]],
             str(found["fault"]),
             png,

@@ -211,7 +211,7 @@ class StateWork:
         expected = grid_from_earlier_poses(history, stored, job.target)
         path = self._folder.path / stored["capture"]
         found = job.camera_kind.measure(path, step, frequency_hz, job.target, expected)
-        leave_view(self._folder.path, pose.index, attempt, found)
+        leave_view(self._folder.path, pose.index, attempt, found, job.target)
         gates, other_reasons = job.camera_kind.judge(stored["facts"], step, frequency_hz, found)
         gates += job.motion_gates(stored["measured_deg"], stored["measured_after_deg"])
         reasons = [found.fault] if found.fault else []

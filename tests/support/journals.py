@@ -3,12 +3,20 @@
 from __future__ import annotations
 
 import json
+import os
+import time
 from collections.abc import Iterator
+from contextlib import contextmanager
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any
 
+from bench.base.clock import BenchClock
+from bench.records.folder_lock import lock_folder
+from bench.records.journal import Journal
 from bench.records.journal_entry import FIRST_PREV, decode_line, encode_line
+from bench.records.run_log import RunLog
+from bench.run.control import CommandInbox
 
 BEGIN = datetime(2026, 3, 1, 20, tzinfo=UTC)
 GATES = [
@@ -148,3 +156,19 @@ def _plan(poses: int, prompt: bool) -> dict[str, Any]:
         ],
         "steps": steps,
     }
+
+
+@contextmanager
+def at_work(run: MadeRun) -> Iterator[tuple[RunLog, BenchClock]]:
+    """A process at work on a run: its lock and its inbox, and a journal that continues the made one."""
+    lock = lock_folder(run.folder)
+    clock = BenchClock()
+    try:
+        clocks = {"utc_now": lambda: datetime.now(UTC), "monotonic": time.monotonic}
+        with Journal.open(run.path, **clocks) as journal:
+            log = RunLog(journal)
+            poses = {n: f"pose {n}" for n in range(1, run.poses + 1)}
+            with CommandInbox(run.folder, log, poses, clock):
+                yield log, clock
+    finally:
+        os.close(lock)

@@ -3,23 +3,17 @@
 from __future__ import annotations
 
 import json
-import os
 import threading
 import time
 from contextlib import contextmanager
-from datetime import UTC, datetime
 
 import httpx
 import pytest
-from journals import MadeRun
+from journals import MadeRun, at_work
 from pages import served
 
-from bench.base.clock import BenchClock
 from bench.panel.panel_app import Panel, panel_app
-from bench.records.folder_lock import lock_folder
-from bench.records.journal import Journal, read_journal
-from bench.records.run_log import RunLog
-from bench.run.control import CommandInbox
+from bench.records.journal import read_journal
 
 PATIENCE_S = 20.0
 
@@ -62,22 +56,6 @@ def streamed(server, path, after=None):
     with httpx.stream("GET", f"{server.url}{path}", headers=headers, timeout=PATIENCE_S) as answer:
         assert answer.status_code == 200
         yield Stream(answer)
-
-
-@contextmanager
-def at_work(run):
-    """A process at work on a run: its lock and its inbox, and a journal that continues the made one."""
-    lock = lock_folder(run.folder)
-    clock = BenchClock()
-    try:
-        clocks = {"utc_now": lambda: datetime.now(UTC), "monotonic": time.monotonic}
-        with Journal.open(run.path, **clocks) as journal:
-            log = RunLog(journal)
-            poses = {n: f"pose {n}" for n in range(1, run.poses + 1)}
-            with CommandInbox(run.folder, log, poses, clock):
-                yield log, clock
-    finally:
-        os.close(lock)
 
 
 @pytest.fixture
@@ -323,3 +301,4 @@ def test_no_thread_and_no_process_remains(run):
     left = {thread for thread in set(threading.enumerate()) - before if thread.name == "journals"}
     assert not left
     assert panel._helper._process is None
+    assert panel._background._process is None

@@ -26,27 +26,28 @@ def _measurement(fault=""):
 def test_a_picture_is_left_and_read_again(tmp_path):
     (tmp_path / CONTROL).mkdir()
     found = _measurement()
-    leave_view(tmp_path, 2, 1, found)
+    leave_view(tmp_path, 2, 1, found, StarTarget())
     left = read_last_view(tmp_path)
-    assert (left.pose, left.attempt, left.ids) == (2, 1, [3, 4, 9])
+    assert (left.pose, left.attempt) == (2, 1)
+    assert left.nodes == StarTarget().node_of([3, 4, 9]).tolist()
     assert left.points_px[0] == [1.235, 2.0]
     assert left.png == found.image.png
-    leave_view(tmp_path, 2, 2, _measurement("no stars"))
+    leave_view(tmp_path, 2, 2, _measurement("no stars"), StarTarget())
     left = read_last_view(tmp_path)
-    assert (left.attempt, left.ids, left.fault) == (2, [], "no stars")
+    assert (left.attempt, left.nodes, left.fault) == (2, [], "no stars")
 
 
 def test_it_is_no_command_and_stays_in_the_inbox(tmp_path):
     (tmp_path / CONTROL).mkdir()
-    leave_view(tmp_path, 1, 1, _measurement())
+    leave_view(tmp_path, 1, 1, _measurement(), StarTarget())
     _inbox_of(tmp_path).drain(lambda *_: pytest.fail("the picture was taken for a command"))
     assert (tmp_path / CONTROL / LAST_VIEW).exists()
 
 
 def test_without_an_inbox_or_an_image_nothing_is_left(tmp_path):
-    leave_view(tmp_path, 1, 1, _measurement())
+    leave_view(tmp_path, 1, 1, _measurement(), StarTarget())
     (tmp_path / CONTROL).mkdir()
-    leave_view(tmp_path, 1, 1, Measurement(None, None))
+    leave_view(tmp_path, 1, 1, Measurement(None, None), StarTarget())
     assert read_last_view(tmp_path) is None
     assert not list((tmp_path / CONTROL).iterdir())
 
@@ -54,7 +55,7 @@ def test_without_an_inbox_or_an_image_nothing_is_left(tmp_path):
 @pytest.mark.skipif(os.name != "posix" or os.geteuid() == 0, reason="the administrator may write anywhere")
 def test_a_folder_that_cannot_be_written_does_not_disturb_the_run(tmp_path):
     (tmp_path / CONTROL).mkdir(mode=0o500)
-    leave_view(tmp_path, 1, 1, _measurement())
+    leave_view(tmp_path, 1, 1, _measurement(), StarTarget())
     assert read_last_view(tmp_path) is None
 
 
@@ -65,7 +66,7 @@ def test_a_full_disk_does_not_disturb_the_run(tmp_path, monkeypatch):
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr("pathlib.Path.write_bytes", full)
-    leave_view(tmp_path, 1, 1, _measurement())
+    leave_view(tmp_path, 1, 1, _measurement(), StarTarget())
     assert read_last_view(tmp_path) is None
 
 

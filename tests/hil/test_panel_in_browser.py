@@ -1,0 +1,210 @@
+"""The panel in a real browser: what a person sees and presses. Skipped where no Chromium is."""
+
+from __future__ import annotations
+
+import os
+import re
+import signal
+import time
+from pathlib import Path
+
+import pytest
+from journals import MadeRun, at_work
+from pages import served
+from quick_runs import write_sequence, write_station
+from running import end_when, entering, journal, start
+
+from bench.panel.panel_app import panel_app
+from bench.records.journal import read_journal
+
+CHROMIUM = os.environ.get("STARBENCH_CHROMIUM", "/usr/bin/chromium")
+FLAGS = [
+    "--headless", "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run",
+    "--disable-background-networking", "--disable-component-update", "--disable-sync",
+]  # fmt: skip
+PATIENCE_S = 60.0
+QUEUE = "format: starbench/queue/1\nname: Night\njobs:\n  - {name: cam, sequence: three_pose, station: simulated}\n"
+
+pytestmark = pytest.mark.skipif(not Path(CHROMIUM).exists(), reason=f"no Chromium at {CHROMIUM}")
+
+
+@pytest.fixture(scope="module")
+def chromium():
+    sync_api = pytest.importorskip("playwright.sync_api")
+    with sync_api.sync_playwright() as playwright:
+        browser = playwright.chromium.launch(executable_path=CHROMIUM, args=FLAGS)
+        yield browser
+        browser.close()
+
+
+class Tabs:
+    """Tabs of one browser profile; they note errors of scripts and every host that is asked."""
+
+    def __init__(self, chromium, width=1280):
+        self.context = chromium.new_context(viewport={"width": width, "height": 900})
+        self.errors, self.hosts = [], set()
+
+    def open(self, url):
+        tab = self.context.new_page()
+        tab.on("pageerror", lambda error: self.errors.append(str(error)))
+        tab.on("request", lambda request: self.hosts.add(request.url.split("/")[2]))
+        tab.goto(url)
+        return tab
+
+
+@pytest.fixture
+def tabs(chromium):
+    found = Tabs(chromium)
+    yield found
+    found.context.close()
+    assert found.errors == []
+    assert len(found.hosts) <= 2  # the panel, and the same one started again
+
+
+def wait(holds, what=""):
+    end_s = time.monotonic() + PATIENCE_S
+    while not holds():
+        assert time.monotonic() < end_s, what
+        time.sleep(0.02)
+
+
+def wait_text(tab, selector, words):
+    wait(lambda: words in tab.inner_text(selector), f"{words!r} is not in {selector}")
+
+
+def log_lines(tab):
+    return [
+        int(line) for line in tab.eval_on_selector_all("#log li", "all => all.map(one => one.dataset.line)")
+    ]
+
+
+@pytest.fixture
+def run(tmp_path):
+    run = MadeRun(tmp_path / "runs" / "run7").begin()
+    run.record(1)
+    return run
+
+
+def test_a_person_opens_a_run_holds_it_and_releases_it(run, tabs):
+    evil = "<img src=x onerror=alert(1)>"
+    run.write("deviation", what=evil)
+    with served(panel_app(run.folder.parent)) as server, at_work(run) as (log, _):
+        tab = tabs.open(server.url)
+        wait_text(tab, "#groups", "In progress")
+        tab.click("#groups a")
+        wait_text(tab, "#verdict", "running")
+        assert tab.inner_text("#simulated") == "SIMULATED"
+        wait_text(tab, "#leave", "You may leave.")
+        assert evil in tab.inner_text("#log")
+        assert tab.query_selector("#log img") is None
+        tab.click("#hold")
+        tab.fill("dialog input[name=by]", "Ada Lovelace")
+        tab.click("#dialog-do")
+        wait(lambda: log.history.holder == "Ada Lovelace")
+        wait_text(tab, "#leave", "Do not leave. Ada Lovelace")
+        tab.click("#release")  # the name is known now: no dialog
+        wait(lambda: log.history.holder == "")
+        wait_text(tab, "#told", "Accepted: the run continues.")
+        tab.click("#abort")
+        tab.click("#dialog-cancel")
+    commands = [entry.data["word"] for entry in read_journal(run.path)[0] if entry.event == "commanded"]
+    assert commands == ["hold", "release"]  # and no abort: its second step was not taken
+
+
+def test_a_killed_panel_leaves_no_gap(run, tabs):
+    with served(panel_app(run.folder.parent)) as server:
+        tab = tabs.open(f"{server.url}run/run7")
+        wait_text(tab, "#log", "attempt 1 at pose 1: accepted")
+        port = server.port
+    wait_text(tab, "#link", "No link to the panel.")
+    run.record(2)
+    run.record(3, accepted=False)
+    with served(panel_app(run.folder.parent), port=port):
+        wait_text(tab, "#rows", "3 stars, at least 40 are needed")
+        wait(lambda: not tab.is_visible("#link"))
+        lines = log_lines(tab)
+        assert lines == sorted(set(lines))
+        told = [
+            n
+            for n, text in enumerate(tab.eval_on_selector_all("#log li", "a => a.map(b => b.innerText)"))
+            if "stored" in text
+        ]
+        assert len(told) == 3
+
+
+@pytest.mark.parametrize("page", ["", "run/run7", "batch/night"])
+def test_nothing_is_cut_on_a_phone(run, chromium, page):
+    root = run.folder.parent
+    batch = MadeRun(root / "night")
+    (batch.folder / "queue.yaml").write_text(QUEUE)
+    batch.write("batch_begun", queue="Night", files={})
+    MadeRun(root / ("a-run-with-a-very-long-name-" * 3)).begin().end(
+        "failed", "a_reason_without_any_space_" * 8
+    )
+    tabs = Tabs(chromium, width=390)
+    with served(panel_app(root)) as server:
+        tab = tabs.open(f"{server.url}{page}")
+        wait_text(tab, "main", {"": "Failed", "run/run7": "Gates", "batch/night": "Still to come"}[page])
+        wait_text(tab, "main", {"": "run7", "run/run7": "Made up", "batch/night": "Night"}[page])
+        assert tab.evaluate("document.documentElement.scrollWidth") == 390
+    tabs.context.close()
+    assert tabs.errors == []
+
+
+def test_a_token_is_asked_for_and_stands_in_no_address(run, tabs):
+    token = "0123456789abcdef"
+    with served(panel_app(run.folder.parent), token=token) as server:
+        tab = tabs.open(f"{server.url}run/run7")
+        tab.fill("#token", "something else")
+        tab.click("button")
+        wait_text(tab, "#wrong", "This token is wrong.")
+        tab.fill("#token", token)
+        tab.click("button")
+        wait(lambda: tab.url.endswith("/run/run7"))
+        wait_text(tab, "#log", "attempt 1 at pose 1: accepted")
+        assert token not in tab.url
+        by_fragment = Tabs(tab.context.browser)
+        other = by_fragment.open(f"{server.url}run/run7#token={token}")
+        wait_text(other, "body", "attempt 1 at pose 1: accepted")
+        assert token not in other.url
+        by_fragment.context.close()
+
+
+@pytest.mark.slow
+def test_twenty_pages_of_one_browser_are_all_live(run, tabs):
+    with served(panel_app(run.folder.parent)) as server:
+        opened = [tabs.open(f"{server.url}run/run7") for _ in range(20)]
+        for tab in opened:
+            wait_text(tab, "#log", "attempt 1 at pose 1: accepted")
+        run.record(2)
+        for tab in opened:
+            wait_text(tab, "#log", "attempt 1 at pose 2: accepted")
+            assert log_lines(tab) == sorted(set(log_lines(tab)))
+
+
+@pytest.mark.slow
+def test_a_real_run_is_watched_killed_resumed_and_aborted(tmp_path, tabs):
+    root, folder = tmp_path / "runs", tmp_path / "runs" / "real"
+    files = write_sequence(tmp_path / "sequence.yaml"), write_station(tmp_path / "station.yaml")
+    first = start("run", files[0], "-s", files[1], "-o", folder, home=tmp_path)
+    with served(panel_app(root)) as server:
+        tab = tabs.open(server.url)
+        tab.click("#groups a", timeout=1000 * PATIENCE_S)
+        tab.wait_for_selector("#picture img", timeout=1000 * PATIENCE_S)
+        assert re.search(r"\d+ stars; residuals against a smooth fit", tab.inner_text("#picture-note"))
+        wait_text(tab, "#coverage-note", "of the image has stars")
+        end_when(first, folder, entering("recording", 3), signal.SIGKILL)
+        wait_text(tab, "#verdict", "interrupted")
+        wait_text(tab, "#leave", "Nothing has been made safe since")
+        second = start("resume", folder, home=tmp_path)
+        wait_text(tab, "#verdict", "running")
+        wait(lambda: tab.is_enabled("#abort"))
+        tab.fill("#person", "Ada")
+        tab.click("#abort")
+        tab.click("#dialog-do")
+        wait_text(tab, "#verdict", "stopped")
+        assert second.wait(PATIENCE_S) == 3
+        second.communicate()
+        lines = log_lines(tab)
+        assert lines == sorted(set(lines))
+    assert journal(folder)[-1]["why"] == "abort by Ada"
