@@ -16,6 +16,7 @@ from bench.plan.job import Job
 from bench.records.events import ChosenPose, UntilDecided, UntilEnd
 from bench.records.history import Attempt, History
 from bench.report.until_text import meaning_of_goal
+from bench.results.fixed_parts import fixed_parts
 from bench.results.measure_again import measure_again
 from bench.results.next_pose import Choice, Wish, choose_pose
 from bench.results.solve_options import limited_numbers, solve_options
@@ -23,20 +24,10 @@ from bench.views.expected_grid import best_angles_deg
 from bench.views.measure import Measurement, aligned_poses
 from calib.engine import Calibration, calibrate
 from calib.errors import CalibrationError
-from calib.model.budget_row import WORST_CORNER, BudgetRow
 from calib.model.passport import Passport
-from calib.model.type_b_terms import UNITS
-from calib.studies.planning import REDUCED_BY_POSES
-from calib.uncertainty.budget_parts import GIMBAL_SCALE, PARALLAX_BOUND
 from sequences.flatten import POSES_FAILED
 from sequences.script import ChooseStep, Until
 
-REDUCED_SLOWLY = frozenset({PARALLAX_BOUND, GIMBAL_SCALE})
-"""Sources that further poses lower only if the stars determine the focal length without the gimbal's readings."""
-_QUANTITIES = {"expanded_fx_px": "fx", "worst_corner_px": WORST_CORNER}
-"""Column of the budget for each goal."""
-SMALLEST_COVERAGE_FACTOR = 2.0
-"""The k of the expanded uncertainty if many poses determine it."""
 _WORTH_NAMING = 0.1
 """A part is named if it is more than this share of all parts together."""
 _NEED_THE_RIM = frozenset({"auto", "pupil", "rim", "field", "coma"})
@@ -131,70 +122,6 @@ class Decisions:
         return Interim(found, calibration, "", options.passport, options.model)
 
 
-def expanded_uncertainties(calibration: Calibration) -> dict[str, float]:
-    """Return the expanded uncertainties that an ``until`` can ask for (`bench.results.solve_options.limited_numbers`).
-
-    Parameters
-    ----------
-    calibration
-        The calibration.
-
-    Returns
-    -------
-    dict
-        ``expanded_fx_px``, and ``worst_corner_px``: the largest over the four corners of the image, px.
-    """
-    found = limited_numbers(calibration)
-    return {"expanded_fx_px": found["expanded_fx"], "worst_corner_px": found["worst_corner"]}
-
-
-def fixed_parts(rows: Sequence[BudgetRow], more: float = 1.0) -> dict[str, dict[str, float]]:
-    """Return the parts of the expanded uncertainties that further poses do not lower, by source.
-
-    They are expanded by k = 2, the smallest coverage factor, because further poses also lower k. Parallax and scale of
-    the gimbal count as far as they would remain after all poses: with q, the ratio of the variances of this source and
-    of the stars, the information of `more` times as many poses leaves (1 + q) / (`more` + q) of it (own derivation for
-    one parameter: a prior of information b contributes sqrt(b) / (a + b) if the stars have the information a).
-
-    Parameters
-    ----------
-    rows
-        Uncertainty budget of the calibration.
-    more
-        How many times as many poses can be recorded in all, at least 1.
-
-    Returns
-    -------
-    dict
-        Expanded uncertainty, px, by the name of the goal and by source; only sources that contribute.
-    """
-    found: dict[str, dict[str, float]] = {}
-    for goal, quantity in _QUANTITIES.items():
-        parts = {row.name: row.contribution.get(quantity, 0.0) for row in rows}
-        free = {row.name for row in rows if _is_reduced(row)}
-        stars = sum(parts[name] ** 2 for name in free)
-        found[goal] = {
-            name: SMALLEST_COVERAGE_FACTOR
-            * (_remaining(part, stars, more) if name in REDUCED_SLOWLY else part)
-            for name, part in parts.items()
-            if name not in free and part > 0
-        }
-    return found
-
-
-def _is_reduced(row: BudgetRow) -> bool:
-    """Return whether further poses lower a source; a wavefront differs over the target, so they may."""
-    return row.name in REDUCED_BY_POSES or row.unit == UNITS["wavefront"]
-
-
-def _remaining(part: float, stars: float, more: float) -> float:
-    """Return what remains of a part whose variance is compared with that of the stars."""
-    if stars <= 0:
-        return part
-    ratio = part**2 / stars
-    return part * (1.0 + ratio) / (more + ratio)
-
-
 def decide(step: ChooseStep, job: Job, history: History, interim: Interim) -> UntilDecided:
     """Decide what follows in an ``until``: the next pose, or the end.
 
@@ -223,7 +150,7 @@ def decide(step: ChooseStep, job: Job, history: History, interim: Interim) -> Un
         "poses": len(accepted),
         "worked_s": round(sum(history.worked_s.get(n, 0.0) for n in range(until.first, until.last + 1)), 3),
         "wanted": dict(until.goals),
-        "now": expanded_uncertainties(calibration) if calibration else {},
+        "now": _reached(until, calibration) if calibration else {},
         "fixed": fixed_parts(calibration.budget_rows, most / len(accepted)) if calibration else {},
         "coverage_factor": calibration.coverage_factor if calibration else None,
         "model": calibration.model if calibration else "",
@@ -239,6 +166,12 @@ def decide(step: ChooseStep, job: Job, history: History, interim: Interim) -> Un
     if isinstance(choice, Choice):
         return {**decided, "lacks": choice.lacks, "chosen": _chosen(step, choice)}
     return {**decided, "ended": "no_pose", "why": f"{choice} {interim.why}".strip()}
+
+
+def _reached(until: Until, calibration: Calibration) -> dict[str, float]:
+    """Return the expanded uncertainties that are reached, px, by the name of the goal."""
+    numbers = limited_numbers(calibration)
+    return {goal: numbers[goal.removesuffix("_px")] for goal in until.goals}
 
 
 def _end(until: Until, decided: UntilDecided, interim: Interim, failed: int) -> tuple[UntilEnd, str] | None:

@@ -13,8 +13,8 @@ import numpy as np
 
 from bench.plan.plan import Plan
 from bench.report.until_text import goals_text, meaning_of_goal
+from bench.results.fixed_parts import fixed_parts
 from bench.results.forecasts import forecast_bench
-from bench.results.interim import fixed_parts
 from bench.results.next_pose import Choice, Wish, choose_pose
 from calib.errors import DegenerateViews, TooFewStars
 from calib.studies.planning import Forecast, forecast

@@ -7,15 +7,17 @@ recording again gives the same stars.
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bench.records.events import CaptureStored
 from bench.records.history import Attempt, History
-from bench.views.measure import ExpectedGrid
-from calib.stars.pointing import LabelledView, predict_grid
 from calib.target import StarTarget
+
+if TYPE_CHECKING:
+    from bench.views.measure import ExpectedGrid
 
 
 def grid_from_earlier_poses(history: History, stored: CaptureStored, target: StarTarget) -> ExpectedGrid:
@@ -37,6 +39,9 @@ def grid_from_earlier_poses(history: History, stored: CaptureStored, target: Sta
     ExpectedGrid
         Call it with the image size, px; it raises DegenerateViews if no prediction is possible.
     """
+    # Loaded here, because it needs OpenCV and numba, which a plan that reads angles does not.
+    from calib.stars.pointing import LabelledView, predict_grid
+
     here = best_angles_deg(stored["measured_deg"])
 
     def predict(image_size: tuple[int, int]) -> NDArray[np.float64]:

@@ -26,6 +26,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from calib.stars.local_map import LocalMap
 from calib.stars.template import MIN_COVERED
 
 #: Half the side of the square in which symmetry is measured, pitches: the star's own cell and no more, so that
@@ -34,36 +35,6 @@ SYMMETRY_REACH = 0.49
 #: Number of unknowns: centre x, y; relative slope x, y; absolute slope x, y.
 SYMMETRY_UNKNOWNS = 6
 _MAX_STEPS = 12
-
-
-class LocalMap(NamedTuple):
-    """Map from the target plane to the image around each of N stars, without its centre.
-
-    Attributes
-    ----------
-    linear
-        (N, 2, 2) float64, A, px per pitch.
-    quadratic
-        (N, 2, 3) float64, B, px per pitch^2, coefficients of s_x^2, s_x s_y and s_y^2.
-    """
-
-    linear: NDArray[np.float64]
-    quadratic: NDArray[np.float64]
-
-    def select(self, mask: Any) -> LocalMap:
-        """Return the maps of some stars.
-
-        Parameters
-        ----------
-        mask
-            (N,) bool, or a slice.
-
-        Returns
-        -------
-        LocalMap
-            In the same order.
-        """
-        return LocalMap(self.linear[mask], self.quadratic[mask])
 
 
 class SymmetryFit(NamedTuple):

@@ -15,13 +15,14 @@ from numpy.typing import NDArray
 
 from calib.errors import InputMismatch, StarsUnnamed, TargetNotFound, TooFewStars
 from calib.model.homography import apply_homography
-from calib.stars.centring import LocalMap, SymmetryFit, refine_by_symmetry, smooth, symmetry_samples
+from calib.stars.centring import SymmetryFit, refine_by_symmetry, smooth, symmetry_samples
 from calib.stars.edge_pixels import quantise
 from calib.stars.grid_map import fit_grid_map
 from calib.stars.growth import GrowthStart, StarGrid, grow_star_grid, start_at_tag
 from calib.stars.labelling import label_by_pose, label_by_tag
 from calib.stars.lattice import find_lattice
 from calib.stars.likelihood import edge_width_px, refine_by_likelihood
+from calib.stars.local_map import LocalMap
 from calib.stars.noise import variance_factor
 from calib.stars.tag import find_tag
 from calib.stars.template import SHARP_CORRELATION, StarTemplate, learnt_contrasts, star_contrasts

@@ -13,7 +13,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from calib.stars.centring import SYMMETRY_REACH, LocalMap
+from calib.stars.centring import SYMMETRY_REACH
+from calib.stars.local_map import LocalMap
 from calib.stars.printed_star import EdgeMap
 
 #: Width of the bins of tau, px.

@@ -25,9 +25,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.model.homography import apply_homography
-from calib.stars.centring import LocalMap
 from calib.stars.edge_pixels import quantise
 from calib.stars.likelihood import edge_widths_px as widths_by_likelihood
+from calib.stars.local_map import LocalMap
 from calib.target import StarTarget
 
 Array = NDArray[np.float64]

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.model.homography import apply_homography, fit_homography
-from calib.stars.centring import LocalMap
+from calib.stars.local_map import LocalMap
 
 #: Number of neighbours that predict a star.
 NEIGHBOURS = 12

@@ -34,7 +34,6 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.stars.centring import LocalMap
 from calib.stars.edge_pixels import (
     EDGE_UNKNOWNS,
     TAU_BIN_PX,
@@ -43,6 +42,7 @@ from calib.stars.edge_pixels import (
     edge_scores,
     gather_edge_pixels,
 )
+from calib.stars.local_map import LocalMap
 from calib.stars.printed_star import EdgeMap, blurred_edge_map, render_star
 from calib.target import StarTarget
 

@@ -13,11 +13,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.errors import StarsUnnamed
-from calib.stars.centring import LocalMap, smooth
+from calib.stars.centring import smooth
 from calib.stars.detect import BLUR_PX, COARSE_STEP_PX, MIN_STARS, Candidates, refine_candidates
 from calib.stars.growth import StarGrid, grow_star_grid, start_at_tag
 from calib.stars.labelling import label_by_tag
 from calib.stars.lattice import find_lattice
+from calib.stars.local_map import LocalMap
 from calib.stars.tag import TagDetection, find_tag
 from calib.target import StarTarget
 

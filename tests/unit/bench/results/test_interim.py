@@ -99,8 +99,8 @@ def calibration(fx=1.0, corner=0.2, **parts):
 def numbers(monkeypatch):
     monkeypatch.setattr(
         interim,
-        "expanded_uncertainties",
-        lambda found: dict(zip(("expanded_fx_px", "worst_corner_px"), found.told, strict=True)),
+        "limited_numbers",
+        lambda found: dict(zip(("expanded_fx", "worst_corner"), found.told, strict=True)),
     )
     chosen = Choice(
         {"pan_deg": 1.25, "tilt_deg": -2.0}, {"expanded_fx_px": 1.5, "worst_corner_px": np.inf}, "", "it"
