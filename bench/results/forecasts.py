@@ -15,7 +15,7 @@ import numpy as np
 from bench.base.errors import UsageError
 from bench.plan.plan import Plan
 from bench.report.until_text import meaning_of_goal
-from bench.results.solve_options import gimbal_readings
+from bench.results.solve_options import gimbal_readings, stated_radial_sigma
 from bench.stations.station import Station
 from calib.errors import DegenerateViews, TooFewStars
 from calib.model.budget_row import WORST_CORNER
@@ -129,6 +129,7 @@ def forecast_bench(planned: Plan) -> ExpectedBench:
         bench,
         errors=station.expected.errors(station.collimator, station.gimbal),
         terms=station.budget.terms(station.collimator),
+        radial_sigma=stated_radial_sigma(station),
     )
     step = _last_solve(planned)
     if step is None:

@@ -7,6 +7,7 @@ give the same result.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -54,14 +55,40 @@ def solve_options(
     Returns
     -------
     CalibrationOptions
-        Options with the passport of the run, the readings of the gimbal and the station's budget.
+        Options with the passport of the run, the readings of the gimbal, the station's budget, and the prior of the
+        radial term that follows from it.
     """
     from bench.plan.job import calibration_options
 
     station = job.station
     readings = None if step.readings == "witness" else gimbal_readings(station, measured_deg)
     budget = station.budget.terms(station.collimator)
-    return calibration_options(step, job.plan.passport_for(step), readings, budget)
+    options = calibration_options(step, job.plan.passport_for(step), readings, budget)
+    return replace(options, radial_sigma=stated_radial_sigma(station))
+
+
+def stated_radial_sigma(station: Station) -> float | None:
+    """Return the prior of the radial term of the target's map, from the bow and the distortion that a station states.
+
+    Parameters
+    ----------
+    station
+        The station; its section `budget` states both, and a focal length of its collimator relates them.
+
+    Returns
+    -------
+    float or None
+        Standard uncertainty, dimensionless; None if the station does not state both, or no focal length.
+    """
+    collimator, expected = station.collimator, station.expected
+    certificate = collimator.certificate
+    radii = (
+        getattr(certificate, "r_mm", None),
+        collimator.nominal_r_mm,
+        expected.r_mm if expected is not None else None,
+    )
+    r_mm = next((radius for radius in radii if radius is not None), None)
+    return None if r_mm is None else station.budget.radial_sigma(r_mm)
 
 
 def require_enough_views(views: Sequence[View], options: CalibrationOptions) -> None:

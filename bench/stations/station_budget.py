@@ -5,6 +5,7 @@ The section gives the type B terms of the uncertainty budget; `calib.uncertainty
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from typing import Annotated, Literal
 
@@ -83,6 +84,15 @@ class EffectiveRadiusConfig(_StatedConfig):
     relative: Annotated[_Share, Field(description="Relative uncertainty.")]
 
 
+class CollimatorDistortionConfig(_StatedConfig):
+    """Distortion of the collimator: how far a point at the edge of the field lies from its ideal place."""
+
+    relative: Annotated[_Share, Field(description="Displacement over the distance from the axis.")]
+    at_deg: Annotated[
+        float, Field(gt=0, lt=60, description="Angle from the axis at which the displacement is so large.")
+    ]
+
+
 class WavefrontConfig(StrictModel):
     """Slopes of the collimator's wavefront that differ over the beam."""
 
@@ -120,6 +130,7 @@ class BudgetConfig(StrictModel):
     thermal: ThermalConfig | None = None
     collimator_thermal: ThermalConfig | None = None
     effective_radius: EffectiveRadiusConfig | None = None
+    collimator_distortion: CollimatorDistortionConfig | None = None
     wavefront: WavefrontConfig | None = None
 
     def terms(self, collimator: CollimatorConfig) -> tuple[TypeBTerm, ...]:
@@ -156,6 +167,39 @@ class BudgetConfig(StrictModel):
             _wavefront(self.wavefront),
         )
         return tuple(term for term in parts if term is not None)
+
+    def radial_sigma(self, r_mm: float) -> float | None:
+        """Return what the section says about the radial term of the target's map.
+
+        The term is k in the displacement k |h|^2 h of a point at the tangents h, in units of the radius. A bow of
+        height z at the distance R gives k = z r / R^2. A relative displacement d at the angle a gives k = d / tan(a)^2.
+        Own derivation, to first order.
+
+        Parameters
+        ----------
+        r_mm
+            Focal length of the collimator, mm.
+
+        Returns
+        -------
+        float or None
+            Standard uncertainty of the term; None if bow and distortion are not both stated with a value above zero,
+            because the term stands for both.
+        """
+        bow, distortion = self.print_bow, self.collimator_distortion
+        if bow is None or distortion is None:
+            return None
+        by_bow = _standard_uncertainty(bow, bow.value_mm) * r_mm / bow.radius_mm**2
+        by_distortion = _standard_uncertainty(distortion, distortion.relative)
+        by_distortion /= math.tan(math.radians(distortion.at_deg)) ** 2
+        return math.hypot(by_bow, by_distortion) or None
+
+
+def _standard_uncertainty(stated: _StatedConfig, value: float) -> float:
+    """Return the standard uncertainty of a stated value."""
+    return TypeBTerm(
+        "value", "print_bow", value, stated.source, stated.distribution, stated.k, radius_mm=1.0
+    ).standard_uncertainty
 
 
 def _print_scale(stated: PrintScaleConfig | None) -> TypeBTerm | None:

@@ -8,7 +8,7 @@ import pytest
 from bench.plan.job import Job
 from bench.plan.plan import load_documents, make_plan
 from bench.report.bench_knowledge import readings_rows
-from bench.results.forecasts import expected_bench
+from bench.results.forecasts import expected_bench, forecast_bench
 from bench.results.solve_options import (
     NO_BOUND,
     NO_SECTION,
@@ -115,3 +115,23 @@ def test_limits_judge_expanded_uncertainties_and_the_worst_corner():
         ("worst corner", "pass"),
         ("sigma k1", "pass"),
     ]
+
+
+def test_a_stated_bow_and_distortion_bound_the_radial_term():
+    settings = {
+        "station.budget": "{print_bow: {value_mm: 0.001, radius_mm: 40, distribution: rectangular, source: maker}, "
+        "collimator_distortion: {relative: 1e-5, at_deg: 10, distribution: rectangular, source: maker}}",
+        "station.collimator.certificate": "",
+        "station.gimbal": "",
+    }
+    flat, unknown = (
+        Job.from_plan(
+            make_plan(*load_documents("nine_pose", "simulated_ideal", chosen)), seed=1, operator=None
+        )
+        for chosen in (settings, {**settings, "station.budget": "{}"})
+    )
+    bounded, options, _ = solved(flat, model="radial")
+    free, _, _ = solved(unknown, model="radial")
+    assert options.radial_sigma == pytest.approx(2.1e-4, rel=0.02)
+    assert bounded.sigma["fx"] < 0.85 * free.sigma["fx"]
+    assert forecast_bench(flat.plan).radial_sigma == options.radial_sigma

@@ -1,5 +1,6 @@
 """Section `budget` of the station file: the terms it gives, and what is refused."""
 
+import numpy as np
 import pytest
 from station_texts import PLAIN
 
@@ -108,3 +109,29 @@ def test_a_fault_names_line_and_column(section, column, said):
     line = PLAIN.count("\n") + 3
     assert fault.startswith(f"b.yaml:{line}:{column}: budget")
     assert said in fault
+
+
+FLAT = """
+budget:
+  print_bow: {value_mm: 0.001, radius_mm: 40, distribution: rectangular, source: maker}
+  collimator_distortion: {relative: 1e-5, at_deg: 10, distribution: rectangular, source: interferogram}
+"""
+
+
+def test_bow_and_distortion_give_the_prior_of_the_radial_term():
+    by_bow = 1e-3 / 3**0.5 * 255.0 / 40**2
+    by_distortion = 1e-5 / 3**0.5 / np.tan(np.deg2rad(10.0)) ** 2
+    assert station(FLAT).budget.radial_sigma(255.0) == pytest.approx(np.hypot(by_bow, by_distortion))
+    assert station(FLAT).budget.radial_sigma(255.0) == pytest.approx(2.1e-4, rel=0.02)
+    assert "collimator_distortion" not in terms(FLAT)
+
+
+@pytest.mark.parametrize("missing", ["print_bow", "collimator_distortion"])
+def test_one_of_bow_and_distortion_alone_says_nothing_about_their_sum(missing):
+    more = "\n".join(line for line in FLAT.splitlines() if missing not in line)
+    assert station(more).budget.radial_sigma(255.0) is None
+
+
+def test_no_bow_and_no_distortion_are_no_prior():
+    more = FLAT.replace("value_mm: 0.001", "value_mm: 0").replace("relative: 1e-5", "relative: 0")
+    assert station(more).budget.radial_sigma(255.0) is None
