@@ -171,8 +171,8 @@ def _light(seen: Seen, setting: LiveSetting) -> Iterator[str]:
             "The picture is dark: open the aperture, remove the lens cap, raise the light's level, and check that the "
             "camera points at the collimator."
         )
-    elif signal.triggers or signal.event_hz:
-        source = "The sync signal comes" if signal.triggers else "Some events flicker"
+    elif signal.trigger_hz or signal.event_hz:
+        source = "The sync signal comes" if signal.trigger_hz else "Some events flicker"
         yield (
             f"{source}, but the picture shows no lit area: remove the lens cap, open the "
             "aperture, turn the camera towards the collimator, or raise the light's level."

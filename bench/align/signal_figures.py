@@ -20,7 +20,7 @@ LINK_GBIT_S: Final = 1.6
 _MOST_EVENTS: Final = 150_000
 """Number of events from which the flicker is searched; more do not make the figure better."""
 _LEAST_PERIODS: Final = 3
-_SHORT_PERIODS: Final = 2.2
+_SHORT_PERIODS: Final = 1.9
 
 
 @dataclass(frozen=True)
@@ -92,9 +92,11 @@ def measure_signal(
     duration_s = (max(ends) + 1) * 1e-6 if ends else 0.0
     count = len(events.t)
     by_triggers, fault = _by_triggers(triggers, expected_hz)
+    near_hz = by_triggers.frequency_hz if by_triggers else expected_hz
     by_events = None
-    if compare or by_triggers is None:
-        by_events = _by_events(events, by_triggers.frequency_hz if by_triggers else expected_hz)
+    # Events of a single period show its ON and its OFF burst, which could be two periods of twice the frequency.
+    if (compare or by_triggers is None) and duration_s * (near_hz or math.inf) >= _SHORT_PERIODS:
+        by_events = _by_events(events, near_hz)
     flicker = by_triggers or by_events or _assumed(count, duration_s, expected_hz)
     up = int(np.count_nonzero(triggers.value == 1))
     expected = len(by_triggers.rising_edges_us(0.0, 1e6 * duration_s)) if by_triggers else 0

@@ -1,0 +1,314 @@
+"""Live figures of recorded slices: good ones, and every kind of bad one with its advice."""
+
+import dataclasses
+import json
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from bench.align.live_figures import LiveMeter, LiveSetting, LiveSlice, measure_live
+from bench.stations.station import load_station
+from drivers.camera import RecordingFacts
+from simulators.pixels.evt3_writer import Evt3Writer
+from simulators.world.world import LightState
+from tests.support.live_slices import HEADER, bench, drive, seen, write_slice
+
+REAL = Path(__file__).parents[3] / "data" / "evk4_real" / "imx636_1280x720_two_triggers.raw"
+SETTING = LiveSetting.of_station(load_station("simulated").value, frequency_hz=60.0, light_on=True)
+FRAMES = LiveSetting.of_station(load_station("simulated_frames").value, light_on=True)
+FACTS = RecordingFacts("00050423", "EVK4", 1280, 720, 1000, 0.03, 10, 2, {}, {}, temperature_c=41.5)
+
+
+def figures_of(path, setting=SETTING, **part):
+    image, figures = measure_live(LiveSlice(path, **part), setting)
+    assert image.dtype == np.uint8
+    assert image.shape == (figures.height_px, figures.width_px)
+    json.dumps(figures.to_json(), allow_nan=False)
+    return image, figures
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    return tmp_path_factory.mktemp("slices")
+
+
+@pytest.fixture(scope="module")
+def good(folder):
+    """A sharp, rolled slice with the tag in the middle, of three whole periods."""
+    return write_slice(folder / "good.raw", seen(bench(), pan=0.31, tilt=-0.2), periods=3)
+
+
+def test_a_good_slice_shows_everything_and_needs_nothing(good):
+    image, f = figures_of(good, facts=FACTS, reading_deg={"pan": 0.31, "tilt": -0.2}, time_s=5.0)
+    assert f.advice == ()
+    assert f.trigger_hz == pytest.approx(60.0, rel=1e-4)
+    assert f.event_hz == pytest.approx(60.0, rel=5e-3)
+    assert f.jitter_us < 1.0
+    assert f.event_jitter_us < 100.0
+    assert 60e6 < f.events_per_s < 120e6
+    assert 0.1 < f.link_share < 0.3
+    assert 0.3 < f.on_share < 0.6
+    assert f.temperature_c == 41.5
+    assert len(f.stars) > 230
+    assert f.tag_id == 3
+    assert np.abs(np.mean(f.tag_corners_px, axis=0) - [639.5, 359.5]).max() < 8.0
+    assert f.contrast > 0.9
+    assert f.focus["edge_width_px"] == pytest.approx(0.68, abs=0.1)
+    assert set(f.focus["regions"]) == {"centre", "top left", "top right", "bottom left", "bottom right"}
+    assert np.ptp(image) > 200
+    plain = f.to_json()
+    assert plain["tag"]["id"] == 3
+    assert len(plain["tag"]["corners_px"]) == 4
+    assert plain["stars"][0][0] >= 0
+    assert plain["stars_time_s"] == 5.0
+
+
+def test_faint_patterns_are_made_visible():
+    from bench.align.live_image import show
+
+    ramp = np.tile(np.linspace(0.0, 1.0, 400, dtype=np.float32), (300, 1))
+    shown = show(ramp)
+    assert shown[0, 40] > 60  # a tenth of the brightest
+    assert (np.diff(shown[0].astype(int)) >= 0).all()
+    assert (show(np.zeros((4, 4), np.float32)) == 0).all()
+
+
+@pytest.mark.parametrize(
+    ("content", "advice"),
+    [
+        (b"", "cannot be read: This is not a RAW recording: it is empty"),
+        (b"no recording at all", "cannot be read"),
+        (HEADER, "No flicker is seen, although the light is on"),
+        (HEADER + np.full(50, 0xC152, "<u2").tobytes(), "cannot be read: The type of word 0xC152"),
+        (None, "cannot be read: There is no such file"),
+    ],
+)
+def test_files_that_hold_nothing(tmp_path, content, advice):
+    path = tmp_path / "slice.raw"
+    if content is not None:
+        path.write_bytes(content)
+    image, figures = figures_of(path)
+    assert advice in figures.advice[0]
+    assert len(figures.advice) == 1
+    assert (image == 0).all()
+    assert figures.focus.get("edge_width_px") is None
+
+
+@pytest.mark.parametrize(
+    ("light_on", "advice"),
+    [(False, "The light is off: switch it on."), (None, "No flicker: switch the light on.")],
+)
+def test_darkness(tmp_path, light_on, advice):
+    path = write_slice(tmp_path / "dark.raw", seen(bench()), light=LightState(), triggers=False)
+    setting = dataclasses.replace(SETTING, light_on=light_on, frequency_hz=None)
+    _, figures = figures_of(path, setting)
+    assert figures.advice == (advice,)
+    assert figures.stars == ()
+
+
+def test_a_lens_cap(tmp_path):
+    _, figures = figures_of(write_slice(tmp_path / "cap.raw", np.zeros((720, 1280), np.float32)))
+    assert figures.trigger_hz == pytest.approx(60.0, rel=1e-3)
+    assert (
+        "The sync signal comes, but the picture shows no lit area: remove the lens cap" in figures.advice[0]
+    )
+
+
+@pytest.mark.parametrize("light_on", [True, None])
+def test_a_real_recording_without_a_flicker(light_on):
+    setting = dataclasses.replace(SETTING, light_on=light_on, frequency_hz=None)
+    image, figures = figures_of(REAL, setting)
+    assert figures.image_kind == "count"
+    assert figures.events_per_s == pytest.approx(65_900, rel=0.01)
+    assert figures.trigger_hz is None
+    assert figures.event_hz is None
+    assert "flicker" in figures.advice[0].lower()
+    assert figures.stars == ()
+    assert image.any()
+
+
+def test_a_single_sync_pulse_is_no_measured_frequency():
+    _, figures = figures_of(REAL, SETTING)
+    assert figures.trigger_hz is None
+    assert "60" not in " ".join(figures.advice)
+
+
+def random_words(path, x, y, count=200_000, polarity=None):
+    """Write events at random times."""
+    random = np.random.default_rng(1)
+    t = np.sort(random.integers(0, 40_000, count))
+    p = (
+        random.integers(0, 2, count).astype(np.uint8)
+        if polarity is None
+        else np.full(count, polarity, np.uint8)
+    )
+    order = np.lexsort((x, p, y, t))
+    words = Evt3Writer().write(
+        t[order], x[order].astype(np.uint16), y[order].astype(np.uint16), p[order], until_us=40_001
+    )
+    path.write_bytes(HEADER + words.astype("<u2").tobytes())
+    return path
+
+
+def test_hot_pixels_only(tmp_path):
+    random = np.random.default_rng(2)
+    pixels = random.choice(1280 * 720, 4000, replace=False)
+    chosen = pixels[random.integers(0, 4000, 200_000)]
+    path = random_words(tmp_path / "hot.raw", chosen % 1280, chosen // 1280)
+    setting = dataclasses.replace(SETTING, light_on=None)
+    _, figures = figures_of(path, setting)
+    assert figures.hot_pixels > 3500
+    assert figures.stars == ()
+    assert "No flicker" in figures.advice[0] or "without a flicker" in figures.advice[0]
+
+
+def test_events_at_random_are_no_flicker(tmp_path):
+    random = np.random.default_rng(3)
+    x, y = random.integers(0, 1280, 200_000), random.integers(0, 720, 200_000)
+    _, figures = figures_of(random_words(tmp_path / "noise.raw", x, y), SETTING)
+    assert figures.event_hz is None
+    assert figures.advice[0].startswith("No flicker is seen")
+
+
+def test_missing_sync_and_a_wrong_frequency(folder, tmp_path):
+    share = seen(bench())
+    _, without = figures_of(write_slice(tmp_path / "no_sync.raw", share, triggers=False, periods=2))
+    assert without.advice[0].startswith("No sync triggers come")
+    assert len(without.stars) > 200
+    _, other = figures_of(write_slice(tmp_path / "fast.raw", share, light=drive(frequency_hz=75.0)))
+    assert "The triggers come at 74.999 Hz" in other.advice[0]
+    assert "60.000 Hz" in other.advice[0]
+    assert len(other.stars) > 200
+
+
+def test_a_slice_of_one_period_shows_stars_but_no_frequency(tmp_path):
+    share = seen(bench())
+    path = write_slice(tmp_path / "short.raw", share, periods=0, triggers=False)
+    _, figures = figures_of(path)
+    assert figures.image_kind == "fired-per-edge"
+    assert len(figures.stars) > 200
+    assert (figures.trigger_hz, figures.event_hz) == (None, None)
+
+
+def test_far_out_of_focus(tmp_path):
+    truth = bench(circle_px=20.0)
+    _, bright = figures_of(
+        write_slice(tmp_path / "bright.raw", seen(truth, pan=4.0)), reading_deg={"pan": 4.0}
+    )
+    assert "shows no pattern: the lens is far out of focus" in bright.advice[0]
+    assert "level to 10 %" in bright.advice[0]
+    assert "Turn pan by -4" in bright.advice[1] or "Turn pan by -3" in bright.advice[1]
+    dim = write_slice(tmp_path / "dim.raw", seen(truth, pan=4.0), light=drive(10.0))
+    _, figures = figures_of(dim, reading_deg={"pan": 4.0})
+    assert figures.advice[0].startswith("Turn the focus ring: edges are ")
+    assert figures.focus["blur_circle_px"] == pytest.approx(20.0, abs=2.5)
+    assert figures.focus["edge_width_px"] == pytest.approx(5.0, abs=0.7)
+
+
+def test_stars_without_a_tag_and_a_part_of_the_beam(tmp_path):
+    reading = {"pan": 15.0, "tilt": 2.0}
+    path = write_slice(tmp_path / "aside.raw", seen(bench(), **reading))
+    _, figures = figures_of(path, reading_deg=reading)
+    assert figures.beam_share < 0.5
+    assert figures.rim_in_view
+    assert figures.tag_id is None
+    assert all(star[0] == -1 for star in figures.stars)
+    assert figures.advice[0].startswith("No tag in view, so nothing identifies the ")
+    assert "Turn pan by -1" in figures.advice[0]
+    assert "This brings the beam to the middle." in figures.advice[0]
+
+
+def test_stars_along_the_pixels_ask_for_a_roll(tmp_path):
+    path = write_slice(tmp_path / "level.raw", seen(bench(roll_deg=0.5), pan=0.31, tilt=-0.2))
+    _, figures = figures_of(path)
+    assert len(figures.advice) == 1
+    assert figures.advice[0].startswith(
+        "Roll the camera in its mount by about 10 degrees, in either direction"
+    )
+    with_axis = dataclasses.replace(SETTING, limits_deg={**SETTING.limits_deg, "roll": (-30.0, 30.0)})
+    _, figures = figures_of(path, with_axis)
+    assert figures.advice[0].startswith("Turn roll by +")
+
+
+def test_another_tag_is_named(good):
+    other = dataclasses.replace(SETTING, target=dataclasses.replace(SETTING.target, tag_id=8))
+    _, figures = figures_of(good, other)
+    assert "tags seen instead: 3" in figures.advice[0]
+
+
+def test_rates_beyond_the_gates(good, tmp_path):
+    low = dataclasses.replace(SETTING, gates=dataclasses.replace(SETTING.gates, max_event_rate_mev_s=50.0))
+    _, figures = figures_of(good, low)
+    assert "a run accepts at most 50" in figures.advice[0]
+    dropping = dataclasses.replace(FACTS, rate_controller_in=100, rate_controller_out=80)
+    _, figures = figures_of(good, facts=dropping)
+    assert "dropped 20 % of the events" in figures.advice[0]
+    assert figures.saturation == pytest.approx(0.2)
+    lost = dataclasses.replace(FACTS, gaps=("3 ms are missing",), filters={"erc": True}, complete=False)
+    _, figures = figures_of(good, facts=lost)
+    assert [word in " ".join(figures.advice) for word in ("too early", "3 ms are missing", "filter ERC")] == [
+        True
+    ] * 3
+
+
+def picture_file(path, image):
+    cv2.imwrite(str(path), image)
+    return path
+
+
+def test_pictures_of_a_frame_camera(tmp_path):
+    share = seen(bench(), pan=0.31, tilt=-0.2)
+    grey = np.clip(170.0 * share + np.random.default_rng(1).normal(0.0, 2.0, share.shape), 0, 255)
+    _, sharp = figures_of(picture_file(tmp_path / "sharp.tif", grey.astype(np.uint8)), FRAMES)
+    assert (sharp.advice, sharp.image_kind) == ((), "picture")
+    assert len(sharp.stars) > 230
+    assert sharp.events_per_s is None
+    _, dark = figures_of(picture_file(tmp_path / "dark.tif", np.zeros((720, 1280), np.uint8)), FRAMES)
+    assert dark.advice[0].startswith("The picture is dark: open the aperture")
+    _, white = figures_of(picture_file(tmp_path / "white.tif", np.full((720, 1280), 255, np.uint8)), FRAMES)
+    assert white.advice == ("100.0 % of the pixels are saturated: lower the light's level or the exposure.",)
+    bright = np.clip(500 * share, 0, 255).astype(np.uint8)
+    _, saturated = figures_of(picture_file(tmp_path / "bright.tif", bright), FRAMES)
+    assert "pixels are saturated" in saturated.advice[0]
+    _, small = figures_of(picture_file(tmp_path / "small.tif", np.zeros((3, 5), np.uint8)), FRAMES)
+    assert (small.width_px, small.height_px) == (5, 3)
+    flat = np.full((720, 1280), 90, np.uint8)
+    _, blurred = figures_of(picture_file(tmp_path / "flat.tif", flat), FRAMES)
+    assert "shows no pattern" in blurred.advice[0]
+    assert "level" not in blurred.advice[0]
+
+
+def test_the_meter_searches_stars_now_and_then_and_keeps_the_best(good):
+    meter = LiveMeter(stars_every_s=1000.0)
+    _, first = meter.measure(LiveSlice(good, 0.0), SETTING)
+    _, second = meter.measure(LiveSlice(good, 10.0), SETTING)
+    assert first.stars_time_s == second.stars_time_s == 0.0
+    assert second.stars == first.stars
+    assert "stars" not in second.took_ms
+    meter = LiveMeter(stars_every_s=0.0)
+    for number in range(3):
+        _, last = meter.measure(LiveSlice(good, 100.0 * number), SETTING)
+    assert last.stars_time_s == 200.0
+    assert last.focus["best_edge_width_px"] == pytest.approx(last.focus["edge_width_px"])
+    meter.forget()
+    _, again = meter.measure(LiveSlice(good, 400.0), SETTING)
+    assert again.focus["best_edge_width_px"] is None
+
+
+def test_stars_are_forgotten_when_the_light_goes_off(good, tmp_path):
+    meter = LiveMeter(stars_every_s=1000.0)
+    meter.measure(LiveSlice(good, 0.0), SETTING)
+    dark = write_slice(tmp_path / "dark.raw", seen(bench()), light=LightState(), triggers=False)
+    _, figures = meter.measure(LiveSlice(dark, 0.5), dataclasses.replace(SETTING, light_on=False))
+    assert figures.stars == ()
+    assert figures.advice == ("The light is off: switch it on.",)
+
+
+def test_what_is_not_finite_is_none():
+    from bench.align.live_figures import LiveFigures
+
+    plain = LiveFigures(jitter_us=float("nan"), focus={"edge_width_px": np.float32(1.5)}).to_json()
+    assert plain["jitter_us"] is None
+    assert plain["focus"] == {"edge_width_px": 1.5}
