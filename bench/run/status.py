@@ -22,6 +22,7 @@ from bench.records.journal import read_journal
 from bench.records.journal_entry import Entry
 from bench.records.run_folder import JOURNAL, PLAN, is_sealed
 from bench.records.storage import storage_errors
+from bench.report.text import with_uncertainty
 from bench.report.until_text import reached_text
 from bench.run.interlock_text import interlock_text
 from bench.run.journal_text import line_text
@@ -31,6 +32,7 @@ from bench.terminal.wording import counted, times
 
 LAST_LINES = 5
 FOLLOW_S = 0.5
+_USUAL_K = 2.0
 _READING_SHARE = 4.0
 """A follower waits at least this many times as long as it read the journal, so that it takes little of a computer."""
 
@@ -58,6 +60,8 @@ class Status:
         How many poses there are at most, with those that the run may still choose.
     uncertainty
         What an ``until`` has reached, and its goals; empty if the run has decided nothing yet.
+    result
+        Focal lengths with their expanded uncertainty, as text; empty if nothing is calibrated yet.
     left_s
         Expected time until the end, s; None if no process works on the run.
     held_by
@@ -88,6 +92,7 @@ class Status:
     skipped: int
     attempts: int
     uncertainty: str
+    result: str
     left_s: float | None
     held_by: str
     question: str
@@ -266,6 +271,7 @@ def _status(folder: Path, entries: Sequence[Entry], now: datetime, *, running: b
         skipped=len(history.skipped),
         attempts=len(history.attempts) + sum(history.lost.values()),
         uncertainty=reached_text(history.decisions[-1]) if history.decisions else "",
+        result=_result_text(history),
         left_s=_left_s(history, plan, entries, now) if going_on else None,
         held_by=held_by,
         question=history.question if running else "",
@@ -274,6 +280,19 @@ def _status(folder: Path, entries: Sequence[Entry], now: datetime, *, running: b
         last=_last_lines(entries),
         advice=_advice(folder, history, running=running, sealed=sealed),
     )
+
+
+def _result_text(history: History) -> str:
+    """Return fx and fy with their expanded uncertainties; empty without a calibration that converged."""
+    solved = history.solved
+    if not solved or not solved["converged"]:
+        return ""
+    k, parts = solved.get("coverage_factor", _USUAL_K), []
+    for name in ("fx", "fy"):
+        if name in solved["sigma"]:
+            value, expanded = with_uncertainty(solved["values"][name], k * solved["sigma"][name])
+            parts.append(f"{name} {value} ± {expanded} px")
+    return f"{', '.join(parts)} (k = {k:.3g})" if parts else ""
 
 
 def _most_poses(plan: _Plan, history: History, known: int) -> int:
@@ -391,6 +410,7 @@ def head_lines(status: Status) -> list[str]:
     counts += f", resumed {times(status.resumed)}" if status.resumed else ""
     lines = [f"Run {status.run_id}{'  SIMULATED' if status.simulated else ''}", _state(status, poses), counts]
     lines += [f"Uncertainty after {status.uncertainty}"] if status.uncertainty else []
+    lines += [f"Result: {status.result}"] if status.result else []
     return [*lines, *(f"Deviation: {what}" for what in status.deviations)]
 
 

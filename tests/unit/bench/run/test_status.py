@@ -78,6 +78,18 @@ def test_a_held_run_shows_its_holder_and_its_time_does_not_count(run, planned):
     assert "starbench release" in status.advice
 
 
+def test_a_result_is_shown_with_the_factor_of_its_uncertainty(run):
+    assert run.status().result == ""
+    values, sigma = {"fx": 3345.81, "fy": 3346.2, "r": 255.0}, {"fx": 1.94, "fy": 2.0, "r": 0.1}
+    solved = {"model": "radial", "converged": True, "rms_px": 0.1, "values": values, "sigma": sigma}
+    run.tell(Event.SOLVED, **solved, coverage_factor=2.42)
+    assert "\nResult: fx 3345.8 ± 4.7 px, fy 3346.2 ± 4.8 px (k = 2.42)\n" in status_text(run.status())
+    run.tell(Event.SOLVED, **solved)  # of an earlier version
+    assert run.status().result.endswith("(k = 2)")
+    run.tell(Event.SOLVED, **{**solved, "converged": False})
+    assert run.status().result == ""
+
+
 def test_a_killed_run_is_not_running_and_not_held(run):
     run.tell(Event.COMMANDED, id="x", word="hold", by="ada@lab", taken=True, why="")
     run.tell(Event.ENTERING, state="slewing", pose=1)
