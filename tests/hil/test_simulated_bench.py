@@ -187,7 +187,7 @@ def test_faults_are_ordered_while_it_runs_and_each_order_is_answered(tmp_path):
     assert say("roll stall") == {
         "ok": False,
         "error": "device: This bench has no device 'roll'. "
-        "Use one of: pan, tilt, gimbal, light, camera, frame-camera, mount.",
+        "Use one of: pan, tilt, gimbal, light, camera, frame-camera, mount, lens.",
     }
     assert not say("{")["ok"]
     assert not say("gimbal replaced pattern=(")["ok"]
@@ -235,7 +235,12 @@ def test_the_configuration_can_shift_the_camera_during_a_run_and_the_truth_file_
         assert truth["gimbal"]["backlash_deg"] == {"pan": 0.02, "tilt": 0.0, "roll": 0.0}
         assert truth["gimbal"]["seed"] == 6
         assert truth["mount"]["shift_mm"] == [0.5, 0.0]
-        assert truth["reticle"] == {"bow_mm": 0.01, "bow_radius_mm": 40.0, "print_scale": 0.0}
+        assert truth["reticle"] == {
+            "bow_mm": 0.01,
+            "bow_radius_mm": 40.0,
+            "print_scale": 0.0,
+            "polarity": "positive",
+        }
         assert truth["collimator"]["disc_walk"] == [-2.0, -2.0]
         shift = bench.world.camera_shift_mm
         assert shift(bench.world.now_s() - 60.0) == (0.5, 0.0)

@@ -1,0 +1,123 @@
+"""A person who does what the align page says, and nothing else: its advice, its figures, its checks.
+
+The person knows the keys of the page, and has hands at lens and camera. Nothing of the simulated truth is used.
+"""
+
+import math
+import time
+
+from bench.align.session import Session
+
+FIRST_RING_STEP_DEG = 8.0
+LARGEST_JOG_DEG = 5.0
+CLEAR_CHANGE = 0.04
+ENOUGH = 3
+"""Pictures without anything to do after which the bench counts as aligned."""
+
+
+class Obedient:
+    """Obeys the first sentence of the advice, again and again, until there is none."""
+
+    def __init__(self, session: Session, *, patience_s: float = 600.0) -> None:
+        self.session = session
+        self.done: list[str] = []
+        self._until_s = time.monotonic() + patience_s
+        self._ring_step_deg = FIRST_RING_STEP_DEG
+        self._ring_figure: tuple[str, float | None] = "", None
+        self._ring_deg: float | None = None
+
+    def align(self) -> list[str]:
+        """Obey until nothing is left to do; return the advice that stays."""
+        session = self.session
+        session.home()
+        self._rest()
+        said: list[set[str]] = []
+        while time.monotonic() < self._until_s:
+            figures = self._look()
+            if any(self._obey(sentence, figures) for sentence in figures.advice):
+                said.clear()
+                continue
+            # Nothing that hands at this bench could do: look again. What only one picture says is no lasting fault.
+            self.done += [f"? {sentence}" for sentence in figures.advice]
+            said.append(set(figures.advice))
+            if len(said) >= ENOUGH:
+                return sorted(set.intersection(*said))
+        return [*self.session.latest()[2].advice, "no patience left"]
+
+    # ------------------------------------------------------------------ eyes
+
+    def _look(self, pictures: int = 4):
+        """Return the figures of a picture that was begun after now, with stars that were searched after now."""
+        begun_s = time.monotonic()
+        seen = 0
+        last = self.session.latest()[0]
+        while time.monotonic() < self._until_s:
+            number, _, figures = self.session.latest()
+            if number != last and figures.time_s > begun_s:
+                seen, last = seen + 1, number
+                fresh = figures.stars_time_s is not None and figures.stars_time_s > begun_s
+                if fresh or seen >= pictures:
+                    return figures
+            time.sleep(0.02)
+        return self.session.latest()[2]
+
+    def _rest(self) -> None:
+        while self.session.bench.stage.moving and time.monotonic() < self._until_s:
+            time.sleep(0.02)
+
+    # ------------------------------------------------------------------ hands
+
+    def _obey(self, sentence: str, figures) -> bool:
+        """Do what a sentence says; False if it is not understood."""
+        if "switch it on" in sentence or "switch the light on" in sentence:
+            self._note("light on")
+            self.session.light(on=True)
+        elif "Set the light's level to 10 %" in sentence:
+            level = self.session.state()["light"]["level_percent"]
+            if level > 10:
+                self._note("level 10 %")
+                self.session.light(level_percent=10)
+            else:
+                self._turn_ring(figures, sentence)
+        elif sentence.startswith("Turn the focus ring"):
+            self._turn_ring(figures, sentence)
+        elif sentence.startswith("Roll the camera in its mount"):
+            self._note(f"roll {figures.turn['roll_by_deg']:+.1f}")
+            self.session.bench.hands.do("mount turn", {"roll_deg": figures.turn["roll_by_deg"]})
+        elif figures.turn.get("pan_deg") is not None and ("to the middle" in sentence):
+            steps = {axis: figures.turn[f"{axis}_deg"] for axis in ("pan", "tilt")}
+            self._note("jog " + ", ".join(f"{axis} {step:+.2f}" for axis, step in steps.items()))
+            for axis, step in steps.items():
+                limited = max(-LARGEST_JOG_DEG, min(LARGEST_JOG_DEG, step))
+                if abs(limited) > 0.001:
+                    self.session.jog(axis, limited)
+            self._rest()
+        else:
+            return False
+        return True
+
+    def _turn_ring(self, figures, sentence: str) -> None:
+        """Turn the ring on while it helps or changes nothing; turn back by half where it got worse."""
+        focus = figures.focus
+        width, detail = focus["edge_width_px"], focus["sharpness"]
+        # Only like is compared with like: the width where there is one, else the sharpness.
+        kind, now = ("width", -width) if width is not None else ("sharpness", detail)
+        before_kind, before = self._ring_figure
+        change = 0.0
+        if now is not None and before is not None and kind == before_kind:
+            change = (now - before) / max(abs(before), 1e-9)
+        if change < -CLEAR_CHANGE:
+            self._ring_step_deg *= -0.5
+        elif abs(change) <= CLEAR_CHANGE and kind == "sharpness":
+            self._ring_step_deg = math.copysign(
+                min(abs(self._ring_step_deg) * 1.5, 20.0), self._ring_step_deg
+            )
+        self._ring_figure = kind, now
+        self._note(f"ring {self._ring_step_deg:+.2f} ({kind} {now})")
+        seen = self.session.bench.hands.do("lens turn", {"deg": self._ring_step_deg})
+        if seen["ring_deg"] == self._ring_deg:  # it is at its stop
+            self._ring_step_deg = -self._ring_step_deg
+        self._ring_deg = seen["ring_deg"]
+
+    def _note(self, what: str) -> None:
+        self.done.append(what)
