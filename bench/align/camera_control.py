@@ -1,4 +1,4 @@
-"""Identity and settings of the camera while a person aligns it: biases with ranges, changed and read back.
+"""Identity and settings of the camera while a person aligns it: biases, or exposure and gain, changed and read back.
 
 All access to the camera goes through the loop that records, so that settings change between two slices only.
 """
@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable, Mapping
+from dataclasses import asdict
 from typing import Any, cast
 
 from annotated_types import Ge, Le
@@ -15,9 +16,15 @@ from bench.align.live_loop import LiveLoop
 from bench.base.errors import ControlRefused
 from bench.stations.devices import Camera
 from bench.stations.station import Station
-from bench.stations.station_cameras import BiasesConfig, EventCameraConfig, FrameCameraConfig
+from bench.stations.station_cameras import (
+    BiasesConfig,
+    EventCameraConfig,
+    FrameCameraConfig,
+    OpenCvCameraConfig,
+)
 from bench.views.camera_kinds import camera_kind
 from drivers.camera import CameraIdentity, CameraSettings, EventCamera
+from drivers.camera.frames import FrameCamera, FrameSettings
 
 ANSWER_S = 20.0
 """Longest wait for the camera between two slices, s."""
@@ -80,6 +87,13 @@ class CameraControl:
         found: Mapping[str, int] = self.settings.get("biases", {})
         return found
 
+    @property
+    def frame_settings(self) -> Mapping[str, float | None]:
+        """Exposure and gain of a camera that OpenCV opens, as read back; empty for other cameras."""
+        if not isinstance(self._config, OpenCvCameraConfig):
+            return {}
+        return {name: self.settings.get(name) for name in ("exposure", "gain")}
+
     def use(self, loop: LiveLoop) -> None:
         """Change settings through this loop from now on.
 
@@ -141,13 +155,50 @@ class CameraControl:
         self._on_change()
         return self.biases
 
+    def set_frame(self, name: str, value: float) -> Mapping[str, float | None]:
+        """Change exposure or gain of a frame camera, and read both back.
+
+        Parameters
+        ----------
+        name
+            ``exposure`` or ``gain``.
+        value
+            New value, in the units of the camera's driver.
+
+        Returns
+        -------
+        Mapping of str to float or None
+            Both as read back.
+
+        Raises
+        ------
+        ControlRefused
+            If this camera has no such setting; nothing was sent.
+        DriverError
+            If the camera refuses the value, or is lost.
+        """
+        if name not in self.frame_settings:
+            raise ControlRefused(
+                f"This camera has no setting {name!r}. Nothing was sent.",
+                where="camera",
+                remedy="Set it at the camera, or with its maker's program.",
+            )
+        with self._lock:
+            wanted = FrameSettings(**{**self.frame_settings, name: value})
+            frame_camera = cast("FrameCamera", self._camera)
+            assert self._loop is not None
+            found = self._loop.on_camera(lambda: frame_camera.apply(wanted)).result(timeout=ANSWER_S)
+            self.settings = {**self.settings, **asdict(found)}
+        self._on_change()
+        return self.frame_settings
+
     def as_data(self) -> dict[str, Any]:
         """Return the camera as the page shows it.
 
         Returns
         -------
         dict
-            Plain values: identity, biases with their ranges, reasons against a run.
+            Plain values: identity, biases with their ranges, exposure and gain, reasons against a run.
         """
         ranges = bias_ranges()
         identity = self.identity
@@ -163,5 +214,6 @@ class CameraControl:
                 for name, value in self.biases.items()
                 if name in ranges
             ],
+            "frame": dict(self.frame_settings),
             "reasons": list(self.reasons),
         }

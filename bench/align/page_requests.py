@@ -14,7 +14,8 @@ from typing import Any
 
 from bench.align.readiness import check_readiness
 from bench.align.session import Session
-from bench.align.write_down import Proposal, must_be_copied, propose_pose, propose_values, station_values
+from bench.align.station_values import station_values
+from bench.align.write_down import Proposal, must_be_copied, propose_pose, propose_values
 from bench.base.errors import ControlRefused, UsageError
 from bench.plan.plan import SHIPPED_SEQUENCES
 from bench.stations.station import Station
@@ -156,6 +157,9 @@ def actions(session: Session, files: PageFiles) -> Mapping[str, Action]:
             raise ControlRefused("A bias is a whole number. Nothing was sent.", remedy="Give a whole number.")
         return dict(session.bias(str(body.get("name")), int(value)))
 
+    def frame(_page: str, body: Mapping[str, Any]) -> Any:
+        return dict(session.bench.camera.set_frame(str(body.get("name")), _number(body, "value")))
+
     def hands(_page: str, body: Mapping[str, Any]) -> Any:
         names = [name for name in body if name not in ("page", "action")]
         return session.bench.hands.do(str(body.get("action")), {name: _number(body, name) for name in names})
@@ -188,6 +192,7 @@ def actions(session: Session, files: PageFiles) -> Mapping[str, Action]:
         "beat": lambda page, _: session.owners.beat(page),
         "light": light,
         "bias": bias,
+        "frame": frame,
         "forget": lambda _page, _: session.bench.loop.forget(),
         "hands": hands,
         "check": check,
@@ -257,7 +262,8 @@ def _proposal(session: Session, files: PageFiles, body: Mapping[str, Any]) -> Pr
     values, notes = station_values(
         session.station.value,
         position_deg=bench.stage.state.position_deg if "zero" in wanted else None,
-        biases=bench.camera.biases if "biases" in wanted else None,
+        biases=bench.camera.biases if "biases" in wanted and bench.camera.is_event else None,
+        frame=bench.camera.frame_settings if "biases" in wanted else None,
         level_percent=bench.light.reading.flicker.level_percent if "light" in wanted else None,
     )
     proposal = propose_values(Path(files.station), values, Station, target=target)

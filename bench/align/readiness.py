@@ -14,7 +14,8 @@ from pathlib import Path
 from typing import Any, Literal
 
 from bench.align.camera_control import ANSWER_S
-from bench.align.session import Bench, Session
+from bench.align.open_bench import Bench
+from bench.align.session import Session
 from bench.base.errors import BenchError
 from bench.base.failure import FORESEEN, Failure
 from bench.plan.plan import load_documents, make_plan
@@ -155,7 +156,7 @@ def _camera(bench: Bench) -> list[Check]:
     def settings() -> Check:
         if control.reasons:
             return Check("camera: settings", "bad", f"{'; '.join(control.reasons)}.", "Restart the camera.")
-        return Check("camera: settings", "good", "All settings read back as they were set; no filter is on.")
+        return Check("camera: settings", "good", "Every setting reads back as it was set.")
 
     return [_made("camera: identity", identity), _made("camera: settings", settings)]
 

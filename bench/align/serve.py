@@ -16,8 +16,9 @@ from pathlib import Path
 from types import FrameType
 
 from bench.align.app import align_app
+from bench.align.open_bench import Confirmation
 from bench.align.page_requests import PageFiles
-from bench.align.session import Confirmation, Session
+from bench.align.session import Session
 from bench.base.errors import UsageError
 from bench.stations.station import SHIPPED_STATIONS, load_station
 from bench.web.server import PageServer, announce_url

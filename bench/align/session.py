@@ -12,26 +12,19 @@ import time
 from collections import deque
 from collections.abc import Callable, Mapping
 from contextlib import suppress
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from bench.align.camera_control import CameraControl
-from bench.align.controls import StageControl
-from bench.align.light_control import LightControl
 from bench.align.live_figures import LiveFigures, LiveSetting
-from bench.align.live_loop import LiveLoop, LivePicture
+from bench.align.live_loop import LivePicture
 from bench.align.meter import Meter, MeterProcess
+from bench.align.open_bench import Bench, Confirmation, OpenDevices, close_bench, open_bench, open_devices
 from bench.align.owners import Owners
-from bench.align.simulated_hands import SimulatedHands
-from bench.base.clock import BenchClock
 from bench.base.errors import ControlRefused
 from bench.base.failure import FORESEEN, Failure
-from bench.stations.devices import Devices
 from bench.stations.station import Station
-from bench.views.camera_kinds import camera_kind
 from bench.web.stream import Changes
 from drivers.errors import DriverError
 from sequences.reader import Located
@@ -41,74 +34,6 @@ _LOOK_MOVING_S = 0.15
 _LOOK_RESTING_S = 1.0
 _LOOK_THOROUGHLY_S = 4.0
 _LOOK_LIGHT_S = 2.0
-
-OpenDevices = Callable[[Station, int, BenchClock], Devices]
-
-
-@dataclass(frozen=True)
-class Confirmation:
-    """What a device confirmed at the end.
-
-    Attributes
-    ----------
-    device
-        ``stage``, ``light`` or ``camera``.
-    safe
-        Whether it confirmed.
-    text
-        What it confirmed, or why not, as a sentence.
-    """
-
-    device: str
-    safe: bool
-    text: str
-
-
-@dataclass(frozen=True)
-class Bench:
-    """The open devices of a session with their controls.
-
-    Attributes
-    ----------
-    devices
-        The devices.
-    clock
-        The clock of their waits.
-    stage, light, camera
-        The controls.
-    loop
-        Records and measures.
-    hands
-        Hands at the camera of a simulated bench.
-    """
-
-    devices: Devices
-    clock: BenchClock
-    stage: StageControl
-    light: LightControl
-    camera: CameraControl
-    loop: LiveLoop
-    hands: SimulatedHands
-
-
-def open_devices(station: Station, seed: int, clock: BenchClock) -> Devices:
-    """Open a station's devices. Nothing moves.
-
-    Parameters
-    ----------
-    station
-        The station file.
-    seed
-        Random seed of the simulated bench.
-    clock
-        The clock of all waits.
-
-    Returns
-    -------
-    Devices
-        The open devices.
-    """
-    return Devices(station, seed=seed, clock=clock, wire_log=None)
 
 
 class Session:
@@ -189,7 +114,16 @@ class Session:
             self._opening, self._failure = True, None
         self.changes.tell()
         try:
-            self._bench = self._opened()
+            self._bench = bench = open_bench(
+                self.station.value,
+                self._seed,
+                self._opener,
+                self._make_meter,
+                self._setting,
+                self.changes.tell,
+                self.say,
+            )
+            bench.loop.start()
         except FORESEEN as error:
             self._failure = Failure.of(error)
             self.say(f"The devices could not be opened. {self._failure.message}")
@@ -200,32 +134,6 @@ class Session:
             self.say("All devices are open. Nothing moves, and the light is as it was.")
             self._watch()
         return self._failure
-
-    def _opened(self) -> Bench:
-        station, tell, clock = self.station.value, self.changes.tell, BenchClock()
-        meter = self._make_meter()  # first: its process starts while the devices open
-        try:
-            devices = self._opener(station, self._seed, clock)
-        except BaseException:
-            meter.close()
-            raise
-        try:
-            light = LightControl(devices.light, station.light, camera_kind(station).light_for, tell)
-            light.look()
-            camera = CameraControl(devices.camera, station, tell)
-        except BaseException:
-            devices.close()
-            meter.close()
-            raise
-        stage = StageControl(devices.stage, tell, self.say)
-        with suppress(DriverError):  # the watcher reads it again, and shows why it cannot
-            stage.look()
-        loop = LiveLoop(devices.camera, self._setting, lambda: stage.state.position_deg, tell, meter)
-        camera.use(loop)
-        bench = Bench(devices, clock, stage, light, camera, loop, SimulatedHands(devices.simulation))
-        self._bench = bench
-        loop.start()
-        return bench
 
     def reopen(self) -> Failure | None:
         """Close the devices, with the stage stopped and the light off, and open them again.
@@ -258,20 +166,7 @@ class Session:
     def _close_bench(self) -> list[Confirmation]:
         with self._lock:
             bench, self._bench = self._bench, None
-        if bench is None:
-            return []
-        confirmed = [
-            _confirm("stage", bench.stage.stop, "stopped; every axis stands."),
-            _confirm("light", bench.light.off, "off, as it reports itself."),
-        ]
-        bench.clock.request_stop("align ends")
-        ended = bench.loop.close()
-        with bench.clock.shielded():
-            bench.stage.close()
-            closed = _confirm("camera", bench.devices.close, "closed; it does not record.")
-        if not ended:
-            closed = Confirmation("camera", safe=False, text="NOT CONFIRMED. Its recording has not ended.")
-        return [*confirmed, closed]
+        return close_bench(bench) if bench is not None else []
 
     # ------------------------------------------------------------------ what it shows
 
@@ -493,11 +388,3 @@ class Session:
             if now_s - last_s["light"] > _LOOK_LIGHT_S and not bench.stage.moving:
                 last_s["light"] = now_s
                 bench.light.look()
-
-
-def _confirm(device: str, action: Callable[[], None], text: str) -> Confirmation:
-    try:
-        action()
-    except FORESEEN as error:
-        return Confirmation(device, safe=False, text=f"NOT CONFIRMED. {Failure.of(error).message}")
-    return Confirmation(device, safe=True, text=text)

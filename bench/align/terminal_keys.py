@@ -110,11 +110,15 @@ class TerminalKeys:
         self._session.light(on=on)
         return f"The light is {'on' if on else 'off'}."
 
+    def _start_homing(self) -> str:
+        self._session.home()
+        return "The stage is homing."
+
     def _home(self) -> None:
         now_s = self._monotonic()
         if now_s - self._home_asked_s < _SURE_S:
             self._home_asked_s = -_SURE_S
-            self._work.submit(self._do, lambda: self._session.home() or "The stage is homing.")
+            self._work.submit(self._do, self._start_homing)
         else:
             self._home_asked_s = now_s
             self._say("Homing turns the axes over a large part of their range. Press H again to do it.")

@@ -25,11 +25,11 @@ from ruamel.yaml.nodes import ScalarNode
 from ruamel.yaml.resolver import VersionedResolver
 from ruamel.yaml.tag import Tag
 
+from bench.align.station_values import plain_number
 from bench.base.errors import ControlRefused, ScriptError
 from bench.plan.plan import SHIPPED_SEQUENCES
 from bench.records.storage import write_atomic
-from bench.stations.station import SHIPPED_STATIONS, Station
-from bench.stations.station_lights import GardasoftLightConfig, ScpiLightConfig
+from bench.stations.station import SHIPPED_STATIONS
 from sequences.errors import DocumentFaults
 from sequences.reader import check_document
 from sequences.schema import Sequence as SequenceFile
@@ -129,62 +129,6 @@ class Proposal:
         write_atomic(self.path, self.after, mode=mode | 0o600 if self.is_copy else mode)
 
 
-def station_values(
-    station: Station,
-    *,
-    position_deg: Mapping[str, float] | None = None,
-    biases: Mapping[str, int] | None = None,
-    level_percent: float | None = None,
-) -> tuple[dict[DocumentPath, str], list[str]]:
-    """Return what a station file must state, from what a session found.
-
-    Parameters
-    ----------
-    station
-        The station, as the devices were opened with it.
-    position_deg
-        Present angle by axis, degrees, which shall become zero; None leaves the zeros as they are.
-    biases
-        Offsets of the biases; None leaves them as they are.
-    level_percent
-        Level of the light that shall become 100 %; None leaves it as it is.
-
-    Returns
-    -------
-    values : dict
-        YAML text by path.
-    notes : list of str
-        What the person should know, in sentences.
-
-    Raises
-    ------
-    ControlRefused
-        If the present position cannot become zero.
-    """
-    values: dict[DocumentPath, str] = {}
-    notes = []
-    for name, angle_deg in (position_deg or {}).items():
-        values |= _zero_values(station, name, angle_deg)
-    if position_deg:
-        notes.append(
-            "The limits move with the zero, so that the stage may turn to the same directions as before. The new zero"
-            " counts from the next start of align or of a run."
-        )
-    if biases is not None:
-        now = station.camera.biases.model_dump() if hasattr(station.camera, "biases") else {}
-        changed = {name: value for name, value in biases.items() if now.get(name) != value}
-        values |= {("camera", "biases", name): str(value) for name, value in changed.items()}
-    if level_percent is not None and level_percent != 100:
-        match station.light:
-            case ScpiLightConfig() as light:
-                high_v = light.low_v + (light.high_v - light.low_v) * level_percent / 100
-                values["light", "high_v"] = _number(high_v, 4)
-            case GardasoftLightConfig() as light:
-                values["light", "full_percent"] = _number(light.full_percent * level_percent / 100, 3)
-        notes.append(f"The present level, {level_percent:g} %, becomes 100 % of this station.")
-    return values, notes
-
-
 def propose_values(
     source: Path, values: Mapping[DocumentPath, str], model: type[BaseModel], *, target: Path | None = None
 ) -> Proposal:
@@ -279,7 +223,7 @@ def propose_pose(
     if name:
         pose["name"] = name
     for axis, angle_deg in angles_deg.items():
-        pose[f"{axis}_deg"] = _number(angle_deg, 4)
+        pose[f"{axis}_deg"] = plain_number(angle_deg, 4)
     pose.fa.set_flow_style()
     found.append(pose)
     return _proposal(source, target, before, _dumped(document, yaml), SequenceFile, notes)
@@ -413,28 +357,3 @@ def _read(source: Path) -> bytes:
         raise ControlRefused(
             f"The file cannot be read: {error.strerror}.", where=str(source), remedy="Check the path."
         ) from error
-
-
-def _zero_values(station: Station, name: str, angle_deg: float) -> dict[DocumentPath, str]:
-    """Return zero and limits of an axis such that the present angle becomes 0."""
-    axis = station.axes[name]
-    angle_deg = round(angle_deg, 4)
-    if angle_deg == 0:
-        return {}
-    low, high = (round(limit - angle_deg, 4) for limit in axis.limits_deg)
-    if not low <= 0 <= high:
-        raise ControlRefused(
-            f"{name} is at {angle_deg:g} deg, outside its limits; this cannot become zero.",
-            where=name,
-            remedy="Turn the axis back into its limits first.",
-        )
-    place = ("stage", "axes", name)
-    return {
-        (*place, "zero_deg"): _number(axis.zero_deg - angle_deg, 4),
-        (*place, "limits_deg"): f"{_number(low, 4)} {_number(high, 4)}",
-    }
-
-
-def _number(value: float, digits: int) -> str:
-    text = f"{value:.{digits}f}".rstrip("0").rstrip(".")
-    return "0" if text in ("", "-0") else text

@@ -163,14 +163,28 @@ function keep(input, value) {
 }
 
 function showBiases() {
-  const biases = state.camera ? state.camera.biases : [];
-  at("bias-card").hidden = biases.length === 0;
+  const camera = state.camera, frame = camera && camera.kind === "frame";
+  const settings = !camera ? [] : frame ? Object.entries(camera.frame).map(([name, value]) => ({ name, value })) : camera.biases;
+  at("bias-card").hidden = settings.length === 0;
+  setText(at("bias-title"), frame ? "Exposure and gain" : "Biases");
+  setText(at("bias-note"), frame ? "in the units of the camera's driver, as read back" : "offsets from the factory values, as read back");
+  setText(at("bias-what"), frame ? "Exposure, gain" : "Biases");
   const holder = at("biases");
-  if (holder.childElementCount !== biases.length) fill(holder, ...biases.map(biasRow));
-  biases.forEach((bias, i) => {
-    keep(holder.children[i].querySelector("[type=number]"), bias.value);
-    keep(holder.children[i].querySelector("[type=range]"), bias.value);
+  if (holder.childElementCount !== settings.length) fill(holder, ...settings.map(frame ? frameRow : biasRow));
+  settings.forEach((setting, i) => {
+    for (const input of holder.children[i].querySelectorAll("input")) keep(input, setting.value);
   });
+}
+
+function frameRow(setting) {
+  const send = async (event) => {
+    const value = number(event.target);
+    if (Number.isFinite(value)) await ask("frame", { name: setting.name, value });
+    event.target.blur();
+    if (state) showBiases();
+  };
+  return el("div", { class: "bias" }, el("code", {}, setting.name), el("span", {}),
+    el("input", { type: "number", step: "any", onchange: send, "aria-label": setting.name }));
 }
 
 function biasRow(bias) {

@@ -8,7 +8,8 @@ from pathlib import Path
 import pytest
 from filled_stations import filled_example
 
-from bench.align.write_down import must_be_copied, propose_pose, propose_values, station_values
+from bench.align.station_values import station_values
+from bench.align.write_down import must_be_copied, propose_pose, propose_values
 from bench.base.errors import ControlRefused, ScriptError
 from bench.stations.station import SHIPPED_STATIONS, Station, load_station
 from sequences.reader import read_document
@@ -177,3 +178,10 @@ def test_a_file_without_write_permission_is_only_copied(station):
 def test_an_axis_outside_its_limits_cannot_become_zero(station):
     with pytest.raises(ControlRefused, match="outside its limits"):
         station_values(load_station(str(station)).value, position_deg={"pan": 13.0})
+
+
+def test_exposure_and_gain_of_a_frame_camera_are_written(tmp_path):
+    path = tmp_path / "bench.yaml"
+    shutil.copy(SHIPPED_STATIONS / "simulated_frames.yaml", path)
+    values, _ = station_values(load_station(str(path)).value, frame={"exposure": -6.5, "gain": None})
+    assert _changed(propose_values(path, values, Station)) == ["+  exposure: -6.5"]

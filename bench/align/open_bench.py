@@ -1,0 +1,189 @@
+"""Opens a station's devices with their controls for aligning, and leaves them safe at the end.
+
+Opening moves nothing and switches nothing on. Closing stops the stage, switches the light off and closes the camera.
+Each of these is done even if another one fails, and says what the device confirmed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import dataclass
+
+from bench.align.camera_control import CameraControl
+from bench.align.controls import StageControl
+from bench.align.light_control import LightControl
+from bench.align.live_figures import LiveSetting
+from bench.align.live_loop import LiveLoop
+from bench.align.meter import Meter
+from bench.align.simulated_hands import SimulatedHands
+from bench.base.clock import BenchClock
+from bench.base.failure import FORESEEN, Failure
+from bench.stations.devices import Devices
+from bench.stations.station import Station
+from bench.views.camera_kinds import camera_kind
+from drivers.errors import DriverError
+
+OpenDevices = Callable[[Station, int, BenchClock], Devices]
+
+
+@dataclass(frozen=True)
+class Confirmation:
+    """What a device confirmed at the end.
+
+    Attributes
+    ----------
+    device
+        ``stage``, ``light`` or ``camera``.
+    safe
+        Whether it confirmed.
+    text
+        What it confirmed, or why not, as a sentence.
+    """
+
+    device: str
+    safe: bool
+    text: str
+
+
+@dataclass(frozen=True)
+class Bench:
+    """The open devices of a session with their controls.
+
+    Attributes
+    ----------
+    devices
+        The devices.
+    clock
+        The clock of their waits.
+    stage, light, camera
+        The controls.
+    loop
+        Records and measures.
+    hands
+        Hands at the camera of a simulated bench.
+    """
+
+    devices: Devices
+    clock: BenchClock
+    stage: StageControl
+    light: LightControl
+    camera: CameraControl
+    loop: LiveLoop
+    hands: SimulatedHands
+
+
+def open_devices(station: Station, seed: int, clock: BenchClock) -> Devices:
+    """Open a station's devices. Nothing moves.
+
+    Parameters
+    ----------
+    station
+        The station file.
+    seed
+        Random seed of the simulated bench.
+    clock
+        The clock of all waits.
+
+    Returns
+    -------
+    Devices
+        The open devices.
+    """
+    return Devices(station, seed=seed, clock=clock, wire_log=None)
+
+
+def open_bench(
+    station: Station,
+    seed: int,
+    opener: OpenDevices,
+    make_meter: Callable[[], Meter],
+    setting: Callable[[], LiveSetting],
+    on_change: Callable[[], None],
+    say: Callable[[str], None],
+) -> Bench:
+    """Open the devices and make their controls. The loop is not started yet.
+
+    Parameters
+    ----------
+    station
+        The station file.
+    seed
+        Random seed of the simulated bench.
+    opener
+        Opens the devices.
+    make_meter
+        Makes what measures the slices.
+    setting
+        Returns what is known of the bench at the moment.
+    on_change
+        Called after each change, by any thread.
+    say
+        Called with a sentence for the person.
+
+    Returns
+    -------
+    Bench
+        The open devices with their controls.
+
+    Raises
+    ------
+    DriverError, SimulationError
+        If a device cannot be opened; the others are then closed.
+    """
+    clock = BenchClock()
+    meter = make_meter()  # first: its process starts while the devices open
+    try:
+        devices = opener(station, seed, clock)
+    except BaseException:
+        meter.close()
+        raise
+    try:
+        light = LightControl(devices.light, station.light, camera_kind(station).light_for, on_change)
+        light.look()
+        camera = CameraControl(devices.camera, station, on_change)
+    except BaseException:
+        devices.close()
+        meter.close()
+        raise
+    stage = StageControl(devices.stage, on_change, say)
+    with suppress(DriverError):  # the watcher reads it again, and shows why it cannot
+        stage.look()
+    loop = LiveLoop(devices.camera, setting, lambda: stage.state.position_deg, on_change, meter)
+    camera.use(loop)
+    return Bench(devices, clock, stage, light, camera, loop, SimulatedHands(devices.simulation))
+
+
+def close_bench(bench: Bench) -> list[Confirmation]:
+    """Stop the stage, switch the light off, end the recording, and close all devices.
+
+    Parameters
+    ----------
+    bench
+        The open devices.
+
+    Returns
+    -------
+    list of Confirmation
+        What each device confirmed.
+    """
+    confirmed = [
+        _confirm("stage", bench.stage.stop, "stopped; every axis stands."),
+        _confirm("light", bench.light.off, "off, as it reports itself."),
+    ]
+    bench.clock.request_stop("align ends")
+    ended = bench.loop.close()
+    with bench.clock.shielded():
+        bench.stage.close()
+        closed = _confirm("camera", bench.devices.close, "closed; it does not record.")
+    if not ended:
+        closed = Confirmation("camera", safe=False, text="NOT CONFIRMED. Its recording has not ended.")
+    return [*confirmed, closed]
+
+
+def _confirm(device: str, action: Callable[[], None], text: str) -> Confirmation:
+    try:
+        action()
+    except FORESEEN as error:
+        return Confirmation(device, safe=False, text=f"NOT CONFIRMED. {Failure.of(error).message}")
+    return Confirmation(device, safe=True, text=text)
