@@ -19,7 +19,8 @@ from calib.adjustment.gimbal_observations import GimbalObservations
 from calib.adjustment.observations import Observations
 from calib.adjustment.parameters import AdjustmentParameters
 from calib.adjustment.readings import add_readings
-from calib.fit import MAX_READING_SCATTER, WITHOUT_READINGS
+from calib.fit import WITHOUT_READINGS
+from calib.fit.readings import MAX_READING_SCATTER
 from calib.model.aberrations import LADDER
 from calib.model.beam import Disc
 from calib.model.collimator import CENTRE, Collimator
@@ -243,8 +244,9 @@ def model_to_expect(bench: ExpectedBench) -> str:
 def entering_readings(bench: ExpectedBench) -> GimbalReadings | None:
     """Return the readings of the gimbal with the uncertainty that they will have in the adjustment.
 
-    Readings that scatter more than stated get less weight, and do not enter beyond `calib.fit.MAX_READING_SCATTER`
-    times. The pupil that wanders across the beam of a collimator out of focus turns the pattern as seen by the camera.
+    Readings that scatter more than stated get less weight, and do not enter beyond
+    `calib.fit.readings.MAX_READING_SCATTER` times. The pupil that wanders across the beam of a collimator out of focus
+    turns the pattern as seen by the camera.
 
     Parameters
     ----------

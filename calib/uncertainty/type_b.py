@@ -15,11 +15,9 @@ from numpy.typing import NDArray
 from calib.adjustment.bundle import Bundle
 from calib.adjustment.levenberg_marquardt import Loss
 from calib.adjustment.parameters import AdjustmentParameters
-from calib.model.passport import Passport
 from calib.model.type_b_terms import RADII, TypeBTerm, with_effective_radius
-from calib.uncertainty.budget_parts import PASSPORT, PRIORS, STARS
-from calib.uncertainty.covariance import Uncertainty, coverage_factor, inverse_information
-from calib.uncertainty.passport_propagation import consider_covariance
+from calib.uncertainty.budget_parts import PASSPORT, PRIORS
+from calib.uncertainty.covariance import Uncertainty, coverage_factor
 from calib.uncertainty.target_response import TargetResponse, target_response
 
 Array = NDArray[np.float64]
@@ -249,59 +247,3 @@ def effective_degrees_of_freedom(estimate: Uncertainty, contributions: Sequence[
         spread = spread + np.diag(each.covariance) ** 2 / each.term.degrees_of_freedom
     with np.errstate(divide="ignore", invalid="ignore"):
         return np.where(spread > 0, total**2 / spread, np.inf)
-
-
-def forecast_budget(
-    bundle: Bundle,
-    parameters: AdjustmentParameters,
-    information: Array,
-    passport: Passport | None,
-    terms: Sequence[TypeBTerm],
-) -> tuple[AppliedBudget, dict[str, Array]]:
-    """Forecast the budget of a calibration from predicted views.
-
-    Parameters
-    ----------
-    bundle
-        Predicted views; its names are all G parameters, those of the passport included.
-    parameters
-        The expected parameters, with the rotations of the predicted views.
-    information
-        (G, G) information of views and priors on these parameters, per px^2 of the stars' covariances.
-    passport
-        Passport that will be used; None for none.
-    terms
-        The stated terms.
-
-    Returns
-    -------
-    tuple
-        The forecast uncertainty with the terms; and by source the (G, G) covariance without them, for
-        `calib.uncertainty.budget_rows.budget_rows`.
-
-    Raises
-    ------
-    DegenerateViews
-        If the views do not constrain a free parameter.
-    """
-    names = bundle.names
-    held = passport.names if passport else ()
-    if passport is None:
-        parts = {STARS: inverse_information(information, names)}
-    else:
-        whole, own = (
-            consider_covariance(information, names, replace(passport, covariance=share * passport.covariance))
-            for share in (1.0, 0.0)
-        )
-        parts = {STARS: own, PASSPORT: whole - own}
-    free = [i for i, name in enumerate(names) if name not in held]
-    reduced = replace(bundle, names=tuple(names[i] for i in free))
-    response = target_response(reduced, parameters, Loss("l2"), names, information[np.ix_(free, free)])
-    estimate = Uncertainty(
-        names,
-        np.asarray(sum(parts.values())),
-        variance_factor=1.0,
-        degrees_of_freedom=0,
-        budget={source: np.diag(part) for source, part in parts.items()},
-    )
-    return add_terms(response, estimate, terms), parts

@@ -3,9 +3,6 @@
 import numpy as np
 import pytest
 
-from calib.adjustment.bundle import Bundle
-from calib.adjustment.observations import Observations
-from calib.adjustment.parameters import AdjustmentParameters
 from calib.engine import CalibrationOptions
 from calib.fit import fit_model
 from calib.model.budget_row import ROW_QUANTITIES, WORST_CORNER
@@ -15,7 +12,6 @@ from calib.model.type_b_terms import TypeBTerm
 from calib.uncertainty.budget_parts import covariance_parts
 from calib.uncertainty.budget_rows import budget_rows, not_included, uncertainty_budget
 from calib.uncertainty.projection_uncertainty import projection_uncertainty
-from calib.uncertainty.type_b import forecast_budget
 
 CERTIFICATE = Passport.of_radius(255.0, 0.05)
 SCALE = TypeBTerm("scale of the print", "print_scale", 20e-6, "drawing 4711", "rectangular")
@@ -110,25 +106,6 @@ def test_a_stated_term_without_effect_is_named(bench):
     applied, rows = budget_of(fit, [effective])
     assert "effective radius" not in [row.name for row in rows]
     assert "has no effect" in not_included(fit.parameters.camera, applied)[-1]
-
-
-@pytest.mark.parametrize("passport", [None, CERTIFICATE], ids=["free", "certificate"])
-def test_the_forecast_from_predicted_views_is_the_budget_of_a_run(bench, passport):
-    fit = fitted(bench, passport=passport)
-    _, rows = budget_of(fit, [SCALE, BOW, WAVES])
-    views = bench.views(np.random.default_rng(1), 0.02)
-    names = ("fx", "fy", "cx", "cy", "k1", "k2", "x", "y", "r")
-    bundle = Bundle(Observations.from_views(views), names)
-    parameters = AdjustmentParameters(
-        fit.parameters.camera, fit.parameters.collimator, bench.rotations, np.zeros((len(views), 3))
-    )
-    residuals = np.zeros((len(bundle.observations.view), 2))
-    information = bundle.normal_equations(parameters, residuals).reduced()
-    expected, parts = forecast_budget(bundle, parameters, information, passport, [SCALE, BOW, WAVES])
-    found = budget_rows(parameters.camera, expected, parts)
-    assert [row.name for row in found] == [row.name for row in rows]
-    for own, other in zip(found, rows, strict=True):
-        assert own.contribution["fx"] == pytest.approx(other.contribution["fx"], rel=0.05, abs=1e-3)
 
 
 def read_fit(bench, views, readings_deg):

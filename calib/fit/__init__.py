@@ -26,10 +26,12 @@ from calib.adjustment.levenberg_marquardt import Loss, Refinement, refine
 from calib.adjustment.observations import Observations
 from calib.adjustment.parameters import AdjustmentParameters
 from calib.adjustment.poses import poses_of
-from calib.adjustment.readings import ReadingsTest, add_readings, check_readings, with_turns
+from calib.adjustment.readings import ReadingsTest, with_turns
 from calib.calibration import CalibrationOptions
 from calib.diagnosis.gross_stars import GrossStars, part_of
 from calib.errors import DegenerateViews, NotConverged
+from calib.fit.readings import with_readings
+from calib.fit.robust import refine_robustly
 from calib.model.aberrations import LADDER, model_with_terms, needs_rim
 from calib.model.beam import Disc, inside_guard_band, visible_discs
 from calib.model.camera import PINHOLE
@@ -45,7 +47,6 @@ from calib.uncertainty.cross_validation import MIN_VIEWS, CrossValidation, leave
 from calib.uncertainty.passport_propagation import (
     add_certificate,
     add_parallax,
-    certificate_prior,
     certificate_share,
     propagate_passport,
 )
@@ -55,17 +56,8 @@ from calib.view import View
 
 Array = NDArray[np.float64]
 
-#: Limit of the robust loss in robust standard deviations per axis, and the number of times it is estimated again.
-_LIMIT_SIGMAS = 2.5
-_LIMIT_ROUNDS = 3
-#: Median length of a residual vector over its standard deviation per axis (Rayleigh distribution): sqrt(2 ln 2).
-_RAYLEIGH_MEDIAN = 1.1774100225154747
 #: Models that the gimbal's readings do not enter: they free the centre of each view.
 WITHOUT_READINGS = ("drift", "planar")
-#: Readings that scatter more than this many times as much as stated do not enter.
-MAX_READING_SCATTER = 5.0
-_READING_ROUNDS = 4
-_TURN_ROUNDS = 2
 
 
 @dataclass(frozen=True)
@@ -175,7 +167,7 @@ def fit_model(
         check_passport(bundle, refined.parameters, loss, passport, options.budget, options.parallax_sigma)
     test = None
     if options.gimbal and options.gimbal.parallax and model not in WITHOUT_READINGS:
-        bundle, refined, loss, test = _with_readings(kept, discs, bundle, refined, loss, options)
+        bundle, refined, loss, test = with_readings(kept, discs, bundle, refined, loss, options)
     bundle = replace(bundle, poses=poses_of(refined.parameters.rotations))
     estimate, left_out = _constrained(kept, options, bundle, refined, loss, leave_out=leave_out)
     whole = bundle if used.all() else _with_all_stars(views, discs, bundle, refined.parameters)
@@ -208,58 +200,11 @@ def model_to_fit(options: CalibrationOptions) -> str:
     return model_with_terms(passport.terms)
 
 
-def _with_readings(
-    views: Sequence[View],
-    discs: Sequence[Disc],
-    bundle: Bundle,
-    refined: Refinement,
-    loss: Loss,
-    options: CalibrationOptions,
-) -> tuple[Bundle, Refinement, Loss, ReadingsTest]:
-    """Adjust again with the gimbal's readings; without them if they contradict the stars.
-
-    Readings that scatter somewhat more than stated get less weight.
-    """
-    stated = options.gimbal
-    assert stated is not None
-    readings, passport = stated, options.passport
-    radius = certificate_prior(passport, options.budget) if passport and passport.is_certificate else None
-    for _ in range(_READING_ROUNDS):
-        joint, start = add_readings(views, discs, bundle, refined.parameters, readings, radius)
-        for _ in range(_TURN_ROUNDS):
-            joint, together, limit = refine_robustly(joint, start, options)
-            start = together.parameters
-            joint = with_turns(views, discs, joint, start)
-        joint, together = _balanced(joint, replace(together, parameters=start), limit, options)
-        test = check_readings(joint, together.parameters, stated)
-        if not test.contradicted:
-            return joint, together, limit, test
-        if test.scatter * test.times_stated > MAX_READING_SCATTER:
-            break
-        readings = replace(readings, reading_sigma_deg=test.scatter * readings.reading_sigma_deg)
-    return bundle, refined, loss, test
-
-
 def _discs_with_rims(views: Sequence[View], discs: Sequence[Disc] | None) -> Sequence[Disc]:
     """Return the visible discs; refuse views if most of them do not show the rim."""
     discs = discs or visible_discs(views)
     require_visible_rims(views, discs)
     return discs
-
-
-def _balanced(
-    bundle: Bundle, refined: Refinement, loss: Loss, options: CalibrationOptions
-) -> tuple[Bundle, Refinement]:
-    """Give readings and priors more weight against stars whose views are inconsistent, and adjust again.
-
-    The errors of a collimator are common to neighbouring stars, so the views know less than their many stars suggest.
-    The Birge ratio (Birge, 1932) says how much less.
-    """
-    estimate = covariance_at_optimum(bundle, refined.parameters, loss)
-    if not estimate.inconsistent:
-        return bundle, refined
-    bundle = replace(bundle, noise_variance=estimate.birge_ratio**2 * bundle.noise_variance)
-    return bundle, refine(bundle, refined.parameters, loss, options.max_iterations)
 
 
 def _used_parts(views: Sequence[View], used: NDArray[np.bool_]) -> Sequence[View]:
@@ -330,47 +275,6 @@ def initialize(
     else:
         starts = list(spherical_starts(h, size, distortion))
     return bundle, best_start(bundle, starts)
-
-
-def refine_robustly(
-    bundle: Bundle, start: AdjustmentParameters, options: CalibrationOptions
-) -> tuple[Bundle, Refinement, Loss]:
-    """Adjust with the chosen loss; its limit and the weight of the priors come from the residuals.
-
-    The spread of the residuals is their robust standard deviation per axis at the least squares optimum, and then at
-    each robust optimum. The result therefore depends on the data only, not on the start. Own procedure: sigma is the
-    median length of the residuals over 1.1774 = sqrt(2 ln 2), the median length of a two-dimensional vector of standard
-    normal components.
-
-    Parameters
-    ----------
-    bundle
-        Stars, free parameters and priors.
-    start
-        Starting values.
-    options
-        Loss, its limit if given, and the largest number of steps.
-
-    Returns
-    -------
-    tuple of Bundle, Refinement and Loss
-        The bundle with its final noise variance, the optimum, and the loss with its final limit.
-    """
-    given = None if options.huber_px is None else options.huber_px * bundle.observations.sigmas_per_px
-    loss = Loss("l2") if given is None else Loss(options.loss, given)
-    refined = refine(bundle, start, loss, options.max_iterations)
-    iterations = refined.iterations
-    robust = options.loss != "l2" and given is None
-    for _ in range(_LIMIT_ROUNDS if robust or bundle.prior or bundle.has_drift_prior else 0):
-        residuals = bundle.weighted_residuals(refined.parameters)
-        spread = float(np.median(np.linalg.norm(residuals, axis=1)) / _RAYLEIGH_MEDIAN)
-        if not spread > 0:
-            break
-        loss = Loss(options.loss, _LIMIT_SIGMAS * spread) if robust else loss
-        bundle = replace(bundle, noise_variance=spread**2)
-        refined = refine(bundle, refined.parameters, loss, options.max_iterations)
-        iterations += refined.iterations
-    return bundle, replace(refined, iterations=iterations), loss
 
 
 def _constrained(

@@ -1,0 +1,59 @@
+"""Adjustment with a robust loss, whose limit and whose weight of priors come from the residuals."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from calib.adjustment.bundle import Bundle
+from calib.adjustment.levenberg_marquardt import Loss, Refinement, refine
+from calib.adjustment.parameters import AdjustmentParameters
+from calib.calibration import CalibrationOptions
+
+#: Limit of the robust loss in robust standard deviations per axis, and the number of times it is estimated again.
+_LIMIT_SIGMAS = 2.5
+_LIMIT_ROUNDS = 3
+#: Median length of a residual vector over its standard deviation per axis (Rayleigh distribution): sqrt(2 ln 2).
+_RAYLEIGH_MEDIAN = 1.1774100225154747
+
+
+def refine_robustly(
+    bundle: Bundle, start: AdjustmentParameters, options: CalibrationOptions
+) -> tuple[Bundle, Refinement, Loss]:
+    """Adjust with the chosen loss; its limit and the weight of the priors come from the residuals.
+
+    The spread of the residuals is their robust standard deviation per axis at the least squares optimum, and then at
+    each robust optimum. The result therefore depends on the data only, not on the start. Own procedure: sigma is the
+    median length of the residuals over 1.1774 = sqrt(2 ln 2), the median length of a two-dimensional vector of standard
+    normal components.
+
+    Parameters
+    ----------
+    bundle
+        Stars, free parameters and priors.
+    start
+        Starting values.
+    options
+        Loss, its limit if given, and the largest number of steps.
+
+    Returns
+    -------
+    tuple of Bundle, Refinement and Loss
+        The bundle with its final noise variance, the optimum, and the loss with its final limit.
+    """
+    given = None if options.huber_px is None else options.huber_px * bundle.observations.sigmas_per_px
+    loss = Loss("l2") if given is None else Loss(options.loss, given)
+    refined = refine(bundle, start, loss, options.max_iterations)
+    iterations = refined.iterations
+    robust = options.loss != "l2" and given is None
+    for _ in range(_LIMIT_ROUNDS if robust or bundle.prior or bundle.has_drift_prior else 0):
+        residuals = bundle.weighted_residuals(refined.parameters)
+        spread = float(np.median(np.linalg.norm(residuals, axis=1)) / _RAYLEIGH_MEDIAN)
+        if not spread > 0:
+            break
+        loss = Loss(options.loss, _LIMIT_SIGMAS * spread) if robust else loss
+        bundle = replace(bundle, noise_variance=spread**2)
+        refined = refine(bundle, refined.parameters, loss, options.max_iterations)
+        iterations += refined.iterations
+    return bundle, replace(refined, iterations=iterations), loss
