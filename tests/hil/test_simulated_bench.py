@@ -199,6 +199,13 @@ def test_faults_are_ordered_while_it_runs_and_each_order_is_answered(tmp_path):
         "after_s": 0.0,
         "x_mm": 3.0,
         "y_mm": -1.0,
+        "now": {
+            "focus_distance_m": "infinity",
+            "ring_deg": 0.0,
+            "f_number": 2.8,
+            "turn_deg": [0.0, 0.0, 0.0],
+            "shift_mm": [3.0, -1.0],
+        },
     }
     _, errors = process.communicate(timeout=30)
     assert (process.returncode, errors) == (0, "")
