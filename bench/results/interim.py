@@ -256,6 +256,7 @@ def _choose(
         needs_tag=True,
         min_stars=record.gates.min_stars if record else 0,
     )
+    readings = solve_options(job, step.solve, []).gimbal if _readings_enter(interim.calibration) else None
     choice: Choice | str = ""
     for needs_tag in (True,) if labelled < _FEWEST_LABELLED or failed else (True, False):
         choice = choose_pose(
@@ -265,10 +266,16 @@ def _choose(
             taken_deg=taken,
             refused_deg=[_pose(chosen[pose]) for pose in failed],
             wish=replace(wish, needs_tag=needs_tag),
+            readings=readings,
         )
         if isinstance(choice, Choice):
             break
     return choice
+
+
+def _readings_enter(calibration: Calibration | None) -> bool:
+    """Return whether the readings of the gimbal are expected to enter: as in the last calibration, if there is one."""
+    return calibration is None or (calibration.gimbal is not None and calibration.gimbal.entered)
 
 
 def _pose(angles_deg: Mapping[str, float]) -> dict[str, float]:

@@ -20,6 +20,7 @@ from bench.stations.station import Station
 from bench.stations.station_stages import AxisConfig
 from calib.engine import Calibration
 from calib.model.collimator import Collimator
+from calib.model.gimbal_readings import GimbalReadings
 from calib.model.passport import Passport
 from calib.studies.expected_uncertainty import Sigmas
 from calib.studies.pose_choice import (
@@ -108,6 +109,7 @@ def choose_pose(
     taken_deg: Sequence[Angles],
     refused_deg: Sequence[Angles],
     wish: Wish,
+    readings: GimbalReadings | None = None,
 ) -> Choice | str:
     """Choose the next pose.
 
@@ -125,6 +127,8 @@ def choose_pose(
         Angles of the poses that failed, degrees.
     wish
         What the pose is chosen for.
+    readings
+        What the readings of the gimbal are worth, without angles, if they enter the calibrations.
 
     Returns
     -------
@@ -136,7 +140,12 @@ def choose_pose(
             "The poses so far do not determine the camera, and the station file has no expected section, so no pose "
             "can be predicted."
         )
-    bench = replace(_bench(station, calibration, taken_deg), passport=passport, needs_tag=wish.needs_tag)
+    bench = replace(
+        _bench(station, calibration, taken_deg),
+        passport=passport,
+        needs_tag=wish.needs_tag,
+        readings=readings,
+    )
     gimbal = _gimbal(calibration, taken_deg)
     weigher = PoseWeigher(
         bench, gimbal, taken_deg, refused_deg=refused_deg, min_stars=int(MORE_STARS * wish.min_stars)

@@ -13,6 +13,7 @@ from bench.results import interim, next_pose
 from bench.results.forecasts import expected_bench
 from bench.results.interim import Interim, decide, fixed_parts
 from bench.results.next_pose import Choice, Wish, choose_pose
+from bench.results.solve_options import gimbal_readings
 from bench.stations.station import load_station
 from calib.model.budget_row import BudgetRow
 from calib.model.rotation import euler_zxy
@@ -80,11 +81,12 @@ class HistoryOf(History):
         ]
 
 
-def calibration(fx=1.0, corner=0.2, **parts):
+def calibration(fx=1.0, corner=0.2, gimbal=None, **parts):
     """A calibration with these contributions to the standard uncertainty of fx; a tenth of each at the corners."""
     return SimpleNamespace(
         coverage_factor=2.0,
         model="radial",
+        gimbal=gimbal,
         budget_rows=[
             BudgetRow(
                 name.replace("_", " "), "A", "test", contribution={"fx": part, "worst_corner": part / 10}
@@ -219,6 +221,34 @@ def test_a_rim_that_is_lacking_is_brought_into_view():
     angles = [found.angles_deg["pan_deg"], found.angles_deg["tilt_deg"]]
     assert rim_share(bench, euler_zxy(*angles)) >= next_pose.RIM_IN_VIEW
     assert rim_share(bench, euler_zxy(0.0, 0.0)) < next_pose.RIM_IN_VIEW
+
+
+@pytest.mark.usefixtures("coarse")
+def test_readings_that_enter_count_in_the_choice_of_the_next_pose():
+    station = load_station("simulated")
+    readings = gimbal_readings(station.value, [])
+    told = {
+        entering: choose_pose(
+            station, None, None, taken_deg=TAKEN, refused_deg=[], wish=wish(), readings=entering
+        ).expected["expanded_fx_px"]
+        for entering in (None, readings)
+    }
+    assert told[readings] < 0.97 * told[None]
+
+
+@pytest.mark.parametrize(("entered", "given"), [(True, True), (False, False), (None, False)])
+@pytest.mark.usefixtures("numbers")
+def test_readings_are_given_to_the_choice_if_they_entered_the_last_calibration(
+    job, monkeypatch, entered, given
+):
+    asked = []
+    monkeypatch.setattr(
+        interim, "choose_pose", lambda *_, readings, **__: asked.append(readings) or "No pose is left."
+    )
+    gimbal = None if entered is None else SimpleNamespace(entered=entered)
+    decided(job, HistoryOf([1, 2, 3]), calibration(3.0, 0.5, gimbal=gimbal))
+    assert [one is not None for one in asked] == [given] * len(asked)
+    assert asked
 
 
 def test_no_pose_left_is_said():
