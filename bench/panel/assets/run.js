@@ -6,14 +6,14 @@ const at = (id) => document.getElementById(id);
 const key = location.pathname.replace(/^\/run\//, ""), api = `/api/run/${key}`;
 const COLOURS = { accepted: "var(--plot-3)", "at work": "var(--plot-6)", rejected: "var(--plot-2)", lost: "var(--plot-2)", skipped: "var(--plot-5)", planned: "var(--line)" };
 const TONES = { accepted: "good", "at work": "busy", rejected: "bad", lost: "bad", skipped: "warn", planned: "" };
-const MOST_ROWS = 60, MOST_LOG = 1000, MOST_DOTS = 800;
+const MOST_ROWS = 60, MOST_LOG = 1000, MOST_DOTS = 400;
 
 let line = -1, head = null, coverage = null, forecast = [], chosen = null, pictureKey = "", joining = false;
 const rows = new Map(), log = [];
 
 // ---------------------------------------------------------------- messages
 function take(message) {
-  if (message.reset) { rows.clear(); log.length = 0; line = -1; }
+  if (message.reset) { rows.clear(); log.length = 0; line = -1; fill(at("log")); }
   else if (line < 0 || message.since > line || message.line < line) { join(); return; }
   for (const row of message.rows) rows.set(row.number, row);
   for (const entry of message.log) if (entry.line > line) log.push(entry);
@@ -33,20 +33,42 @@ async function join() {
 
 function fault(text) { fill(at("faults"), el("p", { class: "banner bad" }, text)); }
 
-// ---------------------------------------------------------------- upper part
-function draw(message) {
-  drawHead();
-  drawFigures();
-  drawButtons();
-  drawUncertainty();
-  drawCoverage();
-  drawGates();
-  drawDevices();
-  if (message.rows.length || message.reset) drawPoses();
-  if (message.log.length || message.reset) drawLog();
-  showPicture();
+// ---------------------------------------------------------------- drawing
+const seen = {}, drawnAt = {}, waiting = new Set();
+const HEAVY_MS = 500;
+
+/** Whether a part of the state is another one than when it was drawn last. */
+function changed(part, value) {
+  const text = JSON.stringify(value);
+  if (seen[part] === text) return false;
+  seen[part] = text;
+  return true;
 }
 
+/** Draw a part at once if it was not drawn lately, else a little later; a hidden page draws when it is looked at. */
+function drawSoon(part, work) {
+  if (waiting.has(part)) return;
+  waiting.add(part);
+  setTimeout(() => requestAnimationFrame(() => {
+    waiting.delete(part);
+    drawnAt[part] = performance.now();
+    work();
+  }), Math.max(0, HEAVY_MS - (performance.now() - (drawnAt[part] ?? -HEAVY_MS))));
+}
+
+function draw(message) {
+  const { last, light, stage, camera, deviations, decisions, solved, gate_failures: failures, ...rest } = head;
+  if (changed("head", rest)) { drawHead(); drawFigures(); drawButtons(); }
+  if (message.log.length || message.reset) drawLog();
+  if (changed("uncertainty", [decisions, forecast, solved, head.ended, head.sealed])) drawSoon("uncertainty", drawUncertainty);
+  if (changed("coverage", [coverage?.poses, coverage?.share, head.accepted > 0])) drawSoon("coverage", drawCoverage);
+  if (changed("gates", [last, failures])) drawSoon("gates", drawGates);
+  if (changed("devices", [light, stage, camera, last, deviations])) drawSoon("devices", drawDevices);
+  if (message.rows.length || message.reset) drawSoon("poses", drawPoses);
+  if (changed("picture", [last, solved !== null, head.running])) drawSoon("picture", showPicture);
+}
+
+// ---------------------------------------------------------------- upper part
 function drawHead() {
   setText(at("name"), head.id);
   fill(at("verdict"), verdictPill(head.verdict, head.tone));
@@ -297,7 +319,7 @@ function drawMap(list) {
   const [across, up] = axes.includes("pan") && axes.includes("tilt") ? ["pan", "tilt"] : axes;
   if (!across || !up || list.length < 2) { fill(at("map")); return; }
   const step = Math.max(1, Math.ceil(list.length / MOST_DOTS));
-  const dots = list.filter((row, i) => i % step === 0 || !["planned", "accepted"].includes(row.state)).slice(0, 3 * MOST_DOTS).filter((row) => across in row.angles_deg && up in row.angles_deg);
+  const dots = list.filter((row, i) => i % step === 0 || !["planned", "accepted"].includes(row.state)).slice(0, 2 * MOST_DOTS).filter((row) => across in row.angles_deg && up in row.angles_deg);
   const series = Object.entries(COLOURS).map(([state, colour]) => ({ kind: "dots", colour: state === "planned" ? "var(--muted)" : colour, points: dots.filter((row) => row.state === state).map((row) => [row.angles_deg[across], row.angles_deg[up]]) })).filter((one) => one.points.length);
   fill(at("map"), plot(series, { width: 640, height: 210, xlabel: `${across}, deg (up: ${up}, deg)${step > 1 ? `; one dot for ${step} poses` : ""}`, label: "Angles of the poses" }));
 }
@@ -382,13 +404,19 @@ function drawDevices() {
 // ---------------------------------------------------------------- log
 function drawLog() {
   const list = at("log"), atEnd = list.scrollHeight - list.scrollTop - list.clientHeight < 40;
-  const known = list.children.length ? Number(list.lastElementChild.dataset.line) : 0, first = list.children.length ? Number(list.firstElementChild.dataset.line) : 0;
-  const isNew = !log.length || !list.children.length || log[0].line !== first;
+  const first = log.length ? log[0].line : 0, last = list.lastElementChild ? Number(list.lastElementChild.dataset.line) : 0;
   const make = (entry) => el("li", { "data-line": entry.line, class: entry.tone }, el("time", { datetime: entry.utc, title: entry.utc }, clockText(entry.utc, true)), entry.text);
-  if (isNew) fill(list, log.map(make));
-  else list.append(...log.filter((entry) => entry.line > known).map(make));
+  while (list.firstElementChild && Number(list.firstElementChild.dataset.line) < first) list.firstElementChild.remove();
+  const earlier = list.firstElementChild ? Number(list.firstElementChild.dataset.line) : Infinity;
+  if (!log.length) fill(list);
+  else if (first < earlier) fill(list, log.map(make)); // older lines were asked for, or there is nothing yet
+  else {
+    let begin = log.length;
+    while (begin > 0 && log[begin - 1].line > last) begin -= 1;
+    list.append(...log.slice(begin).map(make));
+  }
   at("earlier").hidden = !log.length || log[0].line <= 1 || log.length >= MOST_LOG;
-  if (atEnd || !known) list.scrollTop = list.scrollHeight;
+  if (atEnd || !last) list.scrollTop = list.scrollHeight;
 }
 
 at("earlier").addEventListener("click", async () => {

@@ -121,13 +121,18 @@ export function durationText(seconds) {
   return `${Math.floor(minutes / 60)} h ${minutes % 60} min`;
 }
 
-/** Time of day of an ISO time, by the clock of this computer; with the day if it is another one. */
+const format = (options) => new Intl.DateTimeFormat("en-GB", options); // making one is slow, using it is quick
+const MINUTES = format({ hour: "2-digit", minute: "2-digit" }), SECONDS = format({ hour: "2-digit", minute: "2-digit", second: "2-digit" });
+const DAY = format({ weekday: "short", day: "numeric", month: "short" }), WHOLE_DAY = format({ day: "numeric", month: "short", year: "numeric" });
+
+/** Time of day of an ISO time, by the clock of this computer; with the day if it is another one, or with the year. */
 export function clockText(iso, withSeconds = false) {
-  const moment = new Date(iso);
+  const moment = new Date(iso), now = new Date();
   if (Number.isNaN(moment.getTime())) return "";
-  const time = moment.toLocaleTimeString("en-GB", { hour: "2-digit", minute: "2-digit", ...(withSeconds ? { second: "2-digit" } : {}) });
-  if (moment.toDateString() === new Date().toDateString()) return time;
-  return `${moment.toLocaleDateString("en-GB", { weekday: "short", day: "numeric", month: "short" })} ${time}`;
+  const time = (withSeconds ? SECONDS : MINUTES).format(moment);
+  if (moment.toDateString() === now.toDateString()) return time;
+  const near = Math.abs(now - moment) < 200 * 24 * 3600 * 1000;
+  return `${(near ? DAY : WHOLE_DAY).format(moment)} ${time}`;
 }
 
 /** Name of the person at this browser, kept in the browser. */
