@@ -172,12 +172,15 @@ def close_bench(bench: Bench) -> list[Confirmation]:
         _confirm("light", bench.light.off, "off, as it reports itself."),
     ]
     bench.clock.request_stop("align ends")
+    lost = bench.loop.failure
     ended = bench.loop.close()
     with bench.clock.shielded():
         bench.stage.close()
         closed = _confirm("camera", bench.devices.close, "closed; it does not record.")
     if not ended:
         closed = Confirmation("camera", safe=False, text="NOT CONFIRMED. Its recording has not ended.")
+    elif lost is not None:
+        closed = Confirmation("camera", safe=False, text=f"NOT CONFIRMED. {lost.message}")
     return [*confirmed, closed]
 
 

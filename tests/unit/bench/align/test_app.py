@@ -150,6 +150,17 @@ def test_closing_the_page_stops_its_motion(bench, page):
     page.close()
     wait_until(lambda: "stop" in devices.stage.calls)
     assert time.monotonic() - began_s < 1.0
+    wait_until(lambda: not bench[1].bench.stage.moving)
+
+
+def test_the_end_of_a_stream_is_enough_even_while_heartbeats_come(bench, page):
+    """A proxy or a worker may go on beating for a page that nobody sees any more."""
+    _, session, devices = bench
+    page.do("jog", steps_deg={"pan": 5.0})
+    page.do("jog", steps_deg={"pan": 5.0})
+    session.owners.is_lost = lambda _page: False
+    page.close()
+    wait_until(lambda: "stop" in devices.stage.calls, 1.0)
 
 
 def test_a_page_that_says_that_it_leaves_stops_its_own_motion_only(bench, page):

@@ -42,6 +42,7 @@ def test_ctrl_c_stops_the_stage_at_once_and_every_device_confirms(monkeypatch, c
 
         def stop():
             asked.setdefault("stop_s", time.monotonic())
+            asked.setdefault("by", threading.current_thread().name)
             real()
 
         devices.stage.stop = stop
@@ -51,6 +52,7 @@ def test_ctrl_c_stops_the_stage_at_once_and_every_device_confirms(monkeypatch, c
     assert serve.align_on_page("simulated", open_browser=False) == 0
     thread.join()
     assert asked["stop_s"] - asked["s"] < 0.5
+    assert asked["by"] == "align-signal-stop"  # not only when the server has ended
     assert devices.stage.at["pan"] < 5
     assert not devices.light.lit
     assert devices.closed

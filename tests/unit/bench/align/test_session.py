@@ -115,6 +115,24 @@ def test_a_stop_just_after_a_jog_leaves_nothing_moving(opened):
         assert devices.stage.at == before
 
 
+def test_a_move_that_begins_just_after_a_stop_is_stopped_too(opened):
+    session, devices = opened
+    real, entered = devices.stage.move_to, threading.Event()
+
+    def late(target_deg):
+        entered.set()
+        wait_until(lambda: devices.stage.stops >= 1)
+        real(target_deg)  # the driver has seen no stop since it was called
+
+    devices.stage.move_to = late
+    session.jog("pan", 5.0)
+    assert entered.wait(2)
+    session.stop()
+    assert devices.stage.stops >= 2
+    assert not session.bench.stage.moving
+    assert devices.stage.at["pan"] < 2
+
+
 def test_stops_of_many_threads_do_not_wait_for_each_other(opened):
     session, devices = opened
     session.jog("pan", 5.0)
@@ -268,6 +286,16 @@ def test_a_device_that_does_not_confirm_is_named_and_the_others_are_made_safe():
     assert "NOT CONFIRMED" in confirmed["stage"].text
     assert confirmed["light"].safe
     assert not devices.light.lit
+
+
+def test_a_camera_that_was_lost_confirms_nothing():
+    session, devices = fake_session()
+    session.open()
+    devices.camera.fault = CameraLost("the cable is out.", where="camera", remedy="Plug it in.")
+    wait_until(lambda: session.state()["camera"]["failure"] is not None)
+    camera = session.close()[-1]
+    assert not camera.safe
+    assert "the cable is out" in camera.text
 
 
 def test_a_busy_camera_ends_in_words_and_can_be_tried_again():
