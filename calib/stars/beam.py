@@ -4,7 +4,7 @@ The module uses brightness only: no stars, no print, no camera. It serves to aim
 `calib.stars.rim` measures. The steps are:
 
 1. reduce the image until the print is only some cells wide;
-2. close the gaps of the dark print, up to about the size of a tag's module, and fill dark parts inside the light;
+2. close the gaps of the dark print, up to about the size of a tag's module, and take the convex hull of the light;
 3. take the border of the largest lit part that is not the frame's border, and fit a circle to it.
 """
 
@@ -100,15 +100,18 @@ def find_beam(image: NDArray[np.generic], *, least: float = 0.0) -> Beam:
 
 
 def _filled(lit: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """Return the largest lit part, with the dark parts filled that do not reach the frame's border."""
+    """Return the convex hull of the largest lit part: a disc cut by the frame is convex, and the print is not.
+
+    A tag at the frame's border is dark up to the border, so that filling holes is not enough. Own procedure.
+    """
     count, parts, stats, _ = cv2.connectedComponentsWithStats(lit, connectivity=8)
     if count < 2:
         return lit
     largest = (parts == 1 + int(np.argmax(stats[1:, cv2.CC_STAT_AREA]))).astype(np.uint8)
-    _, holes = cv2.connectedComponents(1 - largest, connectivity=4)
-    edge = np.unique(np.concatenate([holes[0], holes[-1], holes[:, 0], holes[:, -1]]))
-    outside = np.isin(holes, edge[edge > 0])
-    return np.asarray(~outside, np.uint8)
+    outlines, _ = cv2.findContours(largest, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
+    filled = np.zeros_like(lit)
+    cv2.fillConvexPoly(filled, cv2.convexHull(outlines[0]), 1)
+    return filled
 
 
 def _rim(lit: NDArray[np.uint8]) -> NDArray[np.float64]:

@@ -1,0 +1,131 @@
+"""How accurate and how fast the figures of a live picture are, on simulated slices of one flicker period and one more.
+
+    python tests/benchmarks/bench_live.py [--rows focus | turn | time]
+
+``focus``: for levels of the light and diameters of the blur circle, the circle as measured, the edge width, the
+sharpness, and the number of stars. ``turn``: distance of the tag from the middle of the image, px, after the turn that
+the figures give, and errors of the beam's centre and radius. ``time``: CPU milliseconds of one core by stage.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+import tempfile
+import time
+from pathlib import Path
+from typing import Any
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+sys.path.insert(0, str(Path(__file__).parents[2]))
+
+import numpy as np
+
+from bench.align import live_figures
+from bench.align.live_figures import LiveFigures, LiveMeter, LiveSetting, LiveSlice
+from bench.stations.station import load_station
+from simulators.optics.picture import TARGET, beam_of, disc_of, project, true_rotation
+from tests.support.live_slices import bench, drive, seen, write_slice
+
+SETTING = LiveSetting.of_station(load_station("simulated").value, frequency_hz=60.0, light_on=True)
+
+
+def measured(
+    folder: Path, truth: Any, angles: dict[str, float], light: Any, meter: LiveMeter, at_s: float
+) -> LiveFigures:
+    """Return the figures of a slice."""
+    path = write_slice(folder / "slice.raw", seen(truth, **angles), light=light, seed=int(at_s) + 1)
+    return meter.measure(LiveSlice(path, at_s, None, angles), SETTING)[1]
+
+
+def focus_rows(folder: Path) -> None:
+    """Print the focus figures."""
+    print("light        circle px | measured  edge px  sharpness  stars")
+    for waveform, level in (("square", 100.0), ("square", 30.0), ("square", 10.0), ("sine", 100.0)):
+        for circle in (0.0, 2.0, 4.0, 6.0, 8.0, 10.0, 14.0, 18.0, 24.0):
+            found = []
+            for number, roll in enumerate((10.0, 17.0, 33.0)):
+                truth = bench(circle_px=circle, roll_deg=roll)
+                angles = {"pan": 1.0 - number, "tilt": 0.5 * number}
+                light = drive(level, waveform=waveform)
+                found.append(
+                    measured(folder, truth, angles, light, LiveMeter(stars_every_s=0.0), float(number))
+                )
+            columns = []
+            for key, form in (("blur_circle_px", ".1f"), ("edge_width_px", ".2f"), ("sharpness", ".3f")):
+                values = [f.focus[key] for f in found if f.focus[key] is not None]
+                columns.append(f"{min(values):{form}}-{max(values):{form}}" if values else "-")
+            stars = "/".join(str(len(f.stars)) for f in found)
+            print(f"{waveform} {level:4.0f} % {circle:7.0f} | {'  '.join(columns)}  {stars}", flush=True)
+
+
+def turn_rows(folder: Path) -> None:
+    """Print the errors of turns, and of the beam's disc."""
+    print("pan tilt circle | by | tag after the turn px | beam: centre px, radius %")
+    for circle, level in ((0.0, 100.0), (10.0, 10.0), (20.0, 10.0)):
+        for pan, tilt in ((3.0, -2.0), (-6.0, 4.0), (8.0, 5.0), (12.0, -6.0), (17.0, 0.0)):
+            truth, angles = bench(circle_px=circle), {"pan": pan, "tilt": tilt}
+            f = measured(folder, truth, angles, drive(level), LiveMeter(stars_every_s=0.0), 0.0)
+            there = {"pan": pan + (f.turn["pan_deg"] or 0.0), "tilt": tilt + (f.turn["tilt_deg"] or 0.0)}
+            tag = project(np.array([TARGET.tag_centre_mm]), true_rotation(there, truth), truth)[0]
+            rotation = true_rotation(angles, truth)
+            disc = disc_of(beam_of(truth), rotation)
+            turn = np.linspace(0.0, 2.0 * np.pi, 200, endpoint=False)
+            edge = project(
+                np.column_stack([disc.x + disc.radius * np.cos(turn), disc.y + disc.radius * np.sin(turn)]),
+                rotation,
+                truth,
+            )
+            middle = edge.mean(axis=0)
+            radius = float(np.hypot(*(edge - middle).T).mean())
+            off = "-"
+            if f.disc_centre_px is not None and f.disc_radius_px is not None:
+                off = f"{np.hypot(*(np.array(f.disc_centre_px) - middle)):5.1f}, {100 * (f.disc_radius_px / radius - 1):+.1f}"
+            print(
+                f"{pan:3.0f} {tilt:4.0f} {circle:6.0f} | {f.turn['of']:4s} | "
+                f"{np.hypot(tag[0] - 639.5, tag[1] - 359.5):6.1f} | {off}",
+                flush=True,
+            )
+
+
+def time_rows(folder: Path) -> None:
+    """Print the CPU time of each stage, the best of three slices."""
+    live_figures.time = type("clock", (), {"perf_counter": staticmethod(time.process_time)})  # type: ignore[attr-defined]
+    print("slice                    | CPU ms by stage | a picture without stars, with stars")
+    for name, circle, angles, light in (
+        ("sharp", 0.0, {}, drive()),
+        ("4 px", 4.0, {}, drive()),
+        ("16 px at 10 %", 16.0, {}, drive(10.0)),
+        ("no tag", 0.0, {"pan": 15.0}, drive()),
+        ("nothing to recognise", 24.0, {}, drive()),
+        ("sine", 0.0, {}, drive(waveform="sine")),
+    ):
+        path = write_slice(folder / "slice.raw", seen(bench(circle_px=circle), **angles), light=light)
+        meter = LiveMeter(stars_every_s=50.0)
+        both = [
+            [
+                meter.measure(LiveSlice(path, 100.0 * k + s, None, angles), SETTING)[1].took_ms
+                for s in (0.0, 0.5)
+            ]
+            for k in range(4)
+        ][1:]
+        whole, quick = ({k: min(one[i][k] for one in both) for k in both[0][i]} for i in (0, 1))
+        stages = ", ".join(f"{k} {v:.0f}" for k, v in whole.items())
+        print(f"{name:24s} | {stages} | {sum(quick.values()):.0f}, {sum(whole.values()):.0f}", flush=True)
+
+
+def main() -> None:
+    """Print the tables."""
+    rows = {"focus": focus_rows, "turn": turn_rows, "time": time_rows}
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--rows", choices=tuple(rows), action="append")
+    with tempfile.TemporaryDirectory() as folder:
+        for name in parser.parse_args().rows or rows:
+            rows[name](Path(folder))
+
+
+if __name__ == "__main__":
+    main()
