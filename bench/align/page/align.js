@@ -272,10 +272,10 @@ function redraw(figures) {
 }
 
 function showTurn(f) {
-  const turn = f.turn || {}, wanted = {};
+  const turn = f.turn || {}, wanted = {}, beyond = turn.beyond || {};
   for (const axis of state && state.stage ? state.stage.axes : []) {
     const step = turn[`${axis.name}_deg`];
-    if (axis.name !== "roll" && typeof step === "number" && Math.abs(step) >= 0.02) wanted[axis.name] = Math.round(step * 1000) / 1000;
+    if (axis.name !== "roll" && !(axis.name in beyond) && typeof step === "number" && Math.abs(step) >= 0.02) wanted[axis.name] = Math.round(step * 1000) / 1000;
   }
   const large = Object.values(wanted).some((step) => Math.abs(step) > 5);
   for (const name of Object.keys(wanted)) wanted[name] = Math.max(-5, Math.min(5, wanted[name]));

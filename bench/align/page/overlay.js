@@ -1,6 +1,6 @@
 // What is drawn over the live picture: stars, tag, the beam's disc, the centre and the five regions of the focus.
 
-const COLOURS = { star: "#39d98a", unknown: "#ffb020", tag: "#4cc3ff", disc: "#ff7ad9", grid: "rgb(255 255 255 / 0.55)" };
+const COLOURS = { star: "#39d98a", unknown: "#ffb020", tag: "#4cc3ff", disc: "#ff7ad9", grid: "rgb(255 255 255 / 0.8)", shade: "rgb(0 60 120 / 0.8)" };
 
 /** Draw the figures over the picture. The canvas is as large as the picture on the screen. */
 export function draw(canvas, figures, shows) {
@@ -19,13 +19,17 @@ export function draw(canvas, figures, shows) {
   if (shows.tag && figures.tag) tag(c, figures.tag, x, y, ratio);
 }
 
+/** Light dashes between dark ones, so that the lines show on any picture. */
 function grid(c, width, height, ratio) {
-  c.strokeStyle = COLOURS.grid;
-  c.setLineDash([4 * ratio, 5 * ratio]);
-  c.beginPath();
-  c.moveTo(width / 2, 0); c.lineTo(width / 2, height);
-  c.moveTo(0, height / 2); c.lineTo(width, height / 2);
-  c.stroke();
+  for (const [colour, offset] of [[COLOURS.shade, 0], [COLOURS.grid, 5]]) {
+    c.strokeStyle = colour;
+    c.setLineDash([5 * ratio, 5 * ratio]);
+    c.lineDashOffset = offset * ratio;
+    c.beginPath();
+    c.moveTo(width / 2, 0); c.lineTo(width / 2, height);
+    c.moveTo(0, height / 2); c.lineTo(width, height / 2);
+    c.stroke();
+  }
   c.setLineDash([]);
 }
 
@@ -57,7 +61,10 @@ function tag(c, found, x, y, ratio) {
   c.stroke();
   const [u, v] = found.corners_px[0];
   c.fillStyle = COLOURS.tag;
+  c.strokeStyle = "rgb(0 0 0 / 0.75)";
+  c.lineWidth = 3 * ratio;
   c.font = `600 ${13 * ratio}px system-ui, sans-serif`;
+  c.strokeText(`tag ${found.id}`, x(u), y(v) - 6 * ratio);
   c.fillText(`tag ${found.id}`, x(u), y(v) - 6 * ratio);
 }
 
