@@ -170,14 +170,15 @@ def join_cells(
     height, width = steps.shape[0] // cells - 2 * margin, (steps.shape[1] - 1) // cells - 2 * margin
     before = margin * cells - (kernel.size - cells) // 2  # cells of the margin beyond the kernel's reach
     out = np.zeros((height, width), np.float32)
-    row, joined = np.empty(steps.shape[1] - 1, np.float32), np.empty(width, np.float32)
+    row, joined = np.empty((cells, (steps.shape[1] - 1) // cells), np.float32), np.empty(width, np.float32)
     for n in range(before, steps.shape[0] - before):
         _lit_row(steps[n], light[n // cells], light[n // cells + 1], (n % cells + 0.5) / cells, shades, row)
         joined[:] = 0.0
         for k in range(kernel.size):
             weight = np.float32(kernel[k])
+            place, first_px = (before + k) % cells, (before + k) // cells
             for j in range(width):
-                joined[j] += weight * row[before + j * cells + k]
+                joined[j] += weight * row[place, first_px + j]
         first = n - before
         for i in range(max(0, (first - kernel.size) // cells + 1), min(height - 1, first // cells) + 1):
             weight = np.float32(kernel[first - i * cells])
@@ -195,9 +196,11 @@ def _lit_row(
     shades: tuple[float, float],
     row: NDArray[np.float32],
 ) -> None:
-    """Compute the brightness of the cells of a row at fraction v between two rows of pixel corners."""
-    pixels = above.size - 1
-    cells = row.size // pixels
+    """Compute the brightness of the cells of a row at fraction v between two rows of pixel corners.
+
+    ``row`` is (cells of a pixel, pixels): the sums over the kernel then run along neighbouring numbers.
+    """
+    cells, pixels = row.shape
     covered = 0.0
     right = (1.0 - v) * above[0] + v * below[0]
     for j in range(pixels):
@@ -206,4 +209,4 @@ def _lit_row(
             covered += steps[j * cells + c]
             u = (c + 0.5) / cells
             share = min(max(covered, 0.0), 1.0)  # a running sum of single precision may miss by 1e-6
-            row[j * cells + c] = (shades[0] + shades[1] * share) * ((1.0 - u) * left + u * right)
+            row[c, j] = (shades[0] + shades[1] * share) * ((1.0 - u) * left + u * right)

@@ -262,6 +262,7 @@ def render(truth: Truth, rotation: FloatArray, *, subsamples: int = 4) -> NDArra
     light, rho = _light(
         plane_points(rays, projection),
         Light(disc, truth.collimator.rim, optics.gradient_x, optics.gradient_y),
+        0.0 if optics.psf_rim_px > 0.0 else _even_radius(disc, truth.collimator.rim),
         camera.height + 2 * cells.margin_px,
         camera.width + 2 * cells.margin_px,
     )
@@ -273,12 +274,20 @@ def render(truth: Truth, rotation: FloatArray, *, subsamples: int = 4) -> NDArra
     return np.asarray(image + np.float32(optics.stray), np.float32)
 
 
+def _even_radius(disc: Disc, rim: float) -> float:
+    """Return a distance from the disc's centre, mm, that is inside the rim in every direction."""
+    return max(
+        0.0, disc.radius * (1.0 - rim) * (1.0 - float(np.hypot(disc.edge[::2], disc.edge[1::2]).sum())) - 1e-6
+    )
+
+
 @njit(cache=True, nogil=True)
 def _light(
-    plane: FloatArray, light: Light, height: int, width: int
+    plane: FloatArray, light: Light, even: float, height: int, width: int
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """Return the disc's brightness, and the distance from its centre in radii, at the corners of all pixels.
 
+    Closer to the centre than ``even``, in mm, there is no rim; the distance is then not computed, but left at 1.
     ``plane`` holds the points where rays meet the target, on a grid that covers the image evenly. Own model of the
     light; the points are interpolated bilinearly.
     """
@@ -294,10 +303,13 @@ def _light(
             u = j * along - column
             x = (1 - u) * between[column, 0] + u * between[column + 1, 0]
             y = (1 - u) * between[column, 1] + u * between[column + 1, 1]
-            rho = radius_fraction(x, y, light.disc)
+            dx, dy = x - light.disc.x, y - light.disc.y
+            inside = dx * dx + dy * dy < even * even
+            rho = 0.0 if inside else radius_fraction(x, y, light.disc)
             x, y = (x - light.disc.x) / light.disc.radius, (y - light.disc.y) / light.disc.radius
             if rho < 1.0:
-                distance[i, j] = rho
+                if not inside:
+                    distance[i, j] = rho
                 brightness[i, j] = _disc_light(x, y, rho, light)
     return brightness, distance
 
