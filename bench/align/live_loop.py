@@ -1,8 +1,8 @@
 """The live picture: one thread records short slices, another one measures the newest of them.
 
 Slices are recorded with the camera's normal driver into a private temporary folder, and removed as soon as they are
-measured. Only the newest picture is kept. While one slice is measured, the next one is recorded. Settings of the camera
-are changed between two slices, by the recording thread (`LiveLoop.on_camera`).
+measured. Only the newest picture is kept. While one slice is measured, the next one is recorded, and then waits.
+Settings of the camera are changed between two slices, by the recording thread (`LiveLoop.on_camera`).
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ SHORT_S = 1 / 60
 """Length of most slices, s, rounded to whole flicker periods, at least one. A short slice makes a quick picture."""
 SIGNAL_PERIODS = 3
 """Periods of a slice that shows the flicker itself: frequency by triggers and by events, and jitter."""
-SIGNAL_EVERY_S = 1.5
+SIGNAL_EVERY_S = 2.0
 """Time between two such slices, s."""
 _OF_THE_FLICKER = ("sync", "flicker is")
 """Words of advice that only such a slice can give."""
@@ -232,6 +232,11 @@ class LiveLoop:
         number = 0
         while not self._closing:
             self._do_tasks()
+            with self._wake:
+                # A slice that nobody measures would only take time from the one that is measured.
+                self._wake.wait_for(lambda: self._waiting is None or self._closing or self._tasks, _WAIT_S)
+                if self._waiting is not None:
+                    continue
             number += 1
             try:
                 made = self._record_one(number)
@@ -245,10 +250,8 @@ class LiveLoop:
             if made is None:
                 continue
             with self._wake:
-                old, self._waiting = self._waiting, made
+                self._waiting = made
                 self._wake.notify_all()
-            if old is not None:
-                old.path.unlink(missing_ok=True)
 
     def _record_one(self, number: int) -> _Slice | None:
         """Record a slice; None if it was ended early."""
@@ -300,6 +303,7 @@ class LiveLoop:
                 if self._closing:
                     return
                 part, self._waiting = self._waiting, None
+                self._wake.notify_all()
             assert part is not None
             try:
                 self._publish(part)

@@ -143,13 +143,29 @@ def main() -> None:
             print(f"{one.device}: {one.text}")
 
 
+def descendants(pid: int) -> dict[int, str]:
+    """Return the processes that a process has started, and what they are."""
+    found: dict[int, str] = {}
+    for folder in Path("/proc").glob("[0-9]*"):
+        try:
+            words = (folder / "cmdline").read_text().split("\0")
+            parent = int((folder / "stat").read_text().rpartition(")")[2].split()[1])
+        except (OSError, ValueError):  # it has ended meanwhile
+            continue
+        if parent == pid:
+            text = " ".join(words)
+            what = next((n for n in ("simulators.bench", "align.meter", "chromium") if n in text), "other")
+            found |= {int(folder.name): what} | {
+                child: what if what == "chromium" else name
+                for child, name in descendants(int(folder.name)).items()
+            }
+    return found
+
+
 def count(session: Session, page: Any, seconds: float) -> None:
     """Count pictures, and the CPU time that they cost."""
-    simulation = session.bench.devices.simulation
-    pids = {"this process": os.getpid()}
-    if simulation is not None:
-        pids["simulated bench"] = simulation._process.pid
-    before = {name: cpu_s(pid) for name, pid in pids.items()}
+    pids = {os.getpid(): "this process"} | descendants(os.getpid())
+    before = {pid: cpu_s(pid) for pid in pids}
     first, shown, began_s = session.picture().number, page.evaluate("alignStats.images"), time.monotonic()
     time.sleep(seconds)
     lasted_s = time.monotonic() - began_s
@@ -157,8 +173,14 @@ def count(session: Session, page: Any, seconds: float) -> None:
     seen = page.evaluate("alignStats.images") - shown
     print(f"pictures: {made / lasted_s:.2f} a second made, {seen / lasted_s:.2f} a second on the page")
     print(f"stars searched: {session.bench.loop.stars_per_s():.2f} a second; load {os.getloadavg()[0]:.1f}")
-    for name, pid in pids.items():
-        print(f"CPU of {name}: {1e3 * (cpu_s(pid) - before[name]) / max(1, made):.0f} ms a picture")
+    used: dict[str, float] = {}
+    for pid, name in pids.items():
+        if Path(f"/proc/{pid}").exists():
+            used[name] = used.get(name, 0.0) + cpu_s(pid) - before[pid]
+    for name, spent_s in used.items():
+        print(
+            f"CPU of {name}: {1e3 * spent_s / max(1, made):.0f} ms a picture, {100 * spent_s / lasted_s:.0f} % of a core"
+        )
     picture = session.picture()
     print(f"last slice: recorded in {picture.record_ms:.0f} ms, measured in {picture.measure_ms:.0f} ms")
 
