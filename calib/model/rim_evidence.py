@@ -123,8 +123,12 @@ def second_order_sigmas(points: Sequence[Array], means: Array, covariances: Arra
         rho = np.maximum(np.hypot(*away.T), 1e-9)
         u = away / rho[:, None]
         phi = np.arctan2(u[:, 1], u[:, 0])[:, None] * orders
-        slopes = np.stack([-orders * np.sin(phi), orders * np.cos(phi)], axis=-1).reshape(len(own), -1)
-        bends = np.stack([orders**2 * np.cos(phi), orders**2 * np.sin(phi)], axis=-1).reshape(len(own), -1)
+        slopes = np.stack([-orders * np.sin(phi), orders * np.cos(phi)], axis=-1).reshape(
+            len(own), UNKNOWNS - 3
+        )
+        bends = np.stack([orders**2 * np.cos(phi), orders**2 * np.sin(phi)], axis=-1).reshape(
+            len(own), UNKNOWNS - 3
+        )
         turn, change = np.zeros((2, len(own), UNKNOWNS))
         turn[:, :2] = np.column_stack([u[:, 1], -u[:, 0]]) / rho[:, None]
         change[:, :2] = (slopes @ mean[3:] / rho)[:, None] * u
