@@ -19,7 +19,8 @@ from bench.align.app import align_app
 from bench.align.open_bench import Confirmation
 from bench.align.page_requests import PageFiles
 from bench.align.session import Session
-from bench.base.errors import UsageError
+from bench.base.errors import ScriptError, UsageError
+from bench.stations.placeholders import find_placeholders
 from bench.stations.station import SHIPPED_STATIONS, load_station
 from bench.web.server import PageServer, announce_url
 from bench.web.tokens import page_token
@@ -158,6 +159,8 @@ def make_session(station: str, settings: Sequence[str] = (), *, seed: int = 1) -
         If a setting does not have the form ``PATH=VALUE``.
     DocumentFaults
         If the station file is not valid.
+    ScriptError
+        If values of the station file are not filled in yet.
     """
     given = {}
     for text in settings:
@@ -165,7 +168,11 @@ def make_session(station: str, settings: Sequence[str] = (), *, seed: int = 1) -
         if not equals:
             raise UsageError(f"{text!r} does not have the form PATH=VALUE.", where="--set")
         given[path.strip().removeprefix("station.")] = value
-    return Session(load_station(station, OptionSettings(given, "--set") if given else None), seed=seed)
+    located = load_station(station, OptionSettings(given, "--set") if given else None)
+    missing = find_placeholders(located.tree)
+    if missing:  # a scale that nobody has filled in would turn the stage by a wrong angle
+        raise ScriptError([str(fault) for fault in missing])
+    return Session(located, seed=seed)
 
 
 def leave(session: Session) -> int:

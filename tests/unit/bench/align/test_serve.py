@@ -10,7 +10,8 @@ import pytest
 from align_fakes import fake_session, wait_until
 
 from bench.align import serve
-from bench.base.errors import UsageError
+from bench.base.errors import ScriptError, UsageError
+from bench.stations.station import SHIPPED_STATIONS
 from drivers.errors import CameraBusy
 from sequences.errors import DocumentFaults
 
@@ -120,6 +121,14 @@ def test_settings_replace_values_of_the_station_file():
         serve.make_session("simulated", ["camera"])
     with pytest.raises(DocumentFaults, match="bias_fo"):
         serve.make_session("simulated", ["camera.biases.bias_fo=9999"])
+
+
+def test_a_station_with_a_scale_that_nobody_filled_in_is_refused(tmp_path):
+    path = tmp_path / "bench.yaml"
+    text = (SHIPPED_STATIONS / "simulated.yaml").read_text()
+    path.write_text(text.replace("microsteps_per_deg: 6400", "microsteps_per_deg: ASK-THE-DATA-SHEET", 1))
+    with pytest.raises(ScriptError, match="microsteps_per_deg"):
+        serve.make_session(str(path))
 
 
 def test_a_station_without_a_light_is_named_before_anything_opens(tmp_path):
