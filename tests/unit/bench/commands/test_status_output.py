@@ -11,11 +11,14 @@ import sys
 import termios
 import threading
 import time
+from dataclasses import replace
 
 import pytest
 from terminal_screen import Screen
 
 from bench.base.clock import BenchClock
+from bench.batch.batch_status import BatchStatus
+from bench.commands.status_output import show_status
 from bench.plan.plan import load_documents, make_plan
 from bench.records.events import Event
 from bench.records.journal import Journal
@@ -190,3 +193,27 @@ def test_a_name_cannot_move_the_cursor(capsys, monkeypatch):
     monkeypatch.setenv("TERM", "xterm")
     Block(sys.stdout).draw(["one\x1b[2J", "two"], ["\x1b[9A"], [])
     assert "\x1b[2J" not in capsys.readouterr().out
+
+
+def test_a_followed_batch_prints_what_has_changed_and_returns_its_end(tmp_path, capsys, monkeypatch):
+    (tmp_path / "queue.yaml").write_text("")
+    (tmp_path / "journal.jsonl").write_text("")
+    first = BatchStatus(
+        folder=str(tmp_path), queue="night", zone=None, running=True, rehearsal=False, ended="", why="", done=(),
+        current_run="a-001: slewing", upcoming=(), withdrawn=(),
+    )  # fmt: skip
+    statuses = [
+        first,
+        replace(first, current_run="a-001: recording"),
+        replace(first, running=False, ended="aborted", why="by ada@lab", current_run=""),
+    ]
+    monkeypatch.setattr("bench.batch.batch_status.follow_batch", lambda _folder, *, ticks: iter(statuses))
+    assert show_status(tmp_path, follow=True, as_json=False) == 3
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[:4] == [
+        "Batch night: running",
+        "0 runs with a result, 0 runs without",
+        "In progress: a-001: slewing",
+        "In progress: a-001: recording",
+    ]
+    assert lines[4] == "Batch night: aborted: by ada@lab"
