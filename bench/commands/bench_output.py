@@ -164,7 +164,8 @@ def serve_simulated_bench(station_name: str, seed: int) -> int:
             click.echo(f"{name:<8} {port}")
         click.echo(
             "These are the ports of the simulated bench, as a station file names them. To simulate a fault, write a"
-            " line (e.g. pan stall share=0.3). Ctrl-C ends the simulated bench.",
+            " line (e.g. pan stall share=0.3). To turn the lens by hand, write: lens turn deg=5. Ctrl-C ends the"
+            " simulated bench.",
             err=True,
         )
 
