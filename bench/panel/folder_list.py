@@ -15,7 +15,8 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from bench.base.errors import BenchError, RunFolderError, StorageError
+from bench.base.errors import RunFolderError, StorageError
+from bench.base.failure import Failure
 from bench.panel.process_state import look_at_process
 from bench.panel.run_head import head_of
 from bench.panel.run_model import RunModel
@@ -81,8 +82,9 @@ class FolderList:
                         batches.append(self._batch(folder))
                     else:
                         runs.append(self._run(folder))
-                except (BenchError, OSError) as error:
-                    faults.append(str(error))
+                except Exception as error:  # noqa: BLE001 - one folder must not hide the others
+                    message = Failure.of(error).message
+                    faults.append(message if str(folder) in message else f"{folder}: {message}")
             for known in (self._runs, self._batches):
                 for gone in known.keys() - seen:
                     known.pop(gone)

@@ -94,6 +94,7 @@ def head_of(model: RunModel, process: ProcessState, now: datetime) -> Json:
         "deviation_count": len(history.deviations),
         "gate_failures": model.gate_failures,
         "last": _last(model),
+        "checked": _checked_place(model),
         "light": _light(model),
         "stage": _stage(model),
         "can": _possible(model, process),
@@ -198,6 +199,12 @@ def _last(model: RunModel) -> Json | None:
     elif checked:
         found["gates_before"] = checked.get("gates", [])
     return found
+
+
+def _checked_place(model: RunModel) -> Json | None:
+    """Return which recording was checked last; the run has left its picture."""
+    checked = model.last_checked
+    return {"pose": checked["pose"], "attempt": checked["attempt"]} if checked else None
 
 
 def _light(model: RunModel) -> Json | None:

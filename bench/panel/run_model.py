@@ -196,8 +196,9 @@ class RunModel:
         if self.lines == 1:
             self._read_plan()
         try:
+            slim = _slim(entry)  # fails first if the line lacks something
             self._keep(entry)
-            apply_entry(self.history, _slim(entry))
+            apply_entry(self.history, slim)
             self.time_left.apply(entry, self.history)
             self._change_rows(entry)
             text = line_text(entry)
@@ -222,8 +223,8 @@ class RunModel:
         data = entry.data
         match entry.event:
             case Event.CAPTURE_STORED:
-                self.last_stored, self._stored_utc = data, entry.utc
                 self.places[int(data["pose"]), int(data["attempt"])] = Place(str(data["capture"]))
+                self.last_stored, self._stored_utc = data, entry.utc
             case Event.ATTEMPT_CHECKED:
                 self._keep_check(entry)
             case Event.ENTERING:

@@ -1,4 +1,4 @@
-"""What a page needs of a run's ``plan.json``: poses, steps, times, disk space. Reads this one file."""
+"""What a page needs of a run's ``plan.json`` and ``results.json``. Reads these two files, and writes nothing."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from bench.base.errors import StorageError
-from bench.records.run_folder import PLAN
+from bench.records.run_folder import PLAN, RESULTS
 from bench.records.storage import storage_errors
 
 
@@ -78,3 +78,28 @@ def read_plan(folder: Path) -> RunPlan:
         return RunPlan(fault=f"{PLAN} cannot be read: {error.what}")
     except (ValueError, KeyError, TypeError, AttributeError) as error:
         return RunPlan(fault=f"{PLAN} is damaged, or another version wrote it ({error}).")
+
+
+def read_final(folder: Path) -> dict[str, float]:
+    """Read the uncertainties that a run has reached in the end.
+
+    Parameters
+    ----------
+    folder
+        Run folder.
+
+    Returns
+    -------
+    dict
+        ``coverage_factor``; and, expanded by it, ``expanded_fx_px`` and ``worst_corner_px``, as far as the results
+        state them. Empty if there are no results.
+    """
+    try:
+        results = json.loads((folder / RESULTS).read_bytes())
+        calibration = results["calibration"]
+        k = float(calibration["coverage_factor"])
+        found = {"coverage_factor": k, "expanded_fx_px": k * float(calibration["sigma"]["fx"])}
+        corner = results.get("projection", {}).get("worst_corner", {}).get("expanded_px")
+        return found if corner is None else {**found, "worst_corner_px": float(corner)}
+    except (OSError, ValueError, KeyError, TypeError, AttributeError):
+        return {}

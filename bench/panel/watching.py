@@ -18,6 +18,7 @@ from bench.base.failure import Failure
 from bench.panel.process_state import ProcessState, look_at_process
 from bench.panel.run_head import head_of
 from bench.panel.run_model import RunModel
+from bench.panel.run_plan import read_final
 from bench.run.last_view import LastView, read_last_view
 from bench.web.stream import Changes
 
@@ -59,6 +60,7 @@ class RunWatch:
         self._utc_now = utc_now
         self._process_at_s = self._told_at_s = float("-inf")
         self._messages: dict[tuple[int, bool], str] = {}
+        self._last_head: dict[str, Any] = {}
 
     def look(self, now_s: float) -> bool:
         """Look at the run; wake the pages if anything is new.
@@ -77,6 +79,7 @@ class RunWatch:
             new = self._refresh()
             if new:
                 self._keep_view()
+                self._keep_final()
             if new or now_s - self._process_at_s >= PROCESS_S:
                 new = self._look_at_process(now_s) or new
             if now_s - self._told_at_s >= AGAIN_S and self.process.running:
@@ -114,7 +117,7 @@ class RunWatch:
                     "reset": anew,
                     "since": begin,
                     "line": model.lines,
-                    "head": head_of(model, self.process, self._utc_now()),
+                    "head": self._head(),
                     "rows": model.changed_rows(begin),
                     "log": model.log_after(begin, MOST_LOG_LINES),
                     **self.extras,
@@ -134,6 +137,25 @@ class RunWatch:
             self.extras |= extras
             self._messages.clear()
         self.changes.tell()
+
+    def _keep_final(self) -> None:
+        """Keep the uncertainties of the results, once the run has ended; they go if it is resumed."""
+        ended = bool(self.model.history.ended)
+        if ended and "final" not in self.extras:
+            self.extras["final"] = read_final(self.model.folder)
+        elif not ended:
+            self.extras.pop("final", None)
+
+    def _head(self) -> dict[str, Any]:
+        """Return the head; that of before, with the fault, if another version's journal confuses it."""
+        try:
+            self._last_head = head_of(self.model, self.process, self._utc_now())
+        except (KeyError, TypeError, ValueError, AttributeError) as error:
+            if not self._last_head:
+                raise
+            fault = f"The state of this run cannot be shown completely. {Failure.of(error).message}"
+            return {**self._last_head, "faults": [*self._last_head["faults"], fault]}
+        return self._last_head
 
     def _keep_view(self) -> None:
         """Keep the picture of the recording that was checked last; the next one will replace it in the folder."""

@@ -98,7 +98,7 @@ function drawCameras(cameras) {
         const scatters = camera.runs.length > 1 && trend.birge > 1 + 3 / Math.sqrt(2 * (camera.runs.length - 1));
         const verdict = drifts ? `changes by ${number(trend.per_hour.value)} per hour` : warm ? `follows the temperature, ${number(trend.per_c.value)} per °C` : scatters ? "scatters more than its U" : "steady";
         return el("div", {}, el("h3", {}, trend.name, " ", el("span", { class: `pill ${drifts || warm || scatters ? "warn" : "good"}` }, verdict)), el("p", { class: "note" }, `mean ${withUncertainty(trend.mean, trend.sigma)}`),
-          plot([{ kind: "dots", colour: "var(--plot-1)", points }], { height: 150, bands: [[trend.mean - 2 * trend.sigma, trend.mean + 2 * trend.sigma]], levels: [{ y: trend.mean, colour: "var(--muted)" }], xticks: (a, b) => ticks(a, b, 5).map((h) => [h, `${number(h)} h`]), label: `${trend.name} of each run` }));
+          plot([{ kind: "dots", colour: "var(--plot-1)", points }], { width: 340, height: 150, bands: [[trend.mean - 2 * trend.sigma, trend.mean + 2 * trend.sigma]], levels: [{ y: trend.mean, colour: "var(--muted)" }], xticks: (a, b) => ticks(a, b, 5).map((h) => [h, `${number(h)} h`]), label: `${trend.name} of each run` }));
       })));
   }));
 }

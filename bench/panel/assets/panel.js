@@ -55,9 +55,9 @@ export function number(value, digits = 3) {
   return String(Number(value.toPrecision(digits)));
 }
 
-/** Value and expanded uncertainty (k = 2) with the same decimals. */
-export function withUncertainty(value, sigma) {
-  const expanded = 2 * sigma;
+/** Value and expanded uncertainty with the same decimals. */
+export function withUncertainty(value, sigma, k = 2) {
+  const expanded = k * sigma;
   if (!(expanded > 0)) return number(value, 6);
   const decimals = Math.min(9, Math.max(0, 1 - Math.floor(Math.log10(expanded))));
   return `${value.toFixed(decimals)} ± ${expanded.toFixed(decimals)}`;

@@ -8,7 +8,7 @@ const COLOURS = { accepted: "var(--plot-3)", "at work": "var(--plot-6)", rejecte
 const TONES = { accepted: "good", "at work": "busy", rejected: "bad", lost: "bad", skipped: "warn", planned: "" };
 const MOST_ROWS = 60, MOST_LOG = 1000, MOST_DOTS = 400;
 
-let line = -1, head = null, coverage = null, forecast = [], chosen = null, pictureKey = "", joining = false;
+let line = -1, head = null, coverage = null, forecast = [], final = {}, chosen = null, pictureKey = "", joining = false;
 const rows = new Map(), log = [];
 
 // ---------------------------------------------------------------- messages
@@ -22,6 +22,7 @@ function take(message) {
   head = message.head;
   coverage = message.coverage ?? coverage;
   forecast = message.forecast ?? forecast;
+  final = message.final ?? {};
   draw(message);
 }
 
@@ -57,15 +58,15 @@ function drawSoon(part, work) {
 }
 
 function draw(message) {
-  const { last, light, stage, camera, deviations, decisions, solved, gate_failures: failures, ...rest } = head;
-  if (changed("head", rest)) { drawHead(); drawFigures(); drawButtons(); }
+  const { last, checked, light, stage, camera, deviations, decisions, solved, gate_failures: failures, ...rest } = head;
+  if (changed("head", [rest, final])) { drawHead(); drawFigures(); drawButtons(); }
   if (message.log.length || message.reset) drawLog();
-  if (changed("uncertainty", [decisions, forecast, solved, head.ended, head.sealed])) drawSoon("uncertainty", drawUncertainty);
+  if (changed("uncertainty", [decisions, forecast, final, solved, head.ended, head.sealed])) drawSoon("uncertainty", drawUncertainty);
   if (changed("coverage", [coverage?.poses, coverage?.share, head.accepted > 0])) drawSoon("coverage", drawCoverage);
   if (changed("gates", [last, failures])) drawSoon("gates", drawGates);
   if (changed("devices", [light, stage, camera, last, deviations])) drawSoon("devices", drawDevices);
   if (message.rows.length || message.reset) drawSoon("poses", drawPoses);
-  if (changed("picture", [last, solved !== null, head.running])) drawSoon("picture", showPicture);
+  if (changed("picture", [last, checked, solved !== null, head.running])) drawSoon("picture", showPicture);
 }
 
 // ---------------------------------------------------------------- upper part
@@ -87,7 +88,7 @@ function drawHead() {
   leave.className = `banner ${safe ? "good" : head.leave.until_utc ? "warn" : "bad"}`;
   let text = head.leave.text;
   if (head.leave.until_utc) text = `You may leave until about ${clockText(head.leave.until_utc)}: then the run asks a question.`;
-  else if (head.running && safe) text = `You may leave. ${text}${head.end_utc ? ` It is expected at ${clockText(head.end_utc)}.` : ""}`;
+  else if (head.running && safe) text = `You may leave. ${text}${head.end_utc ? ` Its end is expected at ${clockText(head.end_utc)}.` : ""}`;
   else if (head.running) text = `Do not leave. ${text}`;
   setText(leave, text);
   const ask = head.question;
@@ -107,14 +108,14 @@ function drawFigures() {
   const left = head.end_utc ? (new Date(head.end_utc) - Date.now()) / 1000 : head.left_s;
   const since = head.state_utc && head.running ? ` for ${durationText((Date.now() - new Date(head.state_utc)) / 1000)}` : "";
   const lastNow = head.decisions.length ? head.decisions[head.decisions.length - 1].now : {};
-  const corner = lastNow.worst_corner_px;
+  const corner = final.worst_corner_px ?? lastNow.worst_corner_px;
   fill(at("figures"),
     figure(STATE_WORDS[head.state] || head.state, head.running || head.ended ? `state${since}` : "its last state"),
     figure(head.pose ? `${head.pose}` : "–", head.pose ? `${head.running ? "pose at work" : "pose that was at work"} (${head.pose_name})` : "no pose at work", `of ${most}`),
     figure(String(head.accepted), `poses recorded${head.skipped ? `, ${head.skipped} skipped` : ""}`, `of ${most}`),
     head.running ? figure(left === null ? "–" : durationText(left), left === null ? "time left" : head.end_utc ? `left; ends about ${clockText(head.end_utc)}` : "of work left; the clock stands") : figure(head.ended_utc ? clockText(head.ended_utc) : "–", "end", head.ended_utc && head.started_utc ? `after ${durationText((new Date(head.ended_utc) - new Date(head.started_utc)) / 1000)}` : ""),
     figure(String(head.recordings), [`recordings`, head.retries ? plural(head.retries, "retry").replace("retrys", "retries") : "no retries", head.resumed ? `resumed ${head.resumed}×` : ""].filter(Boolean).join(", ")),
-    corner !== undefined ? figure(`${number(corner)} px`, "U at the worst corner, so far") : null);
+    corner !== undefined ? figure(`${number(corner)} px`, final.worst_corner_px === undefined ? "U at the worst corner, so far" : "U at the worst corner") : null);
   const share = head.most_poses ? (100 * (head.accepted + head.skipped)) / head.most_poses : 0;
   const bar = at("progress");
   bar.setAttribute("aria-valuenow", String(Math.round(share)));
@@ -196,17 +197,17 @@ at("abort").addEventListener("click", async () => {
 // ---------------------------------------------------------------- picture
 async function showPicture() {
   const last = head.last;
-  const shown = chosen || (last && { pose: last.pose, attempt: last.attempt });
+  // While the run works, the picture of a recording comes with its verdict; until then the one before is shown.
+  const shown = chosen || (head.running ? head.checked : last && { pose: last.pose, attempt: last.attempt });
   at("picture-last").hidden = !chosen;
   if (!shown) { if (!pictureKey) fill(at("picture"), el("div", { class: "none" }, "No recording yet.")); return; }
   if (head.rehearsal) { fill(at("picture"), el("div", { class: "none" }, "A rehearsal makes no recordings.")); return; }
   const isLast = last && shown.pose === last.pose && shown.attempt === last.attempt;
-  if (isLast && !last.checked && head.running) return; // the picture comes with the verdict; the one before stays
   const row = rows.get(shown.pose), solved = Boolean(head.solved);
   const wanted = `${shown.pose}/${shown.attempt}/${solved}/${head.running}`;
   if (wanted === pictureKey) return;
   pictureKey = wanted;
-  setText(at("picture-title"), `${isLast ? "Last recording: p" : "P"}ose ${shown.pose}${row ? ` (${row.name})` : ""}, attempt ${shown.attempt}`);
+  setText(at("picture-title"), `${chosen ? "P" : isLast ? "Last recording: p" : "Recording before: p"}ose ${shown.pose}${row ? ` (${row.name})` : ""}, attempt ${shown.attempt}`);
   const accepted = row && row.state === "accepted" && row.last === shown.attempt;
   fill(at("picture-verdict"), isLast && last.checked ? el("span", { class: `pill ${last.accepted ? "good" : "bad"}` }, last.accepted ? "accepted" : "rejected") : accepted ? el("span", { class: "pill good" }, "accepted") : null);
   if (!at("picture").firstElementChild) fill(at("picture"), el("div", { class: "none" }, "Making the picture …"));
@@ -298,6 +299,9 @@ function poseRow(row) {
 
 function choose(row) { chosen = { pose: row.number, attempt: row.last }; showPicture(); drawPoses(); }
 
+/** Width of a box, px: a plot that is drawn for it has readable text. */
+function widthOf(id) { return Math.max(280, at(id).clientWidth || 420); }
+
 function colourOf(name) { return getComputedStyle(document.documentElement).getPropertyValue(name.slice(4, -1)).trim() || "#888"; }
 
 function drawStrip(list) {
@@ -321,7 +325,7 @@ function drawMap(list) {
   const step = Math.max(1, Math.ceil(list.length / MOST_DOTS));
   const dots = list.filter((row, i) => i % step === 0 || !["planned", "accepted"].includes(row.state)).slice(0, 2 * MOST_DOTS).filter((row) => across in row.angles_deg && up in row.angles_deg);
   const series = Object.entries(COLOURS).map(([state, colour]) => ({ kind: "dots", colour: state === "planned" ? "var(--muted)" : colour, points: dots.filter((row) => row.state === state).map((row) => [row.angles_deg[across], row.angles_deg[up]]) })).filter((one) => one.points.length);
-  fill(at("map"), plot(series, { width: 640, height: 210, xlabel: `${across}, deg (up: ${up}, deg)${step > 1 ? `; one dot for ${step} poses` : ""}`, label: "Angles of the poses" }));
+  fill(at("map"), plot(series, { width: widthOf("map"), height: 210, xlabel: `${across}, deg (up: ${up}, deg)${step > 1 ? `; one dot for ${step} poses` : ""}`, label: "Angles of the poses" }));
 }
 
 // ---------------------------------------------------------------- plots and tables
@@ -333,28 +337,26 @@ function drawUncertainty() {
     const reached = head.decisions.filter((one) => Number.isFinite(one.now[name])).map((one) => [one.poses, one.now[name]]);
     const expected = forecast.filter((one) => Number.isFinite(one.now[name])).map((one) => [one.poses, one.now[name]]);
     const chosenNext = head.decisions.filter((one) => Number.isFinite(one.expected[name])).map((one) => [one.poses + 1, one.expected[name]]);
-    if (!reached.length && !expected.length) continue;
+    if (!reached.length && !expected.length) {
+      if (final[name] !== undefined) parts.push(el("p", {}, `${title.replace(", px", "")}: `, el("b", {}, `${number(final[name])} px`)));
+      continue;
+    }
     const levels = goals[name] ? [{ y: goals[name], label: `goal ${number(goals[name])} px`, dashed: true }] : [];
-    const final = finalOf(name);
-    if (final !== null) levels.push({ y: final, label: `result ${number(final)} px`, colour: "var(--plot-1)" });
+    if (final[name] !== undefined) levels.push({ y: final[name], label: `result ${number(final[name])} px`, colour: "var(--plot-1)" });
     parts.push(el("div", {}, el("h3", {}, title), plot([
       { kind: "dashed", colour: "var(--muted)", points: expected }, { kind: "dots", colour: "var(--plot-5)", points: chosenNext }, { kind: "line", colour: "var(--plot-1)", points: reached },
-    ], { log: true, height: 170, whole: true, xlabel: "poses in the calibration", label: title, levels })));
+    ], { width: widthOf("uncertainty"), log: true, height: 170, whole: true, xlabel: "poses in the calibration", label: title, levels })));
   }
-  const solved = head.solved;
+  const solved = head.solved, k = final.coverage_factor ?? 2;
+  setText(at("uncertainty-note"), `U, k = ${number(k)}, pose by pose`);
   if (parts.length) parts.push(legend([["var(--muted)", "expected by the plan", true], ...(head.decisions.length ? [["var(--plot-1)", "reached"], ["var(--plot-5)", "expected with the next pose"]] : [])]));
   if (solved) parts.push(el("div", { class: "scroll" }, el("table", {}, el("thead", {}, el("tr", {}, el("th", {}, `Result (${solved.model}, RMS ${number(solved.rms_px)} px)`), el("th", { class: "n" }, "value ± U"))),
-    el("tbody", {}, solved.parameters.slice(0, 12).map((one) => el("tr", {}, el("td", {}, one.name), el("td", { class: "n" }, withUncertainty(one.value, one.sigma))))))));
+    el("tbody", {}, solved.parameters.slice(0, 12).map((one) => el("tr", {}, el("td", {}, one.name), el("td", { class: "n" }, withUncertainty(one.value, one.sigma, k))))))));
   if (head.ended === "finished" && head.sealed) parts.push(el("p", { class: "screen" }, el("a", { class: "button", href: `/report/${key}` }, "Open the report")));
   const why = head.decisions.length ? head.decisions[head.decisions.length - 1].why : "";
   if (why) parts.push(el("p", { class: "note" }, why));
   if (!parts.length) parts.push(el("p", { class: "note" }, "Nothing is known before the calibration: the station file states nothing to expect, or the forecast is not made yet."));
   fill(at("uncertainty"), parts);
-}
-
-function finalOf(name) {
-  const found = name === "expanded_fx_px" && head.solved ? head.solved.parameters.find((one) => one.name === "fx") : null;
-  return found ? 2 * found.sigma : null;
 }
 
 function drawCoverage() {
@@ -432,6 +434,6 @@ at("earlier").addEventListener("click", async () => {
 // ---------------------------------------------------------------- begin
 setUpPerson(at("person"));
 setInterval(() => head && head.running && drawFigures(), 1000);
-addEventListener("resize", () => head && drawStrip([...rows.values()].sort((a, b) => a.number - b.number)));
+addEventListener("resize", () => { if (!head) return; drawSoon("poses", drawPoses); drawSoon("uncertainty", drawUncertainty); });
 follow(`${api}/events`, take, join);
 get(`${api}/log?before=1`).catch((error) => { if (error.error) { setText(at("lead"), ""); fault(error.message); } }); // an address of no run: say so

@@ -13,6 +13,7 @@ from bench.panel import leave
 from bench.panel.process_state import ProcessState, look_at_process
 from bench.panel.run_head import head_of
 from bench.panel.run_model import RunModel
+from bench.panel.run_plan import read_final
 from bench.run.holding import MAX_HOLD_S
 
 RUNNING = ProcessState(running=True, takes_commands=True, free_bytes=10**12)
@@ -115,6 +116,7 @@ def test_the_verdict_of_a_recording_is_never_that_of_another_one(run):
     assert (last["pose"], last["checked"]) == (2, False)
     assert "stars" not in last
     assert last["gates_before"][0]["value"] == 200
+    assert _head(run)["checked"] == {"pose": 1, "attempt": 1}  # whose picture is shown meanwhile
 
 
 @pytest.mark.parametrize(
@@ -274,3 +276,15 @@ def test_thousands_of_poses_are_told_in_small_parts(tmp_path):
         model.log_after(line, 300)
         head_of(model, RUNNING, datetime.now(UTC))
     assert (time.process_time() - begin) / 20 < 0.02
+
+
+def test_the_final_uncertainties_come_from_the_results(tmp_path):
+    assert read_final(tmp_path) == {}
+    results = {"calibration": {"coverage_factor": 2.1, "sigma": {"fx": 0.5}}}
+    (tmp_path / "results.json").write_text(json.dumps(results))
+    assert read_final(tmp_path) == {"coverage_factor": 2.1, "expanded_fx_px": pytest.approx(1.05)}
+    results["projection"] = {"worst_corner": {"corner": "top left", "expanded_px": 0.4}}
+    (tmp_path / "results.json").write_text(json.dumps(results))
+    assert read_final(tmp_path)["worst_corner_px"] == 0.4
+    (tmp_path / "results.json").write_text("[]")
+    assert read_final(tmp_path) == {}
