@@ -124,6 +124,7 @@ class StageControl:
             "axes": axes,
             "homed": state.homed,
             "work": state.work,
+            "answers": self._silent is None,
             "faults": list(state.faults),
             "failure": failure.to_dict() if failure else None,
         }

@@ -14,6 +14,7 @@ from bench.align.page_requests import PageFiles
 from bench.align.session import Session
 from bench.stations.devices import Devices
 from bench.stations.station import SHIPPED_STATIONS, load_station
+from drivers.errors import CameraLost
 
 pytestmark = NEEDS_CHROMIUM
 
@@ -89,6 +90,21 @@ def test_a_person_looks_jogs_stops_and_writes_down(chromium, bench, tmp_path):
     one.close()  # in motion
     wait_until(lambda: devices.stage.stops > stops, 1.0)
     assert one.hosts == {server.url.split("/")[2]}
+
+
+def test_lost_devices_are_shown_and_the_old_picture_does_not_look_new(chromium, bench):
+    server, _, devices = bench
+    one = Tab(chromium, server.url)
+    one.wait("alignStats.images > 0")
+    devices.stage.lost = True
+    devices.camera.fault = CameraLost("the cable is out.", where="camera", remedy="Plug it in.")
+    one.wait_text("#trouble", "the cable is out. Plug it in.")
+    one.wait_text("#stage-state", "does not answer")
+    one.wait_text("#dark", "No new picture")
+    devices.stage.lost, devices.camera.fault = False, None
+    one.wait("document.getElementById('trouble').hidden")
+    one.wait("document.getElementById('dark').hidden")
+    one.close()
 
 
 def test_a_reload_in_motion_stops_the_stage_and_the_page_comes_back_with_its_controls(chromium, bench):

@@ -64,12 +64,14 @@ function showState(next) {
   showBiases();
   showHands();
   showLog();
+  showOldPicture();
   for (const input of document.querySelectorAll(".controls button, .controls input, .controls select")) {
     if (input.closest("[data-free]")) continue;
     input.dataset.barred = state.devices.state === "open" && holds() ? "" : "1";
     input.disabled = input.dataset.barred === "1" || input.dataset.off === "1";
   }
   if (state.devices.state !== "open") showAdvice(waitingText());
+  else if (state.camera.failure) showAdvice(["No new pictures come. See above."]);
 }
 
 function waitingText() {
@@ -108,14 +110,14 @@ function showStage() {
   at("stop").classList.toggle("moving", moving);
   if (!stage) { fill(at("axes")); setText(at("stage-state"), ""); return; }
   const pill = at("stage-state");
-  setText(pill, stage.work === "home" ? "homing" : moving ? "turning" : stage.homed === false ? "not homed" : "at rest");
-  pill.className = `pill ${moving ? "busy" : stage.homed === false ? "warn" : "good"}`;
+  setText(pill, !stage.answers ? "does not answer" : stage.work === "home" ? "homing" : moving ? "turning" : stage.homed === false ? "not homed" : "at rest");
+  pill.className = `pill ${!stage.answers ? "bad" : moving ? "busy" : stage.homed === false ? "warn" : "good"}`;
   const holder = at("axes");
   if (holder.childElementCount !== stage.axes.length) fill(holder, ...stage.axes.map(axisRow));
   stage.axes.forEach((axis, i) => {
     const row = holder.children[i], span = axis.highest_deg - axis.lowest_deg;
     const place = axis.position_deg === null ? null : 100 * (axis.position_deg - axis.lowest_deg) / span;
-    setText(row.querySelector(".deg"), axis.position_deg === null ? "unknown" : `${axis.position_deg.toFixed(3)}°`);
+    setText(row.querySelector(".deg"), axis.position_deg === null ? "unknown" : `${axis.position_deg.toFixed(3)}°${stage.answers ? "" : " before"}`);
     const goal = axis.goal_deg !== null && moving ? ` to ${axis.goal_deg.toFixed(2)}°` : "";
     setText(row.querySelector("small"), goal);
     row.querySelector("i").style.left = `calc(${Math.min(100, Math.max(0, place ?? 0))}% - 1px)`;
@@ -208,6 +210,14 @@ function showHands() {
   setText(at("hands-seen"), `Ring at ${Number(seen.ring_deg).toFixed(1)}°, focused at ${focus}, f/${seen.f_number}, camera turned by ${seen.turn_deg.map((a) => `${Number(a).toFixed(1)}°`).join(", ")} (pan, tilt, roll).`);
 }
 
+/** A picture that is not new any more must not look as if it were. */
+function showOldPicture() {
+  const failure = state.camera ? state.camera.failure : state.devices.failure, gone = Boolean(failure) || state.devices.state !== "open";
+  at("picture").classList.toggle("old", gone && shownNumber > 0);
+  at("dark").hidden = !gone && shownNumber > 0;
+  setText(at("dark"), shownNumber > 0 ? "No new picture" : "No picture yet");
+}
+
 function showLog() {
   const holder = at("log"), key = JSON.stringify(state.messages.map((m) => m.number));
   if (holder.dataset.key === key) return;
@@ -230,7 +240,8 @@ function showPicture(next) {
   picture = next;
   window.alignStats.latenciesMs.push(Date.now() - next.made_s * 1000);
   if (window.alignStats.latenciesMs.length > 500) window.alignStats.latenciesMs.shift();
-  if (next.number === 0) return;
+  if (next.number === 0) { shownNumber = 0; return; }
+  if (next.number < shownNumber) shownNumber = 0; // the devices were opened again
   const f = next.figures;
   if (state && state.devices.state === "open") {
     showAdvice(f.advice.length ? f.advice : ["This picture needs no improvement. Check below whether the bench is ready for a run."]);
@@ -254,7 +265,7 @@ async function fetchImage() {
       await image.decode().catch(() => {});
       if (old) URL.revokeObjectURL(old);
       shownNumber = wanted.number;
-      at("dark").hidden = true;
+      if (state) showOldPicture();
       at("picture").style.aspectRatio = `${wanted.figures.width_px || 16} / ${wanted.figures.height_px || 9}`;
       window.alignStats.images += 1;
       window.alignStats.firstImageMs ??= performance.now();

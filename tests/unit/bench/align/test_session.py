@@ -222,8 +222,10 @@ def test_an_unplugged_light_is_shown_and_comes_back(opened):
 
 def test_an_unplugged_stage_is_shown(opened):
     session, devices = opened
+    assert session.state()["stage"]["answers"]
     devices.stage.lost = True
     wait_until(lambda: session.state()["stage"]["failure"] is not None)
+    assert not session.state()["stage"]["answers"]
     with pytest.raises(PortLost):
         session.jog("pan", 0.5)
     devices.stage.lost = False
