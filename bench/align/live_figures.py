@@ -20,8 +20,9 @@ from bench.align.advice import Seen, advice_for, dropped_share
 from bench.align.focus_figure import FocusCourse, FocusFigures, measure_focus
 from bench.align.live_image import LiveImage, read_image, show
 from bench.align.live_setting import LiveSetting, LiveSlice
+from bench.align.seen_motion import SeenMotion
 from bench.align.signal_figures import SignalFigures
-from bench.align.where_to_turn import Bench, where_to_turn
+from bench.align.where_to_turn import Bench, TurnFigures, where_to_turn
 from calib.errors import CalibrationError, TargetNotFound
 from calib.stars.beam import Beam, find_beam
 from calib.stars.focus import contrast
@@ -188,6 +189,7 @@ class LiveMeter:
     def __init__(self, *, stars_every_s: float = 0.4) -> None:
         self._stars_every_s = stars_every_s
         self._course = FocusCourse()
+        self._motion = SeenMotion()
         self._found: _Found | None = None
         self._event_hz: tuple[float, float] | None = None
         self._size = (1280, 720)
@@ -241,7 +243,7 @@ class LiveMeter:
             best_sharpness=self._course.best_sharpness,
             trend=self._course.trend(),
             contrast=in_beam,
-            turn=where_to_turn(self._size, beam, found.stars, setting.target, _bench(part, setting)),
+            turn=self._turn(part, setting, beam, found),
         )
         figures = _figures(part, setting, seen, found.time_s)
         return shown, replace(
@@ -254,8 +256,18 @@ class LiveMeter:
     def forget(self) -> None:
         """Forget the course of the focus and the last stars, for example after the lens was changed."""
         self._course.forget()
+        self._motion.forget()
         self._found = None
         self._event_hz = None
+
+    def _turn(self, part: LiveSlice, setting: LiveSetting, beam: Beam, found: _Found) -> TurnFigures:
+        """Find out where to turn, and learn how the tag has moved since the last search for it."""
+        turn = where_to_turn(
+            self._size, beam, found.stars, setting.target, _bench(part, setting), self._motion
+        )
+        if found.time_s == part.time_s and turn.tag_px is not None and turn.focal_px and part.reading_deg:
+            self._motion.add(part.reading_deg, turn.tag_px, turn.focal_px)
+        return turn
 
     def _by_events(self, part: LiveSlice, image: LiveImage) -> float | None:
         """Return the frequency by the events, Hz: of this slice, or the last one while the sync edges go on."""

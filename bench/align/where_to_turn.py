@@ -14,6 +14,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from bench.align.seen_motion import SeenMotion
 from calib.model.homography import apply_homography, fit_homography
 from calib.model.rotation import euler_zxy
 from calib.stars.beam import Beam
@@ -46,6 +47,8 @@ class TurnFigures:
         The same turns for the tag, and for the centre of the beam's disc.
     focal_px
         Focal length used, px.
+    tag_px
+        Centre of the tag (column, row), px.
     roll_deg
         Angle of the pattern against the pixel rows or diagonals, degrees, -22.5 to 22.5; positive is clockwise.
     roll_by_deg
@@ -63,6 +66,7 @@ class TurnFigures:
     tag_off: Offset | None = None
     beam_off: Offset | None = None
     focal_px: float | None = None
+    tag_px: Offset | None = None
     roll_deg: float | None = None
     roll_by_deg: float | None = None
     rim_poses: str = ""
@@ -129,7 +133,12 @@ class Bench:
 
 
 def where_to_turn(
-    size: tuple[int, int], beam: Beam, stars: QuickStars | None, target: StarTarget, bench: Bench
+    size: tuple[int, int],
+    beam: Beam,
+    stars: QuickStars | None,
+    target: StarTarget,
+    bench: Bench,
+    motion: SeenMotion | None = None,
 ) -> TurnFigures:
     """Find out where to turn.
 
@@ -145,6 +154,8 @@ def where_to_turn(
         The printed target.
     bench
         What the bench knows.
+    motion
+        How the pattern was seen to move; None to rely on the signs of the bench.
 
     Returns
     -------
@@ -160,10 +171,12 @@ def where_to_turn(
         tag_at = tuple(float(v) for v in apply_homography(grid, middle[None])[0])
     if beam.centre_px is not None:
         beam_at = beam.centre_px
-    offs = [
-        None if at is None else turn_to_centre((at[0], at[1]), size, focal, bench.reading_deg)
-        for at in (tag_at, beam_at)
-    ]
+    offs = []
+    for at in (tag_at, beam_at):
+        by_motion = motion.turn((at[0], at[1]), size, focal) if motion and at and focal else None
+        offs.append(
+            by_motion or (turn_to_centre((at[0], at[1]), size, focal, bench.reading_deg) if at else None)
+        )
     chosen = offs[0] or offs[1]
     roll = roll_deg(grid, size)
     return TurnFigures(
@@ -174,6 +187,7 @@ def where_to_turn(
         tag_off=offs[0],
         beam_off=offs[1],
         focal_px=focal,
+        tag_px=(tag_at[0], tag_at[1]) if tag_at else None,
         roll_deg=roll,
         roll_by_deg=None if roll is None else roll_by_deg(roll),
         rim_poses=rim_poses(size, focal, offs[1] or offs[0], beam, bench),
