@@ -232,7 +232,7 @@ def _sync(signal: SignalFigures, setting: LiveSetting) -> Iterator[str]:
     """Yield what is wrong with the sync edges and the frequency."""
     if signal.sync_fault:
         yield f"{signal.sync_fault} Check the sync cable and the light's settings."
-    elif not signal.triggers and setting.gates.require_triggers:
+    elif not signal.sync_edges and setting.gates.require_triggers:
         yield "No sync triggers come: check the cable from the light's sync output to the camera's trigger input."
     elif signal.triggers_expected - signal.triggers > setting.gates.limits.get("max_triggers_missed", 1):
         yield (

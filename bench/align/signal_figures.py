@@ -39,6 +39,8 @@ class SignalFigures:
         Data rate as a share of what the link carries.
     triggers, triggers_expected
         Number of rising sync edges found, and expected by their frequency.
+    sync_edges
+        Number of sync edges of both directions.
     flicker
         The flicker that the image is made with; None if there is none. A slice too short to show one is taken to
         have the frequency to which the light is set; then neither ``trigger_hz`` nor ``event_hz`` is known.
@@ -58,6 +60,7 @@ class SignalFigures:
     link_share: float | None = None
     triggers: int = 0
     triggers_expected: int = 0
+    sync_edges: int = 0
     flicker: Flicker | None = None
     trigger_hz: float | None = None
     event_hz: float | None = None
@@ -107,6 +110,7 @@ def measure_signal(
         link_share=8e-9 * data_bytes / (duration_s * LINK_GBIT_S) if duration_s else None,
         triggers=up,
         triggers_expected=expected,
+        sync_edges=len(triggers.t),
         flicker=flicker,
         trigger_hz=by_triggers.frequency_hz if by_triggers and _shows_period(triggers) else None,
         event_hz=by_events.frequency_hz if by_events else None,

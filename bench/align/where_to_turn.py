@@ -191,7 +191,7 @@ def where_to_turn(
         roll_deg=roll,
         roll_by_deg=None if roll is None else roll_by_deg(roll),
         rim_poses=rim_poses(size, focal, offs[1] or offs[0], beam, bench),
-        beyond=_beyond(chosen, bench) if chosen and focal else {},
+        beyond=_beyond(chosen, bench) if chosen and focal and bench.reading_deg else {},
     )
 
 
@@ -316,8 +316,8 @@ def rim_poses(
     str
         A sentence; empty if it is not known.
     """
-    if focal_px is None or off is None:
-        return ""
+    if focal_px is None or off is None or not bench.reading_deg:
+        return ""  # without a reading, no angle of a pose is known
     half_angle = bench.half_angle_deg
     if beam.radius_px is not None:
         half_angle = max(half_angle or 0.0, math.degrees(math.atan(beam.radius_px / focal_px)))

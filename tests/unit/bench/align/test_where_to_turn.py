@@ -12,6 +12,7 @@ from simulators.optics.picture import TARGET, project, true_rotation
 from tests.support.live_slices import bench, fired, seen
 
 SIZE = (1280, 720)
+ZERO = {"pan": 0.0, "tilt": 0.0}
 MIDDLE = np.array([639.5, 359.5])
 FULL = Beam(
     1.0, rim_in_view=False, centre_px=None, radius_px=None, lit=np.ones((9, 16), np.uint8), scale=80.0
@@ -115,7 +116,9 @@ def test_the_wanted_roll_is_far_from_the_pixels(roll):
 def test_the_poses_said_show_the_rim():
     truth = bench()
     half_angle = math.degrees(math.atan(718.0 / truth.camera.fx))
-    known = Bench(half_angle_deg=half_angle, limits_deg={"pan": (-15, 15), "tilt": (-15, 15)})
+    known = Bench(
+        half_angle_deg=half_angle, reading_deg=ZERO, limits_deg={"pan": (-15, 15), "tilt": (-15, 15)}
+    )
     text = rim_poses(SIZE, truth.camera.fx, (0.0, 0.0), FULL, known)
     assert text.startswith("Poses with pan below -")
     numbers = [
@@ -125,7 +128,8 @@ def test_the_poses_said_show_the_rim():
     ]
     for axis, angle in zip(("pan", "pan", "tilt", "tilt"), numbers, strict=True):
         assert find_beam(fired(seen(truth, **{axis: angle}))).rim_in_view
-    none = Bench(half_angle_deg=half_angle, limits_deg={"pan": (-1, 1), "tilt": (-1, 1)})
+    none = Bench(half_angle_deg=half_angle, reading_deg=ZERO, limits_deg={"pan": (-1, 1), "tilt": (-1, 1)})
     assert rim_poses(SIZE, truth.camera.fx, (0.0, 0.0), FULL, none).startswith("No pose")
-    wide = Bench(half_angle_deg=5.0)
+    assert rim_poses(SIZE, truth.camera.fx, (0.0, 0.0), FULL, Bench(half_angle_deg=half_angle)) == ""
+    wide = Bench(half_angle_deg=5.0, reading_deg=ZERO)
     assert rim_poses(SIZE, truth.camera.fx, (0.0, 0.0), FULL, wide) == "Every pose shows the rim of the beam."
