@@ -71,4 +71,6 @@ def test_an_offline_report_says_so_and_lists_its_files(data):
     assert "OFFLINE: calibrated from existing files, without devices." in " ".join(text)
     assert {"a/<left>.csv", "cd" * 32, "567"} <= set(text)
     assert "Started" not in text
+    assert not any("signature of this list" in line or "sealed" in line for line in text)
+    assert any("no seal protects it" in line for line in text)
     assert not any("OFFLINE" in line for line in printed_text(render_report(data, draw=False)))
