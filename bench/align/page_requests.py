@@ -14,7 +14,7 @@ from typing import Any
 
 from bench.align.readiness import check_readiness
 from bench.align.session import Session
-from bench.align.station_values import station_values
+from bench.align.station_values import plain_number, station_values
 from bench.align.write_down import Proposal, must_be_copied, propose_pose, propose_values
 from bench.base.errors import ControlRefused, UsageError
 from bench.plan.plan import SHIPPED_SEQUENCES
@@ -252,6 +252,7 @@ def _proposal(session: Session, files: PageFiles, body: Mapping[str, Any]) -> Pr
             {axis: round(angle, 4) for axis, angle in bench.stage.state.position_deg.items()},
             poses=str(body["poses"]) if body.get("poses") else None,
             name=str(body["name"]) if body.get("name") else None,
+            light=_light_values(session) if body.get("light") is True else None,
             target=target,
         )
     if kind != "station":
@@ -270,6 +271,17 @@ def _proposal(session: Session, files: PageFiles, body: Mapping[str, Any]) -> Pr
     return Proposal(
         proposal.path, proposal.source, proposal.before, proposal.after, (*notes, *proposal.notes)
     )
+
+
+def _light_values(session: Session) -> dict[str, str]:
+    """Return the present flicker as a sequence states it. Its level is relative to the station's brightest one."""
+    now = session.bench.light.reading.flicker
+    return {
+        "waveform": now.waveform,
+        "frequency_hz": plain_number(now.frequency_hz, 6),
+        "duty_percent": plain_number(now.duty_percent, 4),
+        "level_percent": plain_number(now.level_percent, 4),
+    }
 
 
 def _is_sequence(path: Path) -> bool:

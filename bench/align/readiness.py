@@ -16,18 +16,19 @@ from typing import Any, Literal
 from bench.align.camera_control import ANSWER_S
 from bench.align.open_bench import Bench
 from bench.align.session import Session
-from bench.base.errors import BenchError
 from bench.base.failure import FORESEEN, Failure
-from bench.plan.plan import load_documents, make_plan
+from bench.plan.plan import Plan, load_documents, make_plan
 from bench.stations.placeholders import find_placeholders
 from bench.views.camera_kinds import camera_kind
 from bench.views.gates import ADVICE, Gate
+from drivers.light import LightSettings
 from sequences.schema import RecordConfig
-from sequences.script import Gates, Pose, RecordStep
+from sequences.script import Flicker, Gates, LightStep, Pose, RecordStep
 
 Verdict = Literal["good", "bad", "open"]
 """``good`` and ``bad`` as checked; ``open`` if it could not be checked yet."""
 _NO_REMEDY = "Correct this; nothing has moved."
+_SILENT = ("It did not answer in time.", "Check again. If this stays, press Open again.")
 
 
 @dataclass(frozen=True)
@@ -88,10 +89,14 @@ def check_readiness(
     """
     bench = session.bench
     checks = [_station(session), *_stage(bench), *_light(bench), *_camera(bench)]
-    checks += _recording(session, bench)
-    if sequence is not None:
-        checks.append(_sequence(sequence, station_file or session.station.file))
-    return checks
+    if sequence is None:
+        return [*checks, *_recording(session, bench, None)]
+    of_sequence, plan = _sequence(sequence, station_file or session.station.file)
+    step, flicker = _first_recording(plan)
+    checks += _recording(session, bench, step)
+    if flicker is not None:
+        checks.append(_light_of_sequence(session, bench, flicker))
+    return [*checks, of_sequence]
 
 
 def _station(session: Session) -> Check:
@@ -161,8 +166,8 @@ def _camera(bench: Bench) -> list[Check]:
     return [_made("camera: identity", identity), _made("camera: settings", settings)]
 
 
-def _recording(session: Session, bench: Bench) -> list[Check]:
-    """Make one recording as a run does it, and judge it by the gates that a sequence has by default."""
+def _recording(session: Session, bench: Bench, step: RecordStep | None) -> list[Check]:
+    """Make one recording as a run does it, and judge it by the gates of a step, or those that a step has by default."""
     reading = bench.light.reading
     if not reading.on or reading.settings is None:
         return [Check("recording", "open", "The light is off.", "Switch the light on, then check again.")]
@@ -171,7 +176,7 @@ def _recording(session: Session, bench: Bench) -> list[Check]:
     kind = camera_kind(session.station.value)
     frequency_hz = reading.settings.frequency_hz
     folder = Path(tempfile.mkdtemp(prefix="starbench-check-"))
-    step = _step(reading.settings.waveform)
+    step = step or _step(reading.settings.waveform)
     path = folder / f"check{kind.ending}"
     try:
         facts = bench.loop.on_camera(
@@ -179,9 +184,11 @@ def _recording(session: Session, bench: Bench) -> list[Check]:
         ).result(timeout=ANSWER_S + 2 * step.window_ms * 1e-3)
         found = kind.measure(path, step, frequency_hz, session.station.value.target.pattern(), None)
         gates, others = kind.judge(asdict(facts), step, frequency_hz, found)
-    except (*FORESEEN, TimeoutError) as error:
+    except TimeoutError:
+        return [Check("recording", "bad", *_SILENT)]
+    except FORESEEN as error:
         failure = Failure.of(error)
-        return [Check("recording", "bad", failure.what or "The camera did not answer.", failure.remedy)]
+        return [Check("recording", "bad", failure.what, failure.remedy)]
     finally:
         shutil.rmtree(folder, ignore_errors=True)
     checks = []
@@ -226,23 +233,57 @@ def _gate(gate: Gate) -> Check:
     return Check(f"recording: {gate.name}", "bad" if bad else "good", found, remedy if bad else "")
 
 
-def _sequence(sequence: str, station_file: str) -> Check:
+def _sequence(sequence: str, station_file: str) -> tuple[Check, Plan | None]:
     """Plan a sequence on the station, without devices."""
-
-    def planned() -> Check:
+    try:
         plan = make_plan(*load_documents(sequence, station_file))
-        if plan.faults:
-            more = f" And {len(plan.faults) - 1} more." if len(plan.faults) > 1 else ""
-            return Check("sequence", "bad", f"{plan.faults[0]}{more}", "Correct the file.")
-        return Check("sequence", "good", f"{len(plan.poses)} poses, about {plan.duration_s / 60:.0f} min.")
+    except FORESEEN as error:
+        return Check("sequence", "bad", Failure.of(error).what, "Correct the file."), None
+    if plan.faults:
+        more = f" And {len(plan.faults) - 1} more." if len(plan.faults) > 1 else ""
+        return Check("sequence", "bad", f"{plan.faults[0]}{more}", "Correct the file."), plan
+    found = f"{len(plan.poses)} poses, about {plan.duration_s / 60:.0f} min."
+    return Check("sequence", "good", found), plan
 
-    return _made("sequence", planned)
+
+def _first_recording(plan: Plan | None) -> tuple[RecordStep | None, Flicker | None]:
+    """Return the first step of a plan that records, and the light that it has then."""
+    flicker = None
+    for step in plan.script if plan is not None else ():
+        if isinstance(step, LightStep):
+            flicker = step.flicker
+        elif isinstance(step, RecordStep):
+            return step, flicker
+    return None, None
+
+
+def _light_of_sequence(session: Session, bench: Bench, wanted: Flicker) -> Check:
+    """Compare the light of a sequence with the present one, with which the recording was made."""
+    wanted = camera_kind(session.station.value).light_for(wanted)
+    found = bench.light.reading.settings
+    expected = session.station.value.light.settings(wanted)
+    name = "light of the sequence"
+    if found == expected:
+        return Check(name, "good", "The light is set as the sequence sets it.")
+    text = f"The sequence has {_light_text(expected)}; the light has {_light_text(found) if found else 'no settings'}."
+    return Check(
+        name, "open", text, "Set the light as the sequence does, or write it into the sequence; check again."
+    )
+
+
+def _light_text(settings: LightSettings) -> str:
+    if settings.waveform == "steady":
+        return f"a steady {settings.high_v:.3g} V"
+    flicker = f"{settings.waveform} {settings.frequency_hz:g} Hz, duty {settings.duty_percent:g} %"
+    return f"{flicker}, {settings.high_v:.3g} V"
 
 
 def _made(name: str, check: Callable[[], Check]) -> Check:
     """Make a check; an error of its device is its result."""
     try:
         return check()
-    except (*FORESEEN, BenchError, TimeoutError) as error:
+    except TimeoutError:
+        return Check(name, "bad", *_SILENT)
+    except FORESEEN as error:
         failure = Failure.of(error)
-        return Check(name, "bad", failure.what or "It did not answer in time.", failure.remedy or _NO_REMEDY)
+        return Check(name, "bad", failure.what, failure.remedy or _NO_REMEDY)

@@ -170,9 +170,10 @@ def propose_pose(
     *,
     poses: str | None = None,
     name: str | None = None,
+    light: Mapping[str, str] | None = None,
     target: Path | None = None,
 ) -> Proposal:
-    """Propose to add a pose to a list of a sequence.
+    """Propose to add a pose to a list of a sequence, and to set its light.
 
     Parameters
     ----------
@@ -184,6 +185,8 @@ def propose_pose(
         Name of the list; None for the first list of the file. A list that does not exist is made.
     name
         Name of the pose; None for none.
+    light
+        YAML text by key of ``defaults.light``; None leaves the light as it is.
     target
         New file to write instead; needed where the source must not be changed.
 
@@ -226,6 +229,8 @@ def propose_pose(
         pose[f"{axis}_deg"] = plain_number(angle_deg, 4)
     pose.fa.set_flow_style()
     found.append(pose)
+    for key, text in (light or {}).items():
+        _put(document, ("defaults", "light", key), text)
     return _proposal(source, target, before, _dumped(document, yaml), SequenceFile, notes)
 
 

@@ -373,7 +373,7 @@ at("propose").addEventListener("click", () => propose({
   what: [...document.querySelectorAll("[name=what]:checked")].map((box) => box.value),
 }));
 at("propose-pose").addEventListener("click", () => propose({
-  kind: "pose", sequence: at("sequence").value.trim(), name: at("pose-name").value.trim(), copy: at("sequence-copy").value.trim(),
+  kind: "pose", sequence: at("sequence").value.trim(), name: at("pose-name").value.trim(), copy: at("sequence-copy").value.trim(), light: at("pose-light").checked,
 }));
 at("write").addEventListener("click", write);
 at("cancel").addEventListener("click", () => at("change").close());

@@ -152,3 +152,29 @@ def test_hands_do_only_what_hands_can_do(action, numbers):
 def test_a_refused_order_is_said(answer):
     with pytest.raises(ControlRefused, match=r"did not answer|f_number"):
         SimulatedHands(Simulation(answer)).do("lens aperture", {"f_number": 0.0})
+
+
+def test_a_sequence_is_planned_and_its_light_compared_with_the_present_one(opened, monkeypatch):
+    session, _ = opened
+    session.light(on=True, frequency_hz=60.0)
+    kind = Kind([])
+    kind.light_for = lambda flicker: flicker
+    monkeypatch.setattr(readiness, "camera_kind", lambda _station: kind)
+    found = {one.name: one for one in check_readiness(session, sequence="three_pose")}
+    assert found["sequence"].verdict == "good"
+    assert found["light of the sequence"].verdict == "good"
+    session.light(frequency_hz=80.0, level_percent=40.0)
+    found = {one.name: one for one in check_readiness(session, sequence="three_pose")}
+    assert found["light of the sequence"].verdict == "open"
+    assert "square 60 Hz" in found["light of the sequence"].found
+    assert "square 80 Hz" in found["light of the sequence"].found
+
+
+def test_a_sequence_that_cannot_run_is_red(opened, tmp_path):
+    path = tmp_path / "s.yaml"
+    path.write_text(
+        "format: starbench/sequence/1\nname: far\nsteps: [light, {move: {pan_deg: 99}}, record]\n"
+    )
+    found = {one.name: one for one in check_readiness(opened[0], sequence=str(path))}
+    assert found["sequence"].verdict == "bad"
+    assert "99" in found["sequence"].found

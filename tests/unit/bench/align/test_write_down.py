@@ -185,3 +185,13 @@ def test_exposure_and_gain_of_a_frame_camera_are_written(tmp_path):
     shutil.copy(SHIPPED_STATIONS / "simulated_frames.yaml", path)
     values, _ = station_values(load_station(str(path)).value, frame={"exposure": -6.5, "gain": None})
     assert _changed(propose_values(path, values, Station)) == ["+  exposure: -6.5"]
+
+
+def test_the_light_goes_into_the_defaults_of_the_sequence(tmp_path):
+    path = tmp_path / "nine.yaml"
+    shutil.copy(SEQUENCES / "three_pose.yaml", path)
+    light = {"waveform": "square", "frequency_hz": "80", "level_percent": "40"}
+    changed = _changed(propose_pose(path, {"pan": 1.0}, light=light))
+    assert "+    - {pan_deg: 1}" in changed
+    assert any(line.startswith("+  light:") and "frequency_hz: 80" in line for line in changed)
+    assert any("level_percent: 40" in line for line in changed)
