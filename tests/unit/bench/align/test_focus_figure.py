@@ -90,3 +90,9 @@ def test_the_trend_by_sharpness_alone():
         course.add(0.4 * number, FocusFigures(sharpness=0.1 + 0.02 * number))
     assert course.trend() == "better"
     assert FocusCourse().trend() == ""
+
+
+def test_edges_that_look_sharp_in_dim_light_do_not_count():
+    found = figures_of(fired(seen(bench(circle_px=13.0)), level_percent=10.0))
+    assert found.regions["centre"] < 2.2  # thresholded edges of stars
+    assert found.edge_width_px == pytest.approx(13.0 / 4.0, abs=0.6)
