@@ -1,0 +1,41 @@
+"""A run on a station with a target of its own: another family, another polarity, other squares."""
+
+import json
+
+import pytest
+from quick_runs import THREE, write_sequence, write_station
+from running import results, starbench
+
+TARGET = """\
+target: {squares: [40, 44], pitch_mm: 4.5, segments: 12, tag_family: 25h9, tag_id: 7, tag_square: [18, 20], polarity: negative}
+"""
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("own")
+    station = write_station(folder / "station.yaml", more=TARGET)
+    sequence = write_sequence(folder / "sequence.yaml", THREE)
+    said = starbench(
+        *("run", sequence, "-s", station, "--seed", 5, "-o", folder / "run"),
+        home=tmp_path_factory.mktemp("home"),
+    )
+    assert said.returncode == 0, said.stderr
+    return folder / "run"
+
+
+@pytest.mark.slow
+def test_the_camera_is_calibrated_with_the_station_s_own_target(finished):
+    told = results(finished)
+    assert told["truth"]["target"]["tag_family"] == "25h9"
+    assert told["truth"]["reticle"]["polarity"] == "negative"
+    (fx,) = [row for row in told["comparison"] if row["name"] == "fx"]
+    assert abs(fx["error"]) < 0.01 * fx["truth"]  # three poses of a small sensor
+    assert told["calibration"]["rms_px"] < 0.06
+    assert sum(view["n"] for view in told["calibration"]["views"]) > 400
+
+
+@pytest.mark.slow
+def test_the_export_describes_it(finished):
+    pattern = json.loads((finished / "exports" / "metavision.json").read_text())["pattern"]
+    assert (pattern["n_cols"], pattern["n_rows"], pattern["square_width"]) == (40, 44, pytest.approx(0.0045))
