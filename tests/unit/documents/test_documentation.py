@@ -11,6 +11,7 @@ from station_texts import PLAIN
 from bench.plan.plan import load_documents, make_plan
 from bench.plan.script_check import check_script
 from bench.stations.station import Station
+from bench.stations.station_target import DrawingConfig, TargetConfig
 from sequences.flatten import flatten
 from sequences.reader import check_document, read_document
 from sequences.schema import (
@@ -89,6 +90,19 @@ def test_every_key_of_a_station_is_named_in_the_document():
     for inner in schema["$defs"].values():
         gather(inner)
     assert sorted(key for key in keys if key not in DOCS["stations"]) == []
+
+
+def test_every_key_of_a_target_is_explained_in_its_document():
+    document = (ROOT / "docs" / "target.md").read_text(encoding="utf-8")
+    drawing = (ROOT / "docs" / "pictures" / "target-keys.svg").read_text(encoding="utf-8")
+    for key in (*TargetConfig.model_fields, *DrawingConfig.model_fields):
+        assert f"| `{key}` |" in document or key == "drawing", key
+        shown = key in drawing or key in {"description", "units", "mirrored", "drawing"}
+        assert shown, key
+    example = re.search(r"```yaml\n(target:\n.*?)```", document, re.DOTALL)
+    kept = [line for line in PLAIN.splitlines() if not line.startswith("target:")]
+    text = "\n".join(kept) + "\n" + example[1]
+    assert check_document(text.encode(), "example", Station).value.target.serial == "R-7"
 
 
 def test_the_shipped_sequences_suit_the_example_station():
