@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import math
 import shutil
-import tempfile
 import threading
 import time
 from collections import deque
@@ -24,6 +23,7 @@ from numpy.typing import NDArray
 
 from bench.align.live_figures import LiveFigures, LiveSetting, LiveSlice
 from bench.align.meter import Meter
+from bench.align.slice_folder import make_slice_folder
 from bench.base.clock import Aborted
 from bench.base.failure import Failure
 from bench.stations.devices import Camera
@@ -118,7 +118,7 @@ class LiveLoop:
         self._setting = setting
         self._reading_deg = reading_deg
         self._on_picture = on_picture
-        self._folder = Path(tempfile.mkdtemp(prefix="starbench-align-"))
+        self._folder = make_slice_folder()
         self._meter = meter
         self._wake = threading.Condition()
         self._waiting: _Slice | None = None
