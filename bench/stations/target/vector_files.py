@@ -54,10 +54,9 @@ def svg(drawing: Drawing, units: str) -> bytes:
         ),
         f"<title>{escape(drawing.title)}</title>",
         (
-            "<desc>Black is opaque. Origin in the middle of the glass, X right, Y down, as the camera sees it."
+            "<desc>What is filled is opaque. Origin in the middle of the glass, X right, Y down, as the camera sees it."
             f" Unit of the coordinates: {units}.</desc>"
         ),
-        f'<rect id="glass" {edge} fill="#fff"/>',
     ]
     for part in drawing.parts:
         lines.append(f'<g id="{part.name}" fill="#000">')
