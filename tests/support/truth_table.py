@@ -81,6 +81,8 @@ class Row:
         How often each pose is recorded.
     reticle
         Errors of the print.
+    only_noise
+        Whether the readings have errors of .002 degrees alone, and the station states a scale without error.
     """
 
     name: str
@@ -91,6 +93,7 @@ class Row:
     asked: Asked
     times: int = 1
     reticle: ReticleTruth = field(default_factory=ReticleTruth)
+    only_noise: bool = False
 
 
 @dataclass(frozen=True)
@@ -144,7 +147,9 @@ def gimbal_errors(seed: int) -> GimbalTruth:
     )
 
 
-def readings(bench: DrawnBench, bound: ParallaxBound | None) -> GimbalReadings:
+def readings(
+    bench: DrawnBench, bound: ParallaxBound | None, scale_sigma: float = SCALE_SIGMA
+) -> GimbalReadings:
     """Return the readings of a bench as its station states them: .002 degrees.
 
     Parameters
@@ -153,13 +158,15 @@ def readings(bench: DrawnBench, bound: ParallaxBound | None) -> GimbalReadings:
         The drawn bench.
     bound
         Bound of the parallax, if the station states one.
+    scale_sigma
+        Standard uncertainty of the scales that the station states.
 
     Returns
     -------
     GimbalReadings
         Readings of all views.
     """
-    return GimbalReadings(tuple(bench.readings_deg), 0.002, SCALE_SIGMA, 0.001, bound, "drawn")
+    return GimbalReadings(tuple(bench.readings_deg), 0.002, scale_sigma, 0.001, bound, "drawn")
 
 
 def _plain(model: str = "auto", radial_sigma: float | None = None) -> Choose:
@@ -167,7 +174,7 @@ def _plain(model: str = "auto", radial_sigma: float | None = None) -> Choose:
     return lambda _bench, _rng: CalibrationOptions(model=model, radial_sigma=radial_sigma)  # type: ignore[arg-type]
 
 
-def _with_readings(off_pivot_mm: float, *, bounded: bool = True, model: str = "auto") -> Choose:
+def _with_readings(off_pivot_mm: float, *, bounded: bool = True, scale_sigma: float = SCALE_SIGMA) -> Choose:
     """Return options with readings; the values of the bound are drawn with their uncertainty."""
 
     def options(bench: DrawnBench, rng: np.random.Generator) -> CalibrationOptions:
@@ -175,7 +182,9 @@ def _with_readings(off_pivot_mm: float, *, bounded: bool = True, model: str = "a
         bound = ParallaxBound(
             truth.defocus + 0.01 * rng.normal(), 0.01, off_pivot_mm + 0.5 * rng.normal(), 0.5
         )
-        return CalibrationOptions(model=model, gimbal=readings(bench, bound if bounded else None))  # type: ignore[arg-type]
+        return CalibrationOptions(
+            model="auto", gimbal=readings(bench, bound if bounded else None, scale_sigma)
+        )
 
     return options
 
@@ -186,7 +195,8 @@ def _certified(_bench: DrawnBench, rng: np.random.Generator) -> CalibrationOptio
     return CalibrationOptions(model="auto", passport=Passport.of_radius(r + sigma * rng.normal(), sigma))
 
 
-_READINGS_9 = Asked(2.5, (2.0, 3.0), 150.0)
+_READINGS_9 = Asked(2.5, (0.0, 3.0), 150.0)
+_READINGS_25 = Asked(1.3, (0.0, 1.5), 60.0)
 _CERTIFICATE = Asked(4.0, (4.0, 6.0), 250.0)
 _UNBOUND = Asked(None, (60.0, np.inf))
 
@@ -200,8 +210,19 @@ ROWS: Sequence[Row] = (
         _plain(radial_sigma=FLAT),
         Asked(1.0, (0.0, 1.5), 40.0),
     ),
-    Row("S3", "S3, readings .002 deg, 9 poses", "S3", 9, _with_readings(0.0), _READINGS_9),
-    Row("S3-25", "S3, the same, 25 poses", "S3", 25, _with_readings(0.0), Asked(1.3, (0.0, 1.5), 60.0)),
+    *(
+        Row(
+            f"S3{short}{'-noise' if noise else ''}",
+            f"S3, readings .002 deg{', noise alone' if noise else ''}, {poses} poses",
+            "S3",
+            poses,
+            _with_readings(0.0, scale_sigma=1e-6 if noise else SCALE_SIGMA),
+            asked,
+            only_noise=noise,
+        )
+        for noise in (True, False)
+        for short, poses, asked in (("", 9, _READINGS_9), ("-25", 25, _READINGS_25))
+    ),
     *(
         Row(
             f"{profile}-certificate", f"{profile}, certificate, 9 poses", profile, 9, _certified, _CERTIFICATE
@@ -262,7 +283,8 @@ def solve(row: Row, seed: int) -> Solved:
     Solved
         Errors and expanded uncertainty.
     """
-    drawn: dict[str, Any] = {"gimbal": gimbal_errors(seed), "reticle": row.reticle, "common_share": 0.4}
+    gimbal = GimbalTruth(reading_sigma_deg=0.002, seed=seed) if row.only_noise else gimbal_errors(seed)
+    drawn: dict[str, Any] = {"gimbal": gimbal, "reticle": row.reticle, "common_share": 0.4}
     poses = NINE if row.poses == 9 else POSES[row.poses]
     bench = draw_repeats(row.profile, poses, seed, row.times, **drawn)
     found = calibrate(bench.views, row.options(bench, np.random.default_rng((seed, 12))))

@@ -7,6 +7,8 @@ import pytest
 
 from calib.engine import CalibrationOptions, calibrate
 from calib.errors import DegenerateViews
+from calib.fit import fit_model
+from calib.uncertainty.passport_propagation import add_parallax
 from calib.view import View
 
 
@@ -85,3 +87,13 @@ def test_more_parameters_than_measurements_are_refused(bench):
     few = [corners(view) for view in bench.views()[:2]]
     with pytest.raises(DegenerateViews, match="16 measurements cannot determine 21 parameters"):
         calibrate(few, CalibrationOptions(distortion="rational"))
+
+
+@pytest.mark.parametrize(("term", "share"), [("pupil_shift", 0.01), ("field_curve", 0.0)])
+def test_an_unbounded_parallax_enters_unless_the_model_has_the_focus_over_the_field(bench, term, share):
+    fit = fit_model(bench.views(np.random.default_rng(31), 0.02), CalibrationOptions(), "spherical")
+    collimator = replace(fit.parameters.collimator, aberrations={term: 0.1}, reference=(0.0, 0.0, 255.0))
+    parameters = replace(fit.parameters, collimator=collimator)
+    wider = add_parallax(parameters, fit.uncertainty, 0.01)
+    added = np.diag(wider.covariance - fit.uncertainty.covariance)
+    assert added[wider.names.index("fx")] == pytest.approx((share * parameters.camera.fx) ** 2)
