@@ -57,6 +57,7 @@ def test_a_person_looks_jogs_stops_and_writes_down(chromium, bench, tmp_path):
     one.tab.click("[data-axis=pan] .plus")
     one.wait_text("[data-axis=pan] .deg", "0.500°")
     one.tab.select_option("#step", "5")
+    devices.stage.step_deg = 0.005
     one.tab.click("[data-axis=tilt] .minus")
     wait_until(lambda: devices.stage.at["tilt"] < 0)
     one.tab.click("#stop")
@@ -111,6 +112,7 @@ def test_a_reload_in_motion_stops_the_stage_and_the_page_comes_back_with_its_con
     server, session, devices = bench
     one = Tab(chromium, server.url)
     one.wait("alignStats.images > 0")
+    devices.stage.step_deg = 0.005
     one.tab.select_option("#step", "5")
     one.tab.click("[data-axis=pan] .plus")
     wait_until(lambda: session.bench.stage.moving)

@@ -20,6 +20,7 @@ class FakeStage:
     def __init__(self):
         self.limits = {"pan": AxisLimits(-15, 15, 10, 100), "tilt": AxisLimits(-10, 10, 10, 100)}
         self.at = {"pan": 0.0, "tilt": 0.0}
+        self.step_deg = 0.05  # in 5 ms; a test of a stop in motion makes it smaller
         self.homed = True
         self.calls = []
         self.stops = 0
@@ -51,8 +52,9 @@ class FakeStage:
             if self.stops != stops:
                 raise MoveFailed("stopped on request.", where="stage")
             for name, goal in target_deg.items():
-                step = max(-0.05, min(0.05, goal - self.at[name]))
-                self.at[name] = goal if abs(goal - self.at[name]) <= 0.05 else self.at[name] + step
+                most = self.step_deg
+                step = max(-most, min(most, goal - self.at[name]))
+                self.at[name] = goal if abs(goal - self.at[name]) <= most else self.at[name] + step
         if self.fault:
             raise MoveFailed(f"{self.fault}.", where="pan", remedy="Free the axis.")
 

@@ -246,7 +246,7 @@ function showPicture(next) {
   if (state && state.devices.state === "open") {
     showAdvice(f.advice.length ? f.advice : ["This picture needs no improvement. Check below whether the bench is ready for a run."]);
   }
-  setText(at("rates"), `Picture ${next.number}: ${next.images_per_s.toFixed(1)} pictures/s, stars ${next.stars_per_s.toFixed(1)} times/s; recorded in ${Math.round(next.record_ms)} ms, measured in ${Math.round(next.measure_ms)} ms`);
+  setText(at("rates"), `Picture ${next.number}${f.image_kind === "none" ? "" : ` (${f.image_kind})`}: ${next.images_per_s.toFixed(1)} pictures/s, stars ${next.stars_per_s.toFixed(1)} times/s; recorded in ${Math.round(next.record_ms)} ms, measured in ${Math.round(next.measure_ms)} ms`);
   showFigures(f);
   showTurn(f);
   fetchImage();

@@ -19,11 +19,11 @@ export function showFigures(f) {
     ["Flicker by triggers", digits(f.trigger_hz, 2), "Hz"],
     ["Flicker by events", digits(f.event_hz, 2), "Hz"],
     ["Jitter of the sync", digits(f.jitter_us, 1), "µs"],
+    ["Jitter of the events", digits(f.event_jitter_us, 1), "µs"],
     ["Hot pixels", f.hot_pixels, ""],
     ["Contrast", percent(f.contrast), "%"],
     ["Saturated", percent(f.saturation, 1), "%"],
     ["Sensor", digits(f.temperature_c, 1), "°C"],
-    ["Image", f.image_kind === "none" ? null : f.image_kind, ""],
   ]);
   showFocus(f);
   const turn = f.turn || {}, inPx = turn.unit === "px";

@@ -75,6 +75,7 @@ def bench(tmp_path):
 
 @pytest.fixture
 def page(bench):
+    bench[2].stage.step_deg = 0.02
     one = Page(bench[0], ONE)
     yield one
     one.close()
