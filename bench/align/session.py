@@ -131,7 +131,7 @@ class Session:
             self._opening = False
             self.changes.tell()
         if self._bench is not None:
-            self.say("All devices are open. Nothing moves, and the light is as it was.")
+            self.say("All devices are open. Nothing was moved, and the light was not switched.")
             self._watch()
         return self._failure
 

@@ -75,7 +75,7 @@ function showState(next) {
 }
 
 function waitingText() {
-  if (state.devices.state === "opening") return ["Opening the devices. Nothing moves."];
+  if (state.devices.state === "opening") return ["Opening the devices. Nothing is moved."];
   if (state.devices.state === "failed") return ["The devices are not open. See above."];
   return ["The devices are closed."];
 }
