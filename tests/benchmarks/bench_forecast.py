@@ -4,7 +4,7 @@
 
 Each row is a profile of the collimator, a number of poses, and what is known besides the views. ``radial``: nothing.
 ``certificate``: r = 255 +- .05 mm. ``readings``: readings of the gimbal of .002 degrees, with the bounds of their
-parallax; S1 and S2 have none, so readings do not enter there. Columns: expected U(fx); median of the stated U(fx) and
+parallax; S1 and S2 have none, so readings do not enter there. ``both``: certificate and readings. Columns: expected U(fx); median of the stated U(fx) and
 their ratio; the same for the largest U at the corners; root mean square of the errors of fx, and how many times larger
 the expected U is. The last line counts the rows with a forecast within a factor of 2.
 
@@ -54,17 +54,15 @@ BOUNDS = {
     "S3": ParallaxBound(0.066, 0.01, 0.0, 0.5),
     "like-bench": ParallaxBound(0.066, 0.01, 2.0, 0.5),
 }
-ASKED = ("radial", "certificate", "readings")
+ASKED = ("radial", "certificate", "readings", "both")
 FACTOR = 2.0
 
 
 def known(asked: str, profile: str) -> tuple[Passport | None, GimbalReadings | None]:
     """What is known besides the views: a certificate, or readings without their angles."""
-    if asked == "certificate":
-        return Passport.of_radius(255.0, 0.05), None
-    if asked == "readings":
-        return None, GimbalReadings((), 0.002, parallax=BOUNDS.get(profile), source="drawn")
-    return None, None
+    passport = Passport.of_radius(255.0, 0.05) if asked in ("certificate", "both") else None
+    readings = GimbalReadings((), 0.002, parallax=BOUNDS.get(profile), source="drawn")
+    return passport, readings if asked in ("readings", "both") else None
 
 
 def expected(profile: str, poses: int, asked: str) -> Forecast:
