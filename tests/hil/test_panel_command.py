@@ -1,0 +1,82 @@
+"""The command `panel` as an operator types it: the address first, a quiet end, and clear words if it cannot begin."""
+
+from __future__ import annotations
+
+import re
+import signal
+import socket
+from pathlib import Path
+
+import httpx
+import pytest
+from journals import MadeRun
+from running import starbench, start
+
+TOKEN = "0123456789abcdef"
+
+
+@pytest.fixture
+def root(tmp_path):
+    run = MadeRun(tmp_path / "runs" / "run7").begin()
+    run.record(1)
+    return run.folder.parent
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_the_first_line_is_the_address_and_ctrl_c_ends_it_quietly(root, tmp_path, number):
+    process = start("panel", root, "--no-browser", home=tmp_path)
+    try:
+        url = process.stdout.readline().strip()
+        assert re.fullmatch(r"http://127\.0\.0\.1:\d+/", url)
+        assert "Runs and batches" in httpx.get(url).text
+        with httpx.stream(
+            "GET", f"{url}api/run/run7/events"
+        ) as stream:  # an open page does not delay the end
+            next(stream.iter_lines())
+            process.send_signal(number)
+            out, err = process.communicate(timeout=20)
+    finally:
+        process.kill()
+        process.communicate()
+    assert (process.returncode, out, err.strip()) == (130, "", "Stopped.")
+
+
+def test_a_port_in_use_is_named(root, tmp_path):
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", 0))
+        taken.listen()
+        port = taken.getsockname()[1]
+        found = starbench("panel", root, "--no-browser", "--port", port, home=tmp_path)
+    assert (found.returncode, found.stdout) == (2, "")
+    assert f"Port {port} is in use by another program." in found.stderr
+    assert found.stderr.count("\n") == 1
+
+
+def test_other_computers_need_a_token_which_no_address_holds(root, tmp_path, monkeypatch):
+    refused = starbench("panel", root, "--no-browser", "--host", "0.0.0.0", home=tmp_path)
+    assert refused.returncode == 2
+    assert "need a token" in refused.stderr
+    monkeypatch.setenv("STARBENCH_PAGE_TOKEN", TOKEN)
+    process = start("panel", root, "--no-browser", "--host", "0.0.0.0", home=tmp_path)
+    try:
+        url = process.stdout.readline().strip()
+        assert TOKEN not in url
+        local = f"http://127.0.0.1:{url.rsplit(':', 1)[1]}"
+        assert httpx.get(f"{local}api/run/run7/state").status_code == 401
+        signed = {"Authorization": f"Bearer {TOKEN}"}
+        assert httpx.get(f"{local}api/run/run7/state", headers=signed).status_code == 200
+        options = Path(f"/proc/{process.pid}/cmdline")
+        if options.exists():
+            assert TOKEN not in options.read_text()
+        process.send_signal(signal.SIGINT)
+        out, err = process.communicate(timeout=20)
+    finally:
+        process.kill()
+        process.communicate()
+    assert TOKEN not in out + err
+
+
+def test_a_folder_that_is_not_there_is_named(tmp_path):
+    found = starbench("panel", tmp_path / "nowhere", "--no-browser", home=tmp_path)
+    assert found.returncode == 2
+    assert "There is no such folder." in found.stderr
