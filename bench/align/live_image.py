@@ -87,7 +87,8 @@ def read_image(path: Path, setting: LiveSetting, *, compare: bool = True) -> Liv
 def show(values: NDArray[np.float32]) -> NDArray[np.uint8]:
     """Return the picture for the screen: stretched between its quantiles, with faint parts made brighter.
 
-    Own tone map: 255 u^`GAMMA`, where u is the stretched value (gamma correction: Poynton, 2012).
+    Own tone map: 255 u^`GAMMA`, where u is the stretched value (gamma correction: Poynton, Digital
+    Video and HD, 2012).
 
     Parameters
     ----------

@@ -22,6 +22,8 @@ REDUCED, CLOSING = 192, 0.06
 LIT = 0.35
 #: Least share of the frame that is lit, and least length of the rim, cells.
 MIN_LIT, MIN_RIM = 0.002, 12
+#: Least share of the frame that is dark for a circle. Closing the print's gaps rounds smaller dark corners off.
+MIN_DARK = 0.04
 #: Largest rms distance of the rim from its circle, as a share of the radius, and largest radius, frame diagonals.
 MAX_OFF, MAX_RADIUS = 0.1, 4.0
 
@@ -91,7 +93,7 @@ def find_beam(image: NDArray[np.generic], *, least: float = 0.0) -> Beam:
     rim = _rim(lit)
     if len(rim) < MIN_RIM:
         return Beam(share, False, None, None, lit, scale)
-    circle = _circle(rim, lit)
+    circle = _circle(rim, lit) if share <= 1.0 - MIN_DARK else None
     if circle is None:
         return Beam(share, True, None, None, lit, scale)
     (x, y), radius = circle

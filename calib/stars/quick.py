@@ -1,8 +1,8 @@
 """Stars for a live picture: the same search as `calib.stars.detect`, without likelihood and covariances.
 
 The centres are those of symmetry, refined once: good to some hundredths of a pixel if the image is in focus. Stars
-that nothing identifies are returned too, without ids. The module serves to aim and to focus; no estimate of a camera
-uses it.
+that nothing identifies are returned too, without ids, if they are in focus. The module serves to aim and to focus; no
+estimate of a camera uses it.
 """
 
 from __future__ import annotations
@@ -68,7 +68,8 @@ def find_stars_quickly(image: NDArray[np.generic], target: StarTarget) -> QuickS
     Returns
     -------
     QuickStars
-        In no particular order; with no stars if fewer than `MIN_STARS` of them are seen.
+        In no particular order; with no stars if fewer than `MIN_STARS` of them are seen, or if they are out of focus
+        and nothing identifies them.
 
     Raises
     ------
@@ -97,7 +98,8 @@ def find_stars_quickly(image: NDArray[np.generic], target: StarTarget) -> QuickS
     candidates, _, local_map, blurred = refine_candidates(
         smoothed, Candidates(nodes, grown.places()), target, start.sign, COARSE_STEP_PX
     )
-    if len(candidates.nodes) < MIN_STARS:
+    # Far out of focus, the pattern shows again with its contrast reversed: shapes that are learnt there are no stars.
+    if len(candidates.nodes) < MIN_STARS or (blurred and not named_by):
         return _none(tag)
     nodes = candidates.nodes
     ids = target.id_at(nodes[:, 0], nodes[:, 1]) if named_by else np.full(len(nodes), -1, np.int64)

@@ -64,3 +64,10 @@ def test_hot_pixels_are_no_beam():
 def test_small_images_do_not_fail(shape):
     assert find_beam(np.zeros(shape)).share == 0.0
     assert find_beam(np.ones(shape)).share == 1.0
+
+
+def test_dark_corners_show_a_rim_but_no_circle():
+    beam = find_beam(fired(seen(bench(), pan=1.0)))
+    assert beam.rim_in_view
+    assert (beam.centre_px, beam.radius_px) == (None, None)
+    assert beam.share > 0.96

@@ -52,3 +52,9 @@ def test_an_image_without_a_pattern_has_no_stars(image):
 def test_another_tag_is_said(truth):
     with pytest.raises(TargetNotFound, match="tags seen instead: 3"):
         find_stars_quickly(fired(seen(truth)), dataclasses.replace(TARGET, tag_id=7))
+
+
+def test_shapes_far_out_of_focus_are_no_stars():
+    share = seen(bench(circle_px=24.0), pan=1.0)
+    assert np.ptp(share) > 0.3  # the pattern shows, with its contrast reversed
+    assert len(find_stars_quickly(share, TARGET).ids) == 0
