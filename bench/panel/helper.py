@@ -92,6 +92,7 @@ class Helper:
     def _exchange(self, request: Json) -> Answer:
         process = self._process
         if process is None or process.poll() is not None:
+            self._end()
             process = self._process = _start()
         assert process.stdin is not None
         assert process.stdout is not None

@@ -13,7 +13,8 @@ from bench.run.last_view import LastView
 Json = dict[str, Any]
 Array = NDArray[np.float64]
 
-_ORDER = 3
+_ORDERS = (5, 3)
+_STARS_A_TERM = 2
 _DIGITS = 3
 _PNG_SIZE = struct.Struct(">16xII")
 """Width and height in the first bytes of a PNG file (ISO/IEC 15948, 11.2.2)."""
@@ -60,9 +61,10 @@ def own_residuals(size: tuple[int, int], nodes: Array, points_px: Array) -> Json
 
 
 def smooth_residuals(nodes: Array, points_px: Array) -> Array | None:
-    """Return what a polynomial of third order from the target to the image leaves of the stars' places.
+    """Return what a polynomial from the target to the image leaves of the stars' places.
 
-    It follows perspective and distortion closely enough to show single stars that are wrong; it is no calibration.
+    It is of fifth order, or of third order if there are few stars. It follows perspective and distortion closely enough
+    to show single stars that are wrong; it is no calibration.
 
     Parameters
     ----------
@@ -76,12 +78,12 @@ def smooth_residuals(nodes: Array, points_px: Array) -> Array | None:
     numpy.ndarray or None
         (N, 2) float64, px; None if there are too few stars for it.
     """
-    terms = (_ORDER + 1) * (_ORDER + 2) // 2
-    if len(nodes) < 2 * terms:
+    order = next((n for n in _ORDERS if len(nodes) >= _STARS_A_TERM * (n + 1) * (n + 2) // 2), None)
+    if order is None:
         return None
     centred = nodes - nodes.mean(axis=0)
     x, y = (centred / max(float(np.abs(centred).max()), 1e-9)).T
-    powers = [x**i * y**j for i in range(_ORDER + 1) for j in range(_ORDER + 1 - i)]
+    powers = [x**i * y**j for i in range(order + 1) for j in range(order + 1 - i)]
     design = np.column_stack(powers)
     fitted, *_ = np.linalg.lstsq(design, points_px, rcond=None)
     return np.asarray(points_px - design @ fitted)
