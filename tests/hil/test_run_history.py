@@ -27,12 +27,17 @@ def test_every_run_is_entered_listed_and_compared(tmp_path):
     assert said.returncode == 0, said.stderr
     assert results(whole)["run"]["ledger"]["number"] == 2
     assert results(whole)["run"]["ledger"]["of_camera"] == {"open": 2}
-    assert "run 2; runs of this camera, including this one: 2 open" in (whole / "report.html").read_text()
+    assert (
+        "2 of this bench; earlier runs of this camera: 1 without an end"
+        in (whole / "report.html").read_text()
+    )
     assert starbench("resume", killed, home=home).returncode == 0
     first, second = Ledger(home, **CLOCKS).runs()
     assert (first.how, second.how) == ("finished", "finished")
     assert first.seal is not None
     assert first.seal != second.seal
+    # Neither was calibrated when the other one began.
+    assert [results(run)["previous"]["run"] for run in (killed, whole)] == [None, None]
     assert journal(killed)[0]["ledger"]["head"] == read_journal(home / "ledger.jsonl")[0][0].hash
 
     status, told = listed(home)
