@@ -33,9 +33,10 @@ from drivers.errors import DriverError
 
 SHORT_S = 1 / 60
 """Length of most slices, s, rounded to whole flicker periods, at least one. A short slice makes a quick picture."""
-SIGNAL_PERIODS = 3
-"""Periods of a slice that shows the flicker itself: frequency by triggers and by events, and jitter."""
-SIGNAL_EVERY_S = 2.0
+SIGNAL_PERIODS = 4
+"""Periods of a slice that shows the flicker itself: frequency by triggers and by events, and jitter. It holds three
+whole periods at any phase of the light."""
+SIGNAL_EVERY_S = 3.0
 """Time between two such slices, s."""
 _OF_THE_FLICKER = ("sync", "flicker is")
 """Words of advice that only such a slice can give."""

@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 from align_fakes import FakeDevices, fake_session, wait_until
 
+from bench.align import live_loop
 from bench.align.live_figures import LiveFigures
 from bench.align.live_loop import with_signal_of
 from bench.base.errors import ControlRefused
@@ -341,7 +342,8 @@ def test_nothing_is_left_in_the_temporary_folder_after_a_fault(opened, tmp_path)
     assert not folder.exists()
 
 
-def test_most_slices_are_short_and_some_show_the_flicker(opened):
+def test_most_slices_are_short_and_some_show_the_flicker(opened, monkeypatch):
+    monkeypatch.setattr(live_loop, "SIGNAL_EVERY_S", 0.5)
     session, devices = opened
     lengths = []
     record = devices.camera.record
@@ -352,10 +354,10 @@ def test_most_slices_are_short_and_some_show_the_flicker(opened):
 
     devices.camera.record = noted
     session.light(on=True, frequency_hz=60.0)
-    wait_until(lambda: lengths.count(3) >= 2, 6.0)
-    assert set(lengths[1:]) == {1, 3}
-    assert lengths.count(1) > 3 * lengths.count(3)
-    first = lengths.index(3)
+    wait_until(lambda: lengths.count(4) >= 2, 9.0)
+    assert set(lengths[1:]) == {1, 4}
+    assert lengths.count(1) > 3 * lengths.count(4)
+    first = lengths.index(4)
     assert 1 not in lengths[1:first]  # the first slice after a change of the light shows the flicker
 
 
