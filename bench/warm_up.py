@@ -12,6 +12,7 @@ from typing import cast
 
 import click
 
+from bench.align.live_figures import LiveSetting, LiveSlice, measure_live
 from bench.base.clock import BenchClock
 from bench.base.kernel_cache import remove_stale_kernels
 from bench.stations.devices import Devices
@@ -56,6 +57,7 @@ def warm_up() -> int:
                 periods=2,
                 expected_hz=60.0,
             )
+            measure_live(LiveSlice(path), LiveSetting.of_station(station, frequency_hz=60.0, light_on=True))
     finally:
         devices.make_safe()
         devices.close()
