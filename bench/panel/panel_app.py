@@ -72,6 +72,7 @@ class Panel:
                 Route("/run/{key:path}", self._run_page),
                 Route("/batch/{key:path}", self._batch_page),
                 Route("/report/{key:path}", self._report),
+                Route("/api/here", lambda _request: JSONResponse({})),
                 Route("/api/list", self._list_stream),
                 Route("/api/list/state", self._list_state),
                 Route("/api/run/{key:path}/events", self._run_stream),

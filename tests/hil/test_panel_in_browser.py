@@ -160,7 +160,7 @@ def test_a_token_is_asked_for_and_stands_in_no_address(run, tabs):
         wait_text(tab, "#wrong", "This token is wrong.")
         tab.fill("#token", token)
         tab.click("button")
-        wait(lambda: tab.url.endswith("/run/run7"))
+        tab.wait_for_url("**/run/run7", timeout=1000 * PATIENCE_S)
         wait_text(tab, "#log", "attempt 1 at pose 1: accepted")
         assert token not in tab.url
         by_fragment = Tabs(tab.context.browser)
@@ -168,6 +168,11 @@ def test_a_token_is_asked_for_and_stands_in_no_address(run, tabs):
         wait_text(other, "body", "attempt 1 at pose 1: accepted")
         assert token not in other.url
         by_fragment.context.close()
+        port = server.port
+    with served(panel_app(run.folder.parent), token="another token 123", port=port):
+        tab.wait_for_url(
+            "**/sign-in?next=*", timeout=1000 * PATIENCE_S
+        )  # a panel with a new token asks for it
 
 
 @pytest.mark.slow

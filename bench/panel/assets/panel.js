@@ -19,11 +19,23 @@ export function follow(url, onupdate, onjoin) {
   port.onmessage = ({ data }) => {
     if (data.kind === "update") onupdate(data.data);
     else if (data.kind === "joined") onjoin();
-    else showLink(data.up, data.lastMs, "the panel");
+    else {
+      showLink(data.up, data.lastMs, "the panel");
+      if (!data.up) askForSignIn();
+    }
   };
   port.postMessage({ open: url });
   addEventListener("pagehide", () => port.postMessage({ leave: url }));
   addEventListener("pageshow", (event) => { if (event.persisted) location.reload(); });
+}
+
+let askedMs = 0;
+
+/** The link is down: if that is because this browser is not signed in any more, go to the sign-in. */
+function askForSignIn() {
+  if (Date.now() - askedMs < 2000) return;
+  askedMs = Date.now();
+  get("/api/here").catch(() => {}); // `get` itself leads to the sign-in
 }
 
 /** The name of the person, asked for once and kept in this browser. */
