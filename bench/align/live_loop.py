@@ -1,7 +1,7 @@
 """The live picture: one thread records short slices, another one measures the newest of them.
 
 Slices are recorded with the camera's normal driver into a private temporary folder, and removed as soon as they are
-measured. Only the newest picture is kept. While one slice is measured, the next one is recorded, and then waits.
+measured. Only the newest picture is kept. While one slice is measured, the next one is recorded.
 Settings of the camera are changed between two slices, by the recording thread (`LiveLoop.on_camera`).
 """
 
@@ -43,7 +43,8 @@ _OF_THE_FLICKER = ("sync", "flicker is")
 LONGEST_SLICE_S = 4.0
 """Longest slice, s. With a slower flicker, a slice holds no whole period."""
 _AFTER_FAULT_S = 1.0
-_WAIT_S = 0.2
+_AHEAD_S = 0.1
+"""How long a slice waits to be measured before the next one is recorded, which then takes its place, s."""
 _RATE_OVER_S = 4.0
 
 T = TypeVar("T")
@@ -234,9 +235,9 @@ class LiveLoop:
         while not self._closing:
             self._do_tasks()
             with self._wake:
-                # A slice that nobody measures would only take time from the one that is measured.
-                self._wake.wait_for(lambda: self._waiting is None or self._closing or self._tasks, _WAIT_S)
-                if self._waiting is not None:
+                # Slices that nobody measures would take time from the one that is measured.
+                self._wake.wait_for(lambda: self._waiting is None or self._closing or self._tasks, _AHEAD_S)
+                if self._closing or self._tasks:
                     continue
             number += 1
             try:
@@ -251,8 +252,10 @@ class LiveLoop:
             if made is None:
                 continue
             with self._wake:
-                self._waiting = made
+                old, self._waiting = self._waiting, made
                 self._wake.notify_all()
+            if old is not None:
+                old.path.unlink(missing_ok=True)
 
     def _record_one(self, number: int) -> _Slice | None:
         """Record a slice; None if it was ended early."""
