@@ -241,8 +241,7 @@ def _described(
         read = fit.camera_from_head @ gone.heads(fit.values)[0][0] @ fit.base_from_target
         cosine = 0.5 * (np.trace(seen.rotations[pose] @ read.T) - 1.0)
         size = float(np.arccos(np.clip(cosine, -1.0, 1.0)))
-        own = seen.covariance[3 * pose : 3 * pose + 3, 3 * pose : 3 * pose + 3]
-        sigma = float(np.sqrt(np.linalg.eigvalsh(own)[-1] + other.metric.excess))
+        sigma = _sigma_of_pose(seen, null, at[1], other.metric.excess)
     else:
         place = len(fit.model.free) + len(fit.model.slips) - (kind == "slip")
         row = fit.estimator(other.metric)[6 + place]
@@ -252,6 +251,19 @@ def _described(
         )
         axis = at[0] if kind == "slip" else None
     return GimbalFault(kind, axis, pose, float(np.rad2deg(size)), float(np.rad2deg(sigma)), probability)
+
+
+def _sigma_of_pose(seen: SeenRotations, null: Explanation, place: int, excess: float) -> float:
+    """Return the 1-sigma, rad, of a pose against the other poses, in its least certain direction.
+
+    It is that of the conditional normal distribution (Rao, 1973): errors that the pose shares with the others, as one of
+    the principal point, move no pose against them.
+    """
+    rows = (3 * null.kept[:, None] + np.arange(3)).ravel()
+    whole = seen.covariance[np.ix_(rows, rows)] + excess * np.eye(len(rows))
+    own = slice(3 * place, 3 * place + 3)
+    information = np.linalg.pinv(whole, rcond=1e-12, hermitian=True)[own, own]
+    return float(1.0 / np.sqrt(np.linalg.eigvalsh(information)[0]))
 
 
 def _bends_excluded(seen: SeenRotations, null: Explanation, other: Explanation) -> bool | None:

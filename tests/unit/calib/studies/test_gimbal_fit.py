@@ -1,12 +1,14 @@
 """Fit of a gimbal to rotations: the lowest minimum is found, over drawn benches, and absurd ones are avoided."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from drawn_gimbal import DrawnGimbal, draw_gimbal
 
 from calib.model.rotation import exp_map
+from calib.studies import gimbal_faults
 from calib.studies.gimbal_model import GimbalModel
 from calib.studies.gimbal_scatter import SeenRotations, first_explanation
 from calib.studies.hand_eye import check_hand_eye
@@ -126,3 +128,13 @@ def test_mirror_images_are_not_rivals():
     found = check_hand_eye(bench.rotations, bench.covariance, bench.readings)
     assert found.verdict.kind == "agrees"
     assert all(scale == pytest.approx(1.0, abs=0.01) for scale in found.scale.values())
+
+
+def test_an_error_that_all_poses_share_does_not_blur_one_of_them():
+    poses, common, own = 6, 1e-3, 1e-5
+    covariance = np.kron(common**2 * np.ones((poses, poses)) + own**2 * np.eye(poses), np.eye(3))
+    seen = SimpleNamespace(covariance=covariance)
+    null = SimpleNamespace(kept=np.arange(poses))
+    sigma = gimbal_faults._sigma_of_pose(seen, null, 2, 0.0)
+    # The mean of five others is known to own / sqrt(5).
+    assert sigma == pytest.approx(own * np.sqrt(1 + 1 / 5), rel=0.01)
