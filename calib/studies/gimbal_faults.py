@@ -256,8 +256,8 @@ def _described(
 def _sigma_of_pose(seen: SeenRotations, null: Explanation, place: int, excess: float) -> float:
     """Return the 1-sigma, rad, of a pose against the other poses, in its least certain direction.
 
-    It is that of the conditional normal distribution (Rao, 1973). An error that the pose shares with the others, as that
-    of the principal point, moves no pose against them.
+    It is that of the conditional normal distribution (Rao, 1973). An error that the pose shares with the others, as
+    that of the principal point, moves no pose against them.
     """
     rows = (3 * null.kept[:, None] + np.arange(3)).ravel()
     whole = seen.covariance[np.ix_(rows, rows)] + excess * np.eye(len(rows))

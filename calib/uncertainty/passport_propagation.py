@@ -119,9 +119,9 @@ def add_parallax(parameters: AdjustmentParameters, estimate: Uncertainty, share:
     """Return the uncertainty with a parallax that nobody bounds, if the model does not estimate it.
 
     A pupil that moves across the beam of a collimator out of focus changes both focal lengths by one share. The
-    residuals do not show it. The models ``field`` and ``coma`` estimate it. The models ``pupil`` and ``rim`` have a term
-    for it too, but with inconsistent views their term also holds the curvature and the tilt of the field: of 8 drawn
-    benches with the model ``rim``, 5 were wrong by up to 1 % of the focal length, beyond their uncertainty.
+    residuals do not show it. The models ``field`` and ``coma`` estimate it. The models ``pupil`` and ``rim`` have a
+    term for it too, but with inconsistent views their term also holds the curvature and the tilt of the field: of 8
+    drawn benches with the model ``rim``, 5 were wrong by up to 1 % of the focal length, beyond their uncertainty.
 
     Parameters
     ----------
