@@ -36,14 +36,14 @@ SHORT_S = 1 / 60
 SIGNAL_PERIODS = 4
 """Periods of a slice that shows the flicker itself: frequency by triggers and by events, and jitter. It holds three
 whole periods at any phase of the light."""
-SIGNAL_EVERY_S = 3.0
+SIGNAL_EVERY_S = 4.0
 """Time between two such slices, s."""
 _OF_THE_FLICKER = ("sync", "flicker is")
 """Words of advice that only such a slice can give."""
 LONGEST_SLICE_S = 4.0
 """Longest slice, s. With a slower flicker, a slice holds no whole period."""
 _AFTER_FAULT_S = 1.0
-_AHEAD_S = 0.1
+_AHEAD_S = 0.03
 """How long a slice waits to be measured before the next one is recorded, which then takes its place, s."""
 _RATE_OVER_S = 4.0
 

@@ -3,7 +3,7 @@ import { el, fill, setText } from "/assets/bench.js";
 
 const at = (id) => document.getElementById(id);
 const course = []; // [time_s, edge width px] of this page's life
-let best = null;
+let best = null, drawn = "";
 
 const digits = (value, n) => (typeof value === "number" ? value.toFixed(n) : null);
 const signed = (value, n) => (typeof value === "number" ? `${value > 0 ? "+" : ""}${value.toFixed(n)}` : null);
@@ -68,6 +68,9 @@ function showFocus(f) {
     ["Best so far", digits(focus.best_sharpness, 2), ""],
   ]);
   setText(at("focus-note"), "smaller edges are sharper");
+  const key = JSON.stringify([f.stars_time_s, width, best]);
+  if (key === drawn) return; // stars are searched less often than pictures come
+  drawn = key;
   drawCourse(f.time_s);
   drawRegions(focus.regions, focus.tilt);
 }
@@ -79,7 +82,7 @@ export function beginCourse(points) {
 }
 
 /** Forget the course, as the server does. */
-export function forgetCourse() { course.length = 0; best = null; }
+export function forgetCourse() { course.length = 0; best = null; drawn = ""; }
 
 function drawCourse(nowS) {
   const svg = at("course"), [w, h, left, low] = [520, 190, 46, 164];

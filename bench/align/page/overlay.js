@@ -7,6 +7,9 @@ export function draw(canvas, figures, shows) {
   const box = canvas.getBoundingClientRect(), ratio = window.devicePixelRatio || 1;
   const width = Math.round(box.width * ratio), height = Math.round(box.height * ratio);
   if (canvas.width !== width || canvas.height !== height) { canvas.width = width; canvas.height = height; }
+  const key = JSON.stringify([width, height, shows, figures.width_px, figures.stars_time_s, figures.stars.length, figures.tag, figures.disc]);
+  if (canvas.dataset.drawn === key) return; // what lies over the picture changes less often than the picture
+  canvas.dataset.drawn = key;
   const c = canvas.getContext("2d");
   c.clearRect(0, 0, width, height);
   if (!figures.width_px || !figures.height_px) return;
