@@ -186,9 +186,13 @@ def test_the_simulated_bench_is_aligned_in_the_browser(chromium, tmp_path):
 
 
 def _adviser(one):
-    """Return the advice of a picture that was made after this call."""
-    seen = one.tab.evaluate("alignStats.images")
-    one.wait(f"alignStats.images >= {seen} + 3", 60)
+    """Return the advice of pictures, and of a search for stars, that were made after this call."""
+    images, searches = one.tab.evaluate("[alignStats.images, alignStats.searches]")
+    patience_s = time.monotonic() + 4.0  # without light, no stars are searched
+    one.wait(f"alignStats.images >= {images} + 3", 60)
+    wait_until(
+        lambda: one.tab.evaluate("alignStats.searches") >= searches + 3 or time.monotonic() > patience_s, 60
+    )
     return one.text("#advice")
 
 

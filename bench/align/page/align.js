@@ -8,7 +8,7 @@ const at = (id) => document.getElementById(id);
 const page = ownId();
 let state = null, picture = null, fetching = false, shownNumber = 0, files = null, proposal = null;
 /** Numbers for tests: when pictures came, and how late. */
-window.alignStats = { openedMs: performance.timeOrigin, firstImageMs: null, images: 0, latenciesMs: [] };
+window.alignStats = { openedMs: performance.timeOrigin, firstImageMs: null, images: 0, searches: 0, starsTimeS: null, latenciesMs: [] };
 
 /** The page's own id: kept over a reload of this tab, new in every other tab. */
 function ownId() {
@@ -243,6 +243,7 @@ function showPicture(next) {
   if (next.number === 0) { shownNumber = 0; return; }
   if (next.number < shownNumber) shownNumber = 0; // the devices were opened again
   const f = next.figures;
+  if (f.stars_time_s !== window.alignStats.starsTimeS) { window.alignStats.searches += 1; window.alignStats.starsTimeS = f.stars_time_s; }
   if (state && state.devices.state === "open") {
     showAdvice(f.advice.length ? f.advice : ["This picture needs no improvement. Check below whether the bench is ready for a run."]);
   }
