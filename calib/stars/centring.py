@@ -179,6 +179,7 @@ def _normal_equations(
     linear: Any,
     quadratic: Any,
     samples: Any,
+    used_to: Any,
     slopes: Any,
     normal: Any,
     right: Any,
@@ -186,16 +187,20 @@ def _normal_equations(
     """Compute J^T J and J^T r of the symmetry residuals in place; return the mean of r^2, nan if too few are inside.
 
     The unknowns are the centre (x, y), px, and ``slopes``: the relative slope g, 1/pitch, and the absolute slope b,
-    brightness/pitch. Residuals: Schöps et al. (2020), with this project's own slopes and curvature; the head of the
-    module gives the equations.
+    brightness/pitch. ``used_to`` is how far from the centre the cell is used along the columns and along the rows,
+    pitches. Residuals: Schöps et al. (2020), with this project's own slopes and curvature; the head of the module gives
+    the equations.
     """
     normal[:] = 0.0
     right[:] = 0.0
     squares = 0.0
-    n = 0
+    n = asked = 0
     j = np.empty(SYMMETRY_UNKNOWNS)
     for i in range(len(samples)):
         u, v = samples[i, 0], samples[i, 1]
+        if abs(u) > used_to[0] or abs(v) > used_to[1]:
+            continue
+        asked += 1
         uu, uv, vv = u * u, u * v, v * v
         ax, ay = linear[0, 0] * u + linear[0, 1] * v, linear[1, 0] * u + linear[1, 1] * v
         mx = x + quadratic[0, 0] * uu + quadratic[0, 1] * uv + quadratic[0, 2] * vv
@@ -216,7 +221,7 @@ def _normal_equations(
     for k in range(SYMMETRY_UNKNOWNS):
         for m in range(k):
             normal[m, k] = normal[k, m]
-    return squares / n if n >= MIN_COVERED * len(samples) else np.nan
+    return squares / n if asked > 0 and n >= MIN_COVERED * asked else np.nan
 
 
 @njit(cache=True, error_model="numpy")
@@ -239,7 +244,7 @@ def _solvable(normal: Any) -> bool:
 
 @njit(cache=True, error_model="numpy")
 def refine_by_symmetry(
-    image: Any, guesses: Any, local_map: LocalMap, samples: Any, reach_px: float
+    image: Any, guesses: Any, local_map: LocalMap, samples: Any, used_to: Any, reach_px: float
 ) -> SymmetryFit:
     """Find the centre of each star by symmetry, with Gauss-Newton steps.
 
@@ -256,6 +261,8 @@ def refine_by_symmetry(
         Map around each star, from the target plane to the image.
     samples
         (M, 2) float64, pitches, from `symmetry_samples`.
+    used_to
+        (N, 2) float64, pitches, how far from its centre each star's cell is used, along the columns and along the rows.
     reach_px
         A centre that moves further than this from its guess is given up, px.
 
@@ -273,7 +280,16 @@ def refine_by_symmetry(
         slopes = np.zeros(SYMMETRY_UNKNOWNS - 2)
         for _ in range(_MAX_STEPS):
             squares = _normal_equations(
-                image, x, y, local_map.linear[k], local_map.quadratic[k], samples, slopes, normal, right
+                image,
+                x,
+                y,
+                local_map.linear[k],
+                local_map.quadratic[k],
+                samples,
+                used_to[k],
+                slopes,
+                normal,
+                right,
             )
             if np.isnan(squares) or not _solvable(normal):
                 break

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from calib.errors import InputMismatch, StarsUnnamed, TargetNotFound, TooFewStars
 from calib.model.homography import apply_homography
-from calib.stars.centring import SymmetryFit, refine_by_symmetry, smooth, symmetry_samples
+from calib.stars.centring import SYMMETRY_REACH, SymmetryFit, refine_by_symmetry, smooth, symmetry_samples
 from calib.stars.edge_pixels import quantise
 from calib.stars.grid_map import fit_grid_map
 from calib.stars.growth import GrowthStart, StarGrid, grow_star_grid, start_at_tag
@@ -24,6 +24,7 @@ from calib.stars.lattice import find_lattice
 from calib.stars.likelihood import edge_width_px, refine_by_likelihood
 from calib.stars.local_map import LocalMap
 from calib.stars.noise import variance_factor
+from calib.stars.open_sides import cell_reach, open_sides
 from calib.stars.tag import find_tag
 from calib.stars.template import SHARP_CORRELATION, StarTemplate, learnt_contrasts, star_contrasts
 from calib.target import StarTarget
@@ -31,6 +32,9 @@ from calib.view import View
 
 #: Blur of the image before the refinement by symmetry, px.
 BLUR_PX = 1.0
+#: Width of the strip that symmetry leaves out where a star has no neighbour, px: three times the blur of the smoothed
+#: image.
+OPEN_STRIP_PX = 4.5
 #: Least correlation of a refined star with its pattern.
 MIN_CORRELATION = 0.5
 #: Least contrast of a star's faintest octant, as a share of its median one. Below it, the rim cuts the star.
@@ -308,7 +312,7 @@ def _best_centres(
     levels = quantise(image)
     if len(nodes) < MIN_FOR_LIKELIHOOD:
         return points, by_symmetry, edge_width_px(levels, points, local_map, target)
-    likely = refine_by_likelihood(levels, points, local_map, target)
+    likely = refine_by_likelihood(levels, points, local_map, target, open_sides(target, nodes))
     factor = variance_factor(nodes, likely.centres, likely.covariances, typical=1.0)
     by_likelihood = likely.covariances * factor
     by_likelihood += _uneven_light(likely.light_slope)
@@ -367,7 +371,8 @@ def refine_candidates(
     local_map = grid_map.local_map(grid)
     pitch = float(np.sqrt(np.median(np.abs(np.linalg.det(local_map.linear)))))
     samples = symmetry_samples(pitch / step_px)
-    fit = refine_by_symmetry(image, candidates.points, local_map, samples, MAX_MOVE_PITCHES * pitch)
+    used_to = cell_reach(open_sides(target, candidates.nodes), SYMMETRY_REACH, OPEN_STRIP_PX / pitch)
+    fit = refine_by_symmetry(image, candidates.points, local_map, samples, used_to, MAX_MOVE_PITCHES * pitch)
     score, contrast, blurred = _scores(image, fit, local_map.linear, target, sign)
     middle = np.median(contrast, axis=1)
     good = fit.converged & (score >= MIN_CORRELATION) & (contrast.min(axis=1) >= MIN_OCTANT * middle)

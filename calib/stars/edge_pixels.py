@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 
 from calib.stars.centring import SYMMETRY_REACH
 from calib.stars.local_map import LocalMap
-from calib.stars.printed_star import EdgeMap
+from calib.stars.open_sides import cell_reach
+from calib.stars.printed_star import OVERSAMPLING, EdgeMap
 
 #: Width of the bins of tau, px.
 TAU_BIN_PX = 0.03
@@ -99,7 +100,11 @@ def quantise(image: NDArray[Any]) -> NDArray[np.uint8]:
 
 
 def gather_edge_pixels(
-    levels: NDArray[np.uint8], centres: NDArray[np.float64], local_map: LocalMap, edge_map: EdgeMap
+    levels: NDArray[np.uint8],
+    centres: NDArray[np.float64],
+    local_map: LocalMap,
+    edge_map: EdgeMap,
+    is_open: NDArray[np.bool_] | None = None,
 ) -> EdgePixels:
     """Collect the pixels near edges of all stars.
 
@@ -116,6 +121,9 @@ def gather_edge_pixels(
         Map around each star, from the target plane to the image.
     edge_map
         Printed star with which the pixels are compared.
+    is_open
+        (N, 2) bool, from `calib.stars.open_sides.open_sides`; None if all stars lie between stars. Pixels as close to
+        an open side as the limit of the edge map are left out.
 
     Returns
     -------
@@ -134,7 +142,10 @@ def gather_edge_pixels(
         np.empty(m, np.uint8),
     )
     reach = SYMMETRY_REACH * np.abs(linear).sum(axis=2)
-    _gather(levels, centres, np.linalg.inv(linear), local_map.quadratic, edge_map, reach, found)
+    strip = edge_map.limit_px * OVERSAMPLING / edge_map.samples_per_pitch
+    none = np.zeros((len(centres), 2), np.bool_)
+    used_to = cell_reach(none if is_open is None else is_open, SYMMETRY_REACH, strip)
+    _gather(levels, centres, np.linalg.inv(linear), local_map.quadratic, edge_map, (reach, used_to), found)
     used = int(found.first[-1])
     return EdgePixels(
         found.first, found.tau[:used], found.slope[:used], found.edge[:used], found.level[:used]
@@ -143,16 +154,24 @@ def gather_edge_pixels(
 
 @njit(cache=True, error_model="numpy")
 def _gather(
-    levels: Any, centres: Any, inverse: Any, quadratic: Any, edge_map: EdgeMap, reach: Any, found: EdgePixels
+    levels: Any,
+    centres: Any,
+    inverse: Any,
+    quadratic: Any,
+    edge_map: EdgeMap,
+    reaches: Any,
+    found: EdgePixels,
 ) -> None:
     """Interpolate tau and its derivatives at each pixel of each star's cell, and store those near an edge.
 
-    ``inverse`` is (N, 2, 2), pitches per px; ``reach`` is (N, 2), px, half the sides of the cells' bounding boxes. The
-    interpolation is bilinear (Abramowitz and Stegun, 1972, section 25.2). Own derivatives: tau changes by -grad tau
-    A^-1 with the centre, by 1 with the threshold, and by s with its slope.
+    ``inverse`` is (N, 2, 2), pitches per px. ``reaches`` are half the sides of the cells' bounding boxes, (N, 2), px,
+    and of the part of each cell that is used, (N, 2), pitches. The interpolation is bilinear (Abramowitz and Stegun,
+    1972, section 25.2). Own derivatives: tau changes by -grad tau A^-1 with the centre, by 1 with the threshold, and by
+    s with its slope.
     """
     m = 0
     scale = edge_map.samples_per_pitch
+    reach, used_to = reaches
     for k in range(len(centres)):
         x, y, to, bend = centres[k, 0], centres[k, 1], inverse[k], quadratic[k]
         low, high = int(max(0.0, y - reach[k, 1])), int(min(levels.shape[0] - 1.0, y + reach[k, 1] + 1.0))
@@ -164,7 +183,7 @@ def _gather(
                 dx -= bend[0, 0] * u * u + bend[0, 1] * u * v + bend[0, 2] * v * v
                 dy -= bend[1, 0] * u * u + bend[1, 1] * u * v + bend[1, 2] * v * v
                 u, v = to[0, 0] * dx + to[0, 1] * dy, to[1, 0] * dx + to[1, 1] * dy
-                if abs(u) > SYMMETRY_REACH or abs(v) > SYMMETRY_REACH:
+                if abs(u) > used_to[k, 0] or abs(v) > used_to[k, 1]:
                     continue
                 i, j = int(v * scale + edge_map.half), int(u * scale + edge_map.half)
                 a, b = u * scale + edge_map.half - j, v * scale + edge_map.half - i

@@ -92,7 +92,11 @@ class LikelihoodFit(NamedTuple):
 
 
 def refine_by_likelihood(
-    levels: NDArray[np.uint8], centres: NDArray[np.float64], local_map: LocalMap, target: StarTarget
+    levels: NDArray[np.uint8],
+    centres: NDArray[np.float64],
+    local_map: LocalMap,
+    target: StarTarget,
+    is_open: NDArray[np.bool_] | None = None,
 ) -> LikelihoodFit:
     """Move stars to their most likely centres.
 
@@ -109,6 +113,8 @@ def refine_by_likelihood(
         Map around each star, from the target plane to the image.
     target
         Printed target.
+    is_open
+        (N, 2) bool, from `calib.stars.open_sides.open_sides`; None if all stars lie between stars.
 
     Returns
     -------
@@ -118,7 +124,7 @@ def refine_by_likelihood(
     pitch = float(np.sqrt(np.median(np.abs(np.linalg.det(local_map.linear)))))
     information = _InformationByBlur(levels, centres, local_map, _EdgeMaps(target, pitch))
     edge_map = _best_edge_map(information)
-    pixels = gather_edge_pixels(levels, centres, local_map, edge_map)
+    pixels = gather_edge_pixels(levels, centres, local_map, edge_map, is_open)
     unknowns = np.zeros((len(centres), EDGE_UNKNOWNS))
     overdispersion = np.ones(target.segments)
     for number, bandwidth in enumerate(BANDWIDTHS_PX):

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from calib.stars import likelihood as star_likelihood
-from calib.stars.centring import LocalMap, refine_by_symmetry, smooth, symmetry_samples
+from calib.stars.centring import SYMMETRY_REACH, LocalMap, refine_by_symmetry, smooth, symmetry_samples
 from calib.stars.edge_pixels import LEVELS, quantise
 from calib.stars.likelihood import refine_by_likelihood
 from calib.stars.printed_star import blurred_edge_map, render_star
@@ -50,7 +50,9 @@ def rms(points, centres):
 @pytest.mark.parametrize("roll", [0.4, 17.0, 45.3])
 def test_likelihood_beats_symmetry_in_black_and_white_images(roll):
     image, centres, shape = stars(roll)
-    by_symmetry = refine_by_symmetry(smooth(image, 1.0), centres, shape, symmetry_samples(PITCH), 3.0).centres
+    whole = np.full((len(centres), 2), SYMMETRY_REACH)
+    fit = refine_by_symmetry(smooth(image, 1.0), centres, shape, symmetry_samples(PITCH), whole, 3.0)
+    by_symmetry = fit.centres
     likely = refine_by_likelihood(quantise(image), by_symmetry, shape, TARGET)
     assert rms(likely.centres, centres) < 0.85 * rms(by_symmetry, centres)
     assert rms(likely.centres, centres) < 0.03
