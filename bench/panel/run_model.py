@@ -13,12 +13,12 @@ from typing import Any
 
 from bench.panel.journal_tail import JournalTail
 from bench.panel.run_plan import RunPlan, read_plan
-from bench.panel.time_left import TimeLeft
 from bench.records.events import Event
 from bench.records.history import History, apply_entry
 from bench.records.journal_entry import Entry
 from bench.records.run_folder import JOURNAL
 from bench.run.journal_text import line_text
+from bench.run.time_left import TimeLeft
 
 Json = dict[str, Any]
 

@@ -15,7 +15,6 @@ from pathlib import Path
 from typing import Any, NotRequired, TypedDict
 
 from bench.base.errors import RunFolderError, StorageError
-from bench.records.events import Event
 from bench.records.folder_lock import is_locked
 from bench.records.history import History, replay
 from bench.records.journal import read_journal
@@ -27,6 +26,7 @@ from bench.report.until_text import reached_text
 from bench.run.interlock_text import interlock_text
 from bench.run.journal_text import line_text
 from bench.run.machine import END_STATES
+from bench.run.time_left import TimeLeft
 from bench.terminal.duration import clock_text
 from bench.terminal.wording import counted, times
 
@@ -320,16 +320,11 @@ def _plan_of(folder: Path) -> _Plan:
 
 
 def _left_s(history: History, plan: _Plan, entries: Sequence[Entry], now: datetime) -> float:
-    """Return the planned time after the last step done, less the time since then unless the run is held."""
-    done_s = {step["number"]: step["done_after_s"] for step in plan["steps"]}
-    done = (s for number, s in done_s.items() if number in history.done_steps or history.is_left_out(number))
-    begun_s = max(done, default=0.0)
-    marks = (e for e in reversed(entries) if e.event in {Event.STEP_DONE, Event.RUN_STARTED})
-    mark = next(marks, None)
-    since = (
-        0.0 if mark is None or history.holder else (now - datetime.fromisoformat(mark.utc)).total_seconds()
-    )
-    return round(max(0.0, plan["duration_s"] - begun_s - max(0.0, since)), 1)
+    """Return the time left by plan and pace; a held run has its whole rest before it."""
+    left = TimeLeft(plan["steps"], plan["duration_s"])
+    for entry in entries:
+        left.apply(entry, history)
+    return round(left.left_s(now, held=bool(history.holder)), 1)
 
 
 def _held_by(history: History) -> str:
