@@ -41,17 +41,20 @@ _PLUMB_BOB = BROWN[:5]
 _ROS_MODELS = {4: "equidistant", 5: "plumb_bob", 8: "rational_polynomial"}
 
 NOT_WRITTEN = "not-written.txt"
-"""File that lists the formats that cannot represent the lens model, with the reason."""
+"""File that lists the formats that cannot represent the lens model or the targets, with the reason."""
 
 Writer = Callable[[Calibration, str], bytes]
 
 
 class FormatCannotCarry(BenchError):
-    """The file format cannot represent this lens model."""
+    """The file format cannot represent this lens model, or these targets."""
 
 
 def exports(
-    calibration: Calibration, *, camera_name: str, target: StarTarget | None = None
+    calibration: Calibration,
+    *,
+    camera_name: str,
+    target: StarTarget | None = StarTarget(),  # noqa: B008 - immutable
 ) -> dict[str, bytes]:
     """Write a calibration in every format that can represent it.
 
@@ -63,18 +66,18 @@ def exports(
         Name of the camera in the files. Every character that is not a letter, digit or ``_`` becomes ``_``, as ROS
         requires.
     target
-        The printed target; None: the standard one.
+        The printed target; None if the views show several. By default, it is the standard one.
 
     Returns
     -------
     dict
-        File name to content. ``not-written.txt`` lists the formats that cannot represent the lens model, with the
-        reason; it is absent if there are none.
+        File name to content. ``not-written.txt`` lists the formats that cannot represent the lens model or the targets,
+        with the reason; it is absent if there are none.
     """
     files: dict[str, bytes] = {}
     refused = []
     camera_name = re.sub(r"[^A-Za-z0-9_]", "_", camera_name)
-    described = partial(metavision_json, target=target or StarTarget())
+    described = partial(metavision_json, target=target)
     writers: dict[str, Writer] = {**WRITERS, "metavision.json": described}
     for name, write in writers.items():
         try:
@@ -252,7 +255,11 @@ def colmap_cameras(calibration: Calibration, camera_name: str) -> bytes:
     return f"# {camera_name}\n# CAMERA_ID, MODEL, WIDTH, HEIGHT, PARAMS[]\n1 {model} {size} {text}\n".encode()
 
 
-def metavision_json(calibration: Calibration, camera_name: str, target: StarTarget = StarTarget()) -> bytes:  # noqa: B008 - immutable
+def metavision_json(
+    calibration: Calibration,
+    camera_name: str,
+    target: StarTarget | None = StarTarget(),  # noqa: B008 - immutable
+) -> bytes:
     """Write the intrinsics.json of Metavision SDK 4 (OpenCV FileStorage JSON), with lengths in metres.
 
     ``pattern`` describes the squares of the star target, because the format has no stars.
@@ -264,7 +271,7 @@ def metavision_json(calibration: Calibration, camera_name: str, target: StarTarg
     camera_name
         Name of the camera.
     target
-        The printed target.
+        The printed target; None if the views show several.
 
     Returns
     -------
@@ -274,9 +281,14 @@ def metavision_json(calibration: Calibration, camera_name: str, target: StarTarg
     Raises
     ------
     FormatCannotCarry
-        When the lens is a fisheye lens.
+        When the lens is a fisheye lens, or the views show several targets.
     """
     _refuse_fisheye(calibration.camera, "Metavision's intrinsics.json")
+    if target is None:
+        raise FormatCannotCarry(
+            "Metavision's intrinsics.json describes one target; the views show several.",
+            remedy="For this format, calibrate only with views of one target.",
+        )
     rotations, translations = _poses(calibration)
     text = _file_storage(
         ".json",

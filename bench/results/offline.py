@@ -21,6 +21,7 @@ from calib.calibration import CalibrationOptions
 from calib.engine import Calibration, calibrate
 from calib.errors import CalibrationError, DegenerateViews
 from calib.studies.reference_methods import MethodFailure, MethodResult, reference_results, starbench_result
+from calib.target import StarTarget
 from calib.view import View
 from sequences.script import SolveStep
 
@@ -48,6 +49,8 @@ class OfflineResult:
         The files of the views, in their order.
     passport
         The collimator's passport that was used, if any.
+    target
+        The printed target that all views show: that of the run's station, or of the options; None if they differ.
     """
 
     calibration: Calibration
@@ -57,6 +60,7 @@ class OfflineResult:
     options: CalibrationOptions = field(default_factory=CalibrationOptions)
     sources: Sequence[ViewSource] = ()
     passport: PassportInUse | None = None
+    target: StarTarget | None = field(default_factory=StarTarget)
 
     @property
     def readings(self) -> dict[str, Any] | None:
@@ -133,7 +137,9 @@ def calibrate_paths(paths: Sequence[Path], choices: OfflineOptions) -> OfflineRe
     calibration = calibrate(views, options)
     calibration = replace(calibration, notes=(*calibration.notes, *cautions))
     planar = planar_calibration(views, options) if calibration.model != "planar" else None
-    return OfflineResult(calibration, planar, skipped, views, options, used, passport)
+    targets = [source.job.target if source.job else choices.target for source in used]
+    target = targets[0] if all(one == targets[0] for one in targets) else None
+    return OfflineResult(calibration, planar, skipped, views, options, used, passport, target)
 
 
 def require_common_views(first: Path, second: Path, choices: OfflineOptions) -> None:

@@ -78,7 +78,8 @@ def write_offline_results(result: OfflineResult, folder: Path) -> None:
     write_atomic(folder / SOURCES, _json_bytes({"schema": SCHEMA, "sources": sources}))
     if result.passport is not None:
         write_atomic(folder / PASSPORT_COPY, result.passport.data)
-    for name, data in exports(result.calibration, camera_name=_camera_name(result)).items():
+    written = exports(result.calibration, camera_name=_camera_name(result), target=result.target)
+    for name, data in written.items():
         write_atomic(folder / "exports" / name, data)
     html = render_report(ReportData(results, _pictures(result)))
     write_atomic(folder / REPORT, html.encode())

@@ -3,7 +3,7 @@
 import json
 
 import pytest
-from quick_runs import THREE, write_sequence, write_station
+from quick_runs import END, THREE, write_sequence, write_station
 from running import results, starbench
 
 TARGET = """\
@@ -15,7 +15,8 @@ target: {squares: [40, 44], pitch_mm: 4.5, segments: 12, tag_family: 25h9, tag_i
 def finished(tmp_path_factory):
     folder = tmp_path_factory.mktemp("own")
     station = write_station(folder / "station.yaml", more=TARGET)
-    sequence = write_sequence(folder / "sequence.yaml", THREE)
+    # The lens of the bench has k2 too: without it, the fit is wrong by some sigmas, whatever the target is.
+    sequence = write_sequence(folder / "sequence.yaml", THREE, end=END.replace("[k1]", "[k1, k2]"))
     said = starbench(
         *("run", sequence, "-s", station, "--seed", 5, "-o", folder / "run"),
         home=tmp_path_factory.mktemp("home"),
@@ -30,8 +31,9 @@ def test_the_camera_is_calibrated_with_the_station_s_own_target(finished):
     assert told["truth"]["target"]["tag_family"] == "25h9"
     assert told["truth"]["reticle"]["polarity"] == "negative"
     (fx,) = [row for row in told["comparison"] if row["name"] == "fx"]
-    assert abs(fx["error"]) < 0.01 * fx["truth"]  # three poses of a small sensor
-    assert told["calibration"]["rms_px"] < 0.06
+    assert fx["sigma"] < 1.6
+    assert abs(fx["error"]) < 3 * fx["sigma"]
+    assert told["calibration"]["rms_px"] < 0.036
     assert sum(view["n"] for view in told["calibration"]["views"]) > 400
 
 
@@ -39,3 +41,13 @@ def test_the_camera_is_calibrated_with_the_station_s_own_target(finished):
 def test_the_export_describes_it(finished):
     pattern = json.loads((finished / "exports" / "metavision.json").read_text())["pattern"]
     assert (pattern["n_cols"], pattern["n_rows"], pattern["square_width"]) == (40, 44, pytest.approx(0.0045))
+
+
+@pytest.mark.slow
+def test_an_offline_calibration_of_the_run_describes_it_too(finished, tmp_path):
+    said = starbench("calibrate", finished, "-o", tmp_path / "again", home=tmp_path / "home")
+    assert said.returncode == 0, said.stderr
+    written, again = (
+        json.loads((at / "exports/metavision.json").read_text()) for at in (finished, tmp_path / "again")
+    )
+    assert again["pattern"] == written["pattern"]

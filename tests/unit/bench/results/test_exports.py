@@ -196,12 +196,17 @@ def test_colmap_s_pixels_lie_half_a_pixel_further(lens, model, count):
 
 def test_metavision_s_json_describes_the_target_that_was_seen():
     own = StarTarget(squares_x=30, squares_y=40, pitch_mm=2.5, tag_square=(13, 18))
-    for target, expected in ((None, (72, 50, 144.5 / 36_000)), (own, (40, 30, 0.0025))):
-        pattern = json.loads(exports(calibration("k1k2"), camera_name="c", target=target)["metavision.json"])[
-            "pattern"
-        ]
+    for given, expected in (({}, (72, 50, 144.5 / 36_000)), ({"target": own}, (40, 30, 0.0025))):
+        written = exports(calibration("k1k2"), camera_name="c", **given)
+        pattern = json.loads(written["metavision.json"])["pattern"]
         assert (pattern["n_rows"], pattern["n_cols"]) == expected[:2]
         assert pattern["square_width"] == pattern["square_height"] == pytest.approx(expected[2])
+
+
+def test_metavision_s_json_is_not_written_for_views_of_several_targets():
+    files = exports(calibration("k1k2"), camera_name="c", target=None)
+    assert "metavision.json" not in files
+    assert b"the views show several" in files["not-written.txt"]
 
 
 @pytest.mark.parametrize("lens", LENSES)

@@ -6,6 +6,7 @@ import json
 import numpy as np
 import pytest
 from click.testing import CliRunner
+from station_texts import PLAIN
 
 from bench.base.errors import UsageError
 from bench.commands.cli import cli
@@ -68,6 +69,15 @@ def test_the_folder_holds_results_report_exports_and_the_hashes_of_the_inputs(po
     assert "OFFLINE: calibrated from existing files, without devices." in text
     assert sources[0]["sha256"] in text
     assert "number T-1" in text
+
+
+def test_metavision_s_json_describes_the_target_of_the_station(points, tmp_path):
+    station = tmp_path / "station.yaml"
+    station.write_text(PLAIN + "target: {squares: [60, 80], pitch_mm: 4.0, tag_square: [20, 30]}\n")
+    result = calibrate_paths([points], options(points, station=str(station)))
+    write_offline_results(result, tmp_path / "out")
+    pattern = json.loads((tmp_path / "out" / "exports" / "metavision.json").read_text())["pattern"]
+    assert (pattern["n_cols"], pattern["n_rows"], pattern["square_width"]) == (60, 80, 0.004)
 
 
 def test_a_folder_with_anything_in_it_is_refused(tmp_path):
