@@ -260,13 +260,25 @@ def _flat(seen: Seen) -> str:
         return ""
     if seen.contrast > _FLAT_CONTRAST or (seen.focus.sharpness or 0.0) > _FLAT_DETAIL:
         return ""
-    what = "The lit area shows no pattern: the lens is far out of focus, or it looks beside the target."
+    what = (
+        f"{_square_text(seen)}, but no stars were found: the lens is probably out of focus."
+        if seen.turn.square_borders is not None
+        else "No stars were found, and almost no details. Either the lens is far out of focus, or the camera looks "
+        "beside the target."
+    )
     if seen.image.signal is None:
         return f"{what} Turn the focus ring until dark shapes appear{_sharpness_text(seen)}."
     return (
         f"{what} Set the light's level to {FOCUSING_LEVEL_PERCENT} %, so that dark shapes become visible, then turn "
         f"the focus ring until they grow clear{_sharpness_text(seen)}."
     )
+
+
+def _square_text(seen: Seen) -> str:
+    """Return where a dark square is seen, without a full stop."""
+    borders = seen.turn.square_borders
+    where = f" at the {' and '.join(borders)} border" if borders else ""
+    return f"A dark square that looks like the tag is in view{where}"
 
 
 def _focus(seen: Seen, setting: LiveSetting) -> Iterator[str]:
@@ -301,17 +313,18 @@ def _aim(seen: Seen, setting: LiveSetting) -> Iterator[str]:
     turn = seen.turn
     if not seen.tag_seen:
         if seen.count:
-            where = _turn_text(turn, setting) if turn.of == "beam" and not turn.centred else ""
+            where = _turn_text(turn, setting) if turn.of and not turn.centred else ""
             yield (
-                f"No tag in view, so nothing identifies the {seen.count} stars. "
+                f"No whole tag was recognised, so nothing identifies the {seen.count} stars. "
                 + (
-                    f"{where} This brings the beam to the middle."
+                    f"{where} This brings the {turn.of} to the middle."
                     if where
                     else "Turn pan and tilt in steps of 2 degrees until the tag appears."
                 )
             )
-        elif turn.of == "beam" and not turn.centred:
-            yield f"No tag in view. {_turn_text(turn, setting)} This brings the beam to the middle."
+        elif turn.of and not turn.centred:
+            what = f"{_square_text(seen)}." if turn.of == "square" else "No whole tag was recognised."
+            yield f"{what} {_turn_text(turn, setting)} This brings the {turn.of} to the middle."
         return
     if not turn.centred:
         yield f"{_turn_text(turn, setting)} This brings the {turn.of} to the middle."
@@ -326,21 +339,23 @@ def _turn_text(turn: TurnFigures, setting: LiveSetting) -> str:
     """Return the turns of pan and tilt as a sentence."""
     if turn.pan is None or turn.tilt is None:
         return ""
+    about, digits = ("about ", 0) if turn.of == "beam" else ("", 1)
     if turn.unit != "°":
         sides = [
             f"{abs(by):.0f} px {side[by < 0]}"
             for by, side in ((turn.pan, ("right", "left")), (turn.tilt, ("up", "down")))
             if abs(by) >= 1.0
         ]
-        return f"Turn the camera until the {turn.of} has moved {' and '.join(sides)}."
+        return f"Turn the camera until the {turn.of} has moved {about}{' and '.join(sides)}."
     steps = [(axis, by) for axis, by in (("pan", turn.pan), ("tilt", turn.tilt)) if abs(by) >= 0.05]
     missing = [axis for axis, _ in steps if setting.limits_deg and axis not in setting.limits_deg]
-    text = " and ".join(f"{axis} by {by:+.2f} degrees" for axis, by in steps)
+    text = " and ".join(f"{axis} by {about}{by:+.{digits}f} degrees" for axis, by in steps)
     by_hand = (
         f" The stage has no {' and no '.join(missing)} axis: turn the camera in its mount." if missing else ""
     )
     beyond = "".join(
-        f" {axis.capitalize()} would be at {there:.1f} degrees, beyond its limit: turn the camera in its mount."
+        f" {axis.capitalize()} would be at {about}{there:.{digits}f} degrees, beyond its limit: turn the camera in its "
+        "mount."
         for axis, there in turn.beyond.items()
     )
     return f"Turn {text}.{by_hand}{beyond}"

@@ -25,6 +25,7 @@ from bench.align.signal_figures import SignalFigures
 from bench.align.where_to_turn import Bench, TurnFigures, where_to_turn
 from calib.errors import CalibrationError, TargetNotFound
 from calib.stars.beam import Beam, find_beam
+from calib.stars.dark_square import DarkSquare, find_dark_square
 from calib.stars.focus import contrast
 from calib.stars.quick import QuickStars, find_stars_quickly
 from drivers.camera import RecordingFacts
@@ -228,7 +229,7 @@ class LiveMeter:
         event_hz = self._by_events(part, image)
         shown = show(image.values)
         watch.lap("image")
-        beam = find_beam(image.values, least=image.least)
+        beam = find_beam(image.values, least=image.least, radius_px=setting.beam_radius_px)
         in_beam = contrast(image.values, beam.lit) if beam.share > 0.0 else None
         watch.lap("beam")
         found = self._search(part, setting, image, beam, watch)
@@ -263,7 +264,7 @@ class LiveMeter:
     def _turn(self, part: LiveSlice, setting: LiveSetting, beam: Beam, found: _Found) -> TurnFigures:
         """Find out where to turn, and learn how the tag has moved since the last search for it."""
         turn = where_to_turn(
-            self._size, beam, found.stars, setting.target, _bench(part, setting), self._motion
+            self._size, beam, found.stars, setting.target, _bench(part, setting), self._motion, found.square
         )
         if found.time_s == part.time_s and turn.tag_px is not None and turn.focal_px and part.reading_deg:
             self._motion.add(part.reading_deg, turn.tag_px, turn.focal_px)
@@ -301,9 +302,7 @@ class LiveMeter:
         if beam.share <= 0.0 or (image.signal is not None and image.signal.flicker is None):
             self._found = None
             return _Found(part.time_s, None, "", FocusFigures(), 0.0)
-        if last is not None and 0.0 <= part.time_s - last.time_s < max(
-            self._stars_every_s, 1.5 * last.took_s
-        ):
+        if last is not None and not self._is_due(part):
             return last
         started_s = time.perf_counter()
         stars, other_tag = None, ""
@@ -311,12 +310,15 @@ class LiveMeter:
             stars = find_stars_quickly(image.values, setting.target)
         except TargetNotFound as fault:
             other_tag = f"{fault.what} {fault.remedy}"
+        square = None
+        if not other_tag and (stars is None or (stars.tag is None and not stars.named_by)):
+            square = find_dark_square(image.values, beam, side_px=setting.tag_side_px)
         watch.lap("stars")
         focus = measure_focus(image.values, beam, stars, setting.target)
         watch.lap("focus")
         self._course.add(part.time_s, focus)
         took_s = time.perf_counter() - started_s
-        self._found = _Found(part.time_s, stars, other_tag, focus, took_s)
+        self._found = _Found(part.time_s, stars, other_tag, focus, took_s, square)
         return self._found
 
 
@@ -328,6 +330,7 @@ class _Found(NamedTuple):
     other_tag: str
     focus: FocusFigures
     took_s: float
+    square: DarkSquare | None = None
 
 
 class _StopWatch:

@@ -5,10 +5,13 @@ The module holds data only; it opens nothing.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
+
+import numpy as np
 
 from bench.stations.station import Station
 from bench.stations.station_cameras import FrameCameraConfig
@@ -55,6 +58,21 @@ class LiveSetting:
     half_angle_deg: float | None = None
     r_mm: float | None = None
     gates: Gates = field(default_factory=lambda: Gates.from_settings(dict(GateConfig())))
+
+    @property
+    def beam_radius_px(self) -> float | None:
+        """Radius of the beam's disc in the image, px, by the expected values; None if one of them is not stated."""
+        if self.focal_px is None or self.half_angle_deg is None:
+            return None
+        return self.focal_px * math.tan(math.radians(self.half_angle_deg))
+
+    @property
+    def tag_side_px(self) -> float | None:
+        """Side of the tag in the image, px, by the expected values; None if one of them is not stated."""
+        if self.focal_px is None or self.r_mm is None:
+            return None
+        corners = self.target.tag_corners_mm
+        return float(np.hypot(*(corners[1] - corners[0]))) * self.focal_px / self.r_mm
 
     @classmethod
     def of_station(

@@ -9,7 +9,7 @@ import shutil
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Final, TextIO
 
 import cv2
@@ -188,7 +188,7 @@ def figure_lines(figures: LiveFigures) -> list[str]:
     ]
     stars = [
         str(len(f.stars)),
-        f"tag {f.tag_id if f.tag_id is not None else 'not in view'}",
+        f"tag {f.tag_id if f.tag_id is not None else 'not recognised'}",
         f"contrast {_share(f.contrast)}",
         f"saturated {_share(f.saturation)}",
     ]
@@ -202,13 +202,14 @@ def figure_lines(figures: LiveFigures) -> list[str]:
     if regions:
         centre, *corners = (_text(one.get("edge_width_px"), ".2f", "") for one in regions.values())
         lines.append(f"         centre {centre}, corners {' '.join(corners[:2])} / {' '.join(corners[2:])}")
+    form = _turn_form(turn)
     in_deg = turn.get("unit", "°") == "°"
     steps = (
-        f"pan {_text(turn.get('pan_deg'), '+.2f', '°')}, tilt {_text(turn.get('tilt_deg'), '+.2f', '°')}"
+        f"pan {_text(turn.get('pan_deg'), form, '°')}, tilt {_text(turn.get('tilt_deg'), form, '°')}"
         if in_deg
         else f"right {_text(turn.get('right_px'), '+.0f', ' px')}, up {_text(turn.get('up_px'), '+.0f', ' px')}"
     )
-    of = f" (by the {turn['of']})" if turn.get("of") else ""
+    of = f" ({'about, ' if turn['of'] == 'beam' else ''}by the {turn['of']})" if turn.get("of") else ""
     lines.append(f"Turn     {steps}{of}, roll to the pixels {_text(turn.get('roll_deg'), '.1f', '°')}")
     rim = {True: "its rim is in view", False: "its rim is not in view", None: "its rim is unknown"}[
         f.rim_in_view
@@ -242,10 +243,9 @@ def summary(figures: LiveFigures) -> str:
         f"{_text(rate, '.1f', ' Mev/s')}",
         f"{_text(f.trigger_hz if f.trigger_hz is not None else f.event_hz, '.2f', ' Hz')}",
     ]
+    form = _turn_form(turn)
     if turn.get("pan_deg") is not None:
-        parts.append(
-            f"turn {_text(turn['pan_deg'], '+.2f', '°')}, {_text(turn.get('tilt_deg'), '+.2f', '°')}"
-        )
+        parts.append(f"turn {_text(turn['pan_deg'], form, '°')}, {_text(turn.get('tilt_deg'), form, '°')}")
     return ", ".join(parts)
 
 
@@ -273,6 +273,11 @@ def picture_rows(
     shades = _PLAIN_SHADES if plain else _SHADES
     levels = np.minimum(small.astype(np.int64) * len(shades) // 256, len(shades) - 1)
     return ["".join(shades[level] for level in row) for row in levels]
+
+
+def _turn_form(turn: Mapping[str, object]) -> str:
+    """Return the form of a turn: whole degrees by the beam, else tenths."""
+    return "+.0f" if turn.get("of") == "beam" else "+.1f"
 
 
 def _text(value: float | None, form: str, unit: str) -> str:

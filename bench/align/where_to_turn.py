@@ -18,6 +18,7 @@ from bench.align.seen_motion import SeenMotion
 from calib.model.homography import apply_homography, fit_homography
 from calib.model.rotation import euler_zxy
 from calib.stars.beam import Beam
+from calib.stars.dark_square import Border, DarkSquare
 from calib.stars.growth import linear_at
 from calib.stars.quick import QuickStars
 from calib.target import StarTarget
@@ -26,6 +27,8 @@ ROLL_WANTED_DEG: Final = 10.0
 """Roll of the pattern against the pixel grid at which stars are located best (docs/stars.md)."""
 CENTRED_DEG, CENTRED_PX = 0.25, 15.0
 """Offset up to which the pattern counts as centred, degrees, or px if no focal length is known."""
+BEAM_STEP_DEG, BEAM_STEP_PX = 1.0, 50.0
+"""Turns by the beam are given in these steps: its rim is ragged, and a frame shows a short arc of it."""
 _RIM_INSIDE_SHARE: Final = 0.1
 
 Offset = tuple[float, float]
@@ -38,13 +41,17 @@ class TurnFigures:
     Attributes
     ----------
     of
-        What the turn brings to the middle of the image: ``tag`` or ``beam``; empty if neither is seen.
+        What the turn brings to the middle of the image: ``tag``, ``square`` (a dark square that looks like the tag) or
+        ``beam``; empty if none is seen.
     unit
         Unit of the turns: ``°``, or ``px`` if no focal length is known.
     pan, tilt
-        Turn of each axis that brings it there, in this unit; in px: how far it has to move right and up.
+        Turn of each axis that brings it there, in this unit; in px: how far it has to move right and up. By the beam,
+        in steps of `BEAM_STEP_DEG` or `BEAM_STEP_PX`.
     tag_off, beam_off
-        The same turns for the tag, and for the centre of the beam's disc.
+        The same turns for the tag, and for the centre of the beam's disc, not rounded.
+    square_borders
+        Borders of the frame that the dark square touches; None if none is seen.
     focal_px
         Focal length used, px.
     tag_px
@@ -65,6 +72,7 @@ class TurnFigures:
     tilt: float | None = None
     tag_off: Offset | None = None
     beam_off: Offset | None = None
+    square_borders: tuple[Border, ...] | None = None
     focal_px: float | None = None
     tag_px: Offset | None = None
     roll_deg: float | None = None
@@ -87,7 +95,8 @@ class TurnFigures:
         -------
         dict
             ``pan_deg`` and ``tilt_deg`` (None if no focal length is known; then ``right_px`` and ``up_px``),
-            ``roll_deg``, ``roll_by_deg``, ``of``, ``unit``, ``tag``, ``beam``, ``focal_px``, ``rim_poses``, ``beyond``.
+            ``roll_deg``, ``roll_by_deg``, ``of``, ``unit``, ``tag``, ``beam``,
+            ``square_borders``, ``focal_px``, ``rim_poses``, ``beyond``.
         """
         in_deg = self.unit == "°"
         return {
@@ -101,6 +110,7 @@ class TurnFigures:
             "unit": self.unit,
             "tag": list(self.tag_off) if self.tag_off else None,
             "beam": list(self.beam_off) if self.beam_off else None,
+            "square_borders": None if self.square_borders is None else list(self.square_borders),
             "focal_px": self.focal_px,
             "rim_poses": self.rim_poses,
             "beyond": dict(self.beyond),
@@ -139,6 +149,7 @@ def where_to_turn(
     target: StarTarget,
     bench: Bench,
     motion: SeenMotion | None = None,
+    square: DarkSquare | None = None,
 ) -> TurnFigures:
     """Find out where to turn.
 
@@ -156,6 +167,8 @@ def where_to_turn(
         What the bench knows.
     motion
         How the pattern was seen to move; None to rely on the signs of the bench.
+    square
+        A dark square that looks like the tag, if no tag was recognised.
 
     Returns
     -------
@@ -172,27 +185,37 @@ def where_to_turn(
     if beam.centre_px is not None:
         beam_at = beam.centre_px
     offs = []
-    for at in (tag_at, beam_at):
+    for at in (tag_at, square.centre_px if square else None, beam_at):
         by_motion = motion.turn((at[0], at[1]), size, focal) if motion and at and focal else None
         offs.append(
             by_motion or (turn_to_centre((at[0], at[1]), size, focal, bench.reading_deg) if at else None)
         )
-    chosen = offs[0] or offs[1]
+    of, chosen = next(
+        ((name, off) for name, off in zip(("tag", "square", "beam"), offs, strict=True) if off), ("", None)
+    )
+    if of == "beam" and chosen is not None:
+        chosen = _in_steps(chosen, BEAM_STEP_DEG if focal else BEAM_STEP_PX)
     roll = roll_deg(grid, size)
     return TurnFigures(
-        of="tag" if offs[0] else "beam" if offs[1] else "",
+        of=of,
         unit="°" if focal else "px",
         pan=chosen[0] if chosen else None,
         tilt=chosen[1] if chosen else None,
         tag_off=offs[0],
-        beam_off=offs[1],
+        beam_off=offs[2],
+        square_borders=square.borders if square else None,
         focal_px=focal,
         tag_px=(tag_at[0], tag_at[1]) if tag_at else None,
         roll_deg=roll,
         roll_by_deg=None if roll is None else roll_by_deg(roll),
-        rim_poses=rim_poses(size, focal, offs[1] or offs[0], beam, bench),
+        rim_poses=rim_poses(size, focal, offs[2] or offs[0] or offs[1], beam, bench),
         beyond=_beyond(chosen, bench) if chosen and focal and bench.reading_deg else {},
     )
+
+
+def _in_steps(turn: Offset, step: float) -> Offset:
+    """Return a turn as whole steps."""
+    return round(turn[0] / step) * step + 0.0, round(turn[1] / step) * step + 0.0
 
 
 def _beyond(turn: Offset, bench: Bench) -> dict[str, float]:
@@ -296,7 +319,8 @@ def rim_poses(
     """Return which poses show the rim of the beam.
 
     The rim is taken to be `half_angle_deg` or the radius in the image away from the beam's centre, whichever is larger;
-    if the centre is not seen, from the tag. A tenth of the image beyond the rim has to be in view.
+    if the centre is not seen, from the tag. A tenth of the image beyond the rim has to be in view. The angles are whole
+    degrees, rounded away from the middle.
 
     Parameters
     ----------
@@ -331,14 +355,15 @@ def rim_poses(
         if reach <= 0.0:
             return "Every pose shows the rim of the beam."
         ends = []
-        if middle - reach >= low:
-            ends.append(f"below {middle - reach:.1f}°")
-        if middle + reach <= high:
-            ends.append(f"above {middle + reach:.1f}°")
+        below, above = math.floor(middle - reach), math.ceil(middle + reach)
+        if below >= low:
+            ends.append(f"below {below}°")
+        if above <= high:
+            ends.append(f"above {above}°")
         if ends:
             parts.append(f"{axis} {' or '.join(ends)}")
     return (
-        f"Poses with {', or '.join(parts)}, show the rim of the beam."
+        f"Poses with about {', or '.join(parts)}, show the rim of the beam."
         if parts
         else ("No pose within the limits of the stage shows the rim of the beam.")
     )

@@ -6,6 +6,9 @@ The module uses brightness only: no stars, no print, no camera. It serves to aim
 1. reduce the image until the print is only some cells wide;
 2. close the gaps of the dark print, up to about the size of a tag's module, and take the convex hull of the light;
 3. take the border of the largest lit part that is not the frame's border, and fit a circle to it.
+
+The rim of a real beam is ragged, and a frame shows a short arc of it. A circle of any radius through such an arc may be
+off by several radii. So the radius is given where it is known; without it, an arc must be long enough.
 """
 
 from __future__ import annotations
@@ -26,6 +29,12 @@ MIN_LIT, MIN_RIM = 0.002, 12
 MIN_DARK = 0.04
 #: Largest rms distance of the rim from its circle, as a share of the radius, and largest radius, frame diagonals.
 MAX_OFF, MAX_RADIUS = 0.1, 4.0
+#: Shortest arc, degrees, that shows a circle whose radius is not known.
+MIN_ARC_DEG = 50.0
+
+
+#: Steps of the fit of a centre, and the step below which it has ended, cells.
+_MOST_STEPS, _ENDED = 30, 0.01
 
 
 class Beam(NamedTuple):
@@ -55,10 +64,11 @@ class Beam(NamedTuple):
     scale: float
 
 
-def find_beam(image: NDArray[np.generic], *, least: float = 0.0) -> Beam:
+def find_beam(image: NDArray[np.generic], *, least: float = 0.0, radius_px: float | None = None) -> Beam:
     """Find the disc of light in an image of any sharpness.
 
-    Own procedure, that of the head of the module; circle by linear least squares (Kåsa, 1976).
+    Own procedure, that of the head of the module. Circle: linear least squares (Kåsa, 1976); with a given radius, least
+    squares of the distances (Gander, Golub & Strebel, 1994).
 
     Parameters
     ----------
@@ -66,6 +76,8 @@ def find_beam(image: NDArray[np.generic], *, least: float = 0.0) -> Beam:
         (H, W), any numeric dtype; light is bright.
     least
         Brightness of white print below which nothing counts as light, in the unit of the image.
+    radius_px
+        Radius of the disc, px; None if it is not known.
 
     Returns
     -------
@@ -93,7 +105,9 @@ def find_beam(image: NDArray[np.generic], *, least: float = 0.0) -> Beam:
     rim = _rim(lit)
     if len(rim) < MIN_RIM:
         return Beam(share, False, None, None, lit, scale)
-    circle = _circle(rim, lit) if share <= 1.0 - MIN_DARK else None
+    circle = None
+    if share <= 1.0 - MIN_DARK:
+        circle = _circle(rim, lit) if radius_px is None else _circle_of(radius_px / scale, rim, lit)
     if circle is None:
         return Beam(share, True, None, None, lit, scale)
     (x, y), radius = circle
@@ -141,8 +155,43 @@ def _circle(rim: NDArray[np.float64], lit: NDArray[np.uint8]) -> tuple[tuple[flo
         if len(kept) < MIN_RIM:
             return None
     rms = float(np.sqrt(np.mean((np.hypot(kept[:, 0] - x, kept[:, 1] - y) - radius) ** 2)))
-    middle = np.argwhere(lit > 0)[:, ::-1].mean(axis=0)
-    inside = np.hypot(middle[0] - x, middle[1] - y) < radius
+    inside = np.hypot(*(_middle(lit) - (x, y))) < radius
     if rms > MAX_OFF * radius or radius > MAX_RADIUS * np.hypot(*lit.shape) or not inside:
         return None
-    return (float(x), float(y)), radius
+    return ((float(x), float(y)), radius) if _arc_deg(kept - (x, y)) >= MIN_ARC_DEG else None
+
+
+def _circle_of(
+    radius: float, rim: NDArray[np.float64], lit: NDArray[np.uint8]
+) -> tuple[tuple[float, float], float] | None:
+    """Fit the centre of a circle of a given radius, cells; None if the rim does not lie on one around the light.
+
+    Gauss-Newton steps of the sum of squared distances from the circle (Gander, Golub & Strebel, 1994).
+    """
+    # Begin on the side of the light: a short arc fits as well from its other side.
+    away = _middle(lit) - rim.mean(axis=0)
+    centre = rim.mean(axis=0) + radius * away / max(float(np.hypot(*away)), 1e-9)
+    off = np.zeros(len(rim))
+    for _ in range(_MOST_STEPS):
+        out = rim - centre
+        distance = np.maximum(np.hypot(out[:, 0], out[:, 1]), 1e-9)
+        off = distance - radius
+        step = np.linalg.lstsq(out / distance[:, None], off, rcond=1e-6)[0]
+        centre = centre + step
+        if np.hypot(*step) < _ENDED:
+            break
+    inside = np.hypot(*(_middle(lit) - centre)) < radius
+    if not inside or float(np.sqrt(np.mean(off**2))) > MAX_OFF * radius:
+        return None
+    return (float(centre[0]), float(centre[1])), radius
+
+
+def _middle(lit: NDArray[np.uint8]) -> NDArray[np.float64]:
+    """Return the centroid of the light, (column, row), cells."""
+    return np.asarray(np.argwhere(lit > 0)[:, ::-1].mean(axis=0))
+
+
+def _arc_deg(out: NDArray[np.float64]) -> float:
+    """Return the arc that (N, 2) points span around the origin, degrees: the whole turn less the widest gap."""
+    angles = np.sort(np.degrees(np.arctan2(out[:, 1], out[:, 0])))
+    return 360.0 - float(np.diff(angles, append=angles[0] + 360.0).max())

@@ -287,7 +287,7 @@ function showTurn(f) {
   const turn = f.turn || {}, wanted = {}, beyond = turn.beyond || {};
   for (const axis of state && state.stage ? state.stage.axes : []) {
     const step = turn[`${axis.name}_deg`];
-    if (axis.name !== "roll" && !(axis.name in beyond) && typeof step === "number" && Math.abs(step) >= 0.02) wanted[axis.name] = Math.round(step * 1000) / 1000;
+    if (axis.name !== "roll" && !(axis.name in beyond) && typeof step === "number" && Math.abs(step) >= 0.02) wanted[axis.name] = Math.round(step * 100) / 100;
   }
   const large = Object.values(wanted).some((step) => Math.abs(step) > 5);
   for (const name of Object.keys(wanted)) wanted[name] = Math.max(-5, Math.min(5, wanted[name]));
@@ -296,7 +296,7 @@ function showTurn(f) {
   button.dataset.off = Object.keys(wanted).length ? "" : "1";
   button.disabled = button.dataset.barred !== "" || button.dataset.off === "1";
   setText(at("turn-note"), Object.keys(wanted).length
-    ? `Turns ${Object.entries(wanted).map(([n, s]) => `${n} by ${s > 0 ? "+" : ""}${s}°`).join(", ")}${large ? "; at most 5° at a time" : ""}` : "");
+    ? `Turns ${Object.entries(wanted).map(([n, s]) => `${n} by ${s > 0 ? "+" : ""}${s.toFixed(turn.of === "beam" ? 0 : 1)}°`).join(", ")}${large ? "; at most 5° at a time" : ""}` : "");
 }
 
 // ---------------------------------------------------------------- checks and files

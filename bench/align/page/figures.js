@@ -26,13 +26,13 @@ export function showFigures(f) {
     ["Sensor", digits(f.temperature_c, 1), "°C"],
   ]);
   showFocus(f);
-  const turn = f.turn || {}, inPx = turn.unit === "px";
-  setText(at("turn-of"), turn.of ? `to bring the ${turn.of} to the middle` : "");
+  const turn = f.turn || {}, turnDigits = turn.of === "beam" ? 0 : 1, inPx = turn.unit === "px";
+  setText(at("turn-of"), turn.of ? `${turn.of === "beam" ? "about, " : ""}to bring the ${turn.of} to the middle` : "");
   table(at("turn"), [
-    inPx ? ["It must move right by", signed(turn.right_px, 0), "px"] : ["Turn pan by", signed(turn.pan_deg, 2), "°"],
-    inPx ? ["It must move up by", signed(turn.up_px, 0), "px"] : ["Turn tilt by", signed(turn.tilt_deg, 2), "°"],
+    inPx ? ["It must move right by", signed(turn.right_px, 0), "px"] : ["Turn pan by", signed(turn.pan_deg, turnDigits), "°"],
+    inPx ? ["It must move up by", signed(turn.up_px, 0), "px"] : ["Turn tilt by", signed(turn.tilt_deg, turnDigits), "°"],
     ["Roll to the pixels", signed(turn.roll_deg, 1), "°"],
-    ["Roll it by", turn.roll_by_deg === 0 ? "enough" : signed(turn.roll_by_deg, 1), "°"],
+    ["Roll it by", turn.roll_by_deg === 0 ? "enough" : signed(turn.roll_by_deg, 0), "°"],
     ["Frame in the beam", percent(f.beam_share), "%"],
     ["Rim of the beam", f.rim_in_view === null || f.rim_in_view === undefined ? null : f.rim_in_view ? "in view" : "not in view", ""],
   ]);

@@ -76,7 +76,7 @@ def test_every_figure_is_in_a_line():
         "Stars    2, tag 3, contrast 100 %, saturated -",
         "edges 0.68 px (best 0.66 px), sharpness 0.34 (best 0.36)",
         "centre 0.70, corners 0.80 0.90 / 1.00 1.10",
-        "pan +0.32°, tilt -0.20° (by the tag), roll to the pixels 10.0°",
+        "pan +0.3°, tilt -0.2° (by the tag), roll to the pixels 10.0°",
         "covers 98 % of the frame, its rim is in view",
     ):
         assert part in text
@@ -86,7 +86,7 @@ def test_every_figure_is_in_a_line():
 def test_unknown_figures_are_dashes():
     text = "\n".join(figure_lines(LiveFigures()))
     assert "Signal   -, link -, ON -, -, sensor -" in text
-    assert "tag not in view" in text
+    assert "tag not recognised" in text
     assert "its rim is unknown" in text
     assert summary(LiveFigures()).startswith("0 stars, no tag, edges -")
     in_px = LiveFigures(turn={"unit": "px", "right_px": -120.0, "up_px": 30.0, "of": "tag"})

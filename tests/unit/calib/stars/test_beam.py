@@ -34,6 +34,34 @@ def test_the_disc_is_the_true_one_to_some_per_cent(angles, circle_px):
     assert np.hypot(*(np.array(beam.centre_px) - centre)) < 0.09 * radius
 
 
+@pytest.mark.parametrize(
+    "angles", [{"pan": 5.5, "tilt": -4.5}, {"pan": 3.4, "tilt": -2.8}, {"pan": -7.0}, {"tilt": -8.0}]
+)
+def test_with_the_radius_known_a_ragged_short_arc_shows_the_centre(angles):
+    truth = bench(circle_px=15.0)
+    centre, radius = true_disc(truth, **angles)
+    beam = find_beam(fired(seen(truth, **angles)), radius_px=float(radius))
+    assert beam.radius_px == pytest.approx(radius)
+    assert np.hypot(*(np.array(beam.centre_px) - centre)) < 0.15 * radius
+
+
+def test_a_short_arc_alone_shows_no_circle():
+    v, u = np.indices((720, 1280))
+    image = (np.hypot(u - 3300.0, v - 359.5) < 2900.0).astype(np.float32)  # an arc of 14 degrees
+    beam = find_beam(image)
+    assert beam.rim_in_view
+    assert (beam.centre_px, beam.radius_px) == (None, None)
+    known = find_beam(image, radius_px=2900.0)
+    assert known.centre_px == pytest.approx((3300.0, 359.5), abs=30.0)
+
+
+def test_a_rim_that_does_not_fit_the_known_radius_shows_no_circle():
+    v, u = np.indices((720, 1280))
+    small = (np.hypot(u - 700.0, v - 350.0) < 200.0).astype(np.float32)
+    assert find_beam(small, radius_px=200.0).centre_px == pytest.approx((700.0, 350.0), abs=5.0)
+    assert find_beam(small, radius_px=600.0).centre_px is None
+
+
 def covered(centre, radius):
     """Share of the frame inside a circle."""
     v, u = np.indices((720, 1280))
