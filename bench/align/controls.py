@@ -100,6 +100,16 @@ class StageControl:
         """Whether the stage moves, or is about to."""
         return self._state.work is not None
 
+    def known_deg(self) -> Mapping[str, float]:
+        """Return the present angles where they are known.
+
+        Returns
+        -------
+        Mapping of str to float
+            Degrees by axis; empty while the stage is not homed, because its counters then count from anywhere.
+        """
+        return self._state.position_deg if self._state.homed else {}
+
     def as_data(self) -> dict[str, Any]:
         """Return the state as the page shows it.
 

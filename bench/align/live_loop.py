@@ -14,14 +14,12 @@ import time
 from collections import deque
 from collections.abc import Callable, Mapping
 from concurrent.futures import Future
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, TypeVar, cast
 
-import numpy as np
-from numpy.typing import NDArray
-
 from bench.align.live_figures import LiveFigures, LiveSetting, LiveSlice
+from bench.align.live_picture import LivePicture
 from bench.align.meter import Meter
 from bench.align.slice_folder import make_slice_folder
 from bench.base.clock import Aborted
@@ -49,35 +47,6 @@ _RATE_OVER_S = 4.0
 
 T = TypeVar("T")
 Recorded = RecordingFacts | FrameFacts
-
-
-@dataclass(frozen=True)
-class LivePicture:
-    """The newest picture and its figures.
-
-    Attributes
-    ----------
-    number
-        Counts the pictures, from 1; 0 before the first one.
-    image
-        (H, W) uint8; white print is bright.
-    jpeg
-        The same as JPEG.
-    figures
-        What the slice showed.
-    made_s
-        Time at which the picture was ready, s since 1970.
-    record_ms, measure_ms
-        Duration of the recording and of the measurement, ms.
-    """
-
-    number: int = 0
-    image: NDArray[np.uint8] = field(default_factory=lambda: np.zeros((1, 1), np.uint8))
-    jpeg: bytes = b""
-    figures: LiveFigures = field(default_factory=LiveFigures)
-    made_s: float = 0.0
-    record_ms: float = 0.0
-    measure_ms: float = 0.0
 
 
 @dataclass(frozen=True)

@@ -163,6 +163,23 @@ class Owners:
             found = self._pages.get(page)
             return found is None or self._monotonic() - found.beat_s > BEAT_LIMIT_S
 
+    def name(self, page: str) -> str:
+        """Return how a page is called on other pages.
+
+        Parameters
+        ----------
+        page
+            Id of the page.
+
+        Returns
+        -------
+        str
+            Its number, browser and address.
+        """
+        with self._lock:
+            found = self._pages.get(page)
+            return _name(found) if found is not None else "A page"
+
     def as_data(self) -> dict[str, Any]:
         """Return the pages as a page shows them.
 

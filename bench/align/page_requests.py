@@ -130,15 +130,31 @@ def actions(session: Session, files: PageFiles) -> Mapping[str, Action]:
     Mapping
         Function by name of the request. It takes the id of the page and the request.
     """
+    return {**_device_actions(session), **_file_actions(session, files), **_page_actions(session)}
+
+
+def _device_actions(session: Session) -> dict[str, Action]:
+    """Return the requests that turn, switch or set something."""
 
     def jog(page: str, body: Mapping[str, Any]) -> Any:
         steps = body.get("steps_deg")
         if not isinstance(steps, dict) or not steps:
             raise UsageError("The request names no axis.", remedy=_AGAIN)
         wanted = {str(axis): _number(steps, axis) for axis in steps}
-        return session.bench.stage.move_by(wanted, page)
+        goals = session.bench.stage.move_by(wanted, page)
+        _told(
+            session,
+            page,
+            "asked for " + " and ".join(f"{axis} {goal:.2f}°" for axis, goal in goals.items()),
+            "jog",
+        )
+        return goals
 
-    def light(_page: str, body: Mapping[str, Any]) -> Any:
+    def home(page: str, _body: Mapping[str, Any]) -> Any:
+        session.home(page)
+        _told(session, page, "started the homing of the stage")
+
+    def light(page: str, body: Mapping[str, Any]) -> Any:
         numbers = {
             name: _number(body, name)
             for name in ("frequency_hz", "duty_percent", "level_percent")
@@ -149,57 +165,96 @@ def actions(session: Session, files: PageFiles) -> Mapping[str, Action]:
         on = body.get("on")
         if on is not None and not isinstance(on, bool):
             raise UsageError("`on` must be true or false.", remedy=_AGAIN)
-        return session.light(on=on, **numbers)
+        found = session.light(on=on, **numbers)
+        if on is not None:
+            _told(session, page, f"switched the light {'on' if found['on'] else 'off'}")
+        if numbers:
+            _told(session, page, f"set the light to {_light_text(found)}", "light")
+        return found
 
-    def bias(_page: str, body: Mapping[str, Any]) -> Any:
+    def bias(page: str, body: Mapping[str, Any]) -> Any:
         value = _number(body, "value")
         if value != int(value):
             raise ControlRefused("A bias is a whole number. Nothing was sent.", remedy="Give a whole number.")
-        return dict(session.bias(str(body.get("name")), int(value)))
+        name = str(body.get("name"))
+        found = dict(session.bias(name, int(value)))
+        _told(session, page, f"set {name} to {found.get(name)}, as read back", name)
+        return found
 
-    def frame(_page: str, body: Mapping[str, Any]) -> Any:
-        return dict(session.bench.camera.set_frame(str(body.get("name")), _number(body, "value")))
+    def frame(page: str, body: Mapping[str, Any]) -> Any:
+        name = str(body.get("name"))
+        found = dict(session.bench.camera.set_frame(name, _number(body, "value")))
+        _told(session, page, f"set {name} to {found.get(name)}, as read back", name)
+        return found
 
-    def hands(_page: str, body: Mapping[str, Any]) -> Any:
-        names = [name for name in body if name not in ("page", "action")]
-        return session.bench.hands.do(str(body.get("action")), {name: _number(body, name) for name in names})
+    def hands(page: str, body: Mapping[str, Any]) -> Any:
+        action, names = str(body.get("action")), [name for name in body if name not in ("page", "action")]
+        numbers = {name: _number(body, name) for name in names}
+        found = session.bench.hands.do(action, numbers)
+        by = ", ".join(f"{name} {value:g}" for name, value in numbers.items())
+        _told(
+            session, page, f"used the hands of the simulated bench: {action}{', ' if by else ''}{by}", action
+        )
+        return found
 
-    def check(_page: str, body: Mapping[str, Any]) -> Any:
-        name = body.get("sequence") or ""
-        sequence = str(files.sequence(str(name))) if name else None
-        checks = check_readiness(session, sequence=sequence, station_file=files.station)
-        return [one.as_data() for one in checks]
-
-    def propose(_page: str, body: Mapping[str, Any]) -> Any:
-        return _proposal(session, files, body).as_data()
-
-    def write(_page: str, body: Mapping[str, Any]) -> Any:
-        proposal = _proposal(session, files, body)
-        proposal.write(str(body.get("mark")))
-        session.say(f"Written: {proposal.path}.")
-        return {"file": str(proposal.path)}
-
-    def reopen(_page: str, _body: Mapping[str, Any]) -> Any:
+    def reopen(page: str, _body: Mapping[str, Any]) -> Any:
+        _told(session, page, "asked to open the devices again")
         failure = session.reopen()
         return failure.to_dict() if failure else None
 
     return {
         "jog": jog,
-        "home": lambda page, _: session.home(page),
-        "stop": lambda _page, _: session.stop("on request of the page"),
-        "leave": lambda page, _: _leave(session, page),
-        "take": lambda page, _: _take(session, page),
-        "beat": lambda page, _: session.owners.beat(page),
+        "home": home,
         "light": light,
         "bias": bias,
         "frame": frame,
-        "forget": lambda _page, _: session.bench.loop.forget(),
         "hands": hands,
-        "check": check,
-        "propose": propose,
-        "write": write,
         "open": reopen,
     }
+
+
+def _file_actions(session: Session, files: PageFiles) -> dict[str, Action]:
+    """Return the requests that check or write something."""
+
+    def check(page: str, body: Mapping[str, Any]) -> Any:
+        name = body.get("sequence") or ""
+        sequence = str(files.sequence(str(name))) if name else None
+        checks = check_readiness(session, sequence=sequence, station_file=files.station)
+        bad = sum(one.verdict != "good" for one in checks)
+        _told(session, page, f"made {len(checks)} checks; {bad} {'is' if bad == 1 else 'are'} not good")
+        return [one.as_data() for one in checks]
+
+    def propose(_page: str, body: Mapping[str, Any]) -> Any:
+        return _proposal(session, files, body).as_data()
+
+    def write(page: str, body: Mapping[str, Any]) -> Any:
+        proposal = _proposal(session, files, body)
+        proposal.write(str(body.get("mark")))
+        _told(session, page, f"wrote {proposal.path}")
+        return {"file": str(proposal.path)}
+
+    return {"check": check, "propose": propose, "write": write}
+
+
+def _page_actions(session: Session) -> dict[str, Action]:
+    """Return the requests of the page itself: stop, who has the controls, what it shows."""
+
+    def forget(page: str, _body: Mapping[str, Any]) -> Any:
+        session.bench.loop.forget()
+        _told(session, page, "began the course of the focus anew")
+
+    return {
+        "stop": lambda page, _: session.stop(f"on request of {session.owners.name(page)}"),
+        "leave": lambda page, _: _leave(session, page),
+        "take": lambda page, _: _take(session, page),
+        "beat": lambda page, _: session.owners.beat(page),
+        "forget": forget,
+    }
+
+
+def _told(session: Session, page: str, what: str, topic: str = "") -> None:
+    """List what a page has done. Several entries in a row with the same topic become one."""
+    session.say(f"{session.owners.name(page)} {what}.", f"{topic} {page}" if topic else "")
 
 
 def read_page(body: Mapping[str, Any]) -> str:
@@ -230,6 +285,8 @@ def _take(session: Session, page: str) -> None:
     """Give the controls to a page. A motion that another page started is stopped: nobody looks after it any more."""
     before = session.owners.holder
     session.owners.take(page)
+    if before != page:
+        session.say(f"{session.owners.name(page)} has the controls now.")
     if before != page and session.is_open and session.bench.stage.moving:
         session.stop("because another page took over the controls")
 
@@ -282,6 +339,16 @@ def _light_values(session: Session) -> dict[str, str]:
         "duty_percent": plain_number(now.duty_percent, 4),
         "level_percent": plain_number(now.level_percent, 4),
     }
+
+
+def _light_text(light: Mapping[str, Any]) -> str:
+    """Return the settings of the light in words."""
+    if light["waveform"] == "steady":
+        return f"steady, level {light['level_percent']:g} %"
+    return (
+        f"{light['waveform']}, {light['frequency_hz']:g} Hz, duty {light['duty_percent']:g} %, "
+        f"level {light['level_percent']:g} %"
+    )
 
 
 def _is_sequence(path: Path) -> bool:

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import threading
 import time
-from collections import deque
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from typing import Any
@@ -17,8 +16,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from bench.align.happened import Happened
 from bench.align.live_figures import LiveFigures, LiveSetting
-from bench.align.live_loop import LivePicture
+from bench.align.live_picture import LivePicture
 from bench.align.meter import Meter, MeterProcess
 from bench.align.open_bench import Bench, Confirmation, OpenDevices, close_bench, open_bench, open_devices
 from bench.align.owners import Owners
@@ -77,8 +77,7 @@ class Session:
         self._opening = False
         self._failure: Failure | None = None
         self._ended = threading.Event()
-        self._messages: deque[dict[str, Any]] = deque(maxlen=50)
-        self._said = 0
+        self._happened = Happened(self.changes.tell)
         self._watchers: list[threading.Thread] = []
 
     # ------------------------------------------------------------------ opening and closing
@@ -220,7 +219,7 @@ class Session:
                 "failure": self._failure.to_dict() if self._failure else None,
             },
             "controls": self.owners.as_data(),
-            "messages": list(self._messages)[-12:],
+            "messages": self._happened.as_data(),
             "stage": None,
             "light": None,
             "camera": None,
@@ -239,17 +238,17 @@ class Session:
             }
         return shown
 
-    def say(self, text: str) -> None:
-        """Show a sentence on the pages.
+    def say(self, text: str, topic: str = "") -> None:
+        """Show a sentence on the pages. See `Happened.say`.
 
         Parameters
         ----------
         text
             The sentence.
+        topic
+            What it is about; empty for an entry of its own.
         """
-        self._said += 1
-        self._messages.append({"number": self._said, "time_s": time.time(), "text": text})
-        self.changes.tell()
+        self._happened.say(text, topic)
 
     # ------------------------------------------------------------------ what a person asks for
 
@@ -351,6 +350,7 @@ class Session:
             self.station.value,
             frequency_hz=found.frequency_hz if found is not None and flickers else None,
             light_on=reading.on if reading is not None else None,
+            waveform=found.waveform if found is not None else "square",
         )
 
     def _watch(self) -> None:

@@ -267,3 +267,29 @@ def test_the_checks_say_what_is_not_checked_yet(bench, page):
     assert found["stage: faults"]["verdict"] == "bad"
     assert "stalled" in found["stage: faults"]["found"]
     assert found["stage: faults"]["remedy"]
+
+
+def test_the_list_says_what_was_done_and_by_which_page(bench):
+    url, session, _ = bench
+    one = Page(url, ONE)
+    name = session.owners.name(ONE)
+    assert name.startswith("Page 1")
+    assert one.do("light", on=True).status_code == 200
+    for level in (50, 10):
+        assert one.do("light", level_percent=level).status_code == 200
+    assert one.do("jog", steps_deg={"pan": 0.5}).status_code == 200
+    wait_until(lambda: not session.bench.stage.moving)
+    assert one.do("stop").status_code == 200
+    assert one.refused("bias", name="bias_diff_on", value=0.5)  # what is refused is not listed
+    assert one.do("propose", kind="station", what=["zero"]).status_code == 200
+    mark = one.do("propose", kind="station", what=["zero"]).json()["result"]["mark"]
+    assert one.do("write", kind="station", what=["zero"], mark=mark).status_code == 200
+    one.close()
+    said = [entry["text"] for entry in session.state()["messages"]]
+    assert said[1:] == [
+        f"{name} switched the light on.",
+        f"{name} set the light to square, 60 Hz, duty 50 %, level 10 %.",
+        f"{name} asked for pan 0.50°.",
+        f"The stage was stopped, on request of {name}.",
+        f"{name} wrote {session.station.file}.",
+    ]

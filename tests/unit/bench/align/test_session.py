@@ -33,6 +33,17 @@ def test_opening_moves_nothing_and_switches_nothing_on(opened):
     assert devices.light.calls == []
 
 
+def test_the_measurement_knows_the_waveform_and_no_angles_before_homing(opened):
+    session, devices = opened
+    assert session._setting().gates.max_event_rate_mev_s == 200.0
+    session.light(waveform="sine")
+    assert session._setting().gates.max_event_rate_mev_s == 500.0
+    assert session.bench.stage.known_deg() == {"pan": 0.0, "tilt": 0.0}
+    devices.stage.homed = False
+    session.bench.stage.look()
+    assert session.bench.stage.known_deg() == {}
+
+
 def test_pictures_come_and_no_slice_is_left(opened):
     session, devices = opened
     wait_until(lambda: session.picture().number >= 5)
