@@ -123,12 +123,14 @@ def align_in_terminal(station: str, settings: Sequence[str] = (), *, seed: int =
     ended = threading.Event()
     with _stopping_signals(session, ended.set):
         try:
-            failure = session.open()
-            if failure is not None:
-                _print(failure.message)
-                return _NOT_CONFIRMED
             keys = TerminalKeys(session, ended.set)
+            # First: a key that is pressed while the devices open is neither echoed nor lost.
             with keys_of_terminal(keys) as has_keys:
+                _print("Opening the devices. Nothing is moved.")
+                failure = session.open()
+                if failure is not None:
+                    _print(failure.message)
+                    return _NOT_CONFIRMED
                 tail = f"{HELP} Ctrl-C ends too." if has_keys else "Ctrl-C ends."
                 show_in_terminal(session, ended, notice=keys.notice, tail=tail)
         finally:

@@ -20,9 +20,10 @@ from bench.align.session import Session
 from bench.base.failure import FORESEEN, Failure
 
 STEPS_DEG: Final = (0.01, 0.1, 0.5, 1.0, 5.0)
+LEVELS_PERCENT: Final = (1.0, 2.0, 5.0, 10.0, 20.0, 30.0, 50.0, 70.0, 100.0)
 HELP: Final = (
-    "Keys: L light on or off; arrows turn pan and tilt by the step; , and . change the step; H twice homes; "
-    "space stops; Q ends."
+    "Keys: L light on or off; + and - its level; arrows turn pan and tilt by the step; , and . change the step; "
+    "H twice homes; space stops; Q ends."
 )
 _ARROWS: Final[Mapping[bytes, tuple[str, int]]] = {
     b"\x1b[C": ("pan", 1),
@@ -30,9 +31,11 @@ _ARROWS: Final[Mapping[bytes, tuple[str, int]]] = {
     b"\x1b[A": ("tilt", 1),
     b"\x1b[B": ("tilt", -1),
 }
+_LEVELS: Final[Mapping[bytes, int]] = {b"+": 1, b"=": 1, b"-": -1, b"_": -1}
 _STOPS: Final = (b" ", b"\x1b")
 _NOTICE_S: Final = 5.0
 _SURE_S: Final = 3.0
+_LOOK_S: Final = 0.05
 
 
 class TerminalKeys:
@@ -57,6 +60,7 @@ class TerminalKeys:
         self._step = 2
         self._home_asked_s = -_SURE_S
         self._notice, self._notice_s = "", -_NOTICE_S
+        self._closed = threading.Event()
         self._work = ThreadPoolExecutor(1, thread_name_prefix="align-keys")
 
     def notice(self) -> str:
@@ -85,6 +89,8 @@ class TerminalKeys:
             self._work.submit(self._do, lambda: self._jog(axis, step_deg))
         elif key.lower() == b"l":
             self._work.submit(self._do, self._light)
+        elif key in _LEVELS:
+            self._work.submit(self._do, lambda: self._level(_LEVELS[key]))
         elif key.lower() == b"h":
             self._home()
         elif key in (b",", b"."):
@@ -95,6 +101,7 @@ class TerminalKeys:
 
     def close(self) -> None:
         """Do no more."""
+        self._closed.set()
         self._work.shutdown(wait=False, cancel_futures=True)
 
     def _stop(self) -> str:
@@ -106,9 +113,25 @@ class TerminalKeys:
         return f"{axis} turns to {goal_deg:.3f} degrees."
 
     def _light(self) -> str:
+        self._wait_open()
         on = not self._session.bench.light.reading.on
         self._session.light(on=on)
         return f"The light is {'on' if on else 'off'}."
+
+    def _level(self, way: int) -> str:
+        self._wait_open()
+        now = self._session.bench.light.reading.flicker.level_percent
+        others = [level for level in LEVELS_PERCENT if (level > now if way > 0 else level < now)]
+        if not others:
+            return f"The light's level is {now:g} %; there is no {'higher' if way > 0 else 'lower'} one."
+        level = others[0 if way > 0 else -1]
+        self._session.light(level_percent=level)
+        return f"The light's level is {level:g} %{'' if self._session.bench.light.reading.on else '; it is off'}."
+
+    def _wait_open(self) -> None:
+        """Wait until the devices are open. A motion does not wait: it is refused until then."""
+        while not self._session.is_open and not self._closed.wait(_LOOK_S):
+            pass
 
     def _start_homing(self) -> str:
         self._session.home()
@@ -156,7 +179,8 @@ def keys_of_terminal(keys: TerminalKeys) -> Iterator[bool]:
         if sys.stdin.isatty():
             number = sys.stdin.fileno()
             before = termios.tcgetattr(number)
-            tty.setcbreak(number)
+            # Not the default, which would drop the keys that were pressed before.
+            tty.setcbreak(number, termios.TCSANOW)
             reader = threading.Thread(target=_read, args=(number, keys, closing), daemon=True)
             reader.start()
             try:
@@ -177,7 +201,10 @@ def _read(number: int, keys: TerminalKeys, closing: threading.Event) -> None:
     while not closing.is_set():
         if not select.select([number], [], [], 0.1)[0]:
             continue
-        data = os.read(number, 64)
+        try:
+            data = os.read(number, 64)
+        except OSError:  # the terminal was closed
+            return
         if not data:
             return
         for key in split_keys(data):

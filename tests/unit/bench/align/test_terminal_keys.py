@@ -41,6 +41,58 @@ def test_each_key_does_what_the_help_says(opened):
     assert ended
 
 
+def test_the_level_goes_in_steps(opened):
+    keys, session, _, _ = opened
+    start = session.bench.light.reading.flicker.level_percent
+    assert start == 100.0
+    keys.press(b"+")
+    wait_until(lambda: "no higher one" in keys.notice())
+    for _ in range(5):
+        keys.press(b"-")
+    wait_until(lambda: session.bench.light.reading.flicker.level_percent == 10.0)
+    wait_until(lambda: keys.notice() == "The light's level is 10 %; it is off.")
+    keys.press(b"=")
+    wait_until(lambda: session.bench.light.reading.flicker.level_percent == 20.0)
+
+
+def test_a_key_pressed_while_the_devices_open_counts_but_moves_nothing(monkeypatch):
+    pytest.importorskip("termios")
+    session, devices = fake_session()
+    real, ready = session.open, []
+
+    def slow_open():
+        wait_until(lambda: "not open yet" in shown[0].notice())
+        ready.append(list(devices.stage.calls))
+        return real()
+
+    class Keys(TerminalKeys):
+        def __init__(self, *args):
+            super().__init__(*args)
+            shown.append(self)
+
+    shown = []
+    session.open = slow_open
+    monkeypatch.setattr(serve, "make_session", lambda *_, **__: session)
+    monkeypatch.setattr("bench.align.terminal_keys.TerminalKeys", Keys)
+    master, slave = os.openpty()
+    with os.fdopen(slave, "r") as terminal:
+        monkeypatch.setattr(sys, "stdin", terminal)
+        os.write(master, b"\x1b[Cl")  # before the program reads keys at all
+        latest = session.latest
+
+        def look():
+            if devices.light.lit:
+                os.write(master, b"q")
+            return latest()
+
+        session.latest = look
+        assert serve.align_in_terminal("simulated") == 0
+    os.close(master)
+    assert "on" in devices.light.calls
+    assert ready == [[]]
+    assert not any(isinstance(call, tuple) for call in devices.stage.calls)
+
+
 def test_home_needs_two_presses(opened):
     keys, _, devices, _ = opened
     keys.press(b"h")
