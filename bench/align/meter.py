@@ -27,6 +27,8 @@ JPEG_QUALITY: Final = 82
 _LENGTH: Final = struct.Struct("<Q")
 _FORGET: Final = "forget"
 _END_S: Final = 3.0
+_ONE_THREAD: Final = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
+"""Small matrices gain nothing from more threads, and these take the cores from camera and page."""
 
 
 class Measured(NamedTuple):
@@ -158,6 +160,7 @@ class MeterProcess:
             stdout=subprocess.PIPE,
             stderr=subprocess.DEVNULL,
             start_new_session=True,
+            env={**os.environ, **_ONE_THREAD},
         )
 
 

@@ -2,6 +2,7 @@
 
 import os
 import time
+from pathlib import Path
 
 import pytest
 
@@ -24,6 +25,9 @@ def test_the_process_measures_survives_a_kill_and_ends(tmp_path):
         assert figures.advice == here.figures.advice
         meter.forget()
         first = meter._process.pid
+        environment = Path(f"/proc/{first}/environ")
+        if environment.exists():  # on Linux
+            assert b"OPENBLAS_NUM_THREADS=1" in environment.read_bytes().split(b"\0")
         os.kill(first, 9)
         with pytest.raises(BenchError, match="ended by itself"):
             meter.measure(part, SETTING)
