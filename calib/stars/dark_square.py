@@ -7,7 +7,7 @@ module serves to aim; no estimate of a camera uses it.
 from __future__ import annotations
 
 import math
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import cv2
 import numpy as np
@@ -107,7 +107,8 @@ def _square(
         low, high = max(low, OF_EXPECTED[0] * expected), OF_EXPECTED[1] * expected
     if not low <= long <= high or short < (CUT if borders else WHOLE) * long:
         return None
-    whole = cv2.fillConvexPoly(np.zeros_like(part), hull, 1)
+    whole = np.zeros_like(part)
+    cv2.fillConvexPoly(whole, hull, 1)
     if np.count_nonzero(whole) < FILLED * sides[0] * sides[1] or not _is_tag_like(whole, dark, long):
         return None
     side = max(long, expected) if expected is not None and len(borders) > 1 else long
@@ -129,7 +130,7 @@ _NORMALS: dict[Border, NDArray[np.float64]] = {
 }
 
 
-def _borders(points: NDArray[np.int32], shape: tuple[int, ...]) -> tuple[Border, ...]:
+def _borders(points: NDArray[Any], shape: tuple[int, ...]) -> tuple[Border, ...]:
     """Return the borders of the frame that points lie at, to two cells."""
     (left, upper), (right, lower) = points.min(axis=0), points.max(axis=0)
     room: dict[Border, int] = {
