@@ -34,6 +34,7 @@ _MANY_HOT: Final = 2000
 _LITTLE_LIGHT: Final = 0.6
 _BLINDED: Final = 0.6
 _FREQUENCY_SLACK: Final = 0.03
+_ASIDE: Final = 0.04
 
 
 @dataclass(frozen=True)
@@ -246,10 +247,11 @@ def _sync(signal: SignalFigures, setting: LiveSetting) -> Iterator[str]:
     wanted, source = setting.frequency_hz, "triggers" if signal.trigger_hz else "events"
     found = signal.trigger_hz or signal.event_hz
     # A live slice is too short for the tolerance of a run if only events give the frequency.
+    digits = 2 if source == "triggers" else 1
     tolerance = FREQUENCY_TOLERANCE["triggers"] if source == "triggers" else _FREQUENCY_SLACK
     if wanted and found and not signal.sync_fault and abs(found / wanted - 1.0) > tolerance:
         yield (
-            f"The flicker is {found:.2f} Hz, but the light is set to {wanted:.2f} Hz: check that no other lamp "
+            f"The flicker is {found:.{digits}f} Hz, but the light is set to {wanted:.2f} Hz: check that no other lamp "
             "lights the pattern, and that the light follows its settings."
         )
 
@@ -325,6 +327,11 @@ def _aim(seen: Seen, setting: LiveSetting) -> Iterator[str]:
         elif turn.of and not turn.centred:
             what = f"{_square_text(seen)}." if turn.of == "square" else "No whole tag was recognised."
             yield f"{what} {_turn_text(turn, setting)} This brings the {turn.of} to the middle."
+        elif not turn.of and (side := _lit_side(seen.beam)):
+            yield (
+                f"No whole tag was recognised. The light is on the {side} of the picture: turn pan and tilt in steps "
+                "of 2 degrees until it fills the picture."
+            )
         return
     if not turn.centred:
         yield f"{_turn_text(turn, setting)} This brings the {turn.of} to the middle."
@@ -333,6 +340,21 @@ def _aim(seen: Seen, setting: LiveSetting) -> Iterator[str]:
             f"The beam covers {100 * seen.beam.share:.0f} % of the frame, although the tag is in the middle: shift the "
             "camera sideways until the beam fills the frame."
         )
+
+
+def _lit_side(beam: Beam) -> str:
+    """Return on which side the light is, if its rim is in view; else an empty text."""
+    if not beam.rim_in_view:
+        return ""
+    height, width = beam.lit.shape
+    rows, columns = beam.lit.nonzero()
+    across, down = float(columns.mean()) / width - 0.5, float(rows.mean()) / height - 0.5
+    words = [
+        low if by < 0 else high
+        for by, low, high in ((down, "upper", "lower"), (across, "left", "right"))
+        if abs(by) >= _ASIDE
+    ]
+    return f"{' '.join(words)} side" if words else ""
 
 
 def _turn_text(turn: TurnFigures, setting: LiveSetting) -> str:

@@ -183,7 +183,7 @@ def figure_lines(figures: LiveFigures) -> list[str]:
     ]
     flicker = [
         f"{_text(f.trigger_hz, '.2f', ' Hz')} by triggers",
-        f"{_text(f.event_hz, '.2f', ' Hz')} by events",
+        f"{_text(f.event_hz, '.1f', ' Hz')} by events",
         f"jitter {_text(f.jitter_us, '.1f', ' us')}",
     ]
     stars = [

@@ -26,7 +26,7 @@ SIDES, OF_EXPECTED = (0.05, 0.5), (0.6, 1.3)
 #: Least share of its rectangle that a square fills; least ratio of its sides if it is whole, and if it is cut.
 FILLED, WHOLE, CUT = 0.88, 0.85, 0.4
 #: Width of a tag's dark edge and of the margin around it, as a share of the side; least share that is dark and light.
-EDGE, EDGE_DARK, MARGIN_LIGHT = 0.08, 0.85, 0.85
+EDGE, EDGE_DARK, MARGIN_LIGHT = 0.06, 0.75, 0.85
 #: Least share of light inside the dark edge: a tag shows white modules there.
 INSIDE_LIGHT = 0.1
 

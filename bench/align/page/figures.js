@@ -17,7 +17,7 @@ export function showFigures(f) {
     ["Link load", percent(f.link_share), "%"],
     ["ON share", percent(f.on_share), "%"],
     ["Flicker by triggers", digits(f.trigger_hz, 2), "Hz"],
-    ["Flicker by events", digits(f.event_hz, 2), "Hz"],
+    ["Flicker by events", digits(f.event_hz, 1), "Hz"],
     ["Jitter of the sync", digits(f.jitter_us, 1), "µs"],
     ["Jitter of the events", digits(f.event_jitter_us, 1), "µs"],
     ["Hot pixels", f.hot_pixels, ""],

@@ -236,6 +236,17 @@ def test_a_tag_that_cannot_be_read_is_no_tag_out_of_view(tmp_path):
     assert re.search(r"Turn pan by -\d\.\d degrees and tilt by \+\d\.\d degrees\.", figures.advice[1])
 
 
+def test_a_short_arc_without_expected_values_gives_a_side_but_no_angle(tmp_path):
+    v, u = np.indices((720, 1280))
+    lit = 0.9 * (np.hypot(u - 3300.0, v - 359.5) < 2900.0).astype(np.float32)
+    unknown = dataclasses.replace(SETTING, focal_px=None, half_angle_deg=None)
+    _, figures = figures_of(write_slice(tmp_path / "arc.raw", lit), unknown)
+    assert figures.disc_centre_px is None
+    assert figures.turn["of"] == ""
+    assert figures.turn["pan_deg"] is None
+    assert "The light is on the right side of the picture" in figures.advice[-1]
+
+
 def test_stars_along_the_pixels_ask_for_a_roll(tmp_path):
     path = write_slice(tmp_path / "level.raw", seen(bench(roll_deg=0.5), pan=0.31, tilt=-0.2))
     _, figures = figures_of(path)

@@ -72,7 +72,7 @@ def test_every_figure_is_in_a_line():
     text = "\n".join(figure_lines(FIGURES))
     for part in (
         "94.1 Mev/s, link 19 %, ON 45 %, 18 hot pixels, sensor 41.5°C",
-        "60.00 Hz by triggers, 60.05 Hz by events, jitter 0.5 us",
+        "60.00 Hz by triggers, 60.0 Hz by events, jitter 0.5 us",
         "Stars    2, tag 3, contrast 100 %, saturated -",
         "edges 0.68 px (best 0.66 px), sharpness 0.34 (best 0.36)",
         "centre 0.70, corners 0.80 0.90 / 1.00 1.10",

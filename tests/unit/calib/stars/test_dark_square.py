@@ -17,7 +17,7 @@ def true_tag(truth, angles_deg):
     return corners.mean(axis=0), np.hypot(*(corners[1] - corners[0]))
 
 
-@pytest.mark.parametrize("circle_px", [8.0, 15.0])
+@pytest.mark.parametrize(("circle_px", "roll_deg"), [(8.0, 1.0), (15.0, 1.0), (15.0, 10.0)])
 @pytest.mark.parametrize("known", [True, False])
 @pytest.mark.parametrize(
     ("angles", "borders"),
@@ -28,13 +28,13 @@ def true_tag(truth, angles_deg):
         ({"pan": 10.0, "tilt": 1.0}, ("right",)),
     ],
 )
-def test_the_square_is_where_the_tag_is(circle_px, known, angles, borders):
-    truth = bench(circle_px=circle_px, roll_deg=1.0)
+def test_the_square_is_where_the_tag_is(circle_px, roll_deg, known, angles, borders):
+    truth = bench(circle_px=circle_px, roll_deg=roll_deg)
     image = fired(seen(truth, **angles))
     centre, side = true_tag(truth, angles)
     found = find_dark_square(image, find_beam(image), side_px=float(side) if known else None)
     assert found.borders == borders
-    assert np.hypot(*(np.array(found.centre_px) - centre)) < 0.15 * side
+    assert np.hypot(*(np.array(found.centre_px) - centre)) < 0.05 * side
     assert found.side_px == pytest.approx(side, rel=0.12)
 
 
