@@ -335,7 +335,7 @@ def _held_by(history: History) -> str:
 
 
 def _advice(folder: Path, history: History, *, running: bool, sealed: bool) -> str:
-    if running:
+    if running and not sealed:
         return _advice_while_running(folder, history)
     if sealed:
         return f"Finished and sealed. To check the seal: starbench verify {folder}"
@@ -415,7 +415,8 @@ def _state(status: Status, poses: str) -> str:
     end = status.ended or (status.state if status.state in END_STATES else "")
     if status.running and end:
         why = f": {status.why}" if status.why else ""
-        return f"{end}{why}{'; the run folder is being sealed' if end == 'finished' else ''}"
+        being_sealed = end == "finished" and not status.sealed
+        return f"{end}{why}{'; the run folder is being sealed' if being_sealed else ''}"
     if status.running:
         held = f", HELD by {status.held_by}" if status.held_by else ""
         held = held or (", WAITS FOR AN ANSWER" if status.question else "")

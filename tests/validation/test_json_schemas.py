@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from filled_stations import filled
 
 from bench.stations.station import Station
 from sequences.errors import DocumentFaults
@@ -77,8 +78,12 @@ def test_each_schema_is_a_valid_json_schema(model):
 @pytest.mark.parametrize(("model", "path"), DOCUMENTS, ids=lambda value: getattr(value, "stem", ""))
 def test_what_is_shipped_is_accepted_by_schema_and_reader(model, path):
     text = path.read_text(encoding="utf-8")
-    assert accepted_by_the_schema(text, model)
     assert accepted_by_the_reader(text, model)
+    if path.stem.startswith("example_"):  # an editor marks the values that are still to be filled in
+        assert not accepted_by_the_schema(text, model)
+        text = filled(text)
+        assert accepted_by_the_reader(text, model)
+    assert accepted_by_the_schema(text, model)
 
 
 @pytest.mark.parametrize(
