@@ -38,6 +38,7 @@ def run(home, folder, on_failure, *, poses="", end=""):
     return starbench("run", sequence, "-s", "simulated", "--seed", 5, "-o", folder, home=home)
 
 
+@pytest.mark.slow
 def test_a_pose_that_keeps_failing_is_skipped_where_the_sequence_says_so(home, tmp_path):
     folder = tmp_path / "skipped"
     said = run(home, folder, "skip", poses=TWO_POSES, end=END)
