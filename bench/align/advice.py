@@ -116,7 +116,7 @@ def advice_for(seen: Seen, setting: LiveSetting) -> list[str]:
         return advice
     flat = _flat(seen)
     if flat:
-        return [*advice, flat, *_aim(seen, setting)]
+        return [*advice, flat, *(one.removeprefix(f"{_square_text(seen)}. ") for one in _aim(seen, setting))]
     focus, aim = list(_focus(seen, setting)), list(_aim(seen, setting))
     # A picture far out of focus shows no tag, and a tag out of view shows no blur: what is seen decides what is first.
     aim_first = not seen.tag_seen and (bool(seen.count) or seen.beam.share < _LITTLE_LIGHT)
