@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from calib.engine import CalibrationOptions, calibrate
+from calib.errors import DegenerateViews
 from tests.validation.test_collimator_real import read
 
 FIELD = CalibrationOptions(model="field")
@@ -21,10 +22,20 @@ def views(collimator_recordings):
 
 
 def random_sets(views, size):
-    """Values (sets, parameters), sigmas and coverage factors of random sets of views."""
+    """Values (sets, parameters), sigmas and coverage factors of random sets of views.
+
+    At most a tenth of the sets may be refused, because most of their views do not show the rim of the beam.
+    """
     rng = np.random.default_rng(202600 + size)
-    chosen = [sorted(rng.choice(20, size, replace=False)) for _ in range(SETS)]
-    results = [calibrate([views[i] for i in one], FIELD) for one in chosen]
+    results = []
+    for _ in range(SETS):
+        chosen = sorted(rng.choice(20, size, replace=False))
+        try:
+            results.append(calibrate([views[i] for i in chosen], FIELD))
+        except DegenerateViews as error:
+            if "The rim of the beam is out of view" not in error.what:
+                raise
+    assert len(results) >= 0.9 * SETS
     values = np.array([one.values for one in results])
     sigmas = np.array([list(one.sigma.values()) for one in results])
     return values, sigmas, np.array([one.coverage_factor for one in results])
