@@ -1,7 +1,8 @@
 """The focus figures of a live picture, and their course while a person turns the focus ring.
 
-The edge width is one number from far out of focus to sharp: the width of the stars' edges while these are narrow, and
-the blur circle of the print around the tag beyond that. Where neither star nor tag can be read, the sharpness remains.
+The edge width is one number from far out of focus to sharp. Near focus, it is the width of the stars' edges. Farther
+out, it follows from the blur circle that the print around the tag shows. If neither stars nor a tag are found, only the
+sharpness is measured.
 The module computes with arrays; times come in as arguments.
 """
 
@@ -34,7 +35,7 @@ _STARS_A_REGION: Final = 9
 _TRUSTED_CIRCLE_PX: Final = 9.0
 """Blur circle from which it counts more than the stars' edges; these stop to grow there."""
 _SIGMA_OF_CIRCLE: Final = 0.25
-"""Standard deviation of a uniform disc along an axis, in units of its diameter."""
+"""Standard deviation of the points of a uniform disc along one axis, as a share of the diameter."""
 _NEAR_TAG: Final = 40
 _TILT_PX, _TILT_SHARE = 0.15, 0.15
 _LEAST_BETTER: Final = 0.05

@@ -342,7 +342,7 @@ def slice_periods(setting: LiveSetting) -> int:
 
 
 def with_signal_of(figures: LiveFigures, signal: LiveFigures) -> LiveFigures:
-    """Return the figures of a short slice with what only a longer one shows.
+    """Return the figures of a short slice, completed by the figures that need a longer slice.
 
     Parameters
     ----------

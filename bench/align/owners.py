@@ -15,7 +15,7 @@ from typing import Any
 from bench.base.errors import ControlRefused
 
 BEAT_LIMIT_S = 0.75
-"""A page whose last heartbeat is older counts as lost, s. The page sends one every 0.2 s."""
+"""Age of the last heartbeat from which a page counts as lost, s. A page sends a heartbeat every 0.2 s."""
 _FORGET_S = 600.0
 _MOST_PAGES = 200
 

@@ -25,7 +25,7 @@ _SHORT_PERIODS: Final = 1.9
 
 @dataclass(frozen=True)
 class SignalFigures:
-    """What the events of a slice say, apart from where they are. What was not measured is None.
+    """Rates, flicker and quality of the events of a slice. A figure that was not measured is None.
 
     Attributes
     ----------

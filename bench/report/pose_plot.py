@@ -31,13 +31,13 @@ _EDGE_POINTS = 9
 
 @dataclass(frozen=True)
 class _Place:
-    """A pose in the plot: number, place in degrees, roll in degrees, and whether it was used."""
+    """A pose of the plot: its number, its pan, tilt and roll in degrees, and whether the calibration used it."""
 
     number: int
-    pan: float
-    tilt: float
-    roll: float
-    how: str
+    pan_deg: float
+    tilt_deg: float
+    roll_deg: float
+    use: str
 
 
 def pose_directions(results: Json) -> str:
@@ -63,13 +63,13 @@ def pose_directions(results: Json) -> str:
         span = _limits(axes, places)
         half = np.array([1.0, height / width]) * _FRAME_SHARE * span / 2
         for how, colour in _COLOURS.items():
-            own = [place for place in places if place.how == how]
+            own = [place for place in places if place.use == how]
             _frames(axes, own, half, colour, filled=how == _USED)
         if len(places) <= _MOST_NUMBERS:
             for place in places:
                 axes.annotate(
                     f"{place.number}",
-                    (place.pan, place.tilt),
+                    (place.pan_deg, place.tilt_deg),
                     ha="center",
                     va="center",
                     fontsize=8,
@@ -143,7 +143,7 @@ def _places(results: Json) -> list[_Place]:
 
 def _limits(axes: Axes, places: Sequence[_Place]) -> float:
     """Set equal scales and limits that show every pose; return the width of the plot, degrees."""
-    pan, tilt = (np.array([getattr(place, name) for place in places]) for name in ("pan", "tilt"))
+    pan, tilt = (np.array([getattr(place, name) for place in places]) for name in ("pan_deg", "tilt_deg"))
     ratio = PANEL[0] / PANEL[1]
     span = 1.35 * max(float(np.ptp(pan)), ratio * float(np.ptp(tilt)), 1.0)
     for middle, half, setter in (
@@ -162,8 +162,8 @@ def _frames(axes: Axes, places: Sequence[_Place], half: Array, colour: str, *, f
     corners = half * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
     vertices, codes = [], []
     for place in places:
-        cos, sin = np.cos(np.radians(place.roll)), np.sin(np.radians(place.roll))
-        turned = corners @ np.array([[cos, -sin], [sin, cos]]) + [place.pan, place.tilt]
+        cos, sin = np.cos(np.radians(place.roll_deg)), np.sin(np.radians(place.roll_deg))
+        turned = corners @ np.array([[cos, -sin], [sin, cos]]) + [place.pan_deg, place.tilt_deg]
         vertices.append(np.vstack([turned, turned[:1]]))
         codes += [Outline.MOVETO, Outline.LINETO, Outline.LINETO, Outline.LINETO, Outline.CLOSEPOLY]
     axes.add_patch(
@@ -178,7 +178,7 @@ def _frames(axes: Axes, places: Sequence[_Place], half: Array, colour: str, *, f
 
 
 def _legend(axes: Axes, places: Sequence[_Place]) -> None:
-    counts = {how: sum(place.how == how for place in places) for how in _COLOURS}
+    counts = {how: sum(place.use == how for place in places) for how in _COLOURS}
     handles = [
         Line2D([], [], color=_COLOURS[how], linestyle="-" if how == _USED else "--", label=f"{count} {how}")
         for how, count in counts.items()

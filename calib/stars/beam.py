@@ -131,7 +131,7 @@ def _filled(lit: NDArray[np.uint8]) -> NDArray[np.uint8]:
 
 
 def _rim(lit: NDArray[np.uint8]) -> NDArray[np.float64]:
-    """Return the (N, 2) cells of the lit part that lie next to dark ones, two cells or more inside the frame."""
+    """Return the (N, 2) lit cells that have a dark neighbour; cells within two cells of the frame are omitted."""
     inner = cv2.erode(lit, np.ones((3, 3), np.uint8), borderType=cv2.BORDER_REPLICATE)
     border = (lit > 0) & (inner == 0)
     border[:2], border[-2:], border[:, :2], border[:, -2:] = False, False, False, False

@@ -1,8 +1,8 @@
 """Stars for a live picture: the same search as `calib.stars.detect`, without likelihood and covariances.
 
 The centres are those of symmetry, refined once: good to some hundredths of a pixel if the image is in focus. Stars
-that nothing identifies are returned too, without ids, if they are in focus. The module serves to aim and to focus; no
-estimate of a camera uses it.
+that cannot be identified are also returned, without ids, if they are in focus. The module is for aiming and focusing
+only; no calibration uses it.
 """
 
 from __future__ import annotations
