@@ -31,7 +31,7 @@ $(VENV)/installed-dev: $(VENV)/made pyproject.toml $(FRONT_DOOR)
 	@echo "Installing Starbench and its test tools into $(VENV) ..."
 	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[dev]'
 	@# The second opinions are not built for every platform: tests say so where one is missing.
-	@for p in 'evt3>=0.4' 'zaber-motion>=7' 'jsonschema>=4' 'libximc!=3.1.2' 'pymeasure>=0.14'; do $(BIN)/python -m pip install --quiet --disable-pip-version-check "$$p" \
+	@for p in 'evt3>=0.4' 'zaber-motion>=7' 'jsonschema>=4' 'libximc!=3.1.2' 'pymeasure>=0.14' 'dcclib>=0.4'; do $(BIN)/python -m pip install --quiet --disable-pip-version-check "$$p" \
 		|| echo "note: $$p is not to be had here; the tests that ask it are skipped"; done
 	@$(BIN)/python -m bench.warm_up
 	@touch $@ $(VENV)/installed
