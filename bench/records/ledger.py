@@ -107,7 +107,7 @@ class Ledger:
         StorageError
             When it cannot be written.
         """
-        with self._locked() as journal:
+        with self.locked() as journal:
             number = 1 + sum(entry.event == RUN_BEGUN for entry in journal.entries)
             journal.append(
                 RUN_BEGUN, number=number, run=run_id, folder=str(folder), camera=camera, simulated=simulated
@@ -137,7 +137,7 @@ class Ledger:
         """
         with storage_errors(folder):
             seal = sha256_of(folder / MANIFEST) if is_sealed(folder) else None
-        with self._locked() as journal:
+        with self.locked() as journal:
             journal.append(RUN_ENDED, number=number, how=how, seal=seal)
 
     def contains(self, place: Mapping[str, Any]) -> bool:
@@ -210,9 +210,63 @@ class Ledger:
                     found.append(f"run {run.number} ({run.run_id}): {manifest} was changed after sealing")
         return found
 
+    def entries(self) -> list[Entry]:
+        """Read and verify every line, of any event: runs, certificates and whatever else was entered.
+
+        Returns
+        -------
+        list of Entry
+            First to last; empty while there is no ledger.
+
+        Raises
+        ------
+        JournalBroken
+            When the ledger is not valid.
+        StorageError
+            When it cannot be read.
+        """
+        return read_journal(self.path)[0] if self.path.exists() else []
+
+    def append(self, event: str, **facts: Any) -> Entry:
+        """Enter one line of any event. Use ``locked`` where the line depends on the lines before.
+
+        Parameters
+        ----------
+        event
+            Name of the event, in the past tense, such as ``certificate_issued``.
+        **facts
+            Data of the event, as for `bench.records.journal.Journal.append`.
+
+        Returns
+        -------
+        Entry
+            The line; its ``hash`` is the new head.
+
+        Raises
+        ------
+        JournalBroken, StorageError
+            As ``begin``.
+        """
+        with self.locked() as journal:
+            return journal.append(event, **facts)
+
     @contextmanager
-    def _locked(self) -> Iterator[Journal]:
-        """Lock the ledger against other processes, and open it for writing."""
+    def locked(self) -> Iterator[Journal]:
+        """Lock the ledger against other processes, verify it, and open it for writing.
+
+        In the block, ``journal.entries`` holds every line so far, and ``journal.append(event, **facts)`` enters a line.
+        So a number that follows from the lines before is given once only. The lock waits; keep the block short.
+
+        Yields
+        ------
+        Journal
+            The ledger as a journal.
+
+        Raises
+        ------
+        JournalBroken, StorageError
+            As ``begin``.
+        """
         make_folder(self.path.parent)
         with storage_errors(self.path):
             lock = open_to_lock(self.path.parent)

@@ -138,3 +138,22 @@ def test_a_run_folder_that_was_never_made_can_be_entered_as_failed(ledger, tmp_p
     assert ledger.runs()[0].how == "failed"
     with RunFolder.create(tmp_path / "never"):
         assert ledger.faults() == []
+
+
+def test_a_line_of_any_event_is_entered_and_read_and_is_no_run(ledger):
+    begin(ledger)
+    entry = ledger.append("certificate_issued", number="2026-0001", run=1)
+    assert [e.event for e in ledger.entries()] == ["run_begun", "certificate_issued"]
+    assert ledger.entries()[-1] == entry
+    assert begin(ledger)["number"] == 2
+
+
+def test_numbers_of_a_series_are_given_once_when_many_ask_at_once(tmp_path):
+    def give(_):
+        with Ledger(tmp_path, **CLOCKS).locked() as journal:
+            number = 1 + sum(e.event == "certificate_issued" for e in journal.entries)
+            journal.append("certificate_issued", number=number)
+            return number
+
+    with ThreadPoolExecutor(4) as pool:
+        assert sorted(pool.map(give, range(12))) == list(range(1, 13))
