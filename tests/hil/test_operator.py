@@ -9,10 +9,13 @@ import pytest
 from quick_runs import write_sequence, write_station
 from running import PATIENCE_S, end_when, entering, journal, numbers, results, starbench, start
 
-from bench.plan.plan import SHIPPED_SEQUENCES
 from bench.run.control import Command, send
 
 SEED = 7
+NAMED = (
+    "[{name: left, pan_deg: -6, tilt_deg: 2}, {name: right, pan_deg: 6, tilt_deg: 2}, "
+    "{name: below, pan_deg: 0, tilt_deg: -3}]"
+)
 
 
 @pytest.fixture(scope="module")
@@ -23,10 +26,11 @@ def home(tmp_path_factory):
 @pytest.fixture
 def process(home, tmp_path):
     """A run under way, which a test commands; it stands still long enough before each recording to be met there."""
+    quick = write_sequence(tmp_path / "quick.yaml", NAMED)
     sequence = tmp_path / "sequence.yaml"
-    text = (SHIPPED_SEQUENCES / "three_pose.yaml").read_text()
-    sequence.write_text(text.replace("settle: {duration_s: 0.3}", "settle: {duration_s: 4}"))
-    process = start("run", sequence, "-s", "simulated", "--seed", SEED, "-o", tmp_path / "run", home=home)
+    sequence.write_text(quick.read_text().replace("settle: {duration_s: 0.3}", "settle: {duration_s: 4}"))
+    station = write_station(tmp_path / "station.yaml")
+    process = start("run", sequence, "-s", station, "--seed", SEED, "-o", tmp_path / "run", home=home)
     yield process
     process.kill()
     process.communicate()
@@ -71,7 +75,8 @@ def test_a_held_run_goes_on_where_it_was_and_ends_with_the_same_numbers(home, tm
     assert any("Held by ada" in what for what in results(folder)["deviations"])
     assert not (folder / "control").exists()
     undisturbed = tmp_path / "undisturbed"
-    said = starbench("run", "three_pose", "-s", "simulated", "--seed", SEED, "-o", undisturbed, home=home)
+    quick, station = tmp_path / "quick.yaml", tmp_path / "station.yaml"
+    said = starbench("run", quick, "-s", station, "--seed", SEED, "-o", undisturbed, home=home)
     assert said.returncode == 0, said.stderr
     assert numbers(folder) == numbers(undisturbed)
     assert starbench("verify", folder, home=home).returncode == 0
