@@ -9,6 +9,7 @@ import subprocess
 
 import numpy as np
 import pytest
+from quick_runs import THREE, write_sequence, write_station
 from running import end_when, entering, journal, numbers, results, starbench, start
 from station_texts import PLAIN
 
@@ -143,11 +144,22 @@ KILLED = [
 ]
 
 
+@pytest.fixture(scope="module")
+def quick(tmp_path_factory, home):
+    """Words of a run with the small sensor, and the folder of that run when nobody disturbed it."""
+    folder = tmp_path_factory.mktemp("quick")
+    sequence = write_sequence(folder / "sequence.yaml", THREE)
+    words = "run", sequence, "-s", write_station(folder / "station.yaml"), "--seed", SEED
+    said = starbench(*words, "-o", folder / "undisturbed", home=home)
+    assert said.returncode == 0, said.stderr
+    return words, folder / "undisturbed"
+
+
 @pytest.mark.parametrize("reached", KILLED)
-def test_a_killed_run_resumes_to_the_same_numbers(finished, home, tmp_path, reached):
-    _, _, undisturbed = finished
+def test_a_killed_run_resumes_to_the_same_numbers(quick, home, tmp_path, reached):
+    words, undisturbed = quick
     folder = tmp_path / "killed"
-    process = start("run", "three_pose", "-s", "simulated", "--seed", SEED, "-o", folder, home=home)
+    process = start(*words, "-o", folder, home=home)
     end_when(process, folder, reached)
     resumed = starbench("resume", folder, home=home)
     assert resumed.returncode == 0, resumed.stderr
