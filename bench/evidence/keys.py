@@ -30,6 +30,8 @@ from drivers import file_lock
 
 NAMESPACE = "starbench-report@v1"
 """Purpose of the signatures of run folders: the namespace of SSHSIG."""
+AUTHORISATION_NAMESPACE = "starbench-authorisation@v1"
+"""Purpose of the signature by which a person authorises a sealed folder."""
 KEY_FILE = "bench_key"
 SIGNERS_FILE = "allowed_signers"
 

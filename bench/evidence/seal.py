@@ -1,10 +1,11 @@
-"""The seal of a run folder: the list of its files with their hashes, and the bench's signature of that list.
+"""The seal of a folder: the list of its files with their hashes, and the bench's signature of that list.
 
-``SHA256SUMS`` lists every file of the folder except itself and ``SHA256SUMS.sig``, sorted by name, in the format of
-``sha256sum``. ``SHA256SUMS.sig`` is the SSH signature of that list (`bench.evidence.sshsig`), namespace
-``starbench-report@v1``. It is written last, so that a folder is sealed as a whole or not at all. ``VERIFY.txt``
-explains how to check both without Starbench; the list includes it. After sealing, nothing in the folder is writable.
-The seal states which bench made these files; it does not state that a person has approved them.
+``SHA256SUMS`` lists every file of the folder, sorted by name, in the format of ``sha256sum``. It does not list itself,
+``SHA256SUMS.sig`` and the three reserved files. ``SHA256SUMS.sig`` is the SSH signature of that list
+(`bench.evidence.sshsig`), namespace ``starbench-report@v1``. It is written last, so that a folder is sealed as a whole
+or not at all. ``VERIFY.txt`` explains how to check both without Starbench; the list includes it. After sealing, nothing
+in the folder is writable. The seal states which bench made these files; it does not state that a person has approved
+them. Reserved files, added later, do that (`bench.evidence.authorisation`) and state when (`bench.evidence.timestamp`).
 """
 
 from __future__ import annotations
@@ -15,44 +16,30 @@ import stat
 from pathlib import Path
 
 from bench.base.errors import EvidenceError
+from bench.evidence.instructions import instructions, kind_of
 from bench.evidence.keys import NAMESPACE, BenchKey
 from bench.evidence.sshsig import sign
 from bench.records.captures import CAPTURES
-from bench.records.run_folder import JOURNAL, MANIFEST, SIGNATURE, RunFolder
-from bench.records.storage import sha256_of, storage_errors, sync_file
+from bench.records.run_folder import JOURNAL, MANIFEST, SIGNATURE, RunFolder, is_sealed
+from bench.records.storage import TEMPORARY, sha256_of, storage_errors, sync_file, write_atomic
 
 INSTRUCTIONS = "VERIFY.txt"
-NOT_LISTED = frozenset({MANIFEST, SIGNATURE})
+AUTHORISATION = "SHA256SUMS.authorised.sig"
+"""A person's signature of ``SHA256SUMS.sig``, added at any time after sealing (`bench.evidence.authorisation`)."""
+TIMESTAMP = "SHA256SUMS.tsr"
+"""A time stamp of ``SHA256SUMS.sig`` (RFC 3161), added at any time after sealing (`bench.evidence.timestamp`)."""
+AUTHORISATION_TIMESTAMP = "SHA256SUMS.authorised.tsr"
+"""A time stamp of ``SHA256SUMS.authorised.sig``."""
+RESERVED = (AUTHORISATION, TIMESTAMP, AUTHORISATION_TIMESTAMP)
+"""Files that may be added beside a seal. The seal does not list them; each carries its own proof."""
+NOT_LISTED = frozenset({MANIFEST, SIGNATURE, *RESERVED})
 """Files of a sealed folder that the list does not name."""
 
 _LINE = re.compile(r"([0-9a-f]{64})  ([^\\\x00-\x1f\x7f]+)")
 
-_INSTRUCTIONS = """\
-This folder is the record of one run of Starbench, sealed by the bench that made it.
-To check it you need OpenSSH (8.1 or newer) and sha256sum, nothing else. In this folder:
-
-    ssh-keygen -Y verify -f allowed_signers -I {principal} -n {namespace} -s SHA256SUMS.sig < SHA256SUMS
-    sha256sum --strict --quiet -c SHA256SUMS
-
-Both must end with status 0. They do not find added files or links. A third check finds them; it must
-print "complete":
-
-    test -z "$(find . -type l)" && \\
-        test "$(find . ! -type d | wc -l)" -eq "$(($(wc -l < SHA256SUMS) + 2))" && echo complete
-
-allowed_signers is the list of keys that you trust. It is not part of this folder, because a person who
-can change the folder could change the list too. Get the list from the laboratory in another way. The
-key that signed here has the fingerprint
-
-    {fingerprint}
-
-With Starbench at hand, `starbench verify` makes these checks and more. The folder is read-only; to
-delete it: chmod -R u+w, then rm -r.
-"""
-
 
 def seal(folder: RunFolder, key: BenchKey) -> str:
-    """Seal a run folder. Nothing is written to it afterwards.
+    """Seal a run folder. Nothing is written to it afterwards, except the reserved files.
 
     Parameters
     ----------
@@ -77,14 +64,60 @@ def seal(folder: RunFolder, key: BenchKey) -> str:
     if not folder.journal_path.is_file():
         raise EvidenceError(f"There is no {JOURNAL} to seal.", where=str(folder.path))
     folder.release_reserve()
-    text = _INSTRUCTIONS.format(principal=key.principal, namespace=NAMESPACE, fingerprint=key.fingerprint)
-    folder.write_atomic(INSTRUCTIONS, text.encode())
-    _sync_files(folder.path)
-    manifest = make_manifest(folder.path)
-    folder.write_atomic(MANIFEST, manifest)
-    folder.write_atomic(SIGNATURE, sign(key.private, manifest, NAMESPACE))
-    _make_read_only(folder.path)
+    return seal_folder(folder.path, key)
+
+
+def seal_folder(path: Path, key: BenchKey) -> str:
+    """Seal any folder: a run, a certificate, recalculated results, a passport.
+
+    Parameters
+    ----------
+    path
+        The folder; all its files are written, and no other process writes to it.
+    key
+        The bench's key.
+
+    Returns
+    -------
+    str
+        Fingerprint of the key.
+
+    Raises
+    ------
+    EvidenceError
+        When the folder is sealed already, has a reserved file before its seal, or has something that cannot be
+        listed: a link, a device, a name with control characters.
+    StorageError
+        When a file cannot be written; the folder is then not sealed.
+    """
+    _refuse_sealed(path)
+    with storage_errors(path):
+        for name in (INSTRUCTIONS, MANIFEST, SIGNATURE):  # of a process that died while it sealed
+            (path / f".{name}{TEMPORARY}").unlink(missing_ok=True)
+    text = instructions(kind_of(path), principal=key.principal, fingerprint=key.fingerprint)
+    write_atomic(path / INSTRUCTIONS, text.encode())
+    _sync_files(path)
+    manifest = make_manifest(path)
+    write_atomic(path / MANIFEST, manifest)
+    write_atomic(path / SIGNATURE, sign(key.private, manifest, NAMESPACE))
+    make_read_only(path)
     return key.fingerprint
+
+
+def _refuse_sealed(path: Path) -> None:
+    if is_sealed(path):
+        raise EvidenceError(
+            "This folder is sealed already; a sealed folder is never changed.",
+            where=str(path),
+            remedy="Check it with `starbench verify`.",
+        )
+    early = next((name for name in RESERVED if (path / name).exists()), None)
+    if early is not None:
+        raise EvidenceError(
+            f"{early} is there before the seal: what it signs or stamps does not exist yet.",
+            where=str(path),
+            remedy="Remove the file, seal, and then add a new one.",
+        )
 
 
 def _sync_files(path: Path) -> None:
@@ -197,7 +230,19 @@ def _refuse(error: OSError) -> None:
     raise error  # without this, os.walk ignores a folder that it cannot read
 
 
-def _make_read_only(path: Path) -> None:
+def make_read_only(path: Path) -> None:
+    """Make a folder, its subfolders and their files read-only.
+
+    Parameters
+    ----------
+    path
+        The folder.
+
+    Raises
+    ------
+    StorageError
+        When a mode cannot be changed.
+    """
     with storage_errors(path):
         for folder_name, _, files in os.walk(path, topdown=False):
             folder = Path(folder_name)

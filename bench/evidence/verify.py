@@ -16,6 +16,7 @@ from typing import Any
 
 from bench import __version__
 from bench.base.errors import EvidenceError, RunFolderError
+from bench.evidence.faults import SealFault
 from bench.evidence.keys import NAMESPACE, Signer
 from bench.evidence.seal import NOT_LISTED, list_files, read_manifest
 from bench.evidence.sshsig import fingerprint, is_valid, read_signature
@@ -31,29 +32,6 @@ _LARGEST_TEXT_BYTES = 1 << 30
 
 _NOT_RESULTS = (ValueError, LookupError, TypeError, RecursionError)
 """Exceptions raised by reading JSON that is not of the expected form."""
-
-
-@dataclass(frozen=True)
-class SealFault:
-    """One fault of a sealed folder.
-
-    Attributes
-    ----------
-    kind
-        ``unsealed``, ``signature``, ``key``, ``manifest``, ``added``, ``changed``, ``missing``, ``link``,
-        ``journal``, ``results``, ``report`` or ``item``.
-    where
-        The file it concerns, within the folder.
-    what
-        What is wrong.
-    """
-
-    kind: str
-    where: str
-    what: str
-
-    def __str__(self) -> str:
-        return f"{self.where}: {self.what}"
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,28 @@
+"""One fault of a sealed folder, as every check of evidence reports it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class SealFault:
+    """One fault of a sealed folder.
+
+    Attributes
+    ----------
+    kind
+        ``unsealed``, ``signature``, ``key``, ``manifest``, ``added``, ``changed``, ``missing``, ``link``,
+        ``journal``, ``results``, ``report``, ``item``, ``authorisation`` or ``timestamp``.
+    where
+        The file it concerns, within the folder.
+    what
+        What is wrong.
+    """
+
+    kind: str
+    where: str
+    what: str
+
+    def __str__(self) -> str:
+        return f"{self.where}: {self.what}"
