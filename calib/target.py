@@ -23,6 +23,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from calib.errors import InputMismatch as InputMismatch  # noqa: PLC0414 - simulators catch it, and import this module only
 
+MOST_SQUARES = 200_000
+"""Squares that a target may have at most: more than 50 times those of the published pattern."""
+MOST_SEGMENTS = 256
+"""Segments that a star may have at most."""
+
 
 class TagFamily(NamedTuple):
     """A family of AprilTags (Olson 2011), as OpenCV has it.
@@ -136,10 +141,12 @@ class StarTarget:
         """Return why the target cannot be printed; empty if it can."""
         if self.squares_x < 2 or self.squares_y < 2:
             return f"{self.squares_x} x {self.squares_y} squares have no inner node."
+        if self.squares_x * self.squares_y > MOST_SQUARES:
+            return f"{self.squares_x} x {self.squares_y} squares are more than {MOST_SQUARES}."
         if not (math.isfinite(self.pitch_mm) and self.pitch_mm > 0):
             return f"The pitch is {self.pitch_mm} mm; it must be a positive number."
-        if self.segments < 4 or self.segments % 4:
-            return f"A star has {self.segments} segments; the number must be a multiple of 4."
+        if not 4 <= self.segments <= MOST_SEGMENTS or self.segments % 4:
+            return f"A star has {self.segments} segments; the number must be a multiple of 4, at most {MOST_SEGMENTS}."
         return self._tag_fault()
 
     def _tag_fault(self) -> str:

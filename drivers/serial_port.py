@@ -16,6 +16,7 @@ import serial
 
 from drivers import port_lock
 from drivers.errors import PortBusy, PortDenied, PortError, PortLost, PortNotFound
+from drivers.port_address import PORT_REMEDY, refused_port
 
 try:
     from termios import error as _termios_error
@@ -82,8 +83,8 @@ class SerialPort:
     Parameters
     ----------
     address
-        A device file, preferably below ``/dev/serial/by-id/``, a port name of the system, or a pyserial URL such as
-        ``socket://host:port`` or ``rfc2217://host:port``.
+        A device file, preferably below ``/dev/serial/by-id/``, a port name of the system, ``socket://host:port`` or
+        ``rfc2217://host:port``. Other URLs of pyserial are refused.
     baudrate
         Bits per second.
     stopbits
@@ -175,6 +176,8 @@ class SerialPort:
 
 
 def _open(address: str, baudrate: int, stopbits: int) -> Any:
+    if (refused := refused_port(address)) is not None:
+        raise PortNotFound(refused, where=address, remedy=PORT_REMEDY)
     try:
         port: Any = serial.serial_for_url(
             address,

@@ -12,6 +12,7 @@ from typing import Annotated, Any, Literal
 from pydantic import ConfigDict, Discriminator, Field, Tag, model_validator
 from pydantic_core import PydanticCustomError
 
+from sequences.plain_number import Within
 from sequences.solve_schema import Limit, SolveConfig
 from sequences.strict_model import StrictModel
 
@@ -34,10 +35,12 @@ class FlickerConfig(StrictModel):
     """A flicker. Its level is relative to the station's brightest level, so that a sequence suits every bench."""
 
     waveform: Waveform = "square"
-    frequency_hz: Annotated[float, Field(gt=0, le=100_000)] = 60.0
-    duty_percent: Annotated[float, Field(gt=0, lt=100, description="Bright part of a period.")] = 50.0
+    frequency_hz: Annotated[float, Within(0.001, 100_000, "Hz")] = 60.0
+    duty_percent: Annotated[
+        float, Within(0.01, 99.99, "%"), Field(description="Bright part of a period.")
+    ] = 50.0
     level_percent: Annotated[
-        float, Field(gt=0, le=100, description="Percent of the station's brightest level.")
+        float, Within(0.01, 100, "%"), Field(description="Percent of the station's brightest level.")
     ] = 100.0
 
 
@@ -227,9 +230,9 @@ class GateConfig(StrictModel):
 class RecordConfig(StrictModel):
     """Record the flicker at the current pose and find the stars in it."""
 
-    window_ms: Annotated[float, Field(gt=0, le=60_000, description="Rounded to whole flicker periods.")] = (
-        33.0
-    )
+    window_ms: Annotated[
+        float, Within(0.01, 60_000, "ms"), Field(description="Rounded to whole flicker periods.")
+    ] = 33.0
     image: ImageKind = "auto"
     attempts: Annotated[int, Field(ge=1, le=20)] = 2
     backoff_s: Annotated[

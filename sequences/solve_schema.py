@@ -11,6 +11,7 @@ from typing import Annotated, Any, Literal
 from pydantic import Discriminator, Field, Tag, field_validator
 from pydantic_core import PydanticCustomError
 
+from sequences.plain_number import Within
 from sequences.strict_model import StrictModel
 
 CalibrationModel = Literal["spherical", "radial", "pupil", "rim", "field", "coma", "drift", "planar", "auto"]
@@ -87,7 +88,7 @@ class SolveConfig(StrictModel):
         Discriminator(_set_or_list),
     ] = ("k1", "k2")
     loss: Loss = "huber"
-    huber_px: Annotated[float, Field(gt=0, le=100)] | None = None
+    huber_px: Annotated[float, Within(0.001, 100, "px")] | None = None
     passport: Annotated[
         str | None,
         Field(
@@ -102,9 +103,13 @@ class SolveConfig(StrictModel):
     readings: Annotated[
         Readings, Field(description="witness: the gimbal's readings never enter the adjustment.")
     ] = "auto"
-    guard_band: Annotated[float, Field(gt=0, le=1, description="Share of the beam's radius to use.")] = 1.0
+    guard_band: Annotated[float, Within(0.05, 1), Field(description="Share of the beam's radius to use.")] = (
+        1.0
+    )
     drift_mm: Annotated[
-        float, Field(gt=0, le=1000, description="Expected drift of the centre per view, model drift.")
+        float,
+        Within(1e-6, 1000, "mm"),
+        Field(description="Expected drift of the centre per view, model drift."),
     ] = 0.3
     limits: LimitConfig = LimitConfig()
 

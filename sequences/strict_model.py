@@ -2,20 +2,28 @@
 
 from __future__ import annotations
 
-from typing import ClassVar
+from typing import Any, ClassVar
 
-from pydantic import BaseModel, ConfigDict, GetJsonSchemaHandler
+from pydantic import BaseModel, ConfigDict, GetCoreSchemaHandler, GetJsonSchemaHandler
 from pydantic.json_schema import JsonSchemaValue
 from pydantic_core import CoreSchema
 
+from sequences.plain_number import with_plain_numbers
+
 
 class StrictModel(BaseModel):
-    """A mapping of a document: no unknown keys, finite numbers only, immutable."""
+    """A mapping of a document: no unknown keys, plain finite numbers only, immutable."""
 
     model_config = ConfigDict(extra="forbid", allow_inf_nan=False, frozen=True)
 
     bare_words: ClassVar[tuple[str, ...]] = ()
     """Single words that may be written in place of the whole mapping."""
+
+    @classmethod
+    def __get_pydantic_core_schema__(cls, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
+        """Refuse numbers such as ``074`` and ``6_0`` everywhere in the document."""
+        schema: CoreSchema = with_plain_numbers(handler(source))
+        return schema
 
     @classmethod
     def __get_pydantic_json_schema__(

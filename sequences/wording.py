@@ -44,6 +44,8 @@ MESSAGES = {
     "greater_than_equal": "must be {ge:g} or more",
     "less_than": "must be less than {lt:g}",
     "less_than_equal": "must be {le:g} or less",
+    "outside": "must be from {lowest} to {highest}{unit}{sign}",
+    "plain_number": "{what}",
     "string_too_short": "must not be empty",
     "string_too_long": "must have {max_length} or fewer characters",
     "too_short": "must have {min_length} or more entries",

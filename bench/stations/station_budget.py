@@ -20,7 +20,7 @@ from sequences.strict_model import StrictModel
 #: Reference temperature of dimensional measurements, degrees Celsius (ISO 1).
 _REFERENCE_C = 20.0
 _Degrees = Annotated[
-    float | None, Field(gt=0, le=1e6, description="Degrees of freedom; without it infinite.")
+    float | None, Field(ge=1, le=1e6, description="Degrees of freedom; without it infinite.")
 ]
 _Share = Annotated[float, Field(ge=0, le=0.1)]
 

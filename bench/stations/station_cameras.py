@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from bench.stations.station_fields import Port, Serial, Text
+from bench.stations.station_fields import Port, Serial, Text, VideoSource
 from drivers.camera.frames import FrameSettings
 from sequences.strict_model import StrictModel
 
@@ -107,7 +107,7 @@ class OpenCvCameraConfig(FrameCameraConfig):
 
     driver: Literal["opencv"]
     source: Annotated[
-        Port, Field(description="/dev/v4l/by-id/..., a number, or a URL (rtsp://, http://, tcp://).")
+        VideoSource, Field(description="/dev/v4l/by-id/..., a number, or a URL (rtsp://, http://, tcp://).")
     ]
     exposure: Annotated[float | None, Field(description="In the units of the camera's driver.")] = None
     gain: Annotated[float | None, Field(description="In the units of the camera's driver.")] = None

@@ -10,7 +10,8 @@ from typing import Annotated, Any
 from pydantic import BeforeValidator, Discriminator, Field, Tag, model_validator
 from pydantic_core import PydanticCustomError
 
-from bench.stations.station_fields import Positive, Serial, Text
+from bench.stations.station_fields import FocalLength, Serial, Text
+from sequences.plain_number import Within
 from sequences.strict_model import StrictModel
 
 NotNegative = Annotated[float, Field(ge=0)]
@@ -38,18 +39,20 @@ Date = Annotated[dt.date, BeforeValidator(_date)]
 class StatedValue(StrictModel):
     """A value with its standard uncertainty."""
 
-    value: float
+    value: Annotated[float, Within(-1e6, 1e6)]
     sigma: Annotated[
-        float, Field(ge=0, description="Standard uncertainty (k = 1), in the unit of the value.")
+        float, Within(0, 1e6), Field(description="Standard uncertainty (k = 1), in the unit of the value.")
     ]
 
 
 class CertificateConfig(StrictModel):
     """A certificate of the collimator's focal length."""
 
-    r_mm: Annotated[Positive, Field(description="Focal length on the axis.")]
+    r_mm: Annotated[FocalLength, Field(description="Focal length on the axis.")]
     uncertainty_mm: Annotated[
-        Positive, Field(description="Expanded uncertainty, as the certificate states it.")
+        float,
+        Within(1e-6, 1e4, "mm"),
+        Field(description="Expanded uncertainty, as the certificate states it."),
     ]
     k: Annotated[float, Field(ge=1, le=10, description="Coverage factor of the uncertainty.")] = 2.0
     number: Text
@@ -79,7 +82,7 @@ class CollimatorConfig(StrictModel):
     """What is known of the collimator. The solve steps use its certificate or its passport, and its defocus."""
 
     serial: Serial | None = None
-    nominal_r_mm: Positive | None = None
+    nominal_r_mm: FocalLength | None = None
     certificate: (
         Annotated[
             Annotated[Text, Tag("text")] | Annotated[CertificateConfig, Tag("values")],
@@ -115,7 +118,8 @@ class GimbalConfig(StrictModel):
 
     reading_sigma_deg: Annotated[
         float,
-        Field(gt=0, le=10, description="Standard uncertainty of a reading, wobble of the axes included."),
+        Within(1e-6, 10, "deg"),
+        Field(description="Standard uncertainty of a reading, wobble of the axes included."),
     ]
     scale_sigma: Annotated[
         float, Field(ge=0, le=1, description="Standard uncertainty of the scale of an axis.")

@@ -7,9 +7,13 @@ from typing import Annotated
 from pydantic import Field
 
 from bench.stations.station_collimator import CollimatorConfig, GimbalConfig
-from bench.stations.station_fields import Positive
+from bench.stations.station_fields import FocalLength
 from calib.studies.collimator_errors import TYPICAL_DEFOCUS, TYPICAL_RMS_PX, CollimatorErrors
+from sequences.plain_number import Within
 from sequences.strict_model import StrictModel
+
+_Side = Annotated[int, Within(8, 65_536, "px")]
+_Coefficient = Annotated[float, Within(-1000, 1000)]
 
 
 class ExpectedCollimatorConfig(StrictModel):
@@ -32,13 +36,15 @@ class ExpectedCollimatorConfig(StrictModel):
 class ExpectedConfig(StrictModel):
     """Approximate properties of the bench, for plans and studies only; no estimator uses them."""
 
-    focal_px: Positive
-    r_mm: Positive
-    half_angle_deg: Annotated[float, Field(gt=0, lt=60, description="Half angle of the beam.")]
-    image_size: tuple[Annotated[int, Field(gt=0)], Annotated[int, Field(gt=0)]] = (1280, 720)
-    k1: float = 0.0
-    k2: float = 0.0
-    star_sigma_px: Annotated[Positive, Field(description="Uncertainty of a star, per axis.")] = 0.02
+    focal_px: Annotated[float, Within(10, 1e6, "px")]
+    r_mm: FocalLength
+    half_angle_deg: Annotated[float, Field(ge=0.01, lt=60, description="Half angle of the beam.")]
+    image_size: tuple[_Side, _Side] = (1280, 720)
+    k1: _Coefficient = 0.0
+    k2: _Coefficient = 0.0
+    star_sigma_px: Annotated[
+        float, Within(1e-4, 100, "px"), Field(description="Uncertainty of a star, per axis.")
+    ] = 0.02
     collimator: ExpectedCollimatorConfig = ExpectedCollimatorConfig()
 
     def errors(self, collimator: CollimatorConfig, gimbal: GimbalConfig | None) -> CollimatorErrors:

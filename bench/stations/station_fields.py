@@ -7,6 +7,9 @@ from typing import Annotated
 from pydantic import AfterValidator, Field, ValidationInfo
 from pydantic_core import PydanticCustomError
 
+from drivers.port_address import PORT_REMEDY, SOURCE_REMEDY, refused_port, refused_source
+from sequences.plain_number import Within
+
 SIMULATED_PREFIX = "sim:"
 SIMULATED_PORTS = (
     "sim:gimbal",
@@ -39,7 +42,24 @@ def _simulated_or_real(port: str, info: ValidationInfo) -> str:
 Text = Annotated[str, Field(min_length=1, max_length=200)]
 
 
-Port = Annotated[Text, AfterValidator(_simulated_or_real)]
+def _not_another_url(port: str) -> str:
+    """Accept the kinds of URL that reach a device; others write files or search for a device."""
+    if not port.startswith(SIMULATED_PREFIX) and (refused := refused_port(port)) is not None:
+        raise PydanticCustomError("kind_of_url", "{refused}", {"refused": f"{refused} {PORT_REMEDY}"})
+    return port
+
+
+def _not_another_protocol(source: str) -> str:
+    """Accept the kinds of video source that reach a camera or a video file."""
+    if not source.startswith(SIMULATED_PREFIX) and (refused := refused_source(source)) is not None:
+        raise PydanticCustomError("kind_of_url", "{refused}", {"refused": f"{refused} {SOURCE_REMEDY}"})
+    return source
+
+
+Port = Annotated[Text, AfterValidator(_simulated_or_real), AfterValidator(_not_another_url)]
+
+
+VideoSource = Annotated[Text, AfterValidator(_simulated_or_real), AfterValidator(_not_another_protocol)]
 
 
 Serial = Annotated[
@@ -55,4 +75,7 @@ Serial = Annotated[
 ]
 
 
-Positive = Annotated[float, Field(gt=0)]
+Positive = Annotated[float, Within(1e-6, 1e9)]
+
+
+FocalLength = Annotated[float, Within(1, 100_000, "mm")]

@@ -8,13 +8,17 @@ from pydantic import Field, model_validator
 from pydantic_core import PydanticCustomError
 
 from bench.stations.placeholders import ToFillIn
-from bench.stations.station_fields import Port, Positive, Serial, Text
+from bench.stations.station_fields import Port, Serial, Text
 from drivers.light import LightSettings
 from drivers.light.scpi_dialects import DialectName, Load
+from sequences.plain_number import Within
 from sequences.script import Flicker
 from sequences.strict_model import StrictModel
 
 Volts = Annotated[float, Field(ge=-20, le=20)]
+Hertz = Annotated[float, Within(0.001, 1e7, "Hz")]
+Percent = Annotated[float, Within(0.01, 1000, "%")]
+_BAUD_RATES = Within(50, 20_000_000, "Bd")
 
 
 class ScpiLightConfig(StrictModel):
@@ -22,7 +26,7 @@ class ScpiLightConfig(StrictModel):
 
     driver: Literal["scpi"]
     port: Port
-    baudrate: Annotated[int, Field(gt=0)] = 9600
+    baudrate: Annotated[int, _BAUD_RATES] = 9600
     serial: Serial | None = None
     dialect: Annotated[
         DialectName, Field(description="Command dialect of the generator; see docs/stations.md.")
@@ -30,7 +34,7 @@ class ScpiLightConfig(StrictModel):
     load: Annotated[Load, Field(description="Load impedance for which the levels are stated.")] = "high-z"
     low_v: Annotated[Volts, Field(description="Level at which the lamp is dark, V.")] = 0.0
     high_v: Annotated[Volts, ToFillIn, Field(description="Level at which the lamp is brightest, V.")] = 5.0
-    frequency_range_hz: tuple[Positive, Positive] = (0.1, 10_000.0)
+    frequency_range_hz: tuple[Hertz, Hertz] = (0.1, 10_000.0)
     sync_output: bool = True
 
     @model_validator(mode="after")
@@ -74,18 +78,16 @@ class GardasoftLightConfig(StrictModel):
 
     driver: Literal["gardasoft"]
     port: Port
-    baudrate: Annotated[int, Field(gt=0)] = 115_200
+    baudrate: Annotated[int, _BAUD_RATES] = 115_200
     model: Annotated[
         Text | None,
         Field(description="Model that the controller reports (RT420F-20). Without it, any is accepted."),
     ] = None
     channel: Annotated[int, Field(ge=1, le=8)] = 1
     sync_channel: Annotated[int, Field(ge=1, le=8)] | None = 2
-    full_percent: Annotated[
-        float, Field(gt=0, le=1000, description="Brightness of the lamp at level 100 %.")
-    ] = 100.0
-    sync_percent: Annotated[float, Field(gt=0, le=1000)] = 100.0
-    frequency_range_hz: tuple[Positive, Positive] = (1.0, 1_000.0)
+    full_percent: Annotated[Percent, Field(description="Brightness of the lamp at level 100 %.")] = 100.0
+    sync_percent: Percent = 100.0
+    frequency_range_hz: tuple[Hertz, Hertz] = (1.0, 1_000.0)
 
     @property
     def ports(self) -> tuple[str, ...]:

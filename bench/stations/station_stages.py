@@ -13,6 +13,7 @@ from pydantic_core import PydanticCustomError
 from bench.stations.placeholders import ToFillIn
 from bench.stations.station_fields import Port, Serial
 from drivers.stage import AxisLimits
+from sequences.plain_number import Within
 from sequences.schema import Angle, Axis
 from sequences.strict_model import StrictModel
 
@@ -23,7 +24,9 @@ def _not_zero(scale: float) -> float:
     return scale
 
 
-Scale = Annotated[float, AfterValidator(_not_zero), ToFillIn]
+_SCALES = Within(0.01, 1e9, "counts/deg", either_sign=True)
+_BAUD_RATES = Within(50, 20_000_000, "Bd")
+Scale = Annotated[float, AfterValidator(_not_zero), _SCALES, ToFillIn]
 
 
 class AxisConfig(StrictModel):
@@ -33,10 +36,12 @@ class AxisConfig(StrictModel):
     limits_deg: Annotated[
         tuple[Angle, Angle], Field(description="Lowest and highest angle allowed on the bench.")
     ]
-    speed_deg_s: Annotated[float, Field(gt=0, le=1000)]
-    acceleration_deg_s2: Annotated[float, Field(gt=0, le=100_000)]
+    speed_deg_s: Annotated[float, Within(0.001, 1000, "deg/s")]
+    acceleration_deg_s2: Annotated[float, Within(0.001, 100_000, "deg/s^2")]
     tolerance_deg: Annotated[
-        float, Field(gt=0, le=1, description="Largest distance from the target at the end of a move.")
+        float,
+        Within(1e-6, 1, "deg"),
+        Field(description="Largest distance from the target at the end of a move."),
     ] = 0.002
 
     @field_validator("limits_deg")
@@ -88,7 +93,7 @@ class ZaberAxisConfig(AxisConfig):
         Scale,
         Field(description="Negative if the counter decreases while the angle increases."),
     ]
-    encoder_tolerance_deg: Annotated[float, Field(gt=0, le=5)] = 0.05
+    encoder_tolerance_deg: Annotated[float, Within(1e-6, 5, "deg")] = 0.05
 
 
 class ZaberStageConfig(StrictModel):
@@ -96,7 +101,7 @@ class ZaberStageConfig(StrictModel):
 
     driver: Literal["zaber_ascii"]
     port: Port
-    baudrate: Annotated[int, Field(gt=0)] = 115_200
+    baudrate: Annotated[int, _BAUD_RATES] = 115_200
     axes: Annotated[dict[Axis, ZaberAxisConfig], Field(min_length=1), _differing("device", "axis")]
 
     @property
@@ -112,7 +117,7 @@ class XimcAxisConfig(AxisConfig):
     serial: Serial
     steps_per_deg: Annotated[Scale, Field(description="Full steps; negative if the counter decreases.")]
     encoder_counts_per_deg: Scale | None = None
-    encoder_tolerance_deg: Annotated[float, Field(gt=0, le=5)] = 0.05
+    encoder_tolerance_deg: Annotated[float, Within(1e-6, 5, "deg")] = 0.05
 
 
 class XimcStageConfig(StrictModel):
@@ -135,8 +140,9 @@ class GrblAxisConfig(AxisConfig):
     ]
     steps_per_deg: Annotated[
         float,
+        Within(0.01, 1e9, "steps/deg"),
         ToFillIn,
-        Field(gt=0, description="Must equal the setting of the board: $100 for X, $101 for Y, and so on."),
+        Field(description="Must equal the setting of the board: $100 for X, $101 for Y, and so on."),
     ]
 
 
@@ -145,7 +151,7 @@ class GrblStageConfig(StrictModel):
 
     driver: Literal["grbl"]
     port: Port
-    baudrate: Annotated[int, Field(gt=0)] = 115_200
+    baudrate: Annotated[int, _BAUD_RATES] = 115_200
     serial: Annotated[
         Serial | None,
         Field(description="Name given to the board with $I=.... Without it, any board is accepted."),
@@ -182,7 +188,7 @@ class EspStageConfig(StrictModel):
 
     driver: Literal["esp30x"]
     port: Port
-    baudrate: Annotated[int, Field(gt=0)] = 19_200
+    baudrate: Annotated[int, _BAUD_RATES] = 19_200
     axes: Annotated[dict[Axis, EspAxisConfig], Field(min_length=1), _differing("number")]
 
     @property

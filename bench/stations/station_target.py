@@ -10,13 +10,16 @@ from typing import Annotated, Any, Literal
 from pydantic import Field, field_validator, model_validator
 from pydantic_core import PydanticCustomError
 
-from bench.stations.station_fields import Positive, Serial, Text
+from bench.stations.station_fields import Serial, Text
 from calib.errors import InputMismatch
 from calib.target import StarTarget
+from sequences.plain_number import Within
 from sequences.strict_model import StrictModel
 
 Units = Literal["mm", "um", "inch"]
 Polarity = Literal["positive", "negative"]
+Squares = Annotated[int, Within(2, 10_000)]
+_GlassSide = Annotated[float, Within(0.01, 100_000, "mm")]
 
 _FEWEST_PITCHES = 4.0
 """Width of the margin around the pattern, pitches, if no size is given: it holds the text and the scale bars."""
@@ -26,7 +29,7 @@ class DrawingConfig(StrictModel):
     """The drawing of the reticle: its size, and what stands in the margin around the pattern."""
 
     size_mm: Annotated[
-        tuple[Positive, Positive] | None,
+        tuple[_GlassSide, _GlassSide] | None,
         Field(
             description="Width and height of the glass or sheet. Default: the pattern and 4 pitches on each side."
         ),
@@ -34,7 +37,7 @@ class DrawingConfig(StrictModel):
     units: Annotated[Units, Field(description="Unit of the coordinates in DXF, GDSII and SVG files.")] = "mm"
     scale_bar_mm: Annotated[
         float | None,
-        Field(ge=0, description="Length of the scale bars; 0: none. Default: a round length."),
+        Field(ge=0, le=100_000, description="Length of the scale bars; 0: none. Default: a round length."),
     ] = None
     outline: Annotated[bool, Field(description="Whether the edge of the glass is drawn.")] = True
     mirrored: Annotated[
@@ -54,8 +57,8 @@ class TargetConfig(StrictModel):
     serial: Annotated[
         Serial | None, Field(description="Serial number of the target; the drawing shows it.")
     ] = None
-    squares: tuple[int, int] = (50, 72)
-    pitch_mm: Positive = 144.5 / 36
+    squares: tuple[Squares, Squares] = (50, 72)
+    pitch_mm: Annotated[float, Within(0.001, 1000, "mm")] = 144.5 / 36
     segments: int = 16
     tag_family: str = "36h11"
     tag_id: int = 3

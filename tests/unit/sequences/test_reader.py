@@ -93,6 +93,37 @@ def test_a_wrong_value_is_met_in_plain_words_with_what_was_got(light, fault):
     assert said.partition(": ")[2] == fault
 
 
+@pytest.mark.parametrize(
+    "text", ["074", "6_0", "-01", "00", "0_5", "1_000.5", "' 7'", "'7 '", "01e2", "1e0_1"]
+)
+def test_a_number_is_a_plain_decimal_number(text):
+    (fault,) = faults(f"format: test/1\nlight: {{kind: lamp, watts: {text}}}\n")
+    assert "light.watts: write the number without" in fault
+    assert text.strip("'") in fault
+    (fault,) = faults(f"format: test/1\nlight: {{kind: laser, serial: 1}}\nlegs: {{a: [{text}, 1]}}\n")
+    assert "legs.a[0]: " in fault
+
+
+@pytest.mark.parametrize(
+    ("text", "watts"), [("0.5", 0.5), (".5", 0.5), ("+5", 5), ("5.", 5), ("1e-3", 0.001), ("0e0", 0)]
+)
+def test_plain_numbers_are_read_as_ever(text, watts):
+    if watts:
+        assert (
+            check_document(
+                f"light: {{kind: lamp, watts: {text}}}\nformat: test/1".encode(), "t", Table
+            ).value.light.watts
+            == watts
+        )
+    else:
+        assert "must be more than 0" in faults(f"format: test/1\nlight: {{kind: lamp, watts: {text}}}")[0]
+
+
+def test_a_serial_number_that_looks_like_an_odd_number_stays_text():
+    read = check_document(b"format: test/1\nlight: {kind: laser, serial: 0074_1}\n", "t.yaml", Table)
+    assert read.value.light.serial == "0074_1"
+
+
 def test_an_unknown_key_is_compared_with_the_keys_of_its_own_kind_only():
     assert faults("format: test/1\nlight: {kind: lamp, watts: 1, serail: x}\n") == [
         "t.yaml:2:31: light.serail: unknown key. Known here: kind, watts."

@@ -60,11 +60,11 @@ def read(text: str) -> Sequence:
             "steps: [{solve: {readings: always}}]",
             "steps[0].solve.readings: must be 'auto' or 'witness' (got ",
         ),
-        ("steps: [{solve: {guard_band: 0}}]", "steps[0].solve.guard_band: must be more than 0 (got '0')."),
+        ("steps: [{solve: {guard_band: 0}}]", "steps[0].solve.guard_band: must be from 0.05 to 1 (got '0')."),
         ("steps: [{light: of}]", "steps[0].light: must be 'on' or 'off' (got 'of'). Did you mean 'off'?"),
         (
             "steps: [{light: {duty_percent: 100}}]",
-            "steps[0].light.duty_percent: must be less than 100 (got '100').",
+            "steps[0].light.duty_percent: must be from 0.01 to 99.99 % (got '100').",
         ),
         ("steps: [{record: {attempts: 0}}]", "steps[0].record.attempts: must be 1 or more (got '0')."),
         ("steps: [{record: {image: best}}]", "steps[0].record.image: must be 'auto', 'last_polarity',"),

@@ -127,6 +127,41 @@ def test_serial_numbers_stay_text_zeros_included():
             "target: the pattern does not fit: drawing.size_mm must be at least [200.694, 289].",
         ),
         ("simulation: {}", "simulation: yes", "simulation: must be a mapping (key: value)"),
+        (
+            "sim:light",
+            "spy:///dev/null?file=notes.txt",
+            "light.port: a port cannot be a URL of the kind spy://. Name a device file, socket://host:port or",
+        ),
+        (
+            "speed_deg_s: 40",
+            "speed_deg_s: 1e-300",
+            "speed_deg_s: must be from 0.001 to 1000 deg/s (got '1e-300').",
+        ),
+        (
+            "acceleration_deg_s2: 200",
+            "acceleration_deg_s2: 1e-300",
+            "acceleration_deg_s2: must be from 0.001 to 100000 deg/s^2 (got '1e-300').",
+        ),
+        (
+            "microsteps_per_deg: 6400\n      limits_deg: [-15",
+            "microsteps_per_deg: -1e-300\n      limits_deg: [-15",
+            "microsteps_per_deg: must be from 0.01 to 1e+09 counts/deg, positive or negative (got '-1e-300').",
+        ),
+        (
+            "focal_px: 3300",
+            "focal_px: 1e-308",
+            "expected.focal_px: must be from 10 to 1e+06 px (got '1e-308').",
+        ),
+        (
+            "simulation: {}",
+            "target: {squares: [1000000, 1000000]}\nsimulation: {}",
+            "target.squares[0]: must be from 2 to 10000 (got '1000000').",
+        ),
+        (
+            "simulation: {}",
+            "target: {squares: [1000, 1000]}\nsimulation: {}",
+            "target: no such target can be printed: 1000 x 1000 squares are more than 200000.",
+        ),
     ],
     ids=lambda text: text[:25].strip(),
 )

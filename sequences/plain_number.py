@@ -1,0 +1,163 @@
+"""Numbers of a document: plain decimals only, within a stated range.
+
+Python reads ``6_0`` as 60 and ``074`` as 74; YAML reads ``074`` as octal and ``6_0`` as 60. Such a number is probably a
+slip, so it is refused. The module defines the check of the text and the check of the range.
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from typing import Any
+
+from pydantic import GetCoreSchemaHandler, GetJsonSchemaHandler
+from pydantic.json_schema import JsonSchemaValue
+from pydantic_core import CoreSchema, PydanticCustomError, core_schema
+
+_PLAIN = re.compile(r"[+-]?(?:(?:0|[1-9][0-9]*)(?:\.[0-9]*)?|\.[0-9]+)(?:[eE][+-]?[0-9]+)?")
+_ODD = re.compile(r"[+-]?[0-9][0-9_]*(?:\.[0-9_]*)?(?:[eE][+-]?[0-9_]+)?")
+
+
+def is_plain_number(text: str) -> bool:
+    """Return whether a text is a plain decimal number.
+
+    Parameters
+    ----------
+    text
+        The text.
+
+    Returns
+    -------
+    bool
+        False for leading zeros, underscores, spaces, ``inf``, ``nan``, hexadecimal digits and digits of other scripts.
+
+    Examples
+    --------
+    >>> [is_plain_number(text) for text in ("60", "-0.5", ".5", "1e-3", "074", "6_0", "0x10", " 1", "nan")]
+    [True, True, True, True, False, False, False, False, False]
+    """
+    return _PLAIN.fullmatch(text) is not None
+
+
+def require_plain_number(value: Any) -> Any:
+    """Refuse a text that Python would read as a number, but that is not a plain decimal number.
+
+    Parameters
+    ----------
+    value
+        A value of a document; only texts are checked.
+
+    Returns
+    -------
+    Any
+        The value, unchanged.
+
+    Raises
+    ------
+    PydanticCustomError
+        For a text such as ``074`` or ``6_0``. A text that is no number at all is left to the field's own check.
+    """
+    if not isinstance(value, str) or is_plain_number(value):
+        return value
+    bare = value.strip()
+    if is_plain_number(bare):
+        what = "write the number without spaces"
+    elif _ODD.fullmatch(bare):
+        what = "write the number without leading zeros and underscores"
+    else:
+        return value
+    raise PydanticCustomError("plain_number", "{what}", {"what": what})
+
+
+@dataclass(frozen=True)
+class Within:
+    """The range of a number, for ``Annotated``: a message names both ends of it.
+
+    Attributes
+    ----------
+    lowest, highest
+        Ends of the range; both are allowed.
+    unit
+        Unit of the number, for the message; empty for none.
+    either_sign
+        Whether the range holds for the size of the number, whatever its sign.
+    """
+
+    lowest: float
+    highest: float
+    unit: str = ""
+    either_sign: bool = False
+
+    def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
+        """Add the check of the range after the check of the type."""
+        return core_schema.no_info_after_validator_function(self.check, handler(source))
+
+    def __get_pydantic_json_schema__(
+        self, schema: CoreSchema, handler: GetJsonSchemaHandler
+    ) -> JsonSchemaValue:
+        """State the range in the exported schema."""
+        shown = handler(schema)
+        lowest = -self.highest if self.either_sign else self.lowest
+        return {**shown, "minimum": lowest, "maximum": self.highest}
+
+    def check(self, number: float) -> float:
+        """Refuse a number outside the range.
+
+        Parameters
+        ----------
+        number
+            The number.
+
+        Returns
+        -------
+        float
+            The number, unchanged.
+
+        Raises
+        ------
+        PydanticCustomError
+            With the range.
+        """
+        size = abs(number) if self.either_sign else number
+        if self.lowest <= size <= self.highest:
+            return number
+        sign = ", positive or negative" if self.either_sign else ""
+        unit = f" {self.unit}" if self.unit else ""
+        raise PydanticCustomError(
+            "outside",
+            "must be from {lowest} to {highest}{unit}{sign}",
+            {
+                "lowest": f"{self.lowest:g}",
+                "highest": f"{self.highest:g}",
+                "unit": unit,
+                "sign": sign,
+            },
+        )
+
+
+def with_plain_numbers(schema: Any) -> Any:
+    """Return a schema of pydantic in which every number that is given as text must be a plain decimal number.
+
+    Parameters
+    ----------
+    schema
+        A core schema, or a part of one.
+
+    Returns
+    -------
+    Any
+        A changed copy.
+    """
+    if isinstance(schema, list):
+        return [with_plain_numbers(part) for part in schema]
+    if isinstance(schema, tuple):
+        return tuple(with_plain_numbers(part) for part in schema)
+    if not isinstance(schema, dict):
+        return schema
+    if schema.get("type") == "function-before" and schema["function"].get("function") is require_plain_number:
+        return schema
+    kept = {"metadata", "serialization", "default", "function", "ref", "type", "cls", "config"}
+    changed = {key: value if key in kept else with_plain_numbers(value) for key, value in schema.items()}
+    if schema.get("type") in {"float", "int"}:
+        return core_schema.no_info_before_validator_function(require_plain_number, changed)  # type: ignore[arg-type]
+    return changed
