@@ -1,8 +1,7 @@
-"""SSH signatures (SSHSIG) with Ed25519: the bytes that ``ssh-keygen -Y sign`` writes and ``-Y verify`` reads.
+"""SSH signatures (SSHSIG): the bytes that ``ssh-keygen -Y sign`` writes and ``-Y verify`` reads.
 
-Sources: the format is PROTOCOL.sshsig of OpenSSH; Ed25519 is RFC 8032; its keys and signatures in SSH are RFC 8709,
-sections 4 and 6; strings are RFC 4251, section 5. The message is hashed with SHA-512. This module handles bytes only.
-It reads no files and does not decide which keys are trusted.
+Sources: the format is PROTOCOL.sshsig of OpenSSH; keys and signatures are in `bench.evidence.ssh_keys`. The message is
+hashed with SHA-512. This module handles bytes only. It reads no files and does not decide which keys are trusted.
 """
 
 from __future__ import annotations
@@ -10,15 +9,26 @@ from __future__ import annotations
 import base64
 import binascii
 import hashlib
-import struct
 from dataclasses import dataclass
+from typing import Protocol
 
-from cryptography.exceptions import InvalidSignature
-from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey, Ed25519PublicKey
+from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 
 from bench.base.errors import EvidenceError
+from bench.evidence.ssh_keys import KEY_TYPE, PublicKey, encode_public_key, fingerprint
+from bench.evidence.ssh_wire import Reader, string
 
-KEY_TYPE = b"ssh-ed25519"
+__all__ = [
+    "KEY_TYPE",
+    "SigningKey",
+    "SshSignature",
+    "encode_public_key",
+    "fingerprint",
+    "is_valid",
+    "read_signature",
+    "sign",
+    "sign_with",
+]
 
 _MAGIC = b"SSHSIG"
 _VERSION = 1
@@ -28,6 +38,28 @@ _END = b"-----END SSH SIGNATURE-----"
 _LINE_LENGTH = 70
 
 
+class SigningKey(Protocol):
+    """A key that can sign, wherever its private part is: in memory, in an agent, in a token."""
+
+    @property
+    def public_key(self) -> bytes:
+        """The public key as SSH encodes it."""
+
+    def sign(self, data: bytes) -> bytes:
+        """Sign data.
+
+        Parameters
+        ----------
+        data
+            What is signed.
+
+        Returns
+        -------
+        bytes
+            The signature as SSH encodes it: its type and its bytes.
+        """
+
+
 @dataclass(frozen=True)
 class SshSignature:
     """The parts of a signature.
@@ -35,13 +67,13 @@ class SshSignature:
     Attributes
     ----------
     public_key
-        The signer's key as SSH encodes it (the part in base64 after ``ssh-ed25519``).
+        The signer's key as SSH encodes it (the part in base64 of its line).
     namespace
         Purpose of the signature; a signature for one purpose is not valid for another.
     hash_name
         Hash function applied to the message: ``sha512`` or ``sha256``.
     signature
-        The Ed25519 signature, 64 bytes.
+        The signature as SSH encodes it: its type and its bytes.
     """
 
     public_key: bytes
@@ -50,8 +82,22 @@ class SshSignature:
     signature: bytes
 
 
+@dataclass(frozen=True)
+class _Ed25519Signer:
+    """An Ed25519 key in memory, as `SigningKey`."""
+
+    private: Ed25519PrivateKey
+
+    @property
+    def public_key(self) -> bytes:
+        return encode_public_key(self.private.public_key())
+
+    def sign(self, data: bytes) -> bytes:
+        return string(KEY_TYPE) + string(self.private.sign(data))
+
+
 def sign(key: Ed25519PrivateKey, message: bytes, namespace: str) -> bytes:
-    """Sign a message (PROTOCOL.sshsig of OpenSSH). Ed25519 signatures are deterministic (RFC 8032).
+    """Sign a message with an Ed25519 key (PROTOCOL.sshsig of OpenSSH). The signature is deterministic (RFC 8032).
 
     Parameters
     ----------
@@ -67,18 +113,29 @@ def sign(key: Ed25519PrivateKey, message: bytes, namespace: str) -> bytes:
     bytes
         The armoured signature, as ``ssh-keygen -Y sign`` writes it.
     """
-    public = encode_public_key(key.public_key())
+    return sign_with(_Ed25519Signer(key), message, namespace)
+
+
+def sign_with(key: SigningKey, message: bytes, namespace: str) -> bytes:
+    """Sign a message (PROTOCOL.sshsig of OpenSSH).
+
+    Parameters
+    ----------
+    key
+        The key.
+    message
+        What is signed.
+    namespace
+        Purpose of the signature.
+
+    Returns
+    -------
+    bytes
+        The armoured signature, as ``ssh-keygen -Y sign`` writes it.
+    """
     signature = key.sign(_signed_data(message, namespace.encode(), b"sha512"))
-    blob = (
-        _MAGIC
-        + struct.pack(">I", _VERSION)
-        + _string(public)
-        + _string(namespace.encode())
-        + _string(b"")
-        + _string(b"sha512")
-        + _string(_string(KEY_TYPE) + _string(signature))
-    )
-    text = base64.b64encode(blob)
+    strings = (key.public_key, namespace.encode(), b"", b"sha512", signature)
+    text = base64.b64encode(_MAGIC + _VERSION.to_bytes(4, "big") + b"".join(map(string, strings)))
     lines = [text[i : i + _LINE_LENGTH] for i in range(0, len(text), _LINE_LENGTH)]
     return b"\n".join([_BEGIN, *lines, _END, b""])
 
@@ -99,11 +156,11 @@ def read_signature(armoured: bytes) -> SshSignature:
     Raises
     ------
     EvidenceError
-        When it is not an SSHSIG of an Ed25519 key.
+        When it is not an SSHSIG of a key whose type is known.
     """
     try:
         return _parse(_remove_armour(armoured))
-    except (ValueError, struct.error) as error:
+    except ValueError as error:
         raise EvidenceError(
             f"This is not a signature made for a report ({error}).",
             remedy="Ask the laboratory for the run folder again.",
@@ -123,88 +180,32 @@ def is_valid(signature: SshSignature, message: bytes) -> bool:
     Returns
     -------
     bool
-        Whether it is valid (RFC 8032, section 5.1.7); the caller decides whether the key is trusted.
+        Whether it is valid; the caller decides whether the key is trusted.
     """
-    key = Ed25519PublicKey.from_public_bytes(_strings(signature.public_key, 2)[1])
     data = _signed_data(message, signature.namespace.encode(), signature.hash_name.encode())
     try:
-        key.verify(signature.signature, data)
-    except InvalidSignature:
+        return PublicKey.parse(signature.public_key).is_valid(signature.signature, data)
+    except ValueError:
         return False
-    return True
-
-
-def encode_public_key(key: Ed25519PublicKey) -> bytes:
-    """Encode a public key as SSH does (RFC 8709, section 4).
-
-    Parameters
-    ----------
-    key
-        The public key.
-
-    Returns
-    -------
-    bytes
-        What OpenSSH writes in base64 after ``ssh-ed25519``.
-    """
-    return _string(KEY_TYPE) + _string(key.public_bytes_raw())
-
-
-def fingerprint(public_key: bytes) -> str:
-    """Return the fingerprint of a public key, as ``ssh-keygen -l`` prints it.
-
-    Parameters
-    ----------
-    public_key
-        The key as SSH encodes it.
-
-    Returns
-    -------
-    str
-        ``SHA256:`` and the hash in base64, without padding.
-    """
-    digest = base64.b64encode(hashlib.sha256(public_key).digest()).decode()
-    return "SHA256:" + digest.rstrip("=")
 
 
 def _parse(blob: bytes) -> SshSignature:
-    """Read the binary form. Raises ValueError or struct.error."""
-    if blob[:6] != _MAGIC or struct.unpack(">I", blob[6:10])[0] != _VERSION:
+    """Read the binary form. Raises ValueError."""
+    reader = Reader(blob)
+    if blob[:6] != _MAGIC or reader.take(6) != _MAGIC or reader.uint32() != _VERSION:
         raise ValueError("it is not SSHSIG version 1")
-    public, namespace, reserved, hash_name, signature = _strings(blob[10:], 5)
-    key_type, key_bytes = _strings(public, 2)
-    signature_type, signature_bytes = _strings(signature, 2)
-    if (key_type, signature_type) != (KEY_TYPE, KEY_TYPE) or (len(key_bytes), len(signature_bytes)) != (
-        32,
-        64,
-    ):
-        raise ValueError("it does not consist of an Ed25519 key and signature")
+    public, namespace, reserved, hash_name, signature = (reader.string() for _ in range(5))
+    reader.end()
     if hash_name not in _HASHES or reserved:
         raise ValueError("it has an unknown hash or extension")
-    return SshSignature(public, namespace.decode(), hash_name.decode(), signature_bytes)
+    key = PublicKey.parse(public)
+    key.is_valid(signature, b"")  # of the right form, or ValueError
+    return SshSignature(public, namespace.decode(), hash_name.decode(), signature)
 
 
 def _signed_data(message: bytes, namespace: bytes, hash_name: bytes) -> bytes:
     digest = _HASHES[hash_name](message).digest()
-    return _MAGIC + _string(namespace) + _string(b"") + _string(hash_name) + _string(digest)
-
-
-def _string(data: bytes) -> bytes:
-    return struct.pack(">I", len(data)) + data
-
-
-def _strings(data: bytes, count: int) -> list[bytes]:
-    """Split into exactly ``count`` length-prefixed strings. Raises ValueError or struct.error."""
-    found = []
-    for _ in range(count):
-        (size,) = struct.unpack(">I", data[:4])
-        if len(data) < 4 + size:
-            raise ValueError("it is incomplete")
-        found.append(data[4 : 4 + size])
-        data = data[4 + size :]
-    if data:
-        raise ValueError("it has surplus bytes")
-    return found
+    return _MAGIC + string(namespace) + string(b"") + string(hash_name) + string(digest)
 
 
 def _remove_armour(armoured: bytes) -> bytes:
