@@ -334,8 +334,10 @@ def main(arguments: list[str] | None = None) -> None:
     # Our matrices are small: several threads take three times as long as one. Must be set before numpy is imported.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     from bench.base.kernel_cache import remove_stale_kernels, set_kernel_cache
+    from bench.terminal.closed_output import outlive_readers
     from bench.terminal.encoding import replace_unencodable
 
+    outlive_readers()
     set_kernel_cache(os.environ)
     remove_stale_kernels()
     replace_unencodable(sys.stdout, sys.stderr)
@@ -360,10 +362,6 @@ def _exit_status(command: Callable[[], Any], arguments: list[str]) -> int:
     except KeyboardInterrupt:
         click.echo("Stopped.", err=True)
         return 128 + 2
-    except BrokenPipeError:  # the reader has closed the pipe (| head)
-        # Without this the interpreter fails when it flushes standard output.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return 1
     except Exception as error:  # noqa: BLE001 - the last place that can print any error in plain words
         from bench.commands.output import print_error
 

@@ -9,12 +9,15 @@ from typing import TYPE_CHECKING
 import click
 
 from bench.commands.output import STOPPED
+from bench.terminal.closed_output import output_is_lost
 
 if TYPE_CHECKING:
     from bench.batch.batch_status import BatchStatus
     from bench.run.status import Status
 
 _INTERRUPTED = 130
+_NOT_READ = 128 + 13
+"""Exit status of `status --follow` whose output nobody reads any more: that of SIGPIPE."""
 _ENDED = {"finished": 0, "aborted": STOPPED}
 
 
@@ -33,7 +36,8 @@ def show_status(folder: Path, *, follow: bool, as_json: bool) -> int:
     Returns
     -------
     int
-        Exit status; with ``follow`` that of the run or batch, or 130 after Ctrl-C.
+        Exit status; with ``follow`` that of the run or batch, 130 after Ctrl-C, or 141 if the reader of the output has
+        gone.
     """
     from bench.records.run_index import is_batch
 
@@ -46,7 +50,7 @@ def show_status(folder: Path, *, follow: bool, as_json: bool) -> int:
         noun = "batch" if of_batch else "run"
         click.echo(f"\nNo longer following. The {noun} is not affected.", err=True)
         return _INTERRUPTED
-    return _ENDED.get(ended, 1)
+    return _NOT_READ if output_is_lost() else _ENDED.get(ended, 1)
 
 
 def _show_run(folder: Path, *, as_json: bool) -> int:
@@ -76,6 +80,8 @@ def _follow_run(folder: Path, *, as_json: bool) -> str:
     if as_json:
         for status in follow(folder):
             click.echo(json.dumps(status.to_dict(), allow_nan=False))
+            if output_is_lost():
+                break
         return status.ended
     block = Block()
     if block.can_redraw:
@@ -92,6 +98,8 @@ def _follow_run(folder: Path, *, as_json: bool) -> str:
         advice = status.advice
         if shown:
             click.echo("\n".join(shown))
+        if output_is_lost():
+            break
     return status.ended
 
 
@@ -113,4 +121,6 @@ def _follow_batch(folder: Path, *, as_json: bool) -> str:
             known = set(before.splitlines())
             click.echo("\n".join(line for line in text.splitlines() if line not in known))
         before = text
+        if output_is_lost():
+            break
     return status.ended
