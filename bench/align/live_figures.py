@@ -50,7 +50,7 @@ class LiveFigures:
     time_s
         Time of the slice, s.
     image_kind
-        Kind of image shown: ``fired-per-edge``, ``lock-in``, ``count``, ``picture`` or ``none``.
+        Kind of image shown: ``fired-per-edge``, ``events-per-edge``, ``lock-in``, ``count``, ``picture`` or ``none``.
     width_px, height_px
         Size of the image, px.
     events_per_s

@@ -14,10 +14,12 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from bench.align.live_counts import count_slice
 from bench.align.live_setting import LiveSetting
-from bench.align.signal_figures import SignalFigures, measure_signal
+from bench.align.signal_figures import SignalFigures, measure_signal, shows_flicker, signal_of_counts
 from calib.errors import CalibrationError
 from calib.events.event_image import EventImages, make_images
+from calib.events.quick_image import make_quick_image
 from drivers.camera.event_arrays import Events
 from drivers.camera.frames import read_frames
 from drivers.camera.raw_file import RawFile
@@ -38,7 +40,7 @@ class LiveImage(NamedTuple):
     values
         (H, W) float32, brighter where the target is brighter.
     kind
-        Kind of image: ``fired-per-edge``, ``lock-in``, ``count`` or ``picture``.
+        Kind of image: ``fired-per-edge``, ``events-per-edge``, ``lock-in``, ``count`` or ``picture``.
     least
         Brightness of white print below which nothing counts as light, in the unit of the values.
     signal
@@ -114,6 +116,10 @@ def show(values: NDArray[np.float32]) -> NDArray[np.uint8]:
 def _read_events(path: Path, expected_hz: float | None, *, compare: bool) -> LiveImage:
     """Make the image of an event camera's slice."""
     raw = RawFile.open(path)
+    quick = None if expected_hz is None else _by_counts(raw, expected_hz)
+    # Times of events are needed for some figures of a slice that is long enough, now and then.
+    if quick is not None and not (compare and shows_flicker(quick.signal)):
+        return quick
     events, triggers = raw.read()
     starts = [int(a[0]) for a in (events.t, triggers.t) if len(a)]
     origin_us = min(starts, default=0)
@@ -121,6 +127,8 @@ def _read_events(path: Path, expected_hz: float | None, *, compare: bool) -> Liv
     triggers.t[:] -= origin_us
     data_bytes = path.stat().st_size - raw.raw_header.size_bytes
     signal = measure_signal(events, triggers, data_bytes, expected_hz, compare=compare)
+    if quick is not None and signal.flicker is not None:
+        return quick._replace(signal=signal)
     size = raw.width, raw.height
     images = _images(events, size, signal)
     if images is None:
@@ -130,6 +138,16 @@ def _read_events(path: Path, expected_hz: float | None, *, compare: bool) -> Liv
     chosen = images.best()
     least = _LEAST_FIRED if chosen.name == "fired-per-edge" else 1.0
     return LiveImage(chosen.image, chosen.name, least, signal, images.facts.hot_pixels, None)
+
+
+def _by_counts(raw: RawFile, expected_hz: float) -> LiveImage | None:
+    """Make the image of a slice from counts alone; None if the flicker is known by the times of events only."""
+    counted = count_slice(raw, 1e6 / expected_hz)
+    signal = signal_of_counts(counted.statistics, counted.triggers, counted.data_bytes, expected_hz)
+    if signal is None or signal.flicker is None or not counted.periods:
+        return None
+    found = make_quick_image(counted.counts, counted.periods)
+    return LiveImage(found.image, found.name, _LEAST_FIRED, signal, found.hot_pixels, None)
 
 
 def _images(events: Events, size: tuple[int, int], signal: SignalFigures) -> EventImages | None:

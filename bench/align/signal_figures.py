@@ -6,7 +6,7 @@ The module reads no file and opens no device: it gets decoded events.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
@@ -14,6 +14,7 @@ import numpy as np
 from calib.errors import FlickerNotFound, TooFewEvents
 from calib.events.flicker import Flicker, flicker_from_events, flicker_from_triggers
 from drivers.camera.event_arrays import Events, Triggers
+from drivers.camera.evt3 import StreamStatistics
 
 LINK_GBIT_S: Final = 1.6
 """Data that the link of an EVK4 carries, Gbit/s."""
@@ -101,23 +102,64 @@ def measure_signal(
     if (compare or by_triggers is None) and duration_s * (near_hz or math.inf) >= _SHORT_PERIODS:
         by_events = _by_events(events, near_hz)
     flicker = by_triggers or by_events or _assumed(count, duration_s, expected_hz)
-    up = int(np.count_nonzero(triggers.value == 1))
-    expected = len(by_triggers.rising_edges_us(0.0, 1e6 * duration_s)) if by_triggers else 0
-    return SignalFigures(
-        events=count,
-        events_per_s=count / duration_s if duration_s else None,
-        on_share=float(np.count_nonzero(events.p)) / count if count else None,
-        link_share=8e-9 * data_bytes / (duration_s * LINK_GBIT_S) if duration_s else None,
-        triggers=up,
-        triggers_expected=expected,
-        sync_edges=len(triggers.t),
+    found = replace(
+        _rates(count, int(np.count_nonzero(events.p)), duration_s, data_bytes),
         flicker=flicker,
-        trigger_hz=by_triggers.frequency_hz if by_triggers and _shows_period(triggers) else None,
         event_hz=by_events.frequency_hz if by_events else None,
-        jitter_us=by_triggers.jitter_us if by_triggers and math.isfinite(by_triggers.jitter_us) else None,
         event_jitter_us=burst_jitter_us(events, flicker) if flicker else None,
         sync_fault=fault,
     )
+    return _with_edges(found, triggers, by_triggers, duration_s)
+
+
+def signal_of_counts(
+    statistics: StreamStatistics, triggers: Triggers, data_bytes: int, expected_hz: float
+) -> SignalFigures | None:
+    """Return the signal of a slice whose events were only counted.
+
+    Parameters
+    ----------
+    statistics
+        Counts and times of the slice.
+    triggers
+        Its sync edges, with times from its start on.
+    data_bytes
+        Length of the file without its header.
+    expected_hz
+        Frequency to which the light is set, Hz.
+
+    Returns
+    -------
+    SignalFigures or None
+        Without figures that need the times of events; None if only these can show the flicker.
+    """
+    count, duration_s = statistics.events, statistics.duration_s
+    by_triggers, fault = _by_triggers(triggers, expected_hz)
+    flicker = by_triggers or _assumed(count, duration_s, expected_hz)
+    if flicker is None and count:
+        return None
+    found = replace(
+        _rates(count, statistics.on_events, duration_s, data_bytes), flicker=flicker, sync_fault=fault
+    )
+    return _with_edges(found, triggers, by_triggers, duration_s)
+
+
+def shows_flicker(signal: SignalFigures | None) -> bool:
+    """Return whether a slice is long enough for its events to show their frequency.
+
+    Parameters
+    ----------
+    signal
+        Its signal.
+
+    Returns
+    -------
+    bool
+        False for a slice of one period: its ON and its OFF burst could be two periods of twice the frequency.
+    """
+    if signal is None or signal.flicker is None or not signal.events_per_s:
+        return False
+    return signal.events / signal.events_per_s * signal.flicker.frequency_hz >= _SHORT_PERIODS
 
 
 def burst_jitter_us(events: Events, flicker: Flicker) -> float | None:
@@ -153,6 +195,31 @@ def burst_jitter_us(events: Events, flicker: Flicker) -> float | None:
     numbers = np.round((np.array(middles) - middles[0]) / flicker.period_us)
     off = np.array(middles) - np.polyval(np.polyfit(numbers, middles, 1), numbers)
     return float(np.sqrt((off**2).sum() / (len(off) - 2)))
+
+
+def _rates(count: int, on: int, duration_s: float, data_bytes: int) -> SignalFigures:
+    """Return the figures that follow from counts and duration."""
+    return SignalFigures(
+        events=count,
+        events_per_s=count / duration_s if duration_s else None,
+        on_share=on / count if count else None,
+        link_share=8e-9 * data_bytes / (duration_s * LINK_GBIT_S) if duration_s else None,
+    )
+
+
+def _with_edges(
+    found: SignalFigures, triggers: Triggers, by_triggers: Flicker | None, duration_s: float
+) -> SignalFigures:
+    """Return figures with those of the sync edges."""
+    expected = len(by_triggers.rising_edges_us(0.0, 1e6 * duration_s)) if by_triggers else 0
+    return replace(
+        found,
+        triggers=int(np.count_nonzero(triggers.value == 1)),
+        triggers_expected=expected,
+        sync_edges=len(triggers.t),
+        trigger_hz=by_triggers.frequency_hz if by_triggers and _shows_period(triggers) else None,
+        jitter_us=by_triggers.jitter_us if by_triggers and math.isfinite(by_triggers.jitter_us) else None,
+    )
 
 
 def _by_triggers(triggers: Triggers, expected_hz: float | None) -> tuple[Flicker | None, str]:
