@@ -36,6 +36,8 @@ class Event(StrEnum):
     """The camera could not complete a recording; nothing was stored."""
     SOLVED = "solved"
     """A calibration stands: its main numbers."""
+    WRITTEN = "written"
+    """Results, report, views and exports are written: their hashes."""
     UNTIL_DECIDED = "until_decided"
     """What an ``until`` found so far, and the next pose that it chose, or why it ended."""
     RECOVERED = "recovered"
@@ -59,11 +61,15 @@ class Event(StrEnum):
 
 
 class LedgerPlace(TypedDict):
-    """Where a run stands in the bench's ledger: its number, the ledger's head, and the runs of its camera by end."""
+    """Where a run stands in the bench's ledger: its number, the ledger's head, and the runs of its camera by end.
+
+    ``faults`` states the breaks of the ledger that nobody had explained when the run began.
+    """
 
     number: int
     head: str
     of_camera: Mapping[str, int]
+    faults: NotRequired[Sequence[str]]
 
 
 class RunStarted(TypedDict):
@@ -246,6 +252,31 @@ class Solved(TypedDict):
     values: Mapping[str, float]
     sigma: Mapping[str, float]
     coverage_factor: NotRequired[float]
+
+
+class WireLogState(TypedDict):
+    """How much a wire log held: its size, bytes, and the SHA-256 of these bytes."""
+
+    size: int
+    sha256: str
+
+
+class Written(TypedDict):
+    """Payload of ``written``: what the report step wrote.
+
+    Attributes
+    ----------
+    head
+        Hash of the journal's last line when the results were made; the report prints it.
+    files
+        SHA-256 by name of results.json, views.h5, report.html and each file of exports/.
+    wire
+        How much each wire log held at that moment; the devices are still in use then, so the logs grow later.
+    """
+
+    head: str
+    files: Mapping[str, str]
+    wire: Mapping[str, WireLogState]
 
 
 UntilEnd = Literal["met", "unreachable", "at_most", "minutes", "failures", "no_pose"]

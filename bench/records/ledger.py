@@ -1,69 +1,43 @@
 """The laboratory's ledger: every run that was started on this bench, and how it ended. No run can be left out unseen.
 
 It is one file for all runs, ``ledger.jsonl`` beside the signing key, in the form of a journal: chained, and synced line
-by line. A run is entered before it does anything, and again whenever it ends; a run without an end remains open. A
-report states the hash of the ledger's last line and the number of runs of its camera, so that lines removed from the
-end of the ledger are noticed, too.
+by line. A run is entered before it does anything, and again whenever it ends; a run without an end remains open.
+Certificates take their numbers from it, too. A run and its report state the run's number and the hash of its line (the
+head). `bench.records.ledger_marks` keeps the newest head elsewhere, so that lines removed from the end are noticed;
+`bench.records.ledger_breaks` decides what a break is.
 """
 
 from __future__ import annotations
 
-import os
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
-from dataclasses import dataclass, replace
-from datetime import datetime
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from bench.base.errors import JournalBroken
+from bench.base.errors import JournalBroken, UsageError
 from bench.records.events import LedgerPlace
-from bench.records.journal import Journal, read_journal
-from bench.records.journal_entry import Entry
+from bench.records.journal import Journal
+from bench.records.ledger_breaks import (
+    BREAK_EXPLAINED,
+    EXPLAIN,
+    LEDGER_BROKEN,
+    Break,
+    BreakFindings,
+    Strangers,
+    breaks_of,
+    find_breaks,
+    highest_run,
+    no_strangers,
+)
+from bench.records.ledger_file import LedgerFile, refuse
+from bench.records.ledger_marks import OwnMark, Witness
+from bench.records.ledger_runs import RUN_BEGUN, RUN_ENDED, LedgerRun, runs_of
 from bench.records.run_folder import MANIFEST, is_sealed
-from bench.records.storage import make_folder, open_to_lock, sha256_of, storage_errors
-from drivers import file_lock
-
-LEDGER = "ledger.jsonl"
-RUN_BEGUN = "run_begun"
-RUN_ENDED = "run_ended"
-STILL_OPEN = "open"
-"""State of a run without an end: it is running, was killed, or was cut off by a loss of power."""
+from bench.records.storage import sha256_of, storage_errors, sync_folder
 
 
-@dataclass(frozen=True)
-class LedgerRun:
-    """One run in the ledger.
-
-    Attributes
-    ----------
-    number
-        Number of the run in the ledger, from 1.
-    run_id, folder
-        Name and folder of the run.
-    camera
-        Serial number of the camera.
-    simulated
-        Whether any device was simulated.
-    begun_utc
-        Time of the start, ISO 8601.
-    how
-        State of the run: ``finished``, ``aborted``, ``failed`` or ``open``.
-    seal
-        SHA-256 of its list of files; None when it was not sealed.
-    """
-
-    number: int
-    run_id: str
-    folder: str
-    camera: str
-    simulated: bool
-    begun_utc: str
-    how: str = STILL_OPEN
-    seal: str | None = None
-
-
-class Ledger:
+class Ledger(LedgerFile):
     """The ledger of a bench. Every method reads the file anew, because other processes write to it too.
 
     Parameters
@@ -74,14 +48,20 @@ class Ledger:
         As for `bench.records.journal.Journal`.
     """
 
-    def __init__(
-        self, home: Path, *, utc_now: Callable[[], datetime], monotonic: Callable[[], float]
-    ) -> None:
-        self.path = home / LEDGER
-        self._clocks: dict[str, Any] = {"utc_now": utc_now, "monotonic": monotonic}
+    # ------------------------------------------------------------ runs
 
-    def begin(self, *, run_id: str, folder: Path, camera: str, simulated: bool) -> LedgerPlace:
-        """Enter a run before it does anything.
+    def begin(
+        self,
+        *,
+        run_id: str,
+        folder: Path,
+        camera: str,
+        simulated: bool,
+        anchor: str | None = None,
+        strict: bool = False,
+        strangers: Strangers = no_strangers,
+    ) -> LedgerPlace:
+        """Enter a run before it does anything. A break of the ledger is recorded first; it does not stop the run.
 
         Parameters
         ----------
@@ -93,30 +73,45 @@ class Ledger:
             Serial number of the camera.
         simulated
             Whether any device is simulated.
+        anchor
+            Second place of the ledger, from the station file.
+        strict
+            Whether a break that nobody has explained stops the run.
+        strangers
+            Finds sealed runs of this bench that are not in the ledger.
 
         Returns
         -------
         dict
             For the journal and the report of the run: its ``number`` in the ledger; the ``head``, which is the hash of
-            the ledger's last line; and ``of_camera``, the number of runs of this camera by state, with this run.
+            the ledger's last line; ``of_camera``, the number of runs of this camera by state, with this run; and
+            ``faults``, sentences, if the ledger has a break that nobody has explained.
 
         Raises
         ------
-        JournalBroken
-            When the ledger is not valid.
+        EvidenceError
+            When the ledger has a break, and ``strict`` is set; nothing was entered.
         StorageError
-            When it cannot be written.
+            When it cannot be read or written.
         """
-        with self.locked() as journal:
-            number = 1 + sum(entry.event == RUN_BEGUN for entry in journal.entries)
-            journal.append(
-                RUN_BEGUN, number=number, run=run_id, folder=str(folder), camera=camera, simulated=simulated
-            )
+        witnesses = self._ask_anchors(anchor)
+        with self._mended(witnesses, strangers, strict=strict) as journal:
+            entries = journal.entries
+            faults = [f"{one} {EXPLAIN}" for one in breaks_of(entries) if one.reason is None]
+            number = 1 + highest_run(entries)
+            own = self._own_mark()
+            witnessed = own.mark.lines if isinstance(own, OwnMark) else 0
+            facts = {"run": run_id, "folder": str(folder), "camera": camera, "simulated": simulated}
+            journal.append(RUN_BEGUN, number=number, **facts, witnessed=witnessed)
             of_camera: dict[str, int] = {}
-            for run in _runs(journal.entries):
+            for run in runs_of(journal.entries):
                 if run.camera == camera and run.simulated == simulated:
                     of_camera[run.how] = of_camera.get(run.how, 0) + 1
-            return {"number": number, "head": journal.head, "of_camera": of_camera}
+            place: LedgerPlace = {"number": number, "head": journal.head, "of_camera": of_camera}
+            if faults:
+                place["faults"] = faults
+        self._write_anchors(anchor)
+        return place
 
     def end(self, number: int, *, how: str, folder: Path) -> None:
         """Enter how a run ended; again after it was resumed and has ended again.
@@ -132,13 +127,36 @@ class Ledger:
 
         Raises
         ------
-        JournalBroken, StorageError
-            As ``begin``.
+        StorageError
+            When the ledger cannot be read or written.
         """
         with storage_errors(folder):
             seal = sha256_of(folder / MANIFEST) if is_sealed(folder) else None
-        with self.locked() as journal:
-            journal.append(RUN_ENDED, number=number, how=how, seal=seal)
+        with self._mended() as journal:
+            begun = any(e.event == RUN_BEGUN and e.data["number"] == number for e in journal.entries)
+            lost = {} if begun else {"lost": True, "folder": str(folder)}
+            journal.append(RUN_ENDED, number=number, how=how, seal=seal, **lost)
+        self._write_anchors()
+
+    def refuse_break(self, anchor: str | None, strangers: Strangers = no_strangers) -> None:
+        """Refuse a ledger with a break that nobody has explained. A run checks this before it makes its folder.
+
+        Parameters
+        ----------
+        anchor
+            Second place of the ledger, from the station file.
+        strangers
+            As for ``begin``.
+
+        Raises
+        ------
+        EvidenceError
+            When there is such a break.
+        StorageError
+            When the ledger cannot be read.
+        """
+        faults, _ = self.breaks(anchor, strangers)
+        refuse(faults, self.path)
 
     def contains(self, place: Mapping[str, Any]) -> bool:
         """Return whether a run was entered in this ledger. The ledger of another bench may have a run of its number.
@@ -151,18 +169,16 @@ class Ledger:
         Returns
         -------
         bool
-            Whether the line with that hash enters a run.
+            Whether the line with that hash enters a run; False if the ledger is damaged.
 
         Raises
         ------
-        JournalBroken
-            When the ledger is not valid.
         StorageError
             When it cannot be read.
         """
-        if not self.path.exists():
-            return False
-        return any(e.event == RUN_BEGUN and e.hash == place.get("head") for e in read_journal(self.path)[0])
+        with suppress(JournalBroken):
+            return any(e.event == RUN_BEGUN and e.hash == place.get("head") for e in self.entries())
+        return False
 
     def runs(self) -> list[LedgerRun]:
         """List all runs in the order of their numbers.
@@ -179,9 +195,7 @@ class Ledger:
         StorageError
             When it cannot be read.
         """
-        if not self.path.exists():
-            return []
-        return _runs(read_journal(self.path)[0])
+        return runs_of(self.entries())
 
     def faults(self) -> list[str]:
         """Check that the folder of every sealed run still exists and still has its seal.
@@ -210,95 +224,115 @@ class Ledger:
                     found.append(f"run {run.number} ({run.run_id}): {manifest} was changed after sealing")
         return found
 
-    def entries(self) -> list[Entry]:
-        """Read and verify every line, of any event: runs, certificates and whatever else was entered.
+    # ------------------------------------------------------------ breaks
 
-        Returns
-        -------
-        list of Entry
-            First to last; empty while there is no ledger.
-
-        Raises
-        ------
-        JournalBroken
-            When the ledger is not valid.
-        StorageError
-            When it cannot be read.
-        """
-        return read_journal(self.path)[0] if self.path.exists() else []
-
-    def append(self, event: str, **facts: Any) -> Entry:
-        """Enter one line of any event. Use ``locked`` where the line depends on the lines before.
+    def breaks(
+        self, anchor: str | None = None, strangers: Strangers = no_strangers
+    ) -> tuple[list[str], list[Break]]:
+        """Compare the ledger with all places that know of it; nothing is written.
 
         Parameters
         ----------
-        event
-            Name of the event, in the past tense, such as ``certificate_issued``.
-        **facts
-            Data of the event, as for `bench.records.journal.Journal.append`.
+        anchor
+            A further second place; those that were used before are asked anyway.
+        strangers
+            As for ``begin``.
 
         Returns
         -------
-        Entry
-            The line; its ``hash`` is the new head.
+        faults
+            One sentence for each break that nobody has explained; ``warnings`` has the places that cannot be read.
+        explained
+            The breaks that a person has explained.
 
         Raises
         ------
-        JournalBroken, StorageError
-            As ``begin``.
+        StorageError
+            When the ledger cannot be read.
         """
-        with self.locked() as journal:
-            return journal.append(event, **facts)
+        own, witnesses = self._own_mark(), self._ask_anchors(anchor)
+        try:
+            entries = self.entries()
+            runs_of(entries)
+            recorded = breaks_of(entries)
+        except (JournalBroken, LookupError, TypeError) as error:
+            return [f"The ledger is damaged: {error}"], []
+        findings = find_breaks(entries, own, witnesses, strangers)
+        self.warnings = list(findings.warnings)
+        unexplained = [str(one) for one in recorded if one.reason is None]
+        return [*unexplained, *findings.what], [one for one in recorded if one.reason is not None]
+
+    def explain(
+        self, reason: str, by: str, *, anchor: str | None = None, strangers: Strangers = no_strangers
+    ) -> list[str]:
+        """Record every break that is not recorded yet, and state the reason of every one without a reason.
+
+        Parameters
+        ----------
+        reason
+            What happened, in the words of a person.
+        by
+            Name of that person.
+        anchor, strangers
+            As for ``begin``.
+
+        Returns
+        -------
+        list of str
+            The breaks that have the reason now.
+
+        Raises
+        ------
+        UsageError
+            When there is nothing to explain.
+        StorageError
+            When the ledger cannot be read or written.
+        """
+        witnesses = self._ask_anchors(anchor)
+        with self._mended(witnesses, strangers) as journal:
+            open_breaks = [one for one in breaks_of(journal.entries) if one.reason is None]
+            for one in open_breaks:
+                journal.append(BREAK_EXPLAINED, line=one.line, reason=reason, by=by)
+        self._write_anchors(anchor)
+        if not open_breaks:
+            raise UsageError("The ledger has no break to explain.", where=str(self.path))
+        return [str(one) for one in open_breaks]
 
     @contextmanager
-    def locked(self) -> Iterator[Journal]:
-        """Lock the ledger against other processes, verify it, and open it for writing.
-
-        In the block, ``journal.entries`` holds every line so far, and ``journal.append(event, **facts)`` enters a line.
-        So a number that follows from the lines before is given once only. The lock waits; keep the block short.
-
-        Yields
-        ------
-        Journal
-            The ledger as a journal.
-
-        Raises
-        ------
-        JournalBroken, StorageError
-            As ``begin``.
-        """
-        make_folder(self.path.parent)
-        with storage_errors(self.path):
-            lock = open_to_lock(self.path.parent)
-        try:
-            file_lock.lock(lock, wait=True)
-            opened = Journal.open if self.path.exists() else Journal.create
-            with opened(self.path, **self._clocks) as journal:
+    def _mended(
+        self,
+        witnesses: Sequence[Witness] = (),
+        strangers: Strangers = no_strangers,
+        *,
+        strict: bool = False,
+    ) -> Iterator[Journal]:
+        """Lock and open the ledger, and record a break as its next line. A damaged file is kept under another name."""
+        with self._held():
+            findings, damage = BreakFindings(), ""
+            try:
+                entries = self.entries()
+                runs_of(entries)
+                breaks_of(entries)
+            except (JournalBroken, LookupError, TypeError) as error:
+                entries, damage = [], f"The ledger was damaged: {error}"
+            findings = find_breaks(entries, self._own_mark(), witnesses, strangers)
+            self.warnings = list(findings.warnings)
+            what = [damage] if damage else list(findings.what)
+            if strict:
+                refuse([*what, *(str(one) for one in breaks_of(entries) if one.reason is None)], self.path)
+            kept = self._set_aside() if damage else None
+            with self._opened() as journal:
+                if what:
+                    journal.append(
+                        LEDGER_BROKEN, what=what, known=findings.known, kept=kept, reason=None, by=None
+                    )
                 yield journal
-        finally:
-            os.close(lock)
 
-
-def _runs(entries: Iterable[Entry]) -> list[LedgerRun]:
-    runs: list[LedgerRun] = []
-    for entry in entries:
-        data = entry.data
-        try:
-            if entry.event == RUN_BEGUN:
-                names = (data["run"], data["folder"], data["camera"], data["simulated"])
-                runs.append(LedgerRun(len(runs) + 1, *names, begun_utc=entry.utc))
-            elif entry.event == RUN_ENDED:
-                at = _position(runs, data["number"])
-                runs[at] = replace(runs[at], how=data["how"], seal=data["seal"])
-        except (LookupError, TypeError) as error:
-            raise JournalBroken(
-                f"Line {entry.seq + 1} of the ledger is not a line about a run.",
-                remedy="Another program wrote it. Move the ledger away to start a new one.",
-            ) from error
-    return runs
-
-
-def _position(runs: Sequence[LedgerRun], number: int) -> int:
-    if not 1 <= number <= len(runs):
-        raise LookupError(number)
-    return number - 1
+    def _set_aside(self) -> str:
+        """Rename a damaged ledger; return its new name and its hash."""
+        now: datetime = self._clocks["utc_now"]()
+        kept = self.path.with_name(f"ledger-broken-{now.astimezone(UTC):%Y%m%dT%H%M%S%f}Z.jsonl")
+        with storage_errors(self.path):
+            self.path.rename(kept)
+            sync_folder(self.home)
+            return f"{kept.name} sha256 {sha256_of(kept)}"

@@ -19,7 +19,8 @@ import numpy as np
 from bench.base.errors import BenchError
 from bench.base.home import home_folder
 from bench.evidence.seal import read_manifest
-from bench.records.ledger import Ledger, LedgerRun
+from bench.records.ledger import Ledger
+from bench.records.ledger_runs import LedgerRun
 from bench.records.run_folder import MANIFEST, RESULTS
 from bench.report.camera_values import camera_covariance, change_maps
 from calib.model.lens import is_fisheye

@@ -1,0 +1,249 @@
+"""Breaks of the ledger: how they are found, recorded in the ledger itself, and explained by a person.
+
+A break is anything that a ledger which only grows cannot show: lines are missing or replaced, the file is gone or
+damaged, or a sealed run of this bench has a line that the ledger has not. It is recorded as a line ``ledger_broken``
+with what was found and what other places knew; the ledger then grows on. A person states the reason, in that line or
+later in a line ``break_explained``. Nothing is ever rewritten. This module decides; it reads and writes no files.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+from bench.records.journal_entry import Entry
+from bench.records.ledger_marks import LedgerMark, OwnMark, Witness
+from bench.records.ledger_runs import RUN_BEGUN
+
+LEDGER_BROKEN = "ledger_broken"
+BREAK_EXPLAINED = "break_explained"
+EXPLAIN = "State what happened: `starbench ledger explain --reason TEXT`."
+_MOST_KNOWN = 100
+
+
+@dataclass(frozen=True)
+class KnownRun:
+    """A run that names its own line of the ledger.
+
+    Attributes
+    ----------
+    folder, run_id
+        Folder and name of the run.
+    number, head
+        Its number, and the hash of its line, as its journal states them.
+    """
+
+    folder: str
+    run_id: str
+    number: int
+    head: str
+
+
+Strangers = Callable[[Collection[str]], Sequence[KnownRun]]
+"""Given the hashes of all lines, returns the sealed runs of this bench whose line is not among them."""
+
+
+def no_strangers(_: Collection[str]) -> Sequence[KnownRun]:
+    """Ask no run folder.
+
+    Returns
+    -------
+    list of KnownRun
+        Empty.
+    """
+    return ()
+
+
+@dataclass(frozen=True)
+class Break:
+    """A break that the ledger records.
+
+    Attributes
+    ----------
+    line
+        Number of its line, from 1.
+    utc
+        When it was found, ISO 8601.
+    what
+        What was found, as sentences.
+    heads
+        Heads that other places knew and the ledger had not.
+    reason, by
+        What a person stated, and who; None while nobody has.
+    """
+
+    line: int
+    utc: str
+    what: tuple[str, ...]
+    heads: frozenset[str]
+    reason: str | None = None
+    by: str | None = None
+
+    def __str__(self) -> str:
+        return f"On {self.utc[:16].replace('T', ' ')} UTC the ledger was found broken: {' '.join(self.what)}"
+
+
+@dataclass(frozen=True)
+class BreakFindings:
+    """What was found and is not recorded yet.
+
+    Attributes
+    ----------
+    what
+        The findings, as sentences; empty if there is no break.
+    known
+        What other places know, as a line ``ledger_broken`` holds it.
+    warnings
+        Places that could not be asked.
+    """
+
+    what: tuple[str, ...] = ()
+    known: tuple[Mapping[str, Any], ...] = ()
+    warnings: tuple[str, ...] = ()
+
+
+def breaks_of(entries: Iterable[Entry]) -> list[Break]:
+    """Return the breaks that a ledger records.
+
+    Parameters
+    ----------
+    entries
+        Its lines.
+
+    Returns
+    -------
+    list of Break
+        First to last, each with its explanation if there is one.
+
+    Raises
+    ------
+    LookupError, TypeError
+        When a line about a break is incomplete.
+    """
+    found: dict[int, Break] = {}
+    for entry in entries:
+        data = entry.data
+        if entry.event == LEDGER_BROKEN:
+            heads = frozenset(str(known["head"]) for known in data["known"])
+            what = tuple(str(sentence) for sentence in data["what"])
+            found[entry.seq + 1] = Break(
+                entry.seq + 1, entry.utc, what, heads, data.get("reason"), data.get("by")
+            )
+        elif entry.event == BREAK_EXPLAINED:
+            line = int(data["line"])
+            found[line] = replace(found[line], reason=str(data["reason"]), by=str(data["by"]))
+    return list(found.values())
+
+
+def highest_run(entries: Iterable[Entry]) -> int:
+    """Return the highest number of a run that a ledger has given, or that a break of it knows of.
+
+    Parameters
+    ----------
+    entries
+        Its lines.
+
+    Returns
+    -------
+    int
+        The number; 0 if there is no run.
+
+    Raises
+    ------
+    LookupError, TypeError
+        When a line is incomplete.
+    """
+    highest = 0
+    for entry in entries:
+        if entry.event == RUN_BEGUN:
+            highest = max(highest, entry.data["number"])
+        elif entry.event == LEDGER_BROKEN:
+            highest = max([highest, *(known["runs"] for known in entry.data["known"])])
+    return highest
+
+
+@dataclass
+class _Findings:
+    """Findings as they are collected."""
+
+    what: list[str] = field(default_factory=list)
+    known: list[Mapping[str, Any]] = field(default_factory=list)
+    warnings: list[str] = field(default_factory=list)
+
+    def knows(self, place: str, mark: LedgerMark) -> None:
+        known = {"place": place, "lines": mark.lines, "runs": mark.runs, "head": mark.head}
+        self.known.append({**known, "utc": mark.utc})
+
+
+def find_breaks(
+    entries: Sequence[Entry],
+    own: OwnMark | str | None,
+    anchors: Iterable[Witness] = (),
+    strangers: Strangers = no_strangers,
+) -> BreakFindings:
+    """Compare a ledger with all places that know of it.
+
+    Parameters
+    ----------
+    entries
+        Its lines.
+    own
+        The bench's own mark; None if there is none; a text if it cannot be read, with the reason.
+    anchors
+        The second places.
+    strangers
+        Finds sealed runs of this bench that are not in the ledger.
+
+    Returns
+    -------
+    BreakFindings
+        What is not recorded in the ledger yet.
+    """
+    found = _Findings()
+    excused = {head for one in breaks_of(entries) for head in one.heads}
+    _ask_own_mark(found, entries, own, excused)
+    for witness in anchors:
+        _ask_anchor(found, entries, witness, excused)
+    lost = [run for run in strangers({entry.hash for entry in entries}) if run.head not in excused]
+    numbers = {e.data["number"]: e.data["run"] for e in entries if e.event == RUN_BEGUN}
+    for run in lost:
+        holder = (
+            f"; its number {run.number} is that of run {numbers[run.number]}" if run.number in numbers else ""
+        )
+        found.what.append(f"The sealed run {run.folder} is not in the ledger{holder}.")
+        mark = {"place": run.folder, "lines": 0, "runs": run.number, "head": run.head}
+        found.known.append(mark)
+    if len(found.what) > _MOST_KNOWN:
+        found.what[_MOST_KNOWN:] = [f"And {len(found.what) - _MOST_KNOWN} more."]
+    return BreakFindings(tuple(found.what), tuple(found.known), tuple(found.warnings))
+
+
+def _ask_own_mark(
+    found: _Findings, entries: Sequence[Entry], own: OwnMark | str | None, excused: Collection[str]
+) -> None:
+    if isinstance(own, str):
+        found.what.append(f"The bench's own mark of the ledger cannot be read: {own}")
+    elif own is None:
+        since = max((e.seq for e in entries if e.event == LEDGER_BROKEN), default=-1)
+        if any(e.event == RUN_BEGUN and e.data.get("witnessed") for e in entries[since + 1 :]):
+            found.what.append("The bench's own mark of the ledger (ledger_high) was deleted.")
+    elif own.mark.head not in excused and (what := own.mark.disagreement(entries)):
+        found.what.append(f"The ledger {what} (as ledger_high knows).")
+        found.knows("ledger_high", own.mark)
+
+
+def _ask_anchor(
+    found: _Findings, entries: Sequence[Entry], witness: Witness, excused: Collection[str]
+) -> None:
+    if witness.trouble:
+        found.warnings.append(
+            f"The second place of the ledger {witness.place} cannot be read: {witness.trouble}"
+        )
+    elif witness.was_there and not witness.marks:
+        found.warnings.append(f"The second place of the ledger {witness.place} is empty; it had marks.")
+    elif objecting := witness.objections(entries, excused):
+        last = max(objecting, key=lambda mark: mark.lines)
+        found.what.append(f"The ledger {last.disagreement(entries)} (as {witness.place} knows).")
+        for mark in dict.fromkeys([last, objecting[-1]]):
+            found.knows(witness.place, mark)

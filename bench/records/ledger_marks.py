@@ -1,0 +1,363 @@
+"""What other places know of the ledger: the bench's own mark, and the second places that stations name.
+
+A ledger is a chain, so its lines cannot be changed unseen. Lines cut off its end, or a deleted file, leave a valid
+chain. Two other places show them. ``ledger_high`` lies beside the ledger and holds its highest state. A second place
+(``ledger: {anchor: PATH}`` in a station file) is a file on another disk or share; a line is added to it with every
+change of the ledger. This module reads and writes both, and trusts neither.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import threading
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any, TypeVar
+
+from bench.base.errors import BenchError, StorageError
+from bench.records.journal_entry import Entry
+from bench.records.storage import O_BINARY, storage_errors, sync_folder, write_all, write_atomic
+
+MARK = "ledger_high"
+ANCHOR_PATIENCE_S = 10.0
+"""Longest wait for a second place, s; a share that does not answer must not stop a run."""
+_MOST_ANCHOR_BYTES = 64 << 20
+_MARK_FORM = "is not a mark of a ledger"
+
+Found = TypeVar("Found")
+
+
+@dataclass(frozen=True)
+class LedgerMark:
+    """The state of a ledger after one of its lines.
+
+    Attributes
+    ----------
+    lines
+        Number of lines.
+    runs
+        Highest number of a run.
+    head
+        Hash of the last line.
+    utc
+        Time of the last line, ISO 8601.
+    """
+
+    lines: int
+    runs: int
+    head: str
+    utc: str
+
+    def to_line(self) -> bytes:
+        """Return the mark as one line of JSON.
+
+        Returns
+        -------
+        bytes
+            The line, with its line feed.
+        """
+        return (json.dumps(asdict(self), separators=(",", ":")) + "\n").encode()
+
+    def disagreement(self, entries: Sequence[Entry]) -> str:
+        """Return how a ledger contradicts this mark.
+
+        Parameters
+        ----------
+        entries
+            All lines of the ledger.
+
+        Returns
+        -------
+        str
+            The end of a sentence that begins with "The ledger"; empty if the ledger contains the marked line.
+        """
+        if len(entries) < self.lines:
+            return (
+                f"has {len(entries)} of at least {self.lines} lines: {self.lines - len(entries)} are missing"
+            )
+        if entries[self.lines - 1].hash != self.head:
+            return f"has another line {self.lines} than it had on {self.utc[:16]}: lines were removed or replaced"
+        return ""
+
+
+def parse_mark(line: bytes) -> LedgerMark:
+    """Read one mark.
+
+    Parameters
+    ----------
+    line
+        A line, as `LedgerMark.to_line` writes it.
+
+    Returns
+    -------
+    LedgerMark
+        The mark.
+
+    Raises
+    ------
+    ValueError
+        When it is not a mark.
+    """
+    try:
+        found = json.loads(line)
+    except RecursionError as error:
+        raise ValueError(_MARK_FORM) from error
+    if not isinstance(found, dict):
+        raise ValueError(_MARK_FORM)  # noqa: TRY004 - a fault of the file, not of an argument
+    return _mark_of(found)
+
+
+def _mark_of(found: Mapping[str, Any]) -> LedgerMark:
+    lines, runs, head, utc = (found.get(name) for name in ("lines", "runs", "head", "utc"))
+    numbers = [n for n in (lines, runs) if isinstance(n, int) and not isinstance(n, bool) and n >= 0]
+    if len(numbers) != 2 or not lines or not (isinstance(head, str) and isinstance(utc, str)):
+        raise ValueError(_MARK_FORM)
+    return LedgerMark(numbers[0], numbers[1], head, utc)
+
+
+# ---------------------------------------------------------------- the bench's own mark
+
+
+@dataclass(frozen=True)
+class OwnMark:
+    """Content of ``ledger_high``.
+
+    Attributes
+    ----------
+    mark
+        The highest state of the ledger.
+    anchors
+        The second places that were written to, by their path.
+    """
+
+    mark: LedgerMark
+    anchors: tuple[str, ...] = ()
+
+
+def read_own_mark(home: Path) -> OwnMark | None:
+    """Read ``ledger_high``.
+
+    Parameters
+    ----------
+    home
+        The configuration folder.
+
+    Returns
+    -------
+    OwnMark or None
+        Its content; None if there is no such file.
+
+    Raises
+    ------
+    StorageError
+        When it cannot be read, or is not a mark.
+    """
+    path = home / MARK
+    with storage_errors(path):
+        if not path.exists():
+            return None
+        data = path.read_bytes()
+    try:
+        mark, anchors = parse_mark(data), json.loads(data).get("anchors", ())
+    except ValueError as error:
+        raise StorageError(
+            "This file does not hold the state of the ledger.",
+            where=str(path),
+            remedy="Somebody changed it. State what happened: `starbench ledger explain --reason TEXT`.",
+        ) from error
+    named = anchors if isinstance(anchors, list) else ()
+    return OwnMark(mark, tuple(place for place in named if isinstance(place, str)))
+
+
+def write_own_mark(home: Path, own: OwnMark) -> None:
+    """Write ``ledger_high``.
+
+    Parameters
+    ----------
+    home
+        The configuration folder.
+    own
+        Its new content.
+
+    Raises
+    ------
+    StorageError
+        When it cannot be written.
+    """
+    record = {**asdict(own.mark), "anchors": list(own.anchors)}
+    write_atomic(home / MARK, (json.dumps(record, separators=(",", ":")) + "\n").encode())
+
+
+# ---------------------------------------------------------------- second places
+
+
+def read_anchor(path: Path) -> list[LedgerMark]:
+    """Read the marks of a second place, first to last.
+
+    Parameters
+    ----------
+    path
+        The file.
+
+    Returns
+    -------
+    list of LedgerMark
+        Without an incomplete last line.
+
+    Raises
+    ------
+    StorageError
+        When it cannot be read, is missing, does not answer in time, or holds something else.
+    """
+
+    def read() -> bytes:
+        with storage_errors(path), path.open("rb") as stream:
+            return stream.read(_MOST_ANCHOR_BYTES)
+
+    marks = []
+    for number, line in enumerate(_in_time(read, path).split(b"\n")[:-1], start=1):
+        try:
+            marks.append(parse_mark(line))
+        except ValueError as error:
+            raise StorageError(
+                "This line is not a mark of a ledger.",
+                where=f"{path}:{number}",
+                remedy="Another program wrote it. Give each bench a file of its own: `ledger: {anchor: PATH}`.",
+            ) from error
+    return marks
+
+
+def append_to_anchor(path: Path, mark: LedgerMark) -> None:
+    """Add a mark to a second place and sync it. The file is made if it is missing; its folder is not.
+
+    Parameters
+    ----------
+    path
+        The file.
+    mark
+        The mark.
+
+    Raises
+    ------
+    StorageError
+        When it cannot be written, or does not answer in time.
+    """
+
+    def append() -> None:
+        with storage_errors(path):
+            is_new = not path.exists()
+            descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_APPEND | O_BINARY, 0o644)
+            try:
+                _drop_torn_line(descriptor)
+                write_all(descriptor, mark.to_line())
+                os.fsync(descriptor)
+            finally:
+                os.close(descriptor)
+            if is_new:
+                sync_folder(path.parent)
+
+    _in_time(append, path)
+
+
+def _drop_torn_line(descriptor: int) -> None:
+    """Remove what a power cut has left of a line at the end of a second place."""
+    size = os.fstat(descriptor).st_size
+    back = min(size, 4096)
+    os.lseek(descriptor, size - back, os.SEEK_SET)
+    tail = os.read(descriptor, back)
+    if tail and not tail.endswith(b"\n"):
+        os.ftruncate(descriptor, size - back + tail.rfind(b"\n") + 1)
+
+
+def _in_time(work: Callable[[], Found], path: Path) -> Found:
+    """Do work on a second place in a thread; raise StorageError if it does not end in time."""
+    done: list[Found] = []
+    failed: list[BaseException] = []
+
+    def thread() -> None:
+        try:
+            done.append(work())
+        except BaseException as error:  # noqa: BLE001 - raised again below, in the caller's thread
+            failed.append(error)
+
+    worker = threading.Thread(target=thread, name="ledger anchor", daemon=True)
+    worker.start()
+    worker.join(ANCHOR_PATIENCE_S)
+    if failed:
+        raise failed[0]
+    if not done:
+        raise StorageError(
+            f"The second place of the ledger does not answer within {ANCHOR_PATIENCE_S:.0f} s.",
+            where=str(path),
+            remedy="Check the disk or share.",
+        )
+    return done[0]
+
+
+@dataclass(frozen=True)
+class Witness:
+    """What one place knows of the ledger, or why it cannot be asked.
+
+    Attributes
+    ----------
+    place
+        Path of the file.
+    marks
+        Its marks, first to last.
+    trouble
+        Why it cannot be read; empty if it can.
+    was_there
+        Whether this bench has written to it before.
+    """
+
+    place: str
+    marks: Sequence[LedgerMark] = ()
+    trouble: str = ""
+    was_there: bool = True
+
+    def objections(self, entries: Sequence[Entry], excused: Iterable[str]) -> list[LedgerMark]:
+        """Return the marks that a ledger contradicts, from the last one that a break of the ledger names.
+
+        Parameters
+        ----------
+        entries
+            All lines of the ledger.
+        excused
+            Heads that breaks of the ledger name.
+
+        Returns
+        -------
+        list of LedgerMark
+            The marks, first to last.
+        """
+        known = set(excused)
+        begin = max((i + 1 for i, mark in enumerate(self.marks) if mark.head in known), default=0)
+        return [mark for mark in self.marks[begin:] if mark.disagreement(entries)]
+
+
+def ask_anchor(path: Path, *, was_there: bool) -> Witness:
+    """Read a second place; what goes wrong becomes its ``trouble``.
+
+    Parameters
+    ----------
+    path
+        The file.
+    was_there
+        Whether this bench has written to it before; only then is it a trouble that it is missing.
+
+    Returns
+    -------
+    Witness
+        Its marks.
+    """
+    if not was_there:
+        with suppress(OSError):
+            if path.parent.is_dir() and not path.exists():
+                return Witness(str(path), was_there=False)
+    try:
+        return Witness(str(path), read_anchor(path), was_there=was_there)
+    except BenchError as error:
+        return Witness(str(path), trouble=error.what, was_there=was_there)
