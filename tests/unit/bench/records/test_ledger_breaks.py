@@ -328,7 +328,7 @@ class LedgerStory(RuleBasedStateMachine):
         self.ledger.path.unlink()
         self.broken = True
 
-    @precondition(lambda self: self.lines())
+    @precondition(lambda self: self.lines() and not self.broken)  # a second change may restore the byte
     @rule()
     def change_a_byte(self):
         data = bytearray(self.ledger.path.read_bytes())
