@@ -1,0 +1,386 @@
+"""The kinds of blocks that a page of the certificate is made of, and the printed form of its numbers.
+
+A block is plain data for `certificate.typ`: it holds text, never markup. Touches no files.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+from typing import Any, Literal
+
+from bench.report.text import MINUS, NOTHING, exact, number
+
+Block = dict[str, Any]
+Cell = str | dict[str, Any]
+Align = Literal["left", "right"]
+
+_DIGIT_EM, _POINT_EM = 0.636, 0.318
+"""Widths of a digit and of the decimal point in DejaVu Sans, em."""
+NU = "\N{GREEK SMALL LETTER NU}"
+SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
+_PLAIN_FROM, _PLAIN_TO = 1e-4, 1e7
+
+
+def paragraph(text: str, tone: Literal["plain", "note", "lead"] = "plain", *, sticky: bool = False) -> Block:
+    """Return a paragraph.
+
+    Parameters
+    ----------
+    text
+        Its text.
+    tone
+        ``note`` for small print, ``lead`` for the first line of the certificate.
+    sticky
+        Whether it stays on one page with the block after it.
+
+    Returns
+    -------
+    dict
+        The block.
+    """
+    return {"kind": "paragraph", "text": text, "tone": tone, "sticky": sticky}
+
+
+def heading(text: str) -> Block:
+    """Return a heading of second rank.
+
+    Parameters
+    ----------
+    text
+        Its text.
+
+    Returns
+    -------
+    dict
+        The block.
+    """
+    return {"kind": "heading", "text": text}
+
+
+def notice(title: str, lines: Sequence[str], *, warning: bool = False) -> Block:
+    """Return a box that a reader must not overlook.
+
+    Parameters
+    ----------
+    title, lines
+        Title and paragraphs.
+    warning
+        Whether it is a warning: red.
+
+    Returns
+    -------
+    dict
+        The block.
+    """
+    return {"kind": "notice", "title": title, "lines": list(lines), "tone": "warning" if warning else "plain"}
+
+
+def pairs(rows: Iterable[tuple[Cell, Cell]], label_mm: float = 42.0) -> Block:
+    """Return names with their values; a row without a value is left out.
+
+    Parameters
+    ----------
+    rows
+        Name and value.
+    label_mm
+        Width of the names, mm.
+
+    Returns
+    -------
+    dict
+        The block.
+    """
+    return {"kind": "pairs", "rows": filled(rows), "label_mm": label_mm}
+
+
+def filled(rows: Iterable[tuple[Cell, Cell]]) -> list[tuple[Cell, Cell]]:
+    """Return the rows that have a value.
+
+    Parameters
+    ----------
+    rows
+        Name and value.
+
+    Returns
+    -------
+    list of tuple
+        The rows whose value is not empty.
+    """
+    return [(name, value) for name, value in rows if value]
+
+
+def table(
+    head: Sequence[Cell],
+    rows: Sequence[Sequence[Cell]],
+    widths: Sequence[float | Literal["auto"]],
+    align: Sequence[Align] | None = None,
+    **layout: Any,
+) -> Block:
+    """Return a table; its head is repeated on every page.
+
+    Parameters
+    ----------
+    head, rows
+        Cells of the head and of the rows.
+    widths
+        ``auto``, or a share of the width that is left.
+    align
+        Alignment of each column; None for left everywhere.
+    **layout
+        ``size`` (points), ``gap`` and ``pad`` (space beside and above the text, mm), ``break`` (a word of this length
+        may break anywhere) and ``foot`` (text of a last row over all columns).
+
+    Returns
+    -------
+    dict
+        The block.
+    """
+    assert all(len(row) == len(head) == len(widths) for row in rows)
+    return {
+        "kind": "table",
+        "head": list(head),
+        "rows": [list(row) for row in rows],
+        "widths": list(widths),
+        "align": list(align or ["left"] * len(head)),
+        **layout,
+    }
+
+
+def bullets(items: Sequence[Cell]) -> Block:
+    """Return a list.
+
+    Parameters
+    ----------
+    items
+        Its items.
+
+    Returns
+    -------
+    dict
+        The block.
+    """
+    return {"kind": "list", "items": list(items)}
+
+
+def together(*blocks: Block) -> Block:
+    """Return blocks that stay on one page.
+
+    Parameters
+    ----------
+    *blocks
+        The blocks; together they are shorter than a page.
+
+    Returns
+    -------
+    dict
+        The block.
+    """
+    return {"kind": "together", "blocks": list(blocks)}
+
+
+def mono(text: str) -> Cell:
+    """Return a cell for a hash, a fingerprint or a file name.
+
+    Parameters
+    ----------
+    text
+        Its text.
+
+    Returns
+    -------
+    str or dict
+        The cell; an empty text stays empty.
+    """
+    return {"text": text, "mono": True} if text else ""
+
+
+def with_index(text: str, index: str) -> Cell:
+    """Return a cell with a lowered index.
+
+    Parameters
+    ----------
+    text, index
+        Text and index.
+
+    Returns
+    -------
+    dict
+        The cell.
+    """
+    return {"text": text, "sub": index}
+
+
+def with_note(text: str, note: str, **style: Any) -> Cell:
+    """Return a cell with small print under its text.
+
+    Parameters
+    ----------
+    text, note
+        Text and small print.
+    **style
+        ``bold`` or ``mono``.
+
+    Returns
+    -------
+    dict
+        The cell.
+    """
+    return {"text": text, "note": note, **style}
+
+
+def at_the_point(texts: Sequence[str]) -> list[Cell]:
+    """Return cells of a column, aligned to the right, whose decimal points stand below each other.
+
+    Parameters
+    ----------
+    texts
+        Printed numbers.
+
+    Returns
+    -------
+    list
+        The cells.
+    """
+    decimals = [len(text.partition(".")[2]) if _is_plain(text) else 0 for text in texts]
+    most = max(decimals, default=0)
+    cells: list[Cell] = []
+    for text, own in zip(texts, decimals, strict=True):
+        point = _POINT_EM if most and not own else 0.0
+        pad = round((most - own) * _DIGIT_EM + point, 4) if _is_plain(text) else 0.0
+        cells.append({"text": text, "pad": pad} if pad else text)
+    return cells
+
+
+def _is_plain(text: str) -> bool:
+    return bool(text) and set(text) <= set("0123456789.-+" + MINUS)
+
+
+def printed(text: str) -> str:
+    """Return a printed number of the certificate with a true minus sign.
+
+    Parameters
+    ----------
+    text
+        The number, with ``-`` for minus.
+
+    Returns
+    -------
+    str
+        The number.
+    """
+    return MINUS + text[1:] if text.startswith("-") else text
+
+
+def compact(value: float | None, digits: int = 3) -> str:
+    """Print a computed number with a number of significant digits, as a power of ten where it is very small or large.
+
+    Parameters
+    ----------
+    value
+        The number; None is printed as a dash.
+    digits
+        Significant digits.
+
+    Returns
+    -------
+    str
+        The number with a true minus sign.
+
+    Examples
+    --------
+    >>> compact(0.4149821), compact(-1.2345e-7), compact(0.0), compact(None)
+    ('0.415', '−1.23·10⁻⁷', '0', '–')
+    """
+    if value is None or not math.isfinite(value):
+        return NOTHING
+    if value == 0 or _PLAIN_FROM <= abs(value) < _PLAIN_TO:
+        return number(float(value), digits)
+    mantissa, power = f"{value:.{digits - 1}e}".split("e")
+    return f"{printed(mantissa)}·10{str(int(power)).translate(SUPERSCRIPTS)}"
+
+
+def stated(value: float | None, digits: int = 9) -> str:
+    """Print a number that somebody stated, with all its digits.
+
+    Parameters
+    ----------
+    value
+        The number; None is printed as a dash.
+    digits
+        Largest number of significant digits.
+
+    Returns
+    -------
+    str
+        The number with a true minus sign.
+
+    Examples
+    --------
+    >>> stated(255.0), stated(4.5e-06), stated(-0.5)
+    ('255', '4.5·10⁻⁶', '−0.5')
+    """
+    if value is None:
+        return NOTHING
+    text = exact(float(f"{value:.{digits}g}"))
+    if "e" not in text:
+        return text
+    mantissa, power = text.replace(MINUS, "-").split("e")
+    return f"{printed(mantissa)}·10{str(int(power)).translate(SUPERSCRIPTS)}"
+
+
+def with_unit(text: str, unit: str) -> str:
+    """Return a printed number with its unit.
+
+    Parameters
+    ----------
+    text
+        The number.
+    unit
+        The unit; ``1`` and an empty text are not printed.
+
+    Returns
+    -------
+    str
+        Number and unit.
+    """
+    return text if unit in ("", "1") or text == NOTHING else f"{text} {unit}"
+
+
+def freedom(value: float | None) -> str:
+    """Print degrees of freedom.
+
+    Parameters
+    ----------
+    value
+        The degrees of freedom; None for infinite.
+
+    Returns
+    -------
+    str
+        Three significant digits, or the sign of infinity.
+    """
+    return "∞" if value is None else compact(value)
+
+
+def percent(share: float) -> str:
+    """Print a share in percent, with one decimal.
+
+    Parameters
+    ----------
+    share
+        The share, 0 to 1.
+
+    Returns
+    -------
+    str
+        The share; a share below 0.05 % as ``< 0.1``.
+
+    Examples
+    --------
+    >>> percent(0.3731), percent(1e-7), percent(0.0), percent(1.0)
+    ('37.3', '< 0.1', '0', '100.0')
+    """
+    if share == 0:
+        return "0"
+    return f"{100 * share:.1f}" if share >= 0.0005 else "< 0.1"
