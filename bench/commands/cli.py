@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import os
 import sys
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from datetime import datetime
 from pathlib import Path
 from typing import Any
@@ -21,10 +21,12 @@ from bench.commands.batch_commands import BATCH_COMMANDS, BEGIN
 from bench.commands.completion import add_completion
 from bench.commands.engine_commands import ENGINE_COMMANDS
 from bench.commands.help_text import Sections, complete
-from bench.commands.options import JSON, RUN, SEED, ExistingFile, NewFile, OutputFolder, RunFolder
+from bench.commands.ledger_commands import LEDGER_COMMANDS
+from bench.commands.options import JSON, RUN, SEED, NewFile, OutputFolder
 from bench.commands.panel_command import panel
 from bench.commands.run_commands import RUN_COMMANDS
 from bench.commands.target_commands import TARGET_COMMANDS
+from bench.commands.verify_command import verify
 
 _SET = click.option(
     "--set",
@@ -159,35 +161,6 @@ def plan(
 
 
 @cli.command()
-@click.argument("run_folder", metavar="RUN", type=RunFolder(journal=False))
-@click.option(
-    "--allowed-signers", type=ExistingFile(), help="File of trusted keys.  [default: this bench's own]"
-)
-@click.option("--serial", help="Serial number that the calibrated camera must have.")
-@click.option(
-    "--again", is_flag=True, help="Also calibrate again from the recordings and compare the results."
-)
-@JSON
-def verify(
-    run_folder: Path, allowed_signers: Path | None, serial: str | None, again: bool, as_json: bool
-) -> int:
-    """Check the seal of a RUN: its signature, every file, the journal and the printed numbers."""
-    from bench.base.home import home_folder
-    from bench.commands.evidence_output import show_verification
-    from bench.evidence.keys import SIGNERS_FILE, read_signers
-    from bench.evidence.verify import verify_run
-
-    signers = read_signers(allowed_signers or home_folder() / SIGNERS_FILE)
-    recalculate: Callable[[Path], Sequence[str]] | None = None
-    if again:
-        from bench.results.reproduce import differences
-
-        recalculate = differences
-    found = verify_run(run_folder, signers, camera_serial=serial, recalculate=recalculate)
-    return show_verification(found, as_json=as_json)
-
-
-@cli.command()
 @click.option(
     "--station", "-s", default="simulated", show_default=True, help="Station whose devices to simulate."
 )
@@ -302,10 +275,11 @@ def schema(document: str) -> int:
 
 for engine_command in ENGINE_COMMANDS:
     cli.add_command(engine_command)
-for run_command in (*RUN_COMMANDS, *BATCH_COMMANDS):
+for run_command in (*RUN_COMMANDS, *BATCH_COMMANDS, *LEDGER_COMMANDS):
     cli.add_command(run_command)
 cli.add_command(align)
 cli.add_command(panel)
+cli.add_command(verify)
 for target_command in TARGET_COMMANDS:
     cli.add_command(target_command)
 complete(cli)

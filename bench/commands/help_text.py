@@ -12,7 +12,7 @@ SECTIONS = {
     "Before a run": ("align",),
     "A run": ("plan", "run", "resume", "verify"),
     "While it runs, from another terminal": ("panel", "status", "hold", "release", "skip", "abort", "answer"),
-    "Many runs": ("batch", "rehearse", "runs", "messages"),
+    "Many runs": ("batch", "rehearse", "runs", "ledger", "messages"),
     "Without devices": ("calibrate", "passport", "rig", "study", "convert"),
     "The bench": ("devices", "station", "target", "simulate", "keys", "schema"),
 }
@@ -92,6 +92,9 @@ EXAMPLES = {
     "keys trust": (
         "starbench keys trust 'bench2@lab.example namespaces=\"starbench-report@v1\" ssh-ed25519 AAAA...'",
     ),
+    "ledger": ("starbench ledger check",),
+    "ledger check": ("starbench ledger check",),
+    "ledger explain": ("starbench ledger explain --reason 'The disk was restored from the copy of Monday.'",),
     "schema": ("starbench schema sequence > sequence.schema.json",),
 }
 
@@ -105,13 +108,14 @@ STATUSES = {
     "run": _RUN,
     "resume": _RUN,
     "status": f"0 status shown, {_INVALID}, {_CTRL_C} With --follow that of the run: 0 done, 1 failed, 3 stopped.",
-    "verify": f"0 seal is valid, 1 seal is not valid, {_INVALID}, {_CTRL_C}",
+    "verify": f"0 valid, 1 not valid, {_INVALID}, 4 seal valid, but not every part could be compared, {_CTRL_C}",
     **dict.fromkeys(("hold", "release", "skip", "abort", "answer", "batch add", "batch withdraw"), _COMMAND),
     **dict.fromkeys(
         ("batch", "batch run", "batch summary", "rehearse"),
         f"0 every run has a result, 1 at least one run has no result, {_INVALID}, 3 stopped on request, {_CTRL_C}",
     ),
-    "runs": f"0 runs shown, 1 a run in the ledger is missing or was changed, {_INVALID}, {_CTRL_C}",
+    "runs": f"0 runs shown, 1 a run is missing or was changed, or the ledger is broken, {_INVALID}, {_CTRL_C}",
+    "ledger check": f"0 no fault, 1 a fault, {_INVALID}, {_CTRL_C}",
     "messages": f"0 messages shown, 1 a message is still waiting after --send, {_INVALID}, {_CTRL_C}",
 }
 _SHORT = {
@@ -119,7 +123,7 @@ _SHORT = {
     "run": "Run a sequence on a station and write a sealed report.",
     "resume": "Continue a run that was stopped, failed or was interrupted.",
     "plan": "Check a sequence or a queue; show time, disk space and expected uncertainty.",
-    "verify": "Check the seal of a run.",
+    "verify": "Check a sealed run, certificate or recalculated results.",
     "status": "Show the status of a run or a batch.",
     "panel": "Watch and steer runs and batches in a browser.",
     "hold": "Hold a run at its next safe point.",
@@ -130,6 +134,7 @@ _SHORT = {
     "batch": "Do the runs of a queue file, each under supervision.",
     "rehearse": "Rehearse a queue on a virtual clock.",
     "runs": "List, filter and compare runs.",
+    "ledger": "Check the ledger of this bench; explain a break of it.",
     "messages": "List or send the messages of this bench.",
     "calibrate": "Calibrate from existing recordings, images or point files.",
     "passport": "Calibrate a collimator once, then cameras from 1 to 3 views.",

@@ -13,8 +13,9 @@ import click
 from pydantic import ValidationError
 
 from bench.base.clock import BenchClock
-from bench.base.errors import UsageError
+from bench.base.errors import JournalBroken, UsageError
 from bench.base.home import home_folder
+from bench.commands.ledger_output import bench_ledger, ledger_findings
 from bench.commands.output import print_json
 from bench.records.ledger import Ledger
 from bench.records.run_folder import JOURNAL
@@ -129,30 +130,37 @@ def show_runs(
     int
         Exit status: 1 if the ledger and the folders do not agree, else 0.
     """
-    folders, missing = (run_folders(folder), []) if folder else _ledger_folders()
-    found, faults = RunIndex(home_folder()).runs(
-        folders, camera=camera, since=since, until=until, sequence=sequence, how=how
-    )
-    faults += missing
+    index, ledger = RunIndex(home_folder()), bench_ledger()
+    folders, missing = (run_folders(folder), []) if folder else _ledger_folders(ledger, index)
+    found, faults = index.runs(folders, camera=camera, since=since, until=until, sequence=sequence, how=how)
+    broken, notes = ledger_findings(ledger)
+    faults += [*missing, *broken]
     solved = [run for run in found if run.parameters]
     compared = compare_runs(solved) if compare else None
     if as_json:
         facts: dict[str, Any] = {"schema": "starbench/runs/1", "runs": [run.to_dict() for run in found]}
         if compared is not None:
             facts |= {"compared": [a.to_dict() for a in compared], "of": [run.folder for run in solved]}
-        print_json({**facts, "faults": faults})
+        print_json({**facts, "faults": faults, **({"notes": notes} if notes else {})})
         return 1 if faults else 0
     click.echo(_agreement_text(solved, compared) if compared is not None else _runs_text(found))
+    for note in notes:
+        click.echo(f"Note: {note}", err=True)
     for fault in faults:
         click.echo(f"FAULT: {fault}", err=True)
     return 1 if faults else 0
 
 
-def _ledger_folders() -> tuple[list[Path], list[str]]:
-    """Return the folders of all runs in the ledger that still exist, and a fault for each of the others."""
-    clock = BenchClock()
-    ledger = Ledger(home_folder(), utc_now=clock.utc_now, monotonic=clock.monotonic)
-    entries = ledger.runs()
+def _ledger_folders(ledger: Ledger, index: RunIndex) -> tuple[list[Path], list[str]]:
+    """Return the folders of all runs in the ledger that still exist, and a fault for each of the others.
+
+    If the ledger is damaged, the folders come from the index; the damage is among the breaks of the ledger.
+    """
+    try:
+        entries = ledger.runs()
+    except JournalBroken:
+        known = [Path(run.folder) for run in index.entered()]
+        return [folder for folder in known if (folder / JOURNAL).is_file()], []
     present = [Path(run.folder) for run in entries if (Path(run.folder) / JOURNAL).is_file()]
     missing = [
         f"run {run.number} ({run.run_id}, {run.how}): its folder {run.folder} is missing"

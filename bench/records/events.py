@@ -63,13 +63,15 @@ class Event(StrEnum):
 class LedgerPlace(TypedDict):
     """Where a run stands in the bench's ledger: its number, the ledger's head, and the runs of its camera by end.
 
-    ``faults`` states the breaks of the ledger that nobody had explained when the run began.
+    ``faults`` states the breaks of the ledger that nobody had explained when the run began, ``warnings`` the second
+    places of the ledger that could not be used.
     """
 
     number: int
     head: str
     of_camera: Mapping[str, int]
     faults: NotRequired[Sequence[str]]
+    warnings: NotRequired[Sequence[str]]
 
 
 class RunStarted(TypedDict):

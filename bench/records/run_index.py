@@ -19,17 +19,18 @@ from bench.base.errors import BenchError, StorageError
 from bench.records.folder_lock import is_locked
 from bench.records.history import History, replay
 from bench.records.journal import read_journal
+from bench.records.ledger_breaks import KnownRun
 from bench.records.run_folder import JOURNAL, is_sealed
 from bench.records.storage import make_folder, storage_errors
 
 INDEX = "runs.sqlite3"
 QUEUE_COPY = "queue.yaml"
 """A file that the folder of a batch has and a run folder has not."""
-VERSION = 4
+VERSION = 5
 _COLUMNS = (
     "id", "sequence", "station", "camera", "operator", "simulated", "rehearsal", "begun_utc", "ended", "accepted",
     "recordings", "deviations", "temperature_c", "model", "rms_px",
-    "coverage_factor",
+    "coverage_factor", "ledger_number", "ledger_head",
 )  # fmt: skip
 _SCHEMA = f"""
 CREATE TABLE runs (folder TEXT PRIMARY KEY, size INTEGER, mtime_ns INTEGER, {", ".join(_COLUMNS)}) WITHOUT ROWID;
@@ -66,6 +67,8 @@ class IndexedRun:
         Value and standard uncertainty of each parameter, by name.
     coverage_factor
         The k of its expanded uncertainties; None without a calibration, or if an earlier version made it.
+    ledger_number, ledger_head
+        Its number in the ledger of its bench, and the hash of its line there; None for a rehearsal.
     """
 
     folder: str
@@ -87,6 +90,8 @@ class IndexedRun:
     rms_px: float | None
     parameters: Mapping[str, tuple[float, float]]
     coverage_factor: float | None = None
+    ledger_number: int | None = None
+    ledger_head: str | None = None
 
     @property
     def k(self) -> float:
@@ -231,6 +236,28 @@ class RunIndex:
         ]
         return sorted(chosen, key=lambda run: (run.begun_utc, run.folder)), faults
 
+    def entered(self) -> list[KnownRun]:
+        """List the runs of the index that name their line in a ledger. No run folder is read.
+
+        Returns
+        -------
+        list of KnownRun
+            By folder; empty while there is no index.
+
+        Raises
+        ------
+        StorageError
+            When the index cannot be read.
+        """
+        if not self.path.exists():
+            return []
+        with self._open() as index:
+            rows = index.execute(
+                "SELECT folder, id, ledger_number, ledger_head FROM runs"
+                " WHERE ledger_number IS NOT NULL AND ledger_head IS NOT NULL ORDER BY folder"
+            )
+            return [KnownRun(*row) for row in rows]
+
     @contextmanager
     def _open(self) -> Iterator[sqlite3.Connection]:
         make_folder(self.path.parent)
@@ -365,6 +392,8 @@ def _facts(history: History, folder: Path) -> dict[str, Any]:
         "model": solved.get("model"),
         "rms_px": solved.get("rms_px"),
         "coverage_factor": solved.get("coverage_factor"),
+        "ledger_number": history.ledger.get("number"),
+        "ledger_head": history.ledger.get("head"),
     }
 
 

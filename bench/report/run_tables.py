@@ -96,7 +96,7 @@ def identification(results: Json) -> list[tuple[str, str]]:
     run = results["run"]
     camera = (results.get("devices") or {}).get("camera") or {}
     ledger, collimator = run.get("ledger"), run.get("collimator")
-    entered = [("Number of the run", _place_in_ledger(ledger))] if ledger else []
+    entered = _ledger_rows(ledger) if ledger else []
     item = " ".join(str(camera[key]) for key in ("maker", "model", "sensor") if camera.get(key))
     return [
         ("Item", item or NOTHING),
@@ -389,6 +389,11 @@ def deviations(results: Json) -> list[str]:
 def _failure_text(error: Json) -> str:
     place = f" ({error['where']})" if error["where"] else ""
     return f"The run failed and was resumed. {error['kind']}{place}: {error['what']}"
+
+
+def _ledger_rows(ledger: Json) -> list[tuple[str, str]]:
+    rows = [("Number of the run", _place_in_ledger(ledger)), ("Line of the ledger", str(ledger["head"]))]
+    return rows + [("Ledger", f"BROKEN. {fault}") for fault in ledger.get("faults") or []]
 
 
 def _place_in_ledger(ledger: Json) -> str:

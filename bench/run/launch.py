@@ -9,8 +9,7 @@ from __future__ import annotations
 import hashlib
 import json
 import secrets
-from collections.abc import Callable, Iterable, Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
@@ -25,11 +24,10 @@ from bench.messaging.messages import Courier
 from bench.messaging.outbox import Outbox
 from bench.plan.job import Job, documents_of
 from bench.plan.plan import Plan
-from bench.records.events import Event, LedgerPlace
+from bench.records.events import Event
 from bench.records.history import History, replay
 from bench.records.journal import Journal, read_journal
 from bench.records.journal_entry import Entry
-from bench.records.ledger import Ledger
 from bench.records.run_folder import (
     JOURNAL,
     PLAN,
@@ -41,6 +39,13 @@ from bench.records.run_folder import (
 from bench.results.result import Outcome, software
 from bench.run.control import remove_inbox
 from bench.run.crash_log import archive_crash, crash_log, read_crash
+from bench.run.ledger_entry import (
+    enter_in_ledger,
+    ledger_entry,
+    ledger_lines,
+    ledger_of,
+    refuse_broken_ledger,
+)
 from bench.run.resumption import intentions
 from bench.run.run_messages import RunMessages
 from bench.run.runner import RunEnd, Runner
@@ -118,17 +123,19 @@ def start_run(
     seed = secrets.randbits(31) if seed is None else seed
     job = Job.from_files(sequence, station, seed=seed, operator=operator, settings=settings)
     plan = job.plan
+    ledger = ledger_of(launch.clock)
+    refuse_broken_ledger(ledger, job)
     folder_path = output or default_folder(plan, launch.clock.utc_now())
     needed = plan.size_bytes + int(plan.station.value.disk.min_free_gb * 1e9)
     with RunFolder.create(folder_path, bytes_needed=needed) as folder:
         documents = documents_of(plan)
         for name, text in documents.items():
             folder.write_atomic(name, text)
-        folder.write_atomic(PLAN, (json.dumps(plan.to_dict(), indent=1) + "\n").encode())
-        ledger = _ledger(launch)
-        place = _enter_in_ledger(ledger, job, folder.path)
+        plan_text = (json.dumps(plan.to_dict(), indent=1) + "\n").encode()
+        folder.write_atomic(PLAN, plan_text)
+        place = enter_in_ledger(ledger, job, folder.path)
         with (
-            _ledger_entry(ledger, place, folder.path) as ending,
+            ledger_entry(ledger, place, folder.path) as ending,
             Journal.create(
                 folder.journal_path, utc_now=launch.clock.utc_now, monotonic=launch.clock.monotonic
             ) as journal,
@@ -138,14 +145,17 @@ def start_run(
                 id=folder_path.resolve().name,
                 sequence=plan.sequence.value.name,
                 station=plan.station.value.name,
-                sha256={name: hashlib.sha256(text).hexdigest() for name, text in documents.items()},
+                sha256={
+                    name: hashlib.sha256(text).hexdigest()
+                    for name, text in {**documents, PLAN: plan_text}.items()
+                },
                 seed=seed,
                 operator=job.operator,
                 simulated=job.simulated,
                 software=software(),
                 ledger=place,
             )
-            return ending(_run_and_seal(job, folder, journal, launch))
+            return ending(_run_and_seal(job, folder, journal, launch, first_lines=ledger_lines(place)))
 
 
 def resume_run(folder_path: Path, launch: Launch) -> RunEnd:
@@ -183,20 +193,18 @@ def resume_run(folder_path: Path, launch: Launch) -> RunEnd:
     ):
         job, history = _job_of(folder.path, journal.entries)
         crash = read_crash(folder.path)
-        ledger = _ledger(launch)
-        place = history.ledger
-        if not ledger.contains(place):  # the run began on another bench, or without a ledger
-            place = _enter_in_ledger(ledger, job, folder.path)
-        with _ledger_entry(ledger, place, folder.path) as ending:
+        ledger = ledger_of(launch.clock)
+        place = enter_in_ledger(ledger, job, folder.path, history.ledger)
+        with ledger_entry(ledger, place, folder.path) as ending:
             if history.ended == "finished":
                 archive_crash(folder)
                 return ending(_seal_finished(folder, journal, launch))
             extra: dict[str, Any] = {"crash": crash} if crash else {}
-            extra |= {"ledger": place} if place is not history.ledger else {}
+            extra |= {"ledger": place} if place != history.ledger else {}
             journal.append(Event.RUN_RESUMED, torn_bytes=len(journal.torn), software=software(), **extra)
             # After the journal: a process that dies in between neither loses the crash nor counts it twice.
             archive_crash(folder)
-            lines = intentions(job, history, crash)
+            lines = [*ledger_lines(place), *intentions(job, history, crash)]
             return ending(_run_and_seal(job, folder, journal, launch, first_lines=lines))
 
 
@@ -239,37 +247,6 @@ def _job_of(folder: Path, entries: Iterable[Entry]) -> tuple[Job, History]:
     _refuse_changed(folder, history.started["sha256"])
     job = Job.from_run_folder(folder, seed=history.started["seed"], operator=history.started["operator"])
     return job, history
-
-
-def _ledger(launch: Launch) -> Ledger:
-    return Ledger(home_folder(), utc_now=launch.clock.utc_now, monotonic=launch.clock.monotonic)
-
-
-def _enter_in_ledger(ledger: Ledger, job: Job, folder: Path) -> LedgerPlace:
-    camera = job.station.camera.serial
-    return ledger.begin(run_id=folder.name, folder=folder, camera=camera, simulated=job.simulated)
-
-
-@contextmanager
-def _ledger_entry(ledger: Ledger, place: LedgerPlace, folder: Path) -> Iterator[Callable[[RunEnd], RunEnd]]:
-    """Write to the ledger how the run of the block ended; "failed" if the block raises.
-
-    Yields
-    ------
-    Callable
-        Call it with the end of the run; it returns its argument.
-    """
-    how = "failed"
-
-    def ending(end: RunEnd) -> RunEnd:
-        nonlocal how
-        how = end.how
-        return end
-
-    try:
-        yield ending
-    finally:
-        ledger.end(place["number"], how=how, folder=folder)
 
 
 def default_folder(plan: Plan, now: datetime) -> Path:

@@ -22,6 +22,7 @@ from bench.stations.station_collimator import CollimatorConfig, GimbalConfig
 from bench.stations.station_expected import ExpectedConfig
 from bench.stations.station_fields import SIMULATED_PREFIX, Text
 from bench.stations.station_interlocks import InterlocksConfig
+from bench.stations.station_ledger import LedgerConfig
 from bench.stations.station_lights import LightConfig
 from bench.stations.station_messages import MessagesConfig
 from bench.stations.station_stages import AxisConfig, StageConfig
@@ -75,6 +76,7 @@ class Station(StrictModel):
     disk: DiskConfig = DiskConfig()
     messages: MessagesConfig = MessagesConfig()
     interlocks: InterlocksConfig = InterlocksConfig()
+    ledger: LedgerConfig = LedgerConfig()
     simulation: Annotated[dict[str, Any], BeforeValidator(_plain_values)] | None = None
 
     @property

@@ -30,8 +30,9 @@ def crashed(tmp_path, monkeypatch):
     monkeypatch.setattr(launch, "_job_of", lambda _folder, entries: (None, replay(entries)))
     monkeypatch.setattr(launch, "intentions", lambda *_: [])
     monkeypatch.setattr(
-        launch, "_ledger", lambda _: SimpleNamespace(contains=lambda _place: True, end=lambda *_, **__: None)
+        launch, "ledger_of", lambda _: SimpleNamespace(home=tmp_path / "home", end=lambda *_, **__: None)
     )
+    monkeypatch.setattr(launch, "enter_in_ledger", lambda _ledger, _job, _folder, known: known)
     monkeypatch.setattr(launch, "_run_and_seal", lambda *_, **__: SimpleNamespace(how="finished"))
     return tmp_path / "run"
 

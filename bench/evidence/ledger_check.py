@@ -1,0 +1,202 @@
+"""Compare sealed run folders with the ledger of the bench that sealed them.
+
+A run names its number and the hash of its line in the ledger. `ledger_faults_of_run` compares one folder with the
+ledger; `sealed_strangers` finds the folders of this bench that the ledger does not have. A folder belongs to this bench
+if the bench's key, or an earlier key of the same name, has sealed it. Writes nothing.
+"""
+
+from __future__ import annotations
+
+import base64
+import binascii
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from bench.base.errors import BenchError, JournalBroken
+from bench.evidence.keys import KEY_FILE, SIGNERS_FILE, read_signers
+from bench.evidence.sshsig import read_signature
+from bench.records.events import Event
+from bench.records.journal import read_journal
+from bench.records.ledger import Ledger
+from bench.records.ledger_breaks import EXPLAIN, KnownRun, Strangers, breaks_of
+from bench.records.ledger_runs import STILL_OPEN, LedgerRun, runs_of
+from bench.records.run_folder import JOURNAL, MANIFEST, SIGNATURE, is_sealed
+from bench.records.run_index import RunIndex
+from bench.records.storage import sha256_of
+
+_LARGEST_SIGNATURE_BYTES = 64 * 1024
+_ASK = "Ask who can write to this computer's files."
+
+
+def own_public_keys(home: Path) -> set[bytes]:
+    """Return the public keys of this bench: the present one, and trusted ones of the same name.
+
+    Parameters
+    ----------
+    home
+        The configuration folder.
+
+    Returns
+    -------
+    set of bytes
+        As SSH encodes them; empty if the bench has no key.
+    """
+    try:
+        fields = (home / KEY_FILE).with_suffix(".pub").read_text(encoding="utf-8").split()
+        own, principal = base64.b64decode(fields[1], validate=True), fields[2]
+    except (OSError, UnicodeDecodeError, IndexError, binascii.Error, ValueError):
+        return set()
+    try:
+        trusted = read_signers(home / SIGNERS_FILE)
+    except BenchError:
+        trusted = []
+    return {own, *(signer.public_key for signer in trusted if signer.principal == principal)}
+
+
+def is_sealed_by(folder: Path, keys: Collection[bytes]) -> bool:
+    """Return whether the signature of a sealed folder names one of some keys. The signature is not verified.
+
+    Parameters
+    ----------
+    folder
+        The folder.
+    keys
+        Public keys, as SSH encodes them.
+
+    Returns
+    -------
+    bool
+        False also where the folder is not sealed.
+    """
+    path = folder / SIGNATURE
+    try:
+        if not is_sealed(folder) or path.stat().st_size > _LARGEST_SIGNATURE_BYTES:
+            return False
+        return read_signature(path.read_bytes()).public_key in keys
+    except (OSError, BenchError):
+        return False
+
+
+def sealed_strangers(home: Path) -> Strangers:
+    """Return a function that finds the sealed runs of this bench that its ledger does not have.
+
+    The index of runs says which runs there are, so the folders of the others are not touched.
+
+    Parameters
+    ----------
+    home
+        The configuration folder.
+
+    Returns
+    -------
+    Callable
+        Given the hashes of all lines of the ledger, it returns the runs.
+    """
+
+    def find(heads: Collection[str]) -> Sequence[KnownRun]:
+        known = set(heads)
+        lost = [run for run in RunIndex(home).entered() if run.head not in known]
+        keys = own_public_keys(home) if lost else set()
+        return [run for run in lost if is_sealed_by(Path(run.folder), keys)]
+
+    return find
+
+
+@dataclass(frozen=True)
+class _Said:
+    """What the journal of a run states."""
+
+    place: Mapping[str, Any]
+    run_id: str
+    simulated: bool
+    camera: str
+
+
+def ledger_faults_of_run(folder: Path, ledger: Ledger) -> list[str]:
+    """Compare a run folder with the ledger of this bench. `verify` calls it, and lists its faults with its own.
+
+    Parameters
+    ----------
+    folder
+        The run folder.
+    ledger
+        The ledger.
+
+    Returns
+    -------
+    list of str
+        One sentence for each fault; empty for a run of another bench, and for a folder whose journal cannot be read,
+        which `verify` says already.
+    """
+    said = _said_by(folder)
+    if said is None:
+        return []
+    try:
+        entries = ledger.entries()
+        runs = runs_of(entries)
+        breaks = breaks_of(entries)
+    except (JournalBroken, LookupError, TypeError) as error:
+        is_own = is_sealed_by(folder, own_public_keys(ledger.home))
+        return (
+            [f"The ledger of this bench is damaged, so it does not confirm this run: {error}"]
+            if is_own
+            else []
+        )
+    entered = next((run for run in runs if run.head == said.place.get("head")), None)
+    if entered is not None:
+        return _differences(folder, said, entered)
+    named_by = next((one for one in breaks if said.place.get("head") in one.heads), None)
+    if named_by is not None and named_by.reason is not None:
+        return []
+    if not is_sealed_by(folder, own_public_keys(ledger.home)):
+        return []
+    number = said.place.get("number")
+    holder = next((run for run in runs if run.number == number), None)
+    other = f" There, number {number} is the run {holder.folder}." if holder else ""
+    what = f"This bench has sealed this run as number {number}, but its ledger does not contain it.{other}"
+    return [f"{what} Lines of the ledger were removed or replaced. {EXPLAIN}"]
+
+
+def _differences(folder: Path, said: _Said, entered: LedgerRun) -> list[str]:
+    found = []
+    stated = {
+        "number": (said.place.get("number"), entered.number),
+        "name": (said.run_id or entered.run_id, entered.run_id or said.run_id),
+        "simulated": (said.simulated, entered.simulated),
+        "camera": (said.camera or entered.camera, entered.camera or said.camera),
+    }
+    for what, (here, there) in stated.items():
+        if here != there:
+            found.append(f"The {what} of this run is {here} in its journal and {there} in the ledger. {_ASK}")
+    if is_sealed(folder):
+        if entered.seal is None and entered.how != STILL_OPEN:
+            found.append(
+                f"This run is sealed, but the ledger says that it {entered.how} without a seal. {_ASK}"
+            )
+        elif entered.seal not in {None, sha256_of(folder / MANIFEST)}:
+            found.append(
+                f"This folder has another seal than the ledger: it was changed and sealed again. {_ASK}"
+            )
+    return found
+
+
+def _said_by(folder: Path) -> _Said | None:
+    """Return what the journal of a run says; None if it cannot be read, or the run was in no ledger."""
+    try:
+        entries, _ = read_journal(folder / JOURNAL)
+    except (OSError, BenchError):
+        return None
+    started = [e.data for e in entries if e.event in {Event.RUN_STARTED, Event.RUN_RESUMED}]
+    places = [data["ledger"] for data in started if isinstance(data.get("ledger"), Mapping)]
+    if not places:
+        return None
+    cameras = [e.data.get("camera") for e in entries if e.event == Event.DEVICES]
+    camera = cameras[-1] if cameras and isinstance(cameras[-1], Mapping) else {}
+    return _Said(
+        places[-1],
+        str(started[0].get("id", "")),
+        bool(started[0].get("simulated", False)),
+        str(camera.get("serial", "")),
+    )

@@ -1,0 +1,186 @@
+"""A sealed run against the ledger of its bench: what was taken out of the ledger, or sealed again, is noticed."""
+
+import json
+import shutil
+from datetime import UTC, datetime
+from pathlib import Path
+
+import pytest
+
+from bench.evidence.keys import create_key, load_key
+from bench.evidence.ledger_check import ledger_faults_of_run, sealed_strangers
+from bench.evidence.seal import seal
+from bench.records.events import Event
+from bench.records.journal import Journal
+from bench.records.ledger import Ledger
+from bench.records.run_folder import RunFolder
+from bench.records.run_index import RunIndex
+from tests.unit.bench.evidence.resealed import reseal
+
+CLOCKS = {"utc_now": lambda: datetime(2026, 3, 1, tzinfo=UTC), "monotonic": lambda: 0.0}
+SOFTWARE = {"starbench": "1"}
+
+
+class Bench:
+    """A bench that makes runs of one line, seals them and lists them."""
+
+    def __init__(self, home):
+        create_key(home, principal="bench1@lab.example")
+        self.key, self.ledger = load_key(home), Ledger(home, **CLOCKS)
+
+    def run(self, path, *, how="finished", place=None, **started):
+        place = place or self.ledger.begin(run_id=path.name, folder=path, camera="1", simulated=True)
+        facts = {"id": path.name, "sequence": "s", "station": "s", "sha256": {}, "seed": 1, "operator": None}
+        with RunFolder.create(path) as folder:
+            with Journal.create(folder.journal_path, **CLOCKS) as journal:
+                facts |= {"simulated": True, "software": SOFTWARE, "ledger": place} | started
+                journal.append(Event.RUN_STARTED, **facts)
+                journal.append(Event.DEVICES, camera={"serial": "1"}, stage=[], light={}, camera_settings={})
+                journal.append(Event.RUN_ENDED, how=how, why="")
+            if how == "finished":
+                seal(folder, self.key)
+        self.ledger.end(place["number"], how=how, folder=path)
+        RunIndex(self.ledger.home).runs([path])
+        return place
+
+
+def writable(folder):
+    for path in [folder, *folder.rglob("*")]:
+        path.chmod(0o755 if path.is_dir() else 0o644)
+    return folder
+
+
+@pytest.fixture
+def bench(tmp_path):
+    return Bench(tmp_path / "home")
+
+
+def strangers(bench):
+    return bench.ledger.breaks(None, sealed_strangers(bench.ledger.home))[0]
+
+
+def test_runs_of_this_bench_agree_with_its_ledger(bench, tmp_path):
+    for name, how in (("a", "finished"), ("b", "failed")):
+        bench.run(tmp_path / name, how=how)
+        assert ledger_faults_of_run(tmp_path / name, bench.ledger) == []
+    assert strangers(bench) == []
+
+
+def test_after_a_rollback_of_everything_here_the_sealed_runs_show_it(bench, tmp_path):
+    bench.run(tmp_path / "first")
+    copies = {path: path.read_bytes() for path in bench.ledger.home.glob("ledger*")}
+    bench.run(tmp_path / "second")
+    for path, data in copies.items():
+        path.write_bytes(data)
+    (fault,) = ledger_faults_of_run(tmp_path / "second", bench.ledger)
+    assert "sealed this run as number 2, but its ledger does not contain it" in fault
+    assert strangers(bench) == [f"The sealed run {tmp_path / 'second'} is not in the ledger."]
+    bench.run(tmp_path / "third", place={"number": 2, "head": "0" * 64, "of_camera": {}})
+    assert len(strangers(bench)) == 2
+
+
+def test_two_sealed_runs_with_one_number_are_named(bench, tmp_path):
+    place = bench.run(tmp_path / "kept")
+    bench.run(tmp_path / "other", place={**place, "head": "e" * 64})
+    (fault,) = strangers(bench)
+    assert (
+        fault
+        == f"The sealed run {tmp_path / 'other'} is not in the ledger; its number 1 is that of run kept."
+    )
+    assert "There, number 1 is the run" in ledger_faults_of_run(tmp_path / "other", bench.ledger)[0]
+
+
+def test_an_explained_break_is_no_fault_of_its_runs(bench, tmp_path):
+    bench.run(tmp_path / "run")
+    bench.ledger.path.unlink()
+    assert ledger_faults_of_run(tmp_path / "run", bench.ledger)
+    bench.ledger.explain("restored", "Ada", strangers=sealed_strangers(bench.ledger.home))
+    assert ledger_faults_of_run(tmp_path / "run", bench.ledger) == []
+    assert strangers(bench) == []
+
+
+def test_a_run_of_another_bench_is_no_fault(bench, tmp_path):
+    other = Bench(tmp_path / "elsewhere")
+    other.run(tmp_path / "guest")
+    RunIndex(bench.ledger.home).runs([tmp_path / "guest"])
+    assert strangers(bench) == []
+    assert ledger_faults_of_run(tmp_path / "guest", bench.ledger) == []
+
+
+def test_a_run_sealed_with_an_earlier_key_of_this_bench_is_its_own(bench, tmp_path):
+    bench.run(tmp_path / "old")
+    home = bench.ledger.home
+    for name in ("bench_key", "bench_key.pub"):
+        (home / name).unlink()
+    create_key(home, principal="bench1@lab.example")
+    bench.ledger.path.unlink()
+    assert ledger_faults_of_run(tmp_path / "old", bench.ledger)
+
+
+def test_a_folder_that_was_changed_and_sealed_again_has_another_seal_than_the_ledger(bench, tmp_path):
+    bench.run(tmp_path / "run")
+    folder = writable(tmp_path / "run")
+    (folder / "VERIFY.txt").write_text("changed")
+    reseal(folder, bench.key)
+    assert "changed and sealed again" in ledger_faults_of_run(folder, bench.ledger)[0]
+
+
+def test_a_failed_run_that_was_made_a_finished_one_is_noticed(bench, tmp_path):
+    bench.run(tmp_path / "run", how="failed")
+    with RunFolder.open(tmp_path / "run") as folder:
+        seal(folder, bench.key)
+    assert (
+        "the ledger says that it failed without a seal"
+        in ledger_faults_of_run(tmp_path / "run", bench.ledger)[0]
+    )
+
+
+@pytest.mark.parametrize(
+    ("changed", "what"),
+    [
+        ({"simulated": False}, "simulated"),
+        ({"id": "other"}, "name"),
+        ({"camera": "2"}, "camera"),
+        ({"number": 7}, "number"),
+    ],
+)
+def test_a_journal_written_anew_contradicts_the_ledger(bench, tmp_path, changed, what):
+    bench.run(tmp_path / "run")
+    folder = writable(tmp_path / "run")
+    lines = [json.loads(line) for line in (folder / "journal.jsonl").read_text().splitlines()]
+    (folder / "journal.jsonl").unlink()
+    with Journal.create(folder / "journal.jsonl", **CLOCKS) as journal:
+        for line in lines:
+            data = {
+                k: v for k, v in line.items() if k not in {"seq", "utc", "mono_s", "event", "prev", "hash"}
+            }
+            if line["event"] == Event.RUN_STARTED:
+                data |= {k: v for k, v in changed.items() if k in data}
+                data["ledger"] |= {k: v for k, v in changed.items() if k == "number"}
+            if line["event"] == Event.DEVICES and "camera" in changed:
+                data["camera"] = {"serial": changed["camera"]}
+            journal.append(line["event"], **data)
+    reseal(folder, bench.key)
+    assert [f for f in ledger_faults_of_run(folder, bench.ledger) if f.startswith(f"The {what} of this run")]
+
+
+@pytest.mark.parametrize("journal", [None, b"", b"junk\n"])
+def test_a_folder_without_a_journal_has_no_place_to_compare(bench, tmp_path, journal):
+    (tmp_path / "run").mkdir()
+    if journal is not None:
+        (tmp_path / "run" / "journal.jsonl").write_bytes(journal)
+    assert ledger_faults_of_run(tmp_path / "run", bench.ledger) == []
+
+
+def test_a_copy_of_a_sealed_run_is_no_second_run(bench, tmp_path):
+    bench.run(tmp_path / "run")
+    shutil.copytree(tmp_path / "run", tmp_path / "copy")
+    RunIndex(bench.ledger.home).runs([tmp_path / "copy", Path(tmp_path / "run")])
+    assert strangers(bench) == []
+    assert ledger_faults_of_run(tmp_path / "copy", bench.ledger) == []
+
+
+def test_a_damaged_ledger_confirms_no_run_of_this_bench(bench, tmp_path):
+    bench.run(tmp_path / "run")
+    bench.ledger.path.write_bytes(b"junk\n")
+    assert "does not confirm this run" in ledger_faults_of_run(tmp_path / "run", bench.ledger)[0]
