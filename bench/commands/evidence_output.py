@@ -12,11 +12,15 @@ from bench.base.errors import EvidenceError, UsageError
 from bench.commands.output import print_json
 
 if TYPE_CHECKING:
-    from bench.evidence.verify import Verification
+    from bench.evidence.findings import Verification
+
+
+NOT_COMPARED = 4
+"""Exit status of `verify`: no fault was found, but parts of the folder could not be derived again and compared."""
 
 
 def show_verification(verification: Verification, *, as_json: bool) -> int:
-    """Print whether the seal of a run folder is valid.
+    """Print what the verification of a sealed folder found.
 
     Parameters
     ----------
@@ -28,25 +32,40 @@ def show_verification(verification: Verification, *, as_json: bool) -> int:
     Returns
     -------
     int
-        Exit status: 0 seal is valid, 1 seal is not valid.
+        Exit status: 0 no fault, and everything was compared; 1 a fault; 4 no fault, but not everything was compared.
     """
     if as_json:
         print_json(verification.to_dict())
     elif verification.ok:
-        click.echo(
-            f"Seal is valid: {verification.files} files, sealed by {verification.signer} ({verification.fingerprint})."
-        )
-        if verification.run_id is not None:
-            simulated = " SIMULATED devices." if verification.simulated else ""
-            camera = verification.camera_serial or "without number"
-            click.echo(f"Run {verification.run_id}, camera {camera}.{simulated}")
-        for remark in verification.remarks:
-            click.echo(f"Not checked: {remark}.")
+        _show_valid(verification)
     else:
         click.echo("NOT VERIFIED:", err=True)
         for fault in verification.faults:
             click.echo(f"  {fault}", err=True)
-    return 0 if verification.ok else 1
+    if not verification.ok:
+        return 1
+    return 0 if verification.complete else NOT_COMPARED
+
+
+def _show_valid(verification: Verification) -> None:
+    click.echo(f"State: {verification.state}")
+    for statement in verification.statements:
+        click.echo(f"  {statement}.")
+    click.echo(
+        f"Seal is valid: {verification.files} files, sealed by {verification.signer} ({verification.fingerprint})."
+    )
+    if verification.run_id is not None:
+        simulated = " SIMULATED devices." if verification.simulated else ""
+        camera = verification.camera_serial or "without number"
+        click.echo(f"Run {verification.run_id}, camera {camera}.{simulated}")
+    for remark in verification.remarks:
+        click.echo(f"Note: {remark}.")
+    if verification.not_compared:
+        click.echo(
+            "NOT COMPARED. Only the seal protects these parts; whoever holds the key could change them:"
+        )
+        for what in verification.not_compared:
+            click.echo(f"  {what}")
 
 
 def ask_passphrase(key: Path) -> bytes:

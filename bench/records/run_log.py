@@ -32,6 +32,7 @@ from bench.records.events import (
     StepDone,
     SupervisorLost,
     UntilDecided,
+    Written,
 )
 from bench.records.history import History, apply_entry, replay
 from bench.records.journal import Journal
@@ -84,6 +85,8 @@ class RunLog:
     def write(self, event: Literal[Event.ATTEMPT_LOST], **data: Unpack[AttemptLost]) -> None: ...
     @overload
     def write(self, event: Literal[Event.SOLVED], **data: Unpack[Solved]) -> None: ...
+    @overload
+    def write(self, event: Literal[Event.WRITTEN], **data: Unpack[Written]) -> None: ...
     @overload
     def write(self, event: Literal[Event.UNTIL_DECIDED], **data: Unpack[UntilDecided]) -> None: ...
     @overload

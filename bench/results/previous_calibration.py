@@ -151,7 +151,7 @@ def _compared(run: LedgerRun, found: Json, results: Json) -> dict[str, Any]:
         "seal": found["seal"],
         "results_sha256": found["sha256"],
         "calibration": earlier,
-        "change": _change(earlier, now),
+        "change": change_since(earlier, now),
     }
 
 
@@ -161,8 +161,19 @@ def _of_camera(calibration: Json) -> dict[str, Any]:
     return {"names": list(calibration["camera"]), "matrix": covariance.tolist()}
 
 
-def _change(then: Json, now: Json) -> dict[str, Any] | None:
-    """Return the change of the projection over the sensor; None if this calibration states no covariance."""
+def change_since(then: Json, now: Json) -> dict[str, Any] | None:
+    """Return the change of the projection over the sensor.
+
+    Parameters
+    ----------
+    then, now
+        ``calibration`` of the earlier and of this result.
+
+    Returns
+    -------
+    dict or None
+        ``change`` of results.json (docs/results.md); None if this calibration states no covariance.
+    """
     maps = change_maps(then, now)
     if maps is None:
         return None

@@ -1,73 +1,220 @@
-"""Checks that a run's results follow from its recordings: detects the stars again, calibrates again, and compares.
+"""Derives a run's results again from its recordings: finds the stars, calibrates, and compares every number.
 
-Reads the run folder only: captures, journal, sequence, station, results. Another machine may round the last bits
-differently. Two values therefore count as equal if they differ by a small fraction of their uncertainty.
+Reads the run folder only. On the same computer with the same program all numbers are equal to the last bit. Another
+computer may round otherwise, so numbers count as equal within a small tolerance: values and standard uncertainties of
+the calibration within a thousandth of the standard uncertainty, all other numbers within one millionth.
 """
 
 from __future__ import annotations
 
-import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 from bench.base.errors import BenchError
-from bench.records.run_folder import RESULTS
-from bench.results.offline import calibrate_paths
-from bench.results.offline_options import OfflineOptions
+from bench.evidence.findings import Findings
+from bench.records.history import Attempt
+from bench.records.run_folder import JOURNAL, RESULTS
+from bench.results.compare_json import Number, Tolerance, differences
+from bench.results.derive_again import RunEvidence, other_program, read_evidence
+from bench.results.derive_report import UNREADABLE
+from bench.results.results_content import results_content
+from bench.results.solution import Solution, solve_run
+from bench.views.camera_kinds import CameraKind
+from bench.views.expected_grid import grid_from_journal
+from bench.views.gates import failed_gate_texts
+from bench.views.measure import Measurement
+from bench.views.views_file import VIEWS, read_picture, read_views
 from calib.errors import CalibrationError
+from calib.view import View
 from drivers.errors import DriverError
 
 TOLERANCE_SIGMAS = 1e-3
 """Values that differ by less than this fraction of their standard uncertainty count as equal."""
+TOLERANCE_SHARE = 1e-6
+_COUNTED = ("iterations",)
+"""Numbers of work, not of results: rounding may change them by a few."""
+_MOST_SHOWN = 12
 
 
-def differences(folder: Path) -> list[str]:
-    """Calibrate a run again from its recordings, and list the differences from its results.
+def check_recordings(folder: Path) -> Findings:
+    """Measure every recording of a run again, calibrate again, and compare journal, results.json and views.h5.
 
     Parameters
     ----------
     folder
-        The run folder.
+        The run folder; its seal, its journal and its files as compared with each other have no fault.
 
     Returns
     -------
-    list of str
-        A sentence for each value that differs, or the reason why the run cannot be calibrated again; empty if all
-        values agree.
+    Findings
+        Every number that differs, and which software made the results.
 
     Raises
     ------
-    ScriptError
-        When the run's sequence or station file cannot be read.
-    JournalBroken
-        When its journal is not intact.
+    OSError
+        When a file cannot be read.
     """
-    stored = json.loads((folder / RESULTS).read_bytes())["calibration"]
+    found = Findings()
+    evidence = read_evidence(folder, found)
+    if evidence is None:
+        return found
+    measured = _check_attempts(evidence, found)
+    step = evidence.solve_step
+    if evidence.results is None or step is None:
+        found.remarks.append("this run has no results to calculate again")
+        return found
     try:
-        again = calibrate_paths([folder], OfflineOptions())
+        solution = solve_run(evidence.job, folder, step, evidence.history, measured)
+        truth = evidence.job.read_truth()
+        used = evidence.results["run"]["software"]
+        again = results_content(evidence.job, evidence.history, solution, truth, used)
+        _check_numbers(evidence.results, again, found)
     except (BenchError, CalibrationError, DriverError) as error:
-        return [f"the run cannot be calibrated again: {error}"]
-    skipped = [f"no stars are found any more in an accepted recording: {why}" for why in again.skipped]
-    return skipped + _differences_between(stored, again.calibration.to_dict())
-
-
-def _differences_between(stored: Mapping[str, Any], again: Mapping[str, Any]) -> list[str]:
-    """Compare two calibrations in the form of results.json."""
-    if stored["model"] != again["model"] or set(stored["sigma"]) != set(again["sigma"]):
-        models = [f"{c['model']} in {', '.join(c['sigma'])}" for c in (again, stored)]
-        return [f"the recordings give the model {models[0]}; the results have {models[1]}"]
-    values = [{**c["camera"], **(c["collimator"] or {})} for c in (stored, again)]
-    found = []
-    for name, sigma in again["sigma"].items():
-        bound = TOLERANCE_SIGMAS * sigma
-        if not abs(values[0][name] - values[1][name]) <= bound:
-            found.append(
-                f"the recordings give {name} = {values[1][name]:.9g}, the results {values[0][name]:.9g}"
-            )
-        if not abs(stored["sigma"][name] - sigma) <= bound:
-            found.append(
-                f"the recordings give {name} the standard uncertainty {sigma:.6g}, "
-                f"the results {stored['sigma'][name]:.6g}"
-            )
+        found.fault("results", RESULTS, f"the run cannot be calibrated again: {error}")
+        return found
+    except UNREADABLE as error:
+        found.fault("results", RESULTS, f"the results have no calibration to compare ({error!r})")
+        return found
+    _check_views(folder, solution, found)
     return found
+
+
+def _check_attempts(evidence: RunEvidence, found: Findings) -> dict[int, Measurement]:
+    """Measure every recording again and compare with the journal; return the measurements of the accepted ones."""
+    kept: dict[int, Measurement] = {}
+    other = other_program(evidence.history.started.get("software", {}))
+    for attempt in evidence.history.attempts:
+        name = str(attempt.stored["capture"])
+        if not (evidence.folder / name).is_file():
+            found.remarks.append(f"{name} was lost before the run was resumed, so it was not measured again")
+            continue
+        again = _measure(evidence, attempt)
+        if attempt.accepted:
+            kept[attempt.pose_index] = again
+        if attempt.checked is None:
+            continue
+        due = _judged(evidence.job.camera_kind, evidence, attempt, again)
+        had = {name: attempt.checked.get(name) for name in due}
+        where = f"pose {attempt.pose_index} attempt {attempt.attempt}"
+        seen = list(differences(had, due, _tolerance({}), where))
+        if other and all(one.kind != "value" for one in seen):
+            seen = []
+        for one in seen[:_MOST_SHOWN]:
+            found.fault("journal", JOURNAL, f"the recordings do not give what it states: {one}")
+    return kept
+
+
+def _measure(evidence: RunEvidence, attempt: Attempt) -> Measurement:
+    job = evidence.job
+    step = job.record_step(attempt.pose_index)
+    path = evidence.folder / str(attempt.stored["capture"])
+    return job.camera_kind.measure(path, step, job.frequency_hz(step), job.target, grid_from_journal(attempt))
+
+
+def _judged(kind: CameraKind, evidence: RunEvidence, attempt: Attempt, again: Measurement) -> dict[str, Any]:
+    """Return what the journal must hold about the measurement of a recording, except the expected grid."""
+    job, stored = evidence.job, attempt.stored
+    step = job.record_step(attempt.pose_index)
+    gates, other_reasons = kind.judge(stored["facts"], step, job.frequency_hz(step), again)
+    gates += job.motion_gates(stored["measured_deg"], stored["measured_after_deg"])
+    reasons = [again.fault] if again.fault else []
+    reasons += failed_gate_texts(gates) + other_reasons
+    facts = {name: value for name, value in again.facts.items() if name != "expected_grid"}
+    stated = attempt.measured.get("expected_grid")
+    return {
+        "accepted": not reasons,
+        "reasons": reasons,
+        "stars": again.stars,
+        "gates": [gate.as_data() for gate in gates],
+        "measured": {**facts, **({"expected_grid": stated} if stated is not None else {})},
+    }
+
+
+def _check_numbers(stored: Mapping[str, Any], again: Mapping[str, Any], found: Findings) -> None:
+    """Compare all of results.json, except the comparison with an earlier run, whose folder may be gone."""
+    had = {name: value for name, value in stored.items() if name != "previous"}
+    if list(had) and not list(differences(had, again)):
+        found.remarks.append("calculated again from the recordings: every number is equal to the last bit")
+        return
+    sigma = again["calibration"]["sigma"]
+    seen = list(differences(had, again, _tolerance(sigma)))
+    other = other_program(stored["run"]["software"])
+    made = f" (the results were made with {other})" if other else ""
+    for one in seen[:_MOST_SHOWN]:
+        found.fault("results", RESULTS, f"the recordings do not give it: {one}{made}")
+    if len(seen) > _MOST_SHOWN:
+        found.fault("results", RESULTS, f"{len(seen) - _MOST_SHOWN} further values differ{made}")
+    if not seen:
+        found.remarks.append("calculated again from the recordings: every number is equal but for rounding")
+
+
+def _tolerance(sigma: Mapping[str, float]) -> Tolerance:
+    """Return the tolerance for numbers of results.json, with the standard uncertainties of the calibration."""
+    parameters = {
+        f"calibration.{part}.{name}": value
+        for name, value in sigma.items()
+        for part in ("camera", "collimator", "sigma")
+    }
+
+    def equal(where: str, stored: Number, derived: Number, scale: float) -> bool:
+        if where.rpartition(".")[2] in _COUNTED:
+            return abs(stored - derived) <= max(2.0, 0.1 * abs(derived))
+        if where in parameters:
+            return abs(stored - derived) <= TOLERANCE_SIGMAS * parameters[where]
+        return abs(stored - derived) <= TOLERANCE_SHARE * scale
+
+    return equal
+
+
+def _check_views(folder: Path, solution: Solution, found: Findings) -> None:
+    """Compare stars, residuals and images of views.h5 with those found again."""
+    stored = read_views(folder / VIEWS)
+    residuals = solution.calibration.residuals_px
+    for number, (had, found_again, residual) in enumerate(
+        zip(stored, solution.measurements, residuals, strict=True), start=1
+    ):
+        assert found_again.view is not None
+        assert found_again.image is not None
+        name = found_again.view.name
+        for what in _views_differ(had.view, found_again.view):
+            found.fault("views", VIEWS, f"the recording of {name} gives other {what}")
+        if not _close(had.residuals_px, residual):
+            found.fault("views", VIEWS, f"the recording of {name} gives other residuals")
+        differ = np.count_nonzero(
+            read_picture(folder / VIEWS, number) != found_again.image.decoded(),
+        )
+        if differ:
+            found.fault(
+                "views", VIEWS, f"the recording of {name} gives another image: {differ} pixels differ"
+            )
+
+
+def _views_differ(stored: View, again: View) -> list[str]:
+    """Return which parts of two views differ."""
+    arrays: Sequence[tuple[str, Any, Any]] = [
+        ("image sizes", stored.image_size, again.image_size),
+        ("star ids", stored.ids, again.ids),
+        ("image points", stored.points_px, again.points_px),
+        ("points of the target", stored.target_mm, again.target_mm),
+        ("covariances", stored.covariances_px2, again.covariances_px2),
+    ]
+    if (stored.rim is None) != (again.rim is None):
+        return ["points of the rim"]
+    if stored.rim is not None and again.rim is not None:
+        arrays = [
+            *arrays,
+            ("points of the rim", stored.rim.points_mm, again.rim.points_mm),
+            ("sigmas of the rim", stored.rim.sigmas_mm, again.rim.sigmas_mm),
+        ]
+    return [name for name, had, due in arrays if not _close(np.asarray(had, float), np.asarray(due, float))]
+
+
+def _close(stored: NDArray[np.float64], again: NDArray[np.float64]) -> bool:
+    if stored.shape != again.shape:
+        return False
+    scale = float(np.max(np.abs(again), initial=0.0))
+    return bool(np.all(np.abs(stored - again) <= TOLERANCE_SHARE * scale))

@@ -16,6 +16,7 @@ from bench.records.events import Event
 from bench.records.recovery import recover
 from bench.records.run_folder import RunFolder
 from bench.records.run_log import RunLog
+from bench.records.written import written_files
 from bench.results.interim import Decisions
 from bench.results.result import ResultWriter
 from bench.run.holding import Holding
@@ -285,9 +286,13 @@ class StateWork:
         self._log.write(Event.SOLVED, **solved)
 
     def report(self, *_: Any, **__: Any) -> None:
-        """Write results, images, exports and the report."""
+        """Write results, images, exports and the report; then journal their hashes."""
         truth = self._devices.truth() if self._devices.is_open else self._job.read_truth()
         self._results.write(self._log, truth)
+        outcome = self._results.outcome
+        if outcome is not None and outcome.journal_head:  # a rehearsal writes results alone
+            written = written_files(self._folder.path)
+            self._log.write(Event.WRITTEN, head=outcome.journal_head, **written)
 
     def make_safe(self, *_: Any, **__: Any) -> None:
         """Stop the stage, switch the light off, stop the camera. Never raises."""

@@ -58,7 +58,7 @@ def test_a_bundle_resealed_over_edited_results_is_found(copied, home):
     """The bench's own key is no help against a bench that tells something else than it saw."""
     from bench.evidence.keys import load_key, read_signers
     from bench.evidence.seal import seal
-    from bench.evidence.verify import verify_run
+    from bench.evidence.verify import verify_folder
 
     (copied / "SHA256SUMS.sig").unlink()
     (copied / "report.html").unlink()
@@ -66,7 +66,7 @@ def test_a_bundle_resealed_over_edited_results_is_found(copied, home):
     with RunFolder.open(copied) as folder:
         seal(folder, load_key(home))
     signers = read_signers(home / "allowed_signers")
-    assert verify_run(copied, signers).ok
-    (fault,) = verify_run(copied, signers, recalculate=differences).faults
+    assert verify_folder(copied, signers).ok
+    (fault,) = verify_folder(copied, signers, recalculate=differences).faults
     assert (fault.kind, fault.where) == ("results", "results.json")
     assert "the recordings give fx" in fault.what

@@ -14,7 +14,7 @@ from bench.base.errors import RunFolderError
 from bench.evidence.keys import NAMESPACE, Signer, create_key, read_signers
 from bench.evidence.seal import make_manifest, seal
 from bench.evidence.sshsig import read_signature, sign
-from bench.evidence.verify import verify_run
+from bench.evidence.verify import verify_folder
 from tests.unit.bench.evidence.resealed import kinds, reseal
 
 
@@ -24,7 +24,7 @@ def other_key(tmp_path):
 
 
 def test_the_untouched_bundle_passes(sealed_once, signers, key):
-    found = verify_run(sealed_once, signers, camera_serial="00050423")
+    found = verify_folder(sealed_once, signers, camera_serial="00050423")
     assert found.ok
     assert found.signer == "bench1@lab.example"
     assert found.fingerprint == key.fingerprint
@@ -34,7 +34,7 @@ def test_the_untouched_bundle_passes(sealed_once, signers, key):
 
 def test_what_was_found_can_be_written_as_json(sealed, signers):
     (sealed / "results.json").unlink()
-    found = json.loads(json.dumps(verify_run(sealed, signers).to_dict()))
+    found = json.loads(json.dumps(verify_folder(sealed, signers).to_dict()))
     assert found["ok"] is False
     assert found["faults"] == [{"kind": "missing", "where": "results.json", "what": "the file is missing"}]
 
@@ -45,7 +45,7 @@ def test_what_was_found_can_be_written_as_json(sealed, signers):
 def test_an_edited_number_is_found(sealed, signers):
     export = sealed / "exports" / "camera.yaml"
     export.write_text(export.read_text().replace("3345.06", "3345.07"))
-    assert kinds(verify_run(sealed, signers)) == [("changed", "exports/camera.yaml")]
+    assert kinds(verify_folder(sealed, signers)) == [("changed", "exports/camera.yaml")]
 
 
 def test_every_changed_file_is_found(sealed, signers):
@@ -54,9 +54,9 @@ def test_every_changed_file_is_found(sealed, signers):
         before = path.read_bytes()
         path.write_bytes(before[:-1] + bytes([before[-1] ^ 1]))
         name = path.relative_to(sealed).as_posix()
-        assert ("changed", name) in kinds(verify_run(sealed, signers))
+        assert ("changed", name) in kinds(verify_folder(sealed, signers))
         path.write_bytes(before)
-    assert verify_run(sealed, signers).ok
+    assert verify_folder(sealed, signers).ok
 
 
 def test_two_captures_swapped_are_found(sealed, signers):
@@ -64,13 +64,13 @@ def test_two_captures_swapped_are_found(sealed, signers):
     data = one.read_bytes(), two.read_bytes()
     one.write_bytes(data[1])
     two.write_bytes(data[0])
-    assert {k for k, _ in kinds(verify_run(sealed, signers))} == {"changed"}
-    assert len(verify_run(sealed, signers).faults) == 2
+    assert {k for k, _ in kinds(verify_folder(sealed, signers))} == {"changed"}
+    assert len(verify_folder(sealed, signers).faults) == 2
 
 
 def test_a_deleted_capture_is_found(sealed, signers):
     (sealed / "captures/pose-001-attempt-1.raw").unlink()
-    assert kinds(verify_run(sealed, signers)) == [("missing", "captures/pose-001-attempt-1.raw")]
+    assert kinds(verify_folder(sealed, signers)) == [("missing", "captures/pose-001-attempt-1.raw")]
 
 
 @pytest.mark.parametrize(
@@ -79,19 +79,19 @@ def test_a_deleted_capture_is_found(sealed, signers):
 def test_an_added_file_is_found(sealed, signers, name):
     (sealed / name).parent.mkdir(exist_ok=True)
     (sealed / name).write_text("added")
-    assert kinds(verify_run(sealed, signers)) == [("added", name)]
+    assert kinds(verify_folder(sealed, signers)) == [("added", name)]
 
 
 def test_a_list_made_again_under_the_old_signature_is_found(sealed, signers):
     (sealed / "results.json").write_bytes((sealed / "results.json").read_bytes().replace(b"run-1", b"run-2"))
     (sealed / "SHA256SUMS").write_bytes(make_manifest(sealed))
-    assert kinds(verify_run(sealed, signers)) == [("signature", "SHA256SUMS.sig")]
+    assert kinds(verify_folder(sealed, signers)) == [("signature", "SHA256SUMS.sig")]
 
 
 def test_a_bundle_signed_by_another_key_is_found(sealed, signers, other_key):
     (sealed / "exports/camera.yaml").write_text("fx: 1\n")
     reseal(sealed, other_key)
-    found = verify_run(sealed, signers)
+    found = verify_folder(sealed, signers)
     assert kinds(found) == [("key", "SHA256SUMS.sig")]
     assert other_key.fingerprint in found.faults[0].what
     assert found.signer is None
@@ -100,7 +100,7 @@ def test_a_bundle_signed_by_another_key_is_found(sealed, signers, other_key):
 def test_a_report_passed_off_for_another_camera_is_found(make_run, key, signers, tmp_path):
     with make_run(tmp_path / "run", serial="00050999") as folder:
         seal(folder, key)
-    found = verify_run(tmp_path / "run", signers, camera_serial="00050423")
+    found = verify_folder(tmp_path / "run", signers, camera_serial="00050423")
     assert kinds(found) == [("item", "results.json")]
     assert "belong to camera 00050999; 00050423 was requested" in str(found.faults[0])
 
@@ -110,13 +110,13 @@ def test_a_link_in_place_of_a_file_is_found(sealed, signers, tmp_path, target):
     capture = sealed / "captures/pose-001-attempt-1.raw"
     shutil.move(capture, tmp_path / "copy")
     capture.symlink_to(tmp_path / target)
-    assert kinds(verify_run(sealed, signers)) == [("link", "captures/pose-001-attempt-1.raw")]
+    assert kinds(verify_folder(sealed, signers)) == [("link", "captures/pose-001-attempt-1.raw")]
 
 
 @pytest.mark.parametrize("name", ["SHA256SUMS", "SHA256SUMS.sig"])
 def test_a_stripped_seal_is_found(sealed, signers, name):
     (sealed / name).unlink()
-    assert kinds(verify_run(sealed, signers)) == [("unsealed", name)]
+    assert kinds(verify_folder(sealed, signers)) == [("unsealed", name)]
 
 
 @pytest.mark.parametrize("line", [b"../../etc/passwd", b"/etc/passwd", b"a/../b"])
@@ -124,7 +124,7 @@ def test_a_listed_path_that_leads_out_is_found(sealed, signers, key, line):
     manifest = b"0" * 64 + b"  " + line + b"\n" + (sealed / "SHA256SUMS").read_bytes()
     (sealed / "SHA256SUMS").write_bytes(manifest)
     (sealed / "SHA256SUMS.sig").write_bytes(sign(key.private, manifest, NAMESPACE))
-    assert ("manifest", "SHA256SUMS:1") in kinds(verify_run(sealed, signers))
+    assert ("manifest", "SHA256SUMS:1") in kinds(verify_folder(sealed, signers))
 
 
 def test_a_doubled_line_is_found(sealed, signers, key):
@@ -132,12 +132,12 @@ def test_a_doubled_line_is_found(sealed, signers, key):
     manifest = b"".join([lines[0], *lines])
     (sealed / "SHA256SUMS").write_bytes(manifest)
     (sealed / "SHA256SUMS.sig").write_bytes(sign(key.private, manifest, NAMESPACE))
-    assert ("manifest", "SHA256SUMS:2") in kinds(verify_run(sealed, signers))
+    assert ("manifest", "SHA256SUMS:2") in kinds(verify_folder(sealed, signers))
 
 
 def test_a_signature_for_another_purpose_is_found(sealed, signers, key):
     reseal(sealed, key, namespace="git")
-    found = verify_run(sealed, signers)
+    found = verify_folder(sealed, signers)
     assert kinds(found) == [("signature", "SHA256SUMS.sig")]
     assert "'git'" in found.faults[0].what
 
@@ -147,20 +147,20 @@ def test_an_expired_key_is_found(sealed_once, signers):
     expired = Signer(
         signer.principal, signer.public_key, signer.namespaces, valid_before=datetime(2026, 1, 1, tzinfo=UTC)
     )
-    found = verify_run(sealed_once, [expired], when=datetime(2026, 1, 2, tzinfo=UTC))
+    found = verify_folder(sealed_once, [expired], when=datetime(2026, 1, 2, tzinfo=UTC))
     assert kinds(found) == [("key", "SHA256SUMS.sig")]
     assert "expired" in found.faults[0].what
-    assert verify_run(sealed_once, [expired], when=datetime(2025, 12, 31, tzinfo=UTC)).ok
+    assert verify_folder(sealed_once, [expired], when=datetime(2025, 12, 31, tzinfo=UTC)).ok
 
 
 def test_any_of_several_lines_of_a_key_may_allow_it(sealed_once, signers):
     (signer,) = signers
     elsewhere = Signer("bench1@lab.example", signer.public_key, namespaces=("git",))
-    assert verify_run(sealed_once, [elsewhere, signer]).ok
+    assert verify_folder(sealed_once, [elsewhere, signer]).ok
 
 
 def test_nobody_trusted_means_not_verified(sealed_once):
-    assert [f.kind for f in verify_run(sealed_once, []).faults] == ["key"]
+    assert [f.kind for f in verify_folder(sealed_once, []).faults] == ["key"]
 
 
 @pytest.mark.parametrize(
@@ -168,19 +168,19 @@ def test_nobody_trusted_means_not_verified(sealed_once):
 )
 def test_a_spoiled_signature_is_found(sealed, signers, content):
     (sealed / "SHA256SUMS.sig").write_bytes(content)
-    assert kinds(verify_run(sealed, signers)) == [("signature", "SHA256SUMS.sig")]
+    assert kinds(verify_folder(sealed, signers)) == [("signature", "SHA256SUMS.sig")]
 
 
 @pytest.mark.parametrize("name", ["SHA256SUMS", "SHA256SUMS.sig"])
 def test_a_seal_that_is_a_link_is_found(sealed, signers, tmp_path, name):
     shutil.move(sealed / name, tmp_path / "elsewhere")
     (sealed / name).symlink_to(tmp_path / "elsewhere")
-    assert kinds(verify_run(sealed, signers)) == [("unsealed", name)]
+    assert kinds(verify_folder(sealed, signers)) == [("unsealed", name)]
 
 
 def test_an_endless_seal_is_not_read(sealed, signers):
     os.truncate(sealed / "SHA256SUMS", 1 << 30)
-    assert ("manifest", "SHA256SUMS") in kinds(verify_run(sealed, signers))
+    assert ("manifest", "SHA256SUMS") in kinds(verify_folder(sealed, signers))
 
 
 # ------------------------------------------------------------------ what the bench itself may have got wrong
@@ -190,7 +190,7 @@ def test_a_capture_lost_before_sealing_is_found(make_run, key, signers, tmp_path
     with make_run(tmp_path / "run") as folder:
         (folder.path / "captures/pose-002-attempt-1.raw").unlink()
         seal(folder, key)
-    found = verify_run(tmp_path / "run", signers)
+    found = verify_folder(tmp_path / "run", signers)
     assert [str(f) for f in found.faults] == [
         "results.json: SHA256SUMS does not name captures/pose-002-attempt-1.raw with this hash"
     ]
@@ -200,14 +200,14 @@ def test_a_journal_with_half_a_line_is_found_even_under_a_good_seal(sealed, sign
     with (sealed / "journal.jsonl").open("ab") as journal:
         journal.write(b'{"seq":')
     reseal(sealed, key)
-    assert kinds(verify_run(sealed, signers)) == [("journal", "journal.jsonl")]
+    assert kinds(verify_folder(sealed, signers)) == [("journal", "journal.jsonl")]
 
 
 def test_a_journal_that_does_not_hold_is_found_even_under_a_good_seal(sealed, signers, key):
     journal = sealed / "journal.jsonl"
     journal.write_bytes(journal.read_bytes().replace(b'"pose":2', b'"pose":3'))
     reseal(sealed, key)
-    found = verify_run(sealed, signers)
+    found = verify_folder(sealed, signers)
     assert ("journal", "journal.jsonl:3") in kinds(found)
 
 
@@ -216,7 +216,7 @@ def test_results_of_recordings_that_the_journal_does_not_tell_of_are_found(seale
     results["poses"][1]["attempts"][0]["sha256"] = "0" * 64
     (sealed / "results.json").write_text(json.dumps(results))
     reseal(sealed, key)
-    found = verify_run(sealed, signers)
+    found = verify_folder(sealed, signers)
     assert [f.kind for f in found.faults] == ["results", "results"]
     assert "captures/pose-002-attempt-1.raw" in found.faults[0].what
 
@@ -225,7 +225,7 @@ def test_results_of_recordings_that_the_journal_does_not_tell_of_are_found(seale
 def test_results_that_cannot_be_read_are_found(sealed, signers, key, content):
     (sealed / "results.json").write_bytes(content)
     reseal(sealed, key)
-    assert kinds(verify_run(sealed, signers)) == [("results", "results.json")]
+    assert kinds(verify_folder(sealed, signers)) == [("results", "results.json")]
 
 
 def test_results_of_thousands_of_poses_are_not_too_large(make_run, key, signers, tmp_path):
@@ -234,7 +234,7 @@ def test_results_of_thousands_of_poses_are_not_too_large(make_run, key, signers,
         path.write_bytes(path.read_bytes()[:-1] + b', "padding": "' + b"x" * (65 << 20) + b'"}')
         seal(folder, key)
     assert [
-        fault for fault in verify_run(tmp_path / "run", signers).faults if "too large" in fault.what
+        fault for fault in verify_folder(tmp_path / "run", signers).faults if "too large" in fault.what
     ] == []
 
 
@@ -242,7 +242,7 @@ def test_a_failed_run_without_results_can_be_sealed_and_verified(make_run, key, 
     with make_run(tmp_path / "run") as folder:
         (folder.path / "results.json").unlink()
         seal(folder, key)
-    found = verify_run(tmp_path / "run", signers)
+    found = verify_folder(tmp_path / "run", signers)
     assert found.ok
     assert found.run_id is None
 
@@ -250,11 +250,11 @@ def test_a_failed_run_without_results_can_be_sealed_and_verified(make_run, key, 
 def test_what_is_no_run_folder_is_an_error(tmp_path):
     for path in (tmp_path, tmp_path / "absent"):
         with pytest.raises(RunFolderError, match="not a run folder"):
-            verify_run(path, [])
+            verify_folder(path, [])
 
 
 def test_the_keys_of_the_bench_verify_its_runs(sealed_once, home):
-    assert verify_run(sealed_once, read_signers(home / "allowed_signers")).ok
+    assert verify_folder(sealed_once, read_signers(home / "allowed_signers")).ok
 
 
 # ------------------------------------------------------------------ anything else
@@ -314,7 +314,7 @@ def test_whatever_is_done_to_a_sealed_folder_is_found_and_told_without_a_crash(
         tamper(folder, tampering)
     after = {p.relative_to(folder): p.read_bytes() for p in files_of(folder)}
     try:
-        found = verify_run(folder, signers)
+        found = verify_folder(folder, signers)
     except RunFolderError:
         assert not {"SHA256SUMS", "journal.jsonl"} & {p.name for p in after}
         return

@@ -9,7 +9,7 @@ import pytest
 from report_sample import sample
 
 from bench.evidence.seal import seal
-from bench.evidence.verify import verify_run
+from bench.evidence.verify import verify_folder
 from bench.records.journal import read_journal
 from bench.records.run_folder import RunFolder
 from bench.report.html import ReportData, render_report
@@ -43,7 +43,7 @@ def reported(reported_once, tmp_path):
 def sealed_and_verified(folder, key, signers):
     with RunFolder.open(folder) as held:
         seal(held, key)
-    return verify_run(folder, signers)
+    return verify_folder(folder, signers)
 
 
 def test_a_report_that_prints_the_results_passes(reported, key, signers):
@@ -96,7 +96,7 @@ def test_a_report_that_is_no_text_is_found(reported, key, signers):
 
 
 def test_results_without_a_calibration_cannot_follow_from_recordings(sealed, signers):
-    found = verify_run(sealed, signers, recalculate=lambda folder: {}["calibration"])
+    found = verify_folder(sealed, signers, recalculate=lambda folder: {}["calibration"])
     assert "no calibration to compare" in found.faults[0].what
 
 

@@ -14,7 +14,7 @@ import pytest
 
 from bench.base.errors import BenchError, StorageError
 from bench.evidence.seal import seal
-from bench.evidence.verify import verify_run
+from bench.evidence.verify import verify_folder
 from bench.records.captures import CAPTURE_STORED, stored_captures
 from bench.records.journal import Journal, read_journal
 from bench.records.recovery import recover
@@ -154,7 +154,7 @@ def test_a_run_killed_in_any_call_can_be_resumed(tmp_path, monkeypatch, key, sig
         if not (path / "SHA256SUMS.sig").exists():
             run_once(path, acknowledged, key)
         see_that_it_is_whole(path)
-        assert verify_run(path, signers).faults == ()
+        assert verify_folder(path, signers).faults == ()
 
 
 def test_a_run_killed_repeatedly_can_be_resumed(tmp_path, monkeypatch, key, signers):
@@ -170,7 +170,7 @@ def test_a_run_killed_repeatedly_can_be_resumed(tmp_path, monkeypatch, key, sign
                 see_that_nothing_acknowledged_is_lost(path, acknowledged)
     assert passing > 10
     see_that_it_is_whole(path)
-    assert verify_run(path, signers).faults == ()
+    assert verify_folder(path, signers).faults == ()
 
 
 @pytest.mark.parametrize("number", [errno.ENOSPC, errno.EIO, errno.EACCES], ids=errno.errorcode.get)
@@ -189,4 +189,4 @@ def test_a_run_whose_call_fails_reports_it_and_can_be_resumed(tmp_path, monkeypa
         if not (path / "SHA256SUMS.sig").exists():
             run_once(path, acknowledged, key)
         see_that_it_is_whole(path)
-        assert verify_run(path, signers).faults == ()
+        assert verify_folder(path, signers).faults == ()

@@ -1,0 +1,127 @@
+"""What a verification finds: faults, parts that could not be compared, and remarks. Data only."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+from bench.evidence.faults import SealFault
+
+
+@dataclass
+class Findings:
+    """What one check found. A check that finds nothing returns an empty one.
+
+    Attributes
+    ----------
+    faults
+        What is wrong with the folder.
+    not_compared
+        Parts of the folder that this program could not derive again, each with the reason, as a sentence without a full
+        stop. A folder with such a part is not reported as valid without reservation (exit status 4).
+    remarks
+        What a reader should know, and what is no lack of the check.
+    """
+
+    faults: list[SealFault] = field(default_factory=list)
+    not_compared: list[str] = field(default_factory=list)
+    remarks: list[str] = field(default_factory=list)
+
+    def fault(self, kind: str, where: str, what: str) -> None:
+        """Add a fault.
+
+        Parameters
+        ----------
+        kind, where, what
+            As the attributes of `SealFault`.
+        """
+        self.faults.append(SealFault(kind, where, what))
+
+    def add(self, other: Findings) -> None:
+        """Add everything that another check found.
+
+        Parameters
+        ----------
+        other
+            Its findings.
+        """
+        self.faults += other.faults
+        self.not_compared += other.not_compared
+        self.remarks += other.remarks
+
+
+Derivation = Callable[[Path], Findings]
+"""Derives parts of a sealed folder again and compares. It takes the folder, changes nothing in it, and returns what it
+found. It is called only while no check has found a fault, so it may rely on the list of files and on the journal. What
+it cannot read is a fault, never an exception; only StorageError and OSError may leave it."""
+
+Derivations = Mapping[str, Sequence[Derivation]]
+"""The derivations of each kind of folder (`bench.evidence.instructions.kind_of`)."""
+
+
+@dataclass(frozen=True)
+class Verification:
+    """What the checks found.
+
+    Attributes
+    ----------
+    folder
+        The sealed folder.
+    kind
+        ``run``, ``certificate``, ``results``, or ``files`` for any other folder.
+    faults
+        All faults; empty when the folder is as a trusted bench sealed it.
+    not_compared
+        Parts that this program could not derive again, and why; see `Findings`.
+    remarks
+        What a reader should know.
+    state
+        ``DRAFT``, ``SEALED`` or ``AUTHORISED``.
+    statements
+        Who authorised it, and what its time stamps say: a sentence each.
+    signer, fingerprint
+        Name of the signer in the list of trusted keys (None when the key is not in it), and fingerprint of the key.
+    files
+        Number of files in the list of the seal.
+    run_id, camera_serial
+        Run and camera that the results name; the reader compares them with the expected ones.
+    simulated
+        Whether the devices were simulated; None when the results do not state it.
+    """
+
+    folder: str
+    kind: str = ""
+    faults: Sequence[SealFault] = ()
+    not_compared: Sequence[str] = ()
+    remarks: Sequence[str] = ()
+    state: str = "DRAFT"
+    statements: Sequence[str] = ()
+    signer: str | None = None
+    fingerprint: str | None = None
+    files: int = 0
+    run_id: str | None = None
+    camera_serial: str | None = None
+    simulated: bool | None = None
+
+    @property
+    def ok(self) -> bool:
+        """Whether no fault was found."""
+        return not self.faults
+
+    @property
+    def complete(self) -> bool:
+        """Whether no fault was found and every part was compared."""
+        return self.ok and not self.not_compared
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the verification as JSON carries it.
+
+        Returns
+        -------
+        dict
+            ``ok``, ``complete``, and all attributes.
+        """
+        own = asdict(self)
+        return {"ok": self.ok, "complete": self.complete, **own}

@@ -1,0 +1,139 @@
+"""Compares a run's journal with what its devices left: the bytes on the wires, and the heads of the recordings."""
+
+from __future__ import annotations
+
+import json
+from bisect import bisect_left
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+from bench.evidence.findings import Findings
+from bench.plan.job import Job
+from bench.records.events import Event
+from bench.records.history import History
+from bench.records.journal_entry import Entry
+from bench.records.run_folder import JOURNAL
+from bench.records.written import WIRE_LOG
+from drivers.camera.raw_file import RawFile
+from drivers.errors import DriverError
+
+_WITH_STAGE = frozenset({"homing", "slewing", "parking"})
+"""States in which the program speaks to the stage."""
+_RAW = ".raw"
+_SLACK_S = 1e-3
+_LONGEST_SHOWN = 60
+
+
+def check_wire_log(folder: Path, entries: Sequence[Entry], job: Job, found: Findings) -> None:
+    """Check that the wire log holds what the journal's moves must have left in it, and the stage's serial numbers.
+
+    Every stage is moved over a wire, so each move of the journal has bytes in the log at its time. The log keeps about
+    the last 32 MB; earlier moves are not checked.
+
+    Parameters
+    ----------
+    folder
+        The run folder.
+    entries
+        Lines of the journal.
+    job
+        Task of the run.
+    found
+        Findings; faults are added.
+    """
+    moves = list(_moves(entries))
+    try:
+        times, replies = _read_logs(folder)
+    except (ValueError, LookupError, TypeError) as error:
+        found.fault("wire", WIRE_LOG, f"the wire log cannot be read ({error!r})")
+        return
+    if moves and not times:
+        found.fault("wire", WIRE_LOG, "it holds no bytes, though the journal tells of moves of the stage")
+        return
+    for begin_s, end_s, entry in moves:
+        if begin_s < times[0]:  # older bytes are not kept
+            continue
+        at = bisect_left(times, begin_s - _SLACK_S)
+        if at == len(times) or times[at] > end_s + _SLACK_S:
+            what = f"it holds no bytes of the time in which the journal tells of {entry.data['state']}"
+            found.fault("wire", WIRE_LOG, f"{what} ({JOURNAL}:{entry.seq + 1})")
+            return
+    _check_serials(entries, job, replies, found)
+
+
+def _moves(entries: Sequence[Entry]) -> Iterator[tuple[float, float, Entry]]:
+    """Yield begin and end of each move, monotonic time in s, with its line."""
+    begun: Entry | None = None
+    for entry in entries:
+        if entry.event == Event.ENTERING:
+            begun = entry if entry.data.get("state") in _WITH_STAGE else None
+        elif entry.event == Event.LEFT_OFF and begun is not None:
+            if "error" not in entry.data and entry.data.get("state") == begun.data["state"]:
+                yield begun.mono_s, entry.mono_s, begun
+            begun = None
+
+
+def _read_logs(folder: Path) -> tuple[list[float], str]:
+    """Return the sorted times of all bytes, s, and everything that devices sent. Raises ValueError, KeyError."""
+    times: list[float] = []
+    replies: list[str] = []
+    for path in sorted(folder.glob(f"{WIRE_LOG}*")):
+        with path.open(encoding="ascii", errors="replace") as lines:
+            for line in lines:
+                record: dict[str, Any] = json.loads(line)
+                times.append(float(record["t"]))
+                if record["dir"] == "<":
+                    replies.append(str(record["bytes"]))
+    return sorted(times), "".join(replies)
+
+
+def _check_serials(entries: Sequence[Entry], job: Job, replies: str, found: Findings) -> None:
+    """Compare the serial numbers of stage and light with the replies of devices that speak in text."""
+    station = job.station
+    in_text = {"stage": station.stage.driver == "zaber_ascii", "light": station.light.driver == "scpi"}
+    for entry in entries:
+        if entry.event != Event.DEVICES:
+            continue
+        for part in (part for part, is_text in in_text.items() if is_text):
+            told = entry.data.get(part) or []
+            for identity in told if isinstance(told, list) else [told]:
+                serial = str(identity.get("serial") or "")
+                if serial and serial not in replies:
+                    what = (
+                        f"no device told the serial number {serial}, which the journal states for the {part}"
+                    )
+                    found.fault("wire", WIRE_LOG, f"{what} ({JOURNAL}:{entry.seq + 1})")
+
+
+def check_recorded_with(folder: Path, history: History, found: Findings) -> None:
+    """Compare the camera that each recording names in its head with the one that the journal states.
+
+    Parameters
+    ----------
+    folder
+        The run folder.
+    history
+        History of the run.
+    found
+        Findings; faults are added.
+    """
+    camera = history.devices.get("camera", {})
+    for attempt in history.attempts:
+        name, facts = str(attempt.stored["capture"]), attempt.stored["facts"]
+        stated = {key: facts.get(key) for key in ("serial", "width", "height") if key in facts}
+        for key, value in stated.items():
+            if key in camera and camera[key] != value:
+                what = f"it was recorded with a camera whose {key} is {value}; the journal's camera has {camera[key]}"
+                found.fault("recording", name, what)
+        if not name.endswith(_RAW) or not (folder / name).is_file():
+            continue
+        try:
+            head = RawFile.open(folder / name)
+        except DriverError:
+            continue  # a refused recording may be damaged; an accepted one is measured again with --again
+        of_file = {"serial": head.serial or None, "width": head.width, "height": head.height}
+        for key, value in stated.items():
+            if of_file[key] is not None and of_file[key] != value:
+                what = f"its head names the {key} {str(of_file[key])[:_LONGEST_SHOWN]}; the journal states {value}"
+                found.fault("recording", name, what)

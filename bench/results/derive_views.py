@@ -1,0 +1,154 @@
+"""Checks views.h5 of a run against its results: poses, stars, residuals, and that the file holds nothing else."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bench.base.errors import RunFolderError
+from bench.evidence.findings import Findings
+from bench.records.run_folder import RESULTS
+from bench.report.choice import pictured_poses
+from bench.report.view_picture import ViewPicture
+from bench.results.derive_report import other_software
+from bench.views.views_file import VIEWS, StoredView, read_picture, read_views, views_file
+from calib.view import View
+
+_SAME_RMS = 1e-9
+"""Largest relative difference of a root mean square that rounding explains."""
+
+
+@dataclass(frozen=True)
+class _Picture:
+    """An image of views.h5."""
+
+    pixels: NDArray[np.uint8]
+
+    def decoded(self) -> NDArray[np.uint8]:
+        return self.pixels
+
+
+@dataclass(frozen=True)
+class _Found:
+    """A view and its image, as `bench.views.views_file.views_file` takes them."""
+
+    view: View
+    image: _Picture
+
+
+@dataclass(frozen=True)
+class RunViews:
+    """The content of views.h5.
+
+    Attributes
+    ----------
+    views
+        Stars and residuals of each pose.
+    pictures
+        Image of each pose, (H, W) uint8.
+    """
+
+    views: Sequence[StoredView]
+    pictures: Sequence[NDArray[np.uint8]]
+
+    def shown(self, results: Mapping[str, Any]) -> list[ViewPicture]:
+        """Return the poses as the report shows them.
+
+        Parameters
+        ----------
+        results
+            Content of results.json.
+
+        Returns
+        -------
+        list of ViewPicture
+            With the images that the report shows.
+        """
+        names = pictured_poses(results).names
+        return [
+            ViewPicture(
+                stored.view.name,
+                picture if stored.view.name in names else None,
+                stored.view.points_px,
+                stored.view.points_px - stored.residuals_px,
+                stored.view.ids,
+            )
+            for stored, picture in zip(self.views, self.pictures, strict=True)
+        ]
+
+
+def check_views(
+    folder: Path, results: Mapping[str, Any], found: Findings, *, all_stars: bool = True
+) -> RunViews | None:
+    """Compare views.h5 with the results.
+
+    Parameters
+    ----------
+    folder
+        The run folder.
+    results
+        Content of its results.json.
+    found
+        Findings; faults are added.
+    all_stars
+        Whether the calibration used all stars; with a guard band it leaves some out.
+
+    Returns
+    -------
+    RunViews or None
+        What the file holds; None if it cannot be read.
+    """
+    path = folder / VIEWS
+    try:
+        views = read_views(path)
+        held = RunViews(views, [read_picture(path, number) for number in range(1, len(views) + 1)])
+    except (RunFolderError, MemoryError, RuntimeError) as error:
+        what = error.what if isinstance(error, RunFolderError) else f"the file cannot be read ({error!r})"
+        found.fault("views", VIEWS, what)
+        return None
+    solved = results["calibration"]["views"]
+    names = [stored.view.name for stored in views], [view["name"] for view in solved]
+    if names[0] != names[1]:
+        found.fault("views", VIEWS, f"it holds the poses {names[0]}; {RESULTS} has {names[1]}")
+        return None
+    for stored, view in zip(views, solved, strict=True):
+        if all_stars:
+            _check_residuals(stored, view, found)
+    _check_bytes(path, held, results, found)
+    return held
+
+
+def _check_residuals(stored: StoredView, view: Mapping[str, Any], found: Findings) -> None:
+    lengths = np.linalg.norm(stored.residuals_px, axis=1)
+    numbers = {
+        "n": (float(len(lengths)), float(view["n"])),
+        "rms_px": (float(np.sqrt(np.mean(lengths**2))), view["rms_px"]),
+        "mean_px": (float(np.mean(lengths)), view["mean_px"]),
+    }
+    for name, (here, stated) in numbers.items():
+        if not abs(here - stated) <= _SAME_RMS * abs(here):
+            what = f"its residuals of {stored.view.name} give {name} = {here:.9g}; {RESULTS} has {stated:.9g}"
+            found.fault("views", VIEWS, what)
+
+
+def _check_bytes(path: Path, held: RunViews, results: Mapping[str, Any], found: Findings) -> None:
+    """Write the content again: a file with the same bytes holds nothing besides it."""
+    again = views_file(
+        [_Found(s.view, _Picture(p)) for s, p in zip(held.views, held.pictures, strict=True)],
+        [stored.residuals_px for stored in held.views],
+    )
+    if path.read_bytes() == again:
+        return
+    if other := other_software(results, ("starbench", "h5py", "numpy", "program")):
+        found.not_compared.append(f"bytes of {VIEWS} with its content: it was made with {other}")
+    else:
+        found.fault(
+            "views",
+            VIEWS,
+            "it holds more than stars, residuals and images, or was not written by this program",
+        )

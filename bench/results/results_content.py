@@ -1,0 +1,230 @@
+"""The content of results.json of a run: what its journal and its documents state, and what was calculated.
+
+`journal_content` holds everything that follows from journal, sequence and station alone; so a verification can compare
+it without calculating anything.
+"""
+
+from __future__ import annotations
+
+import platform
+from collections.abc import Mapping, Sequence
+from importlib.metadata import version
+from typing import Any
+
+from bench import __version__
+from bench.plan.job import Job
+from bench.records.history import Attempt, History
+from bench.results.comparison import compare_with_truth
+from bench.results.forms import forms
+from bench.results.projection_facts import projection_facts
+from bench.results.solution import Solution
+from bench.views.camera_kinds import CameraKind
+from calib.calibration import Calibration, ViewSummary
+from calib.view import View
+
+SCHEMA = "starbench/results/1"
+
+
+def results_content(
+    job: Job,
+    history: History,
+    solution: Solution,
+    truth: Mapping[str, Any] | None,
+    software_used: Mapping[str, str],
+) -> dict[str, Any]:
+    """Return the content of results.json of a run, without the comparison with an earlier run.
+
+    Parameters
+    ----------
+    job
+        Task of the run.
+    history
+        History of the run.
+    solution
+        Its calibration.
+    truth
+        Truth of the simulated world; None on a real bench.
+    software_used
+        Versions of the software that calculated the solution.
+
+    Returns
+    -------
+    dict
+        The content (docs/results.md).
+    """
+    calibration = solution.calibration
+    of_journal = journal_content(job, history, calibration.views)
+    calculated = {
+        "calibration": calibration.to_dict(),
+        "projection": projection(calibration, [m.view for m in solution.measurements if m.view is not None]),
+        "planar": solution.planar.to_dict() if solution.planar else None,
+        "passport": solution.passport.to_dict() if solution.passport else None,
+        "gimbal_readings": dict(solution.readings),
+        **solution.checks,
+    }
+    judged = [gate.as_data() for gate in solution.judged]
+    return {
+        "schema": SCHEMA,
+        "run": {**of_journal.pop("run"), "software": dict(software_used)},
+        "devices": of_journal.pop("devices"),
+        "conditions": of_journal.pop("conditions"),
+        **calculated,
+        "poses": of_journal.pop("poses"),
+        "gates": [*judged, *of_journal.pop("gates")],
+        **of_journal,
+        "truth": dict(truth) if truth is not None else None,
+        "comparison": compare_with_truth(calibration, truth) if truth is not None else [],
+    }
+
+
+def journal_content(job: Job, history: History, views: Sequence[ViewSummary]) -> dict[str, Any]:
+    """Return the part of results.json that follows from journal, sequence and station.
+
+    Parameters
+    ----------
+    job
+        Task of the run.
+    history
+        History of the run when its results were written.
+    views
+        Summaries of the calibrated views, for the residuals of the poses.
+
+    Returns
+    -------
+    dict
+        ``run`` without ``software``, ``devices``, ``conditions``, ``poses``, ``gates`` of the poses, ``untils``,
+        ``deviations``, ``failures`` and ``states``.
+    """
+    started, kind = history.started, job.camera_kind
+    return {
+        "run": {
+            "id": started["id"],
+            "sequence": started["sequence"],
+            "station": started["station"],
+            "started_utc": history.started_utc,
+            "finished_utc": history.states[-1]["utc"],
+            "seed": started["seed"],
+            "operator": started["operator"],
+            "laboratory": job.laboratory,
+            "collimator": collimator_data(job),
+            "simulated": job.simulated,
+            "camera": kind.name,
+            "resumed": history.resumed,
+            **({"ledger": dict(history.ledger)} if history.ledger else {}),
+        },
+        "devices": dict(history.devices),
+        "conditions": _conditions(history, kind),
+        "poses": _poses(history, views, kind),
+        "gates": _pose_gates(history),
+        **({"untils": list(history.decisions)} if history.decisions else {}),
+        "deviations": list(history.deviations),
+        **({"failures": list(history.failures)} if history.failures else {}),
+        "states": list(history.states),
+    }
+
+
+def projection(calibration: Calibration, views: Sequence[View]) -> dict[str, Any] | None:
+    """Return the uncertainty of a direction over the sensor, as results.json holds it.
+
+    Parameters
+    ----------
+    calibration
+        The calibration.
+    views
+        The calibrated views.
+
+    Returns
+    -------
+    dict or None
+        ``projection`` of results.json; None if no corner of the sensor has an uncertainty.
+    """
+    camera, k = calibration.camera, calibration.coverage_factor
+    return projection_facts(camera, calibration.camera_covariance, k, [view.points_px for view in views])
+
+
+def collimator_data(job: Job) -> dict[str, Any] | None:
+    """Return what the station of a run states about its collimator, as results.json holds it.
+
+    Parameters
+    ----------
+    job
+        Task of the run.
+
+    Returns
+    -------
+    dict or None
+        None if the station states nothing.
+    """
+    return job.station.collimator.model_dump(mode="json", exclude_none=True) or None
+
+
+def software() -> dict[str, str]:
+    """Return the versions of the software that contributes to a result and to its report.
+
+    Returns
+    -------
+    dict
+        Version by name, and the hashes of the program (`bench.results.forms`).
+    """
+    parts = {"starbench": __version__, "python": platform.python_version()}
+    for name in ("numpy", "scipy", "opencv-python-headless", "numba", "matplotlib", "h5py"):
+        parts[name] = version(name)
+    return parts | forms()
+
+
+def _conditions(history: History, kind: CameraKind) -> dict[str, Any]:
+    """Return the settings of light and camera, as read back at the last accepted recording."""
+    stored = [a.stored for _, a in sorted(history.accepted().items())]
+    light = dict(stored[-1]["light"])
+    if light.get("waveform") == "steady":  # the settings of a flicker do not apply
+        light = {name: light[name] for name in ("waveform", "high_v")}
+    return {"light": light, "camera": kind.conditions([s["facts"] for s in stored])}
+
+
+def _poses(history: History, views: Sequence[ViewSummary], kind: CameraKind) -> list[dict[str, Any]]:
+    summaries = {view.name: view for view in views}
+    poses = []
+    for index in sorted({a.pose_index for a in history.attempts}):
+        attempts = history.attempts_at(index)
+        best = history.accepted().get(index)
+        shown = best or attempts[-1]
+        measured = shown.measured
+        summary = summaries.get(shown.pose_name) if best else None
+        poses.append(
+            {
+                "index": index,
+                "name": shown.pose_name,
+                "commanded_deg": shown.stored["commanded_deg"],
+                "measured_deg": shown.stored["measured_deg"],
+                "measured_after_deg": shown.stored["measured_after_deg"],
+                "attempts": [_attempt(a, kind) for a in attempts],
+                "image": measured.get("image"),
+                "flicker_hz": measured.get("flicker_hz"),
+                "named_by": measured.get("named_by"),
+                "stars": summary.n if summary else 0,
+                "rms_px": summary.rms_px if summary else None,
+                "mean_px": summary.mean_px if summary else None,
+            }
+        )
+    return poses
+
+
+def _attempt(attempt: Attempt, kind: CameraKind) -> dict[str, Any]:
+    stored = attempt.stored
+    return {
+        "attempt": attempt.attempt,
+        "capture": stored["capture"],
+        "sha256": stored["sha256"],
+        "accepted": attempt.accepted,
+        "reasons": list(attempt.reasons),
+        **kind.counts(stored["facts"]),
+    }
+
+
+def _pose_gates(history: History) -> list[dict[str, Any]]:
+    """Return the gates of the accepted recordings, each named with its pose."""
+    return [
+        {**gate, "name": f"pose {index}: {gate['name']}"}
+        for index, attempt in sorted(history.accepted().items())
+        for gate in attempt.gates
+    ]
