@@ -1,42 +1,60 @@
-"""The bench's signing key, and the list of keys that it trusts.
+"""The bench's signing key: made at first use, loaded, and checked before it is needed.
 
 The key is an Ed25519 key (RFC 8032) in OpenSSH's private key format (PROTOCOL.key of OpenSSH). Its file lies in the
 user's configuration folder, readable by its owner alone; the private key is never copied into a run folder or a log.
-Beside it lies ``allowed_signers``, the list of trusted keys in OpenSSH's format (ssh-keygen(1), ALLOWED SIGNERS). Those
-who verify reports need that file or its line.
+Beside it lies ``allowed_signers``, the list of trusted keys (`bench.evidence.signers`). Those who verify reports need
+that file or its line. `bench.evidence.rotation` replaces the key.
 """
 
 from __future__ import annotations
 
 import base64
-import binascii
 import os
 import re
 import socket
-from collections.abc import Callable
-from contextlib import suppress
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
-from datetime import UTC, datetime
-from fnmatch import fnmatchcase
+from datetime import datetime
 from pathlib import Path
 
 from cryptography.hazmat.primitives import serialization
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 
 from bench.base.errors import EvidenceError
-from bench.evidence.sshsig import KEY_TYPE, encode_public_key, fingerprint
+from bench.evidence.revocation import REVOKED_FILE, read_revoked
+from bench.evidence.safe_files import refuse_readable_by_others, refuse_writable_by_others
+from bench.evidence.signers import (
+    AUTHORISATION_NAMESPACE,
+    NAMESPACE,
+    PRINCIPAL,
+    SIGNERS_FILE,
+    Signer,
+    read_signers,
+    trust,
+)
+from bench.evidence.ssh_keys import KEY_TYPE, encode_public_key, fingerprint
 from bench.records.storage import make_folder, open_to_lock, storage_errors, write_atomic
 from drivers import file_lock
 
-NAMESPACE = "starbench-report@v1"
-"""Purpose of the signatures of run folders: the namespace of SSHSIG."""
-AUTHORISATION_NAMESPACE = "starbench-authorisation@v1"
-"""Purpose of the signature by which a person authorises a sealed folder."""
-KEY_FILE = "bench_key"
-SIGNERS_FILE = "allowed_signers"
+__all__ = [
+    "AUTHORISATION_NAMESPACE",
+    "KEY_FILE",
+    "NAMESPACE",
+    "SIGNERS_FILE",
+    "BenchKey",
+    "Signer",
+    "create_key",
+    "ensure_key",
+    "load_key",
+    "locked_folder",
+    "private_text",
+    "read_signers",
+    "require_usable",
+    "trust",
+]
 
-_PRINCIPAL = re.compile(r"[A-Za-z0-9._+-]{1,64}@[A-Za-z0-9._-]{1,128}")
-_OPTION = re.compile(r'([a-z-]+)(?:="([^"]*)")?(?:,|$)')
+KEY_FILE = "bench_key"
 
 
 @dataclass(frozen=True)
@@ -78,52 +96,6 @@ class BenchKey:
         return f'{self.principal} namespaces="{NAMESPACE}" {self.public_text}'
 
 
-@dataclass(frozen=True)
-class Signer:
-    """A trusted key: one line of ``allowed_signers`` (ssh-keygen(1), ALLOWED SIGNERS).
-
-    Attributes
-    ----------
-    principal
-        Name of the signer, as ``name@place``.
-    public_key
-        The key as SSH encodes it (the part in base64 after ``ssh-ed25519``).
-    namespaces
-        Patterns of the purposes that it may sign for; empty if it may sign for all.
-    valid_after, valid_before
-        Period in which it may sign; None where there is no limit.
-    """
-
-    principal: str
-    public_key: bytes
-    namespaces: tuple[str, ...] = ()
-    valid_after: datetime | None = None
-    valid_before: datetime | None = None
-
-    def rejection(self, namespace: str, when: datetime) -> str | None:
-        """Return why a signature of this key is rejected.
-
-        Parameters
-        ----------
-        namespace
-            Purpose of the signature.
-        when
-            Moment at which the key must be valid, with its time zone.
-
-        Returns
-        -------
-        str or None
-            The reason; None if the key may sign.
-        """
-        if self.namespaces and not any(fnmatchcase(namespace, pattern) for pattern in self.namespaces):
-            return f"the key is trusted for {', '.join(self.namespaces)}, not for {namespace}"
-        if self.valid_after is not None and when < self.valid_after:
-            return f"the key is not valid before {self.valid_after:%Y-%m-%d %H:%M} UTC"
-        if self.valid_before is not None and when > self.valid_before:
-            return f"the key expired {self.valid_before:%Y-%m-%d %H:%M} UTC"
-        return None
-
-
 def ensure_key(
     folder: Path, *, principal: str | None = None, ask_passphrase: Callable[[Path], bytes] | None = None
 ) -> BenchKey:
@@ -152,13 +124,36 @@ def ensure_key(
         When it cannot be read or written.
     """
     make_folder(folder)
+    with locked_folder(folder):  # two runs started at the same time must not make two keys
+        if (folder / KEY_FILE).exists():
+            return load_key(folder, ask_passphrase=ask_passphrase)
+        return create_key(folder, principal=principal)
+
+
+@contextmanager
+def locked_folder(folder: Path) -> Iterator[None]:
+    """Lock the configuration folder while a key is made or replaced; waits for other processes.
+
+    Parameters
+    ----------
+    folder
+        The configuration folder; it exists.
+
+    Yields
+    ------
+    None
+        For the block.
+
+    Raises
+    ------
+    StorageError
+        When it cannot be locked.
+    """
     with storage_errors(folder):
         lock = open_to_lock(folder)
         try:
-            file_lock.lock(lock, wait=True)  # two runs started at the same time must not make two keys
-            if (folder / KEY_FILE).exists():
-                return load_key(folder, ask_passphrase=ask_passphrase)
-            return create_key(folder, principal=principal)
+            file_lock.lock(lock, wait=True)
+            yield
         finally:
             os.close(lock)
 
@@ -192,26 +187,75 @@ def create_key(folder: Path, *, principal: str | None = None, passphrase: bytes 
         raise EvidenceError(
             "The bench has a key already.",
             where=str(path),
-            remedy="To make a new one, move this one away first; keep its line in allowed_signers, so that reports"
-            " signed with it can still be verified.",
+            remedy="To replace it, use `starbench keys rotate`; reports signed with it can then still be verified.",
         )
     principal = principal or f"bench@{re.sub(r'[^A-Za-z0-9._-]', '-', socket.gethostname()) or 'localhost'}"
-    if not _PRINCIPAL.fullmatch(principal):
+    if not PRINCIPAL.fullmatch(principal):
         raise EvidenceError(f"{principal!r} is not a name of a signer.", remedy="Write it as name@place.")
     key = BenchKey(Ed25519PrivateKey.generate(), principal, created=True)
-    protection = (
-        serialization.BestAvailableEncryption(passphrase) if passphrase else serialization.NoEncryption()
-    )
-    secret = key.private.private_bytes(
-        serialization.Encoding.PEM, serialization.PrivateFormat.OpenSSH, protection
-    )
     make_folder(folder)
     with storage_errors(folder):
         folder.chmod(0o700)
     write_atomic(path.with_suffix(".pub"), f"{key.public_text} {principal}\n".encode())
     trust(folder, key.signers_line)
-    write_atomic(path, secret, mode=0o600)
+    write_atomic(path, private_text(key, passphrase), mode=0o600)
     return key
+
+
+def private_text(key: BenchKey, passphrase: bytes | None) -> bytes:
+    """Return the private key in OpenSSH's format.
+
+    Parameters
+    ----------
+    key
+        The key.
+    passphrase
+        Encrypts it; None leaves it unencrypted.
+
+    Returns
+    -------
+    bytes
+        The text of its file.
+    """
+    protection = (
+        serialization.BestAvailableEncryption(passphrase) if passphrase else serialization.NoEncryption()
+    )
+    return key.private.private_bytes(
+        serialization.Encoding.PEM, serialization.PrivateFormat.OpenSSH, protection
+    )
+
+
+def require_usable(folder: Path, key: BenchKey, when: datetime) -> None:
+    """Refuse a key whose seals nobody would accept: before a run begins, not after it.
+
+    Parameters
+    ----------
+    folder
+        The configuration folder.
+    key
+        The bench's key.
+    when
+        The present time, with its time zone.
+
+    Raises
+    ------
+    EvidenceError
+        When ``allowed_signers`` trusts the key at another time only or for another purpose, when it is revoked, or
+        when other users can change these lists.
+    """
+    public = encode_public_key(key.private.public_key())
+    path = folder / SIGNERS_FILE
+    known = [one for one in (read_signers(path) if path.exists() else []) if one.public_key == public]
+    rejections = [one.rejection(NAMESPACE, when) for one in known]
+    revoked = next((one for one in read_revoked(folder / REVOKED_FILE) if one.public_key == public), None)
+    if revoked is not None:
+        rejections = [f"the key was revoked {revoked.text}"]
+    if rejections and None not in rejections:
+        raise EvidenceError(
+            f"The bench's key {key.fingerprint} cannot seal: {rejections[0]}.",
+            where=str(path),
+            remedy="Make a new key with `starbench keys rotate`.",
+        )
 
 
 def load_key(folder: Path, *, ask_passphrase: Callable[[Path], bytes] | None = None) -> BenchKey:
@@ -240,7 +284,8 @@ def load_key(folder: Path, *, ask_passphrase: Callable[[Path], bytes] | None = N
     if not path.exists():
         raise EvidenceError("There is no key.", where=str(path), remedy="Make one with `starbench keys`.")
     with storage_errors(path):
-        _refuse_readable_by_others(path)
+        refuse_readable_by_others(path)
+        refuse_writable_by_others(path, "the bench's key")
         secret = path.read_bytes()
     private = _load_private_key(secret, path, ask_passphrase)
     if not isinstance(private, Ed25519PrivateKey):
@@ -248,118 +293,6 @@ def load_key(folder: Path, *, ask_passphrase: Callable[[Path], bytes] | None = N
             "This is not an Ed25519 key.", where=str(path), remedy="Make one: ssh-keygen -t ed25519."
         )
     return BenchKey(private, _principal_of(path.with_suffix(".pub")))
-
-
-def trust(folder: Path, line: str) -> Signer:
-    """Add a line to ``allowed_signers``, unless the file contains it already.
-
-    Parameters
-    ----------
-    folder
-        The configuration folder.
-    line
-        A line of ``allowed_signers``, as `BenchKey.signers_line`.
-
-    Returns
-    -------
-    Signer
-        The key that is now trusted.
-
-    Raises
-    ------
-    EvidenceError
-        When this is not a line of an Ed25519 key for reports.
-    StorageError
-        When the file cannot be read or written.
-    """
-    signer = _read_signer(line.strip())
-    path = folder / SIGNERS_FILE
-    with storage_errors(path):
-        present = path.read_text(encoding="utf-8") if path.exists() else ""
-    if line.strip() not in present.splitlines():
-        separator = "" if not present or present.endswith("\n") else "\n"
-        make_folder(folder)
-        write_atomic(path, f"{present}{separator}{line.strip()}\n".encode())
-    return signer
-
-
-def read_signers(path: Path) -> list[Signer]:
-    """Read a list of trusted keys.
-
-    Parameters
-    ----------
-    path
-        A file in the format ``allowed_signers``, with Ed25519 keys only.
-
-    Returns
-    -------
-    list of Signer
-        The keys in the order of the lines.
-
-    Raises
-    ------
-    EvidenceError
-        When the file cannot be read, or a line is not understood; the message names the line.
-    """
-    try:
-        lines = path.read_text(encoding="utf-8").splitlines()
-    except (OSError, UnicodeDecodeError) as error:
-        reason = error.strerror if isinstance(error, OSError) else "it is not text"
-        raise EvidenceError(
-            f"The list of trusted keys cannot be read: {reason}.",
-            where=str(path),
-            remedy="Get the file allowed_signers from the laboratory, and name it.",
-        ) from error
-    signers = []
-    for number, line in enumerate(lines, start=1):
-        if not line.strip() or line.lstrip().startswith("#"):
-            continue
-        try:
-            signers.append(_read_signer(line.strip()))
-        except EvidenceError as error:
-            raise EvidenceError(error.what, where=f"{path}:{number}", remedy=error.remedy) from error
-    return signers
-
-
-def _read_signer(line: str) -> Signer:
-    bad = EvidenceError(
-        "This is not a line of an Ed25519 key for reports.",
-        remedy='Expected form: name@place namespaces="' + NAMESPACE + '" ssh-ed25519 AAAA...',
-    )
-    before, found, after = line.partition(f" {KEY_TYPE.decode()} ")
-    principal, _, options_text = before.partition(" ")
-    if not found or not principal or not after.split():
-        raise bad
-    options = dict(_OPTION.findall(options_text.strip()))
-    unknown = set(options) - {"namespaces", "valid-after", "valid-before"}
-    if unknown or _OPTION.sub("", options_text.strip()):
-        raise bad
-    try:
-        public_key = base64.b64decode(after.split()[0], validate=True)
-        valid_after = _parse_time(options["valid-after"]) if "valid-after" in options else None
-        valid_before = _parse_time(options["valid-before"]) if "valid-before" in options else None
-    except (ValueError, binascii.Error) as error:
-        raise bad from error
-    namespaces = tuple(filter(None, options.get("namespaces", "").split(",")))
-    return Signer(principal, public_key, namespaces, valid_after, valid_before)
-
-
-def _parse_time(text: str) -> datetime:
-    """Read a time of ssh-keygen(1): ``YYYYMMDD[HHMM[SS]][Z]``, which is local time without the Z."""
-    digits = text.removesuffix("Z")
-    form = {8: "%Y%m%d", 12: "%Y%m%d%H%M", 14: "%Y%m%d%H%M%S"}.get(len(digits), "")
-    moment = datetime.strptime(digits, form)  # noqa: DTZ007 - the zone follows from the Z
-    return moment.replace(tzinfo=UTC) if text.endswith("Z") else moment.astimezone(UTC)
-
-
-def _refuse_readable_by_others(path: Path) -> None:
-    status = path.stat()
-    if hasattr(os, "getuid") and (status.st_mode & 0o077 or status.st_uid != os.getuid()):
-        raise EvidenceError(
-            f"Other users can read the key (mode {status.st_mode & 0o777:04o}): its signatures prove nothing.",
-            where=str(path),
-            remedy=f"If nobody has read it: chmod 600 {path}. Otherwise make a new key.",
-        )
 
 
 def _load_private_key(secret: bytes, path: Path, ask_passphrase: Callable[[Path], bytes] | None) -> object:
@@ -385,7 +318,7 @@ def _principal_of(public_path: Path) -> str:
     with storage_errors(public_path):
         fields = public_path.read_text(encoding="utf-8").split()
     principal = fields[2] if len(fields) > 2 else ""
-    if not _PRINCIPAL.fullmatch(principal):
+    if not PRINCIPAL.fullmatch(principal):
         raise EvidenceError(
             "The public key does not name its signer.",
             where=str(public_path),

@@ -1,22 +1,34 @@
-"""The state of a folder as evidence: DRAFT, SEALED or AUTHORISED.
+"""The state of a folder as evidence: DRAFT, SEALED or AUTHORISED, and what its signatures and time stamps say.
 
 A state follows from signatures that hold. It does not follow from hashes of the files: `bench.evidence.verify` compares
-those. Nothing is written.
+those. Nothing is written, and nothing is asked over a network.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable
-from datetime import datetime
+from dataclasses import dataclass, field
+from datetime import datetime, timedelta
 from enum import StrEnum
 from pathlib import Path
 
 from bench.base.errors import EvidenceError
-from bench.evidence.keys import AUTHORISATION_NAMESPACE, NAMESPACE, Signer
-from bench.evidence.seal import AUTHORISATION
-from bench.evidence.sshsig import SshSignature, is_valid, read_signature
+from bench.evidence.authorisation import check_authorisation
+from bench.evidence.beside_seal import read_beside
+from bench.evidence.faults import SealFault
+from bench.evidence.key_trust import Moments, Trust, judge_key
+from bench.evidence.seal import AUTHORISATION, AUTHORISATION_TIMESTAMP
+from bench.evidence.sealed_time import stated_time
+from bench.evidence.signers import NAMESPACE, Signer
+from bench.evidence.ssh_keys import fingerprint
+from bench.evidence.sshsig import is_valid, read_signature
+from bench.evidence.timestamp import Stamp, check_timestamps
 from bench.records.run_folder import MANIFEST, SIGNATURE
 from bench.records.storage import storage_errors
+
+_CLOCK_SLACK = timedelta(minutes=10)
+"""Clocks of a bench and of a time stamping authority may differ so much without a remark."""
+_MOST_MANIFEST_BYTES = 64 << 20
 
 
 class State(StrEnum):
@@ -30,48 +42,163 @@ class State(StrEnum):
     """Sealed, and authorised by a person with a trusted key."""
 
 
+@dataclass
+class Standing:
+    """What the signatures and time stamps beside a folder say.
+
+    Attributes
+    ----------
+    state
+        The state. ``SEALED`` needs a seal whose signature holds, ``AUTHORISED`` also a person's signature of the seal
+        that holds and is by a trusted key. Whether the bench's key is trusted is told by ``signer`` and ``faults``.
+    faults
+        What does not hold: kinds ``unsealed``, ``signature``, ``key``, ``authorisation``, ``timestamp``.
+    unchecked
+        What could not be checked here, each with the reason: a sentence without a full stop.
+    remarks
+        What a reader should know: a sentence each, without a full stop.
+    statements
+        Who authorised, and what the time stamps say: a sentence each.
+    signer, fingerprint
+        Name of the bench in the list of trusted keys (None if its key is not accepted), and fingerprint of its key.
+    person, person_fingerprint
+        Name and fingerprint of the person who authorised; None if nobody did, or if it does not hold.
+    stated
+        When the folder says that it was made, by the bench's own clock; None if it does not say.
+    stamps
+        Valid and trusted time stamps.
+    """
+
+    state: State = State.DRAFT
+    faults: list[SealFault] = field(default_factory=list)
+    unchecked: list[str] = field(default_factory=list)
+    remarks: list[str] = field(default_factory=list)
+    statements: list[str] = field(default_factory=list)
+    signer: str | None = None
+    fingerprint: str | None = None
+    person: str | None = None
+    person_fingerprint: str | None = None
+    stated: datetime | None = None
+    stamps: tuple[Stamp, ...] = ()
+
+
 def state_of(folder: Path, signers: Iterable[Signer], when: datetime) -> State:
-    """Return the state of a folder.
+    """Return the state of a folder. It is that of `standing_of`, with these trusted keys alone.
 
     Parameters
     ----------
     folder
         A run folder, a certificate folder, or a folder of results.
     signers
-        Trusted keys, from `bench.evidence.keys.read_signers`.
+        Trusted keys, from `bench.evidence.signers.read_signers`.
     when
-        Moment at which the person's key must be valid, with its time zone.
+        The present time, with its time zone.
 
     Returns
     -------
     State
-        The state. ``SEALED`` needs a seal whose signature holds, ``AUTHORISED`` also a person's signature of the
-        seal that holds and is by a trusted key.
+        The state.
 
     Raises
     ------
     StorageError
         When a file cannot be read.
     """
+    return standing_of(folder, Trust(tuple(signers)), when).state
+
+
+def standing_of(folder: Path, trust: Trust, now: datetime, *, at: datetime | None = None) -> Standing:
+    """Check the signatures and time stamps beside a folder; the listed files themselves are not hashed.
+
+    Parameters
+    ----------
+    folder
+        A run folder, a certificate folder, or a folder of results.
+    trust
+        Whom the reader trusts, from `bench.evidence.key_trust.read_trust`.
+    now
+        The present time, with its time zone.
+    at
+        Moment for which the reader asks whether the keys were valid (``verify --at``). A trusted time stamp goes
+        before it. None: the bench's own clock states the moment of the seal.
+
+    Returns
+    -------
+    Standing
+        What was found.
+
+    Raises
+    ------
+    StorageError
+        When a file cannot be read.
+    """
+    found = Standing()
     with storage_errors(folder):
-        seal = _signed(folder, MANIFEST, SIGNATURE, NAMESPACE)
-        if seal is None:
-            return State.DRAFT
-        person = _signed(folder, SIGNATURE, AUTHORISATION, AUTHORISATION_NAMESPACE)
-    if person is None or person.public_key == seal.public_key:
-        return State.SEALED
-    known = [signer for signer in signers if signer.public_key == person.public_key]
-    trusted = any(signer.rejection(AUTHORISATION_NAMESPACE, when) is None for signer in known)
-    return State.AUTHORISED if trusted else State.SEALED
+        stamps = check_timestamps(folder, trust.authorities)
+        found.faults += stamps.faults
+        found.unchecked += stamps.unchecked
+        found.stamps = tuple(stamps.stamps.values())
+        found.stated = stated_time(folder)
+        sealed = found.stated or now
+        moments = Moments(now, stamps.seal_existed, at, sealed, sealed)
+        seal_key = _seal(found, folder, trust, moments)
+        authorised = Moments(now, stamps.stamps.get(AUTHORISATION_TIMESTAMP), at, min(sealed, now), now)
+        check = check_authorisation(folder, trust, authorised, seal_key)
+    if check.fault:
+        found.faults.append(SealFault("authorisation", AUTHORISATION, check.fault))
+    elif check.person is not None and found.state is State.SEALED:
+        found.state = State.AUTHORISED
+        found.person, found.person_fingerprint = check.person, check.fingerprint
+        found.statements.append(f"Authorised by {check.person} ({check.fingerprint}).")
+        found.remarks += [f"{AUTHORISATION}: {check.remark}"] if check.remark else []
+    found.statements += stamps.statements
+    _clocks(found, now)
+    return found
 
 
-def _signed(folder: Path, name: str, signature_name: str, namespace: str) -> SshSignature | None:
-    """Return the signature of a file if it holds, else None."""
-    if not (folder / name).is_file() or not (folder / signature_name).is_file():
-        return None
+def _seal(found: Standing, folder: Path, trust: Trust, moments: Moments) -> bytes | None:
+    """Check the signature of the list of files; return the key that made it."""
     try:
-        signature = read_signature((folder / signature_name).read_bytes())
-    except EvidenceError:
+        for name in (MANIFEST, SIGNATURE):
+            if (folder / name).is_symlink() or not (folder / name).is_file():
+                why = "this is a link, not a file" if (folder / name).is_symlink() else "the file is missing"
+                found.faults.append(SealFault("unsealed", name, f"{why}; this folder is not sealed"))
+                return None
+        if (folder / MANIFEST).stat().st_size > _MOST_MANIFEST_BYTES:
+            found.faults.append(SealFault("manifest", MANIFEST, f"more than {_MOST_MANIFEST_BYTES} bytes"))
+            return None
+        signature = read_signature(read_beside(folder, SIGNATURE) or b"")
+    except EvidenceError as error:
+        found.faults.append(SealFault("signature", SIGNATURE, error.what))
         return None
-    holds = signature.namespace == namespace and is_valid(signature, (folder / name).read_bytes())
-    return signature if holds else None
+    found.fingerprint = fingerprint(signature.public_key)
+    if signature.namespace != NAMESPACE:
+        what = f"the signature is for {signature.namespace!r}, not for a report"
+    elif not is_valid(signature, (folder / MANIFEST).read_bytes()):
+        what = f"the signature does not match this {MANIFEST}"
+    else:
+        found.state, what = State.SEALED, ""
+    if what:
+        found.faults.append(SealFault("signature", SIGNATURE, what))
+    judged = judge_key(signature.public_key, NAMESPACE, trust, moments)
+    found.signer = judged.principal
+    if judged.fault:
+        found.faults.append(SealFault("key", SIGNATURE, judged.fault))
+    elif judged.remark:
+        found.remarks.append(f"{SIGNATURE}: {judged.remark}")
+    return signature.public_key
+
+
+def _clocks(found: Standing, now: datetime) -> None:
+    """Remark on times that contradict each other."""
+    if found.stated is None:
+        return
+    stated = f"{found.stated:%Y-%m-%d %H:%M} UTC"
+    for stamp in found.stamps:
+        if stamp.utc < found.stated - _CLOCK_SLACK:
+            found.remarks.append(
+                f"{stamp.file}: {stamp.of} existed at {stamp.text}, but the bench's own clock stated the later time"
+                f" {stated}. One of both clocks was wrong"
+            )
+    if found.stated > now + _CLOCK_SLACK:
+        found.remarks.append(f"the bench's own clock stated a time in the future: {stated}")

@@ -225,7 +225,7 @@ def test_a_further_key_is_trusted_once(tmp_path):
     for _ in range(2):
         assert trust(tmp_path, f"bench2@lab {LINE}\n").principal == "bench2@lab"
     assert [s.principal for s in read_signers(tmp_path / "allowed_signers")][1:] == ["bench2@lab"]
-    with pytest.raises(EvidenceError, match="not a line of an Ed25519 key for reports"):
+    with pytest.raises(EvidenceError, match="not a line of a trusted key"):
         trust(tmp_path, "nonsense")
 
 

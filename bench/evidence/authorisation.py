@@ -1,0 +1,272 @@
+"""A person's authorisation of a sealed folder: make and check ``SHA256SUMS.authorised.sig``.
+
+The file is the person's SSH signature of the bytes of ``SHA256SUMS.sig``, namespace ``starbench-authorisation@v1``. So
+it is bound to the seal, and by the seal to every file. It is made with the person's own key, which no bench has, at any
+time after sealing (ISO/IEC 17025:2017, 7.8.2.1 o). A certificate names the person; nobody else can authorise it.
+"""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from datetime import datetime
+from pathlib import Path
+
+from bench.base.errors import EvidenceError
+from bench.evidence.beside_seal import add_beside, read_beside
+from bench.evidence.key_trust import Moments, Trust, judge_key
+from bench.evidence.seal import AUTHORISATION
+from bench.evidence.signers import AUTHORISATION_NAMESPACE
+from bench.evidence.ssh_keys import fingerprint
+from bench.evidence.sshsig import SigningKey, SshSignature, is_valid, read_signature, sign_with
+from bench.records.run_folder import MANIFEST, SIGNATURE
+from bench.records.storage import storage_errors
+
+_CERTIFICATE = "certificate.json"
+_MOST_BYTES = 256 << 20
+
+
+@dataclass(frozen=True)
+class NamedPerson:
+    """The person whom a certificate names.
+
+    Attributes
+    ----------
+    name, fingerprint
+        Name, and fingerprint of the person's key.
+    """
+
+    name: str
+    fingerprint: str
+
+
+@dataclass(frozen=True)
+class AuthorisationCheck:
+    """The authorisation beside a seal, as checked.
+
+    Attributes
+    ----------
+    fault
+        Why it does not hold; empty if it holds, or if there is none.
+    remark
+        What a reader should know though it holds; empty if nothing.
+    person, fingerprint
+        Name of the signer in the list of trusted keys, and fingerprint of the key; None if there is no authorisation
+        or it does not hold.
+    """
+
+    fault: str = ""
+    remark: str = ""
+    person: str | None = None
+    fingerprint: str | None = None
+
+
+def check_authorisation(
+    folder: Path, trust: Trust, moments: Moments, seal_key: bytes | None
+) -> AuthorisationCheck:
+    """Check the authorisation beside a seal.
+
+    Parameters
+    ----------
+    folder
+        The sealed folder.
+    trust
+        Whom the reader trusts.
+    moments
+        What is known about the moment of the authorisation.
+    seal_key
+        The key that sealed, as SSH encodes it; None if the seal could not be read.
+
+    Returns
+    -------
+    AuthorisationCheck
+        What was found.
+
+    Raises
+    ------
+    OSError
+        When a file cannot be read.
+    """
+    try:
+        data = read_beside(folder, AUTHORISATION)
+        if data is None:
+            return AuthorisationCheck()
+        signed = read_beside(folder, SIGNATURE)
+        signature = read_signature(data)
+    except EvidenceError as error:
+        return AuthorisationCheck(error.what)
+    public_key = signature.public_key
+    if why := _not_signed(signature, signed) or _wrong_person(folder, public_key, seal_key, trust):
+        return AuthorisationCheck(why)
+    judged = judge_key(public_key, AUTHORISATION_NAMESPACE, trust, moments)
+    if judged.principal is None:
+        return AuthorisationCheck(judged.fault)
+    return AuthorisationCheck("", judged.remark, judged.principal, fingerprint(public_key))
+
+
+def _not_signed(signature: SshSignature, signed: bytes | None) -> str:
+    """Return why a signature does not authorise these bytes; empty if it does."""
+    if signed is None:
+        return "authorised before sealed: there is no seal that it could sign"
+    if signature.namespace != AUTHORISATION_NAMESPACE:
+        return f"the signature is for {signature.namespace!r}, not an authorisation"
+    return "" if is_valid(signature, signed) else f"the signature does not match this {SIGNATURE}"
+
+
+def authorise(folder: Path, key: SigningKey, trust: Trust, now: datetime) -> str:
+    """Authorise a sealed folder with a person's key.
+
+    Parameters
+    ----------
+    folder
+        The sealed folder; the caller has verified it and shown it to the person.
+    key
+        The person's key.
+    trust
+        Whom the bench trusts; the person's key must be among them.
+    now
+        The present time, with its time zone.
+
+    Returns
+    -------
+    str
+        Name of the person in the list of trusted keys.
+
+    Raises
+    ------
+    EvidenceError
+        When the folder is not sealed, is authorised already, or the key may not authorise it.
+    StorageError
+        When the signature cannot be written; the folder is then as before.
+    """
+    person = require_authorisable(folder, key.public_key, trust, now)
+    with storage_errors(folder):
+        signed = (folder / SIGNATURE).read_bytes()
+    armoured = sign_with(key, signed, AUTHORISATION_NAMESPACE)
+    if not is_valid(read_signature(armoured), signed):
+        raise EvidenceError(
+            f"The signature by {fingerprint(key.public_key)} is not valid; it was not written.",
+            where=str(folder),
+            remedy="Touch the token if it asks, and try again.",
+        )
+    add_beside(folder, AUTHORISATION, armoured)
+    return person
+
+
+def require_authorisable(folder: Path, public_key: bytes, trust: Trust, now: datetime) -> str:
+    """Refuse a folder that this key may not authorise.
+
+    Parameters
+    ----------
+    folder
+        The folder.
+    public_key
+        The person's key, as SSH encodes it.
+    trust
+        Whom the bench trusts.
+    now
+        The present time, with its time zone.
+
+    Returns
+    -------
+    str
+        Name of the person in the list of trusted keys.
+
+    Raises
+    ------
+    EvidenceError
+        When the folder is not sealed, is authorised already, or the key may not authorise it.
+    StorageError
+        When a file cannot be read.
+    """
+    require_unauthorised(folder)
+    with storage_errors(folder):
+        seal_key = read_signature((folder / SIGNATURE).read_bytes()).public_key
+        why = _wrong_person(folder, public_key, seal_key, trust)
+    if not why:
+        judged = judge_key(public_key, AUTHORISATION_NAMESPACE, trust, Moments(now, None, now, now, now))
+        why = judged.fault
+        if judged.principal is not None:
+            return judged.principal
+    raise EvidenceError(
+        f"{why[0].upper()}{why[1:]}.",
+        where=str(folder),
+        remedy="Use the key of the person who authorises; `starbench keys trust --person` makes a person's key known.",
+    )
+
+
+def require_unauthorised(folder: Path) -> None:
+    """Refuse a folder that is not sealed, or is authorised already.
+
+    Parameters
+    ----------
+    folder
+        The folder.
+
+    Raises
+    ------
+    EvidenceError
+        When it is one of these.
+    """
+    if not (folder / MANIFEST).is_file() or not (folder / SIGNATURE).is_file():
+        raise EvidenceError(
+            "This folder is not sealed. A person authorises what is sealed, so that it cannot change afterwards.",
+            where=str(folder),
+            remedy="Finish the run, or issue the certificate, which seals it; then authorise it.",
+        )
+    if (folder / AUTHORISATION).exists():
+        raise EvidenceError(
+            "This folder is authorised already; an authorisation is never replaced.",
+            where=str(folder),
+            remedy="Check it with `starbench verify`. To correct a certificate, use `starbench certificate amend`.",
+        )
+
+
+def named_person(folder: Path) -> NamedPerson | None:
+    """Return the person whom a certificate names for its authorisation.
+
+    Parameters
+    ----------
+    folder
+        The sealed folder.
+
+    Returns
+    -------
+    NamedPerson or None
+        The person; None if the folder is not a certificate.
+
+    Raises
+    ------
+    EvidenceError
+        When a certificate names nobody, or cannot be read.
+    OSError
+        When a file cannot be read.
+    """
+    path = folder / _CERTIFICATE
+    if not path.is_file():
+        return None
+    try:
+        if path.stat().st_size > _MOST_BYTES:
+            raise ValueError("it is too large")  # noqa: TRY301 - told below
+        found = json.loads(path.read_bytes())["authorised_by"]
+        return NamedPerson(str(found["name"]), str(found["key_fingerprint"]))
+    except (ValueError, LookupError, TypeError, RecursionError) as error:
+        raise EvidenceError(f"{_CERTIFICATE} does not name the person who is to authorise it") from error
+
+
+def _wrong_person(folder: Path, public_key: bytes, seal_key: bytes | None, trust: Trust) -> str:
+    """Return why a key is not that of the person who may authorise; empty if it may be."""
+    if public_key == seal_key:
+        return "this is the bench's own key, which sealed the folder; a person must authorise it"
+    if any(signer.is_bench for signer in trust.signers if signer.public_key == public_key):
+        return "this is the key of a bench; a person must authorise"
+    try:
+        person = named_person(folder)
+    except EvidenceError as error:
+        return error.what
+    if person is not None and person.fingerprint != fingerprint(public_key):
+        return (
+            f"the certificate names {person.name} with the key {person.fingerprint}; this key is"
+            f" {fingerprint(public_key)}"
+        )
+    return ""

@@ -1,0 +1,216 @@
+"""Whether a key could sign at the moment at which it signed: trusted for the purpose, valid then, not revoked.
+
+The moment comes from the best source there is. A trusted time stamp proves that a signature is not younger. Else the
+reader states the moment (``verify --at``). Else the bench's own clock states it: it is believed, but a remark says so
+if the key has expired since, because whoever has an expired key can write any date. A revoked key needs the proof.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from datetime import datetime
+from pathlib import Path
+
+from bench.evidence.revocation import REVOKED_FILE, RevokedKey, read_revoked
+from bench.evidence.signers import SIGNERS_FILE, Signer, read_signers
+from bench.evidence.ssh_keys import fingerprint
+from bench.evidence.timestamp import Stamp, TrustedAuthorities, read_authorities
+
+
+@dataclass(frozen=True)
+class Trust:
+    """Whom the reader trusts; all of it comes from outside the sealed folder.
+
+    Attributes
+    ----------
+    signers
+        Trusted keys.
+    revoked
+        Revoked keys.
+    authorities
+        Trusted time stamping authorities.
+    """
+
+    signers: Sequence[Signer] = ()
+    revoked: Sequence[RevokedKey] = ()
+    authorities: TrustedAuthorities = field(default_factory=TrustedAuthorities)
+
+
+def read_trust(
+    home: Path,
+    *,
+    allowed_signers: Path | None = None,
+    revoked_keys: Path | None = None,
+    tsa_certificates: Path | None = None,
+) -> Trust:
+    """Read whom the reader trusts, from the configuration folder or from named files.
+
+    Parameters
+    ----------
+    home
+        The configuration folder.
+    allowed_signers
+        File to use instead of ``allowed_signers``; then ``revoked_keys`` beside it is used too, if there is one.
+    revoked_keys
+        File to use instead of ``revoked_keys``.
+    tsa_certificates
+        File to use instead of ``tsa_certificates.pem``.
+
+    Returns
+    -------
+    Trust
+        The lists.
+
+    Raises
+    ------
+    EvidenceError
+        When a list cannot be read, is not understood, or other users can change it.
+    StorageError
+        When a file cannot be read.
+    """
+    signers = allowed_signers or home / SIGNERS_FILE
+    return Trust(
+        read_signers(signers),
+        read_revoked(revoked_keys or signers.parent / REVOKED_FILE),
+        read_authorities(home, tsa_certificates),
+    )
+
+
+@dataclass(frozen=True)
+class Moments:
+    """What is known about the moment of a signature.
+
+    Attributes
+    ----------
+    now
+        The present time.
+    proven
+        Time stamp that proves that the signature is not younger; None if there is none.
+    at
+        Moment that the reader states; None if none.
+    earliest, latest
+        Period that the bench's own clock leaves; for a seal both are its stated time.
+    """
+
+    now: datetime
+    proven: Stamp | None
+    at: datetime | None
+    earliest: datetime
+    latest: datetime
+
+    @property
+    def own_text(self) -> str:
+        """Why a key that has expired is accepted by the bench's own clock."""
+        sealed = f"{_text(self.earliest)} by the bench's own clock only"
+        if self.earliest == self.latest:
+            return f"it is accepted because the folder was sealed before, at {sealed}"
+        return f"it is accepted because the folder was sealed at {sealed}, and may have been authorised then"
+
+
+@dataclass(frozen=True)
+class Judgement:
+    """What was found about a key.
+
+    Attributes
+    ----------
+    principal
+        Name of the signer; None if the key is rejected.
+    fault
+        Why it is rejected; empty if it is accepted.
+    remark
+        What a reader should know though it is accepted; empty if nothing.
+    """
+
+    principal: str | None = None
+    fault: str = ""
+    remark: str = ""
+
+
+def judge_key(public_key: bytes, namespace: str, trust: Trust, moments: Moments) -> Judgement:
+    """Decide whether a key could sign for a purpose at the moment at which it signed.
+
+    Parameters
+    ----------
+    public_key
+        The key as SSH encodes it.
+    namespace
+        The purpose.
+    trust
+        Whom the reader trusts.
+    moments
+        What is known about the moment.
+
+    Returns
+    -------
+    Judgement
+        The signer, or why the key is rejected.
+    """
+    known = [signer for signer in trust.signers if signer.public_key == public_key]
+    if not known:
+        what = f"the key that signed is not in the list of trusted keys ({fingerprint(public_key)})"
+        return Judgement(fault=what)
+    for_it = [signer for signer in known if signer.may_sign(namespace)]
+    if not for_it:
+        return Judgement(fault=str(known[0].rejection(namespace, moments.now)))
+    revoked = min(
+        (one for one in trust.revoked if one.public_key == public_key),
+        key=lambda one: one.since,
+        default=None,
+    )
+    if revoked is not None and (moments.proven is None or moments.proven.utc >= revoked.since):
+        proof = (
+            "no trusted time stamp proves that the signature is older"
+            if moments.proven is None
+            else f"the time stamp is not older ({moments.proven.text})"
+        )
+        return Judgement(fault=f"the key was revoked {revoked.text}, and {proof}")
+    found = _judge_period(for_it, namespace, moments)
+    if revoked is None or moments.proven is None or found.fault:
+        return found
+    remark = f"the key was revoked {revoked.text}, but the signature existed before, at {moments.proven.text}"
+    return Judgement(found.principal, remark=remark)
+
+
+def _judge_period(known: Sequence[Signer], namespace: str, moments: Moments) -> Judgement:
+    """Compare the period of validity with the moment, from the best source."""
+    late = ""
+    if moments.proven is not None:
+        signer, reason = _accepting(known, namespace, moments.proven.utc)
+        if signer is not None:
+            return Judgement(signer.principal)
+        if all(one.valid_before is not None and one.valid_before < moments.proven.utc for one in known):
+            late = " The time stamp is younger than that, so it proves nothing here."
+        else:
+            return Judgement(fault=f"{reason}; the signature existed at {moments.proven.text}")
+    _, now_reason = _accepting(known, namespace, moments.now)
+    if moments.at is not None:
+        signer, reason = _accepting(known, namespace, moments.at)
+        if signer is None:
+            return Judgement(fault=f"{reason}; it was judged for {_text(moments.at)}")
+        remark = (
+            f"{now_reason}; it is accepted for {_text(moments.at)}, as asked.{late}" if now_reason else ""
+        )
+        return Judgement(signer.principal, remark=remark.rstrip("."))
+    for one in known:
+        is_late = one.valid_before is not None and moments.earliest > one.valid_before
+        is_early = one.valid_after is not None and moments.latest < one.valid_after
+        if not is_late and not is_early:
+            remark = f"{now_reason}; {moments.own_text}. No trusted time stamp proves it.{late}".rstrip(".")
+            return Judgement(one.principal, remark=remark if now_reason else "")
+    _, reason = _accepting(known, namespace, moments.earliest)
+    return Judgement(
+        fault=f"{reason}; the folder was sealed at {_text(moments.earliest)} by the bench's own clock"
+    )
+
+
+def _accepting(known: Sequence[Signer], namespace: str, when: datetime) -> tuple[Signer | None, str]:
+    """Return the line that accepts a moment, or None and the reason of the first line."""
+    rejections = [signer.rejection(namespace, when) for signer in known]
+    if None in rejections:
+        return known[rejections.index(None)], ""
+    return None, str(rejections[0])
+
+
+def _text(moment: datetime) -> str:
+    return f"{moment:%Y-%m-%d %H:%M} UTC"

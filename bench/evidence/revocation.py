@@ -1,0 +1,147 @@
+"""The list of revoked keys, ``revoked_keys``: keys that were stolen or lost.
+
+The format is a plain list of public keys, which ``ssh-keygen -Y verify -r revoked_keys`` reads (ssh-keygen(1),
+``-Y verify``). A binary list (KRL) cannot hold a date and a reason; here both stand behind the key. A revoked key's
+signatures are refused unless a trusted time stamp proves that they are older than the revocation: whoever has a stolen
+key can write any date into a report. A key that is only replaced is not revoked; its line in ``allowed_signers`` ends
+(`bench.evidence.rotation`).
+"""
+
+from __future__ import annotations
+
+import base64
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+
+from bench.base.errors import EvidenceError
+from bench.evidence.safe_files import refuse_writable_by_others
+from bench.evidence.signers import make_private_folder, parse_time, read_public_key, time_text
+from bench.evidence.ssh_keys import fingerprint, key_type_of
+from bench.records.storage import storage_errors, write_atomic
+
+REVOKED_FILE = "revoked_keys"
+_MARK = "revoked"
+_EVER = datetime(1970, 1, 1, tzinfo=UTC)
+
+
+@dataclass(frozen=True)
+class RevokedKey:
+    """A key that is no longer trusted.
+
+    Attributes
+    ----------
+    public_key
+        The key as SSH encodes it.
+    since
+        Moment from which its signatures are refused; 1970 for a line without a date.
+    reason
+        Why; empty for a line without a reason.
+    """
+
+    public_key: bytes
+    since: datetime = _EVER
+    reason: str = ""
+
+    @property
+    def text(self) -> str:
+        """Date and reason, for a message."""
+        date = f"{self.since:%Y-%m-%d %H:%M} UTC" if self.since > _EVER else "without a date"
+        return f"{date} ({self.reason})" if self.reason else date
+
+    @property
+    def line(self) -> str:
+        """The line of ``revoked_keys`` for this key."""
+        key = f"{key_type_of(self.public_key)} {base64.b64encode(self.public_key).decode()}"
+        return f"{key} {_MARK} {time_text(self.since)} {self.reason}".rstrip()
+
+
+def read_revoked(path: Path) -> list[RevokedKey]:
+    """Read the list of revoked keys.
+
+    Parameters
+    ----------
+    path
+        The file; no file is an empty list.
+
+    Returns
+    -------
+    list of RevokedKey
+        The keys in the order of the lines.
+
+    Raises
+    ------
+    EvidenceError
+        When the file cannot be read, other users can change it, or a line is not a public key; the message names the
+        line.
+    """
+    if not path.exists():
+        return []
+    try:
+        refuse_writable_by_others(path, "the list of revoked keys")
+        lines = path.read_text(encoding="utf-8").splitlines()
+    except (OSError, UnicodeDecodeError) as error:
+        reason = error.strerror if isinstance(error, OSError) else "it is not text"
+        raise EvidenceError(
+            f"The list of revoked keys cannot be read: {reason}.",
+            where=str(path),
+            remedy="Expected is a list of public keys, one a line; a binary list (KRL) is not supported.",
+        ) from error
+    revoked = []
+    for number, line in enumerate(lines, start=1):
+        if line.strip() and not line.lstrip().startswith("#"):
+            try:
+                revoked.append(_read_line(line))
+            except ValueError as error:
+                raise EvidenceError(
+                    f"This is not a line of a revoked key: {error}.",
+                    where=f"{path}:{number}",
+                    remedy="Expected form: ssh-ed25519 AAAA... revoked YYYYMMDDHHMMSSZ reason",
+                ) from error
+    return revoked
+
+
+def revoke(folder: Path, key: RevokedKey) -> None:
+    """Add a key to the list of revoked keys.
+
+    Parameters
+    ----------
+    folder
+        The configuration folder.
+    key
+        The key, with date and reason.
+
+    Raises
+    ------
+    EvidenceError
+        When it is revoked already, the reason is not one line of text, or other users can change the file.
+    StorageError
+        When the file cannot be written.
+    """
+    path = folder / REVOKED_FILE
+    if not key.reason.strip() or not key.reason.isprintable():
+        raise EvidenceError(
+            "A revocation needs a reason of one line.",
+            remedy="Say what happened, for example: stolen laptop.",
+        )
+    known = next((one for one in read_revoked(path) if one.public_key == key.public_key), None)
+    if known is not None:
+        raise EvidenceError(
+            f"The key {fingerprint(key.public_key)} is revoked already: {known.text}.", where=str(path)
+        )
+    with storage_errors(path):
+        present = path.read_text(encoding="utf-8") if path.exists() else ""
+    make_private_folder(folder)
+    separator = "" if not present or present.endswith("\n") else "\n"
+    write_atomic(path, f"{present}{separator}{key.line}\n".encode())
+
+
+def _read_line(line: str) -> RevokedKey:
+    """Read one line. Raises ValueError."""
+    public_key = read_public_key(line)
+    comment = line.split(maxsplit=2)[2:]
+    mark, _, rest = comment[0].strip().partition(" ") if comment else ("", "", "")
+    if mark != _MARK:
+        return RevokedKey(public_key)
+    date, _, reason = rest.partition(" ")
+    return RevokedKey(public_key, parse_time(date), reason)

@@ -1,0 +1,156 @@
+"""Replace the bench's key. Reports sealed with the old key stay valid for their time.
+
+The old key's line in ``allowed_signers`` gets an end, the new one's a beginning, both in one step. A process that dies
+before this step leaves the old key in use. After it, the new key lies complete beside the old one (``bench_key.new``);
+the old one is refused as expired, and the next `rotate` finishes the replacement.
+"""
+
+from __future__ import annotations
+
+import os
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from datetime import datetime, timedelta
+from pathlib import Path
+
+from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
+
+from bench.base.errors import EvidenceError
+from bench.evidence.keys import KEY_FILE, BenchKey, locked_folder, private_text
+from bench.evidence.signers import (
+    PRINCIPAL,
+    SIGNERS_FILE,
+    read_public_key,
+    read_signer,
+    read_signers,
+    replace_lines,
+)
+from bench.evidence.ssh_keys import fingerprint
+from bench.records.storage import make_folder, storage_errors, sync_folder, write_atomic
+
+ARCHIVE = "old_keys"
+"""Folder of private keys that are no longer used."""
+_NEW = f"{KEY_FILE}.new"
+
+
+@dataclass(frozen=True)
+class Rotation:
+    """A replacement of the bench's key.
+
+    Attributes
+    ----------
+    old, new
+        Fingerprints of both keys.
+    line
+        Line of ``allowed_signers`` that trusts the new key.
+    archived
+        Where the old private key is kept; None if it was deleted.
+    """
+
+    old: str
+    new: str
+    line: str
+    archived: Path | None
+
+
+def rotate(folder: Path, now: datetime, *, passphrase: bytes | None, keep_old: bool) -> Rotation:
+    """Replace the bench's key by a new one with the same principal.
+
+    Parameters
+    ----------
+    folder
+        The configuration folder.
+    now
+        The present time, with its time zone: the end of the old key's validity and the beginning of the new one's.
+    passphrase
+        Encrypts the new private key; None leaves it unencrypted.
+    keep_old
+        Whether the old private key is kept in ``old_keys``; else it is deleted.
+
+    Returns
+    -------
+    Rotation
+        Both keys.
+
+    Raises
+    ------
+    EvidenceError
+        When there is no key, or its public key cannot be read.
+    StorageError
+        When a file cannot be written.
+    """
+    if not (folder / KEY_FILE).exists():
+        raise EvidenceError(
+            "There is no key to replace.", where=str(folder), remedy="Make one with `starbench keys create`."
+        )
+    with locked_folder(folder):
+        old, principal = _read_public(folder / f"{KEY_FILE}.pub")
+        line = _begun(folder)
+        if line is None:
+            line = _begin(folder, now, old, principal, passphrase)
+        archived = _archive(folder, old) if keep_old else None
+        new = read_signer(line).public_key
+        write_atomic(folder / f"{KEY_FILE}.pub", (folder / f"{_NEW}.pub").read_bytes())
+        with storage_errors(folder):
+            (folder / _NEW).replace(folder / KEY_FILE)
+            sync_folder(folder)
+            (folder / f"{_NEW}.pub").unlink()
+    return Rotation(fingerprint(old), fingerprint(new), line, archived)
+
+
+def _begin(folder: Path, now: datetime, old: bytes, principal: str, passphrase: bytes | None) -> str:
+    """Make the new key beside the old one, and change the list of trusted keys; return the new line."""
+    key = BenchKey(Ed25519PrivateKey.generate(), principal)
+    signer = replace(read_signer(key.signers_line), valid_after=now.replace(microsecond=0))
+    write_atomic(folder / f"{_NEW}.pub", f"{key.public_text} {principal}\n".encode())
+    with storage_errors(folder), suppress(FileNotFoundError):
+        (folder / _NEW).unlink()
+    write_atomic(folder / _NEW, private_text(key, passphrase), mode=0o600)
+    end = now.replace(microsecond=0) + timedelta(seconds=1)  # what was sealed in this second stays valid
+    replace_lines(folder, old, end, [signer.line])
+    return signer.line
+
+
+def _begun(folder: Path) -> str | None:
+    """Return the line of a new key whose replacement was interrupted after it became trusted."""
+    if not (folder / _NEW).exists() or not (folder / f"{_NEW}.pub").exists():
+        return None
+    new, _ = _read_public(folder / f"{_NEW}.pub")
+    path = folder / SIGNERS_FILE
+    known = read_signers(path) if path.exists() else []
+    return next((signer.line for signer in known if signer.public_key == new), None)
+
+
+def _archive(folder: Path, old: bytes) -> Path:
+    """Keep the old private key under a name that no other key has."""
+    make_folder(folder / ARCHIVE)
+    name = fingerprint(old).removeprefix("SHA256:").replace("/", "_").replace("+", "-")[:16]
+    path = folder / ARCHIVE / f"{KEY_FILE}-{name}"
+    with storage_errors(path):
+        (folder / ARCHIVE).chmod(0o700)
+        with suppress(FileExistsError):  # of an interrupted replacement
+            os.link(folder / KEY_FILE, path)
+        sync_folder(folder / ARCHIVE)
+    return path
+
+
+def _read_public(path: Path) -> tuple[bytes, str]:
+    """Return the public key of a file ``.pub``, and its principal."""
+    with storage_errors(path):
+        text = path.read_text(encoding="utf-8")
+    try:
+        key = read_public_key(text)
+    except ValueError as error:
+        raise _not_public(path, str(error)) from error
+    principal = ([*text.split(), "", ""])[2]
+    if not PRINCIPAL.fullmatch(principal):
+        raise _not_public(path, "it does not name its signer as name@place")
+    return key, principal
+
+
+def _not_public(path: Path, why: str) -> EvidenceError:
+    return EvidenceError(
+        f"This is not the bench's public key: {why}.",
+        where=str(path),
+        remedy=f"Restore it: ssh-keygen -y -f {path.with_suffix('')}; write name@place at the end.",
+    )

@@ -1,0 +1,61 @@
+"""When a folder says that it was made: by the bench's own clock, as the sealed files state it. This proves nothing."""
+
+from __future__ import annotations
+
+import json
+from datetime import UTC, datetime
+from pathlib import Path
+
+from bench.base.errors import RunFolderError
+from bench.records.journal import read_journal
+from bench.records.run_folder import JOURNAL, RESULTS
+
+_PLACES = (("certificate.json", ("issued_utc",)), (RESULTS, ("run", "calibrated_utc")))
+_MOST_BYTES = 256 << 20
+"""A larger file is not read for its time."""
+
+
+def stated_time(folder: Path) -> datetime | None:
+    """Return when a folder says that it was made: the end of a run, the issue of a certificate, a recalculation.
+
+    Parameters
+    ----------
+    folder
+        The sealed folder.
+
+    Returns
+    -------
+    datetime or None
+        The moment, UTC; None if no file states one.
+
+    Raises
+    ------
+    OSError
+        When a file cannot be read.
+    """
+    if (folder / JOURNAL).is_file():
+        try:
+            entries, _ = read_journal(folder / JOURNAL)
+        except RunFolderError:
+            return None
+        return _moment(entries[-1].utc) if entries else None
+    for name, keys in _PLACES:
+        path = folder / name
+        if path.is_file() and path.stat().st_size <= _MOST_BYTES:
+            try:
+                found = json.loads(path.read_bytes())
+                for key in keys:
+                    found = found[key]
+            except (ValueError, LookupError, TypeError, RecursionError):
+                continue
+            if moment := _moment(found):
+                return moment
+    return None
+
+
+def _moment(text: object) -> datetime | None:
+    try:
+        moment = datetime.fromisoformat(str(text))
+        return moment.astimezone(UTC) if moment.tzinfo is not None else None
+    except (ValueError, OverflowError):
+        return None

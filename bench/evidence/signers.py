@@ -1,0 +1,391 @@
+"""The list of trusted keys, ``allowed_signers``, in OpenSSH's format (ssh-keygen(1), ALLOWED SIGNERS).
+
+A line names a signer, the purposes (namespaces) and the period for which the key is trusted, and the key. A bench seals
+(``starbench-report@v1``); a person authorises (``starbench-authorisation@v1``). One key never has both purposes.
+"""
+
+from __future__ import annotations
+
+import base64
+import binascii
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+
+from bench.base.errors import EvidenceError
+from bench.evidence.safe_files import refuse_writable_by_others
+from bench.evidence.ssh_keys import KEY_TYPES, PublicKey, fingerprint, key_type_of
+from bench.records.storage import make_folder, storage_errors, write_atomic
+
+NAMESPACE = "starbench-report@v1"
+"""Purpose of a bench's signature, the seal: the namespace of SSHSIG."""
+AUTHORISATION_NAMESPACE = "starbench-authorisation@v1"
+"""Purpose of the signature by which a person authorises a sealed folder."""
+SIGNERS_FILE = "allowed_signers"
+PRINCIPAL = re.compile(r"[A-Za-z0-9._+-]{1,64}@[A-Za-z0-9._-]{1,128}")
+
+_FIELD = re.compile(r'(?:[^\s"]|"[^"]*")+')
+_OPTION = re.compile(r'([a-z-]+)(?:="([^"]*)")?(?:,|$)')
+_OPTIONS = {"namespaces", "valid-after", "valid-before"}
+_TYPES = {key_type.decode() for key_type in KEY_TYPES}
+
+
+@dataclass(frozen=True)
+class Signer:
+    """A trusted key: one line of ``allowed_signers``.
+
+    Attributes
+    ----------
+    principal
+        Name of the signer, as ``name@place``.
+    public_key
+        The key as SSH encodes it (the part in base64 after the type).
+    namespaces
+        Patterns of the purposes that it may sign for; empty if it may sign for all.
+    valid_after, valid_before
+        Period in which it may sign; None where there is no limit.
+    """
+
+    principal: str
+    public_key: bytes
+    namespaces: tuple[str, ...] = ()
+    valid_after: datetime | None = None
+    valid_before: datetime | None = None
+
+    @property
+    def line(self) -> str:
+        """The line of ``allowed_signers`` for this key."""
+        options = [f'namespaces="{",".join(self.namespaces)}"'] if self.namespaces else []
+        for name, moment in (("valid-after", self.valid_after), ("valid-before", self.valid_before)):
+            options += [f'{name}="{time_text(moment)}"'] if moment is not None else []
+        key = f"{key_type_of(self.public_key)} {base64.b64encode(self.public_key).decode()}"
+        return " ".join(filter(None, (self.principal, ",".join(options), key)))
+
+    @property
+    def is_bench(self) -> bool:
+        """Whether the key is named as one that seals."""
+        return bool(self.namespaces) and self.may_sign(NAMESPACE)
+
+    def may_sign(self, namespace: str) -> bool:
+        """Return whether the key is trusted for a purpose, at any time.
+
+        Parameters
+        ----------
+        namespace
+            The purpose.
+
+        Returns
+        -------
+        bool
+            Whether a pattern matches, and none with ``!`` does (ssh_config(5), PATTERNS).
+        """
+        if not self.namespaces:
+            return True
+        matching = [pattern for pattern in self.namespaces if _matches(pattern.removeprefix("!"), namespace)]
+        return bool(matching) and not any(pattern.startswith("!") for pattern in matching)
+
+    def rejection(self, namespace: str, when: datetime) -> str | None:
+        """Return why a signature of this key is rejected.
+
+        Parameters
+        ----------
+        namespace
+            Purpose of the signature.
+        when
+            Moment at which the key must be valid, with its time zone.
+
+        Returns
+        -------
+        str or None
+            The reason; None if the key may sign.
+        """
+        if not self.may_sign(namespace):
+            return f"the key is trusted for {', '.join(self.namespaces)}, not for {namespace}"
+        if self.valid_after is not None and when < self.valid_after:
+            return f"the key is not valid before {self.valid_after:%Y-%m-%d %H:%M} UTC"
+        if self.valid_before is not None and when > self.valid_before:
+            return f"the key expired {self.valid_before:%Y-%m-%d %H:%M} UTC"
+        return None
+
+
+def read_signers(path: Path) -> list[Signer]:
+    """Read a list of trusted keys.
+
+    Parameters
+    ----------
+    path
+        A file in the format ``allowed_signers``.
+
+    Returns
+    -------
+    list of Signer
+        The keys in the order of the lines.
+
+    Raises
+    ------
+    EvidenceError
+        When the file cannot be read, other users can change it, or a line is not understood; the message names the
+        line.
+    """
+    try:
+        refuse_writable_by_others(path, "the list of trusted keys")
+        lines = path.read_text(encoding="utf-8").splitlines()
+    except (OSError, UnicodeDecodeError) as error:
+        reason = error.strerror if isinstance(error, OSError) else "it is not text"
+        raise EvidenceError(
+            f"The list of trusted keys cannot be read: {reason}.",
+            where=str(path),
+            remedy="Get the file allowed_signers from the laboratory, and name it.",
+        ) from error
+    signers = []
+    for number, line in enumerate(lines, start=1):
+        if not line.strip() or line.lstrip().startswith("#"):
+            continue
+        try:
+            signers.append(read_signer(line))
+        except EvidenceError as error:
+            raise EvidenceError(error.what, where=f"{path}:{number}", remedy=error.remedy) from error
+    return signers
+
+
+def read_signer(line: str) -> Signer:
+    """Read one line of ``allowed_signers``.
+
+    Parameters
+    ----------
+    line
+        The line.
+
+    Returns
+    -------
+    Signer
+        The key.
+
+    Raises
+    ------
+    EvidenceError
+        When it is not such a line, or its key is of an unknown type.
+    """
+    fields = _FIELD.findall(line.strip())
+    options_text = fields[1] if len(fields) > 1 and fields[1] not in _TYPES else ""
+    key_fields = fields[2:4] if options_text else fields[1:3]
+    options = dict(_OPTION.findall(options_text))
+    try:
+        _refuse_unknown(options, options_text)
+        public_key = read_public_key(" ".join(key_fields))
+        after, before = (
+            parse_time(options[name]) if name in options else None for name in ("valid-after", "valid-before")
+        )
+    except ValueError as error:
+        raise EvidenceError(
+            f"This is not a line of a trusted key: {error}.",
+            remedy='Expected form: name@place namespaces="' + NAMESPACE + '" ssh-ed25519 AAAA...',
+        ) from error
+    namespaces = tuple(filter(None, options.get("namespaces", "").split(",")))
+    return Signer(fields[0], public_key, namespaces, after, before)
+
+
+def _refuse_unknown(options: Mapping[str, str], text: str) -> None:
+    if set(options) - _OPTIONS or _OPTION.sub("", text):
+        raise ValueError("it has an unknown option")
+
+
+def read_public_key(text: str) -> bytes:
+    """Read a public key as OpenSSH writes it: its type, its base64, and a comment that is not used.
+
+    Parameters
+    ----------
+    text
+        The text of a file ``.pub``.
+
+    Returns
+    -------
+    bytes
+        The key as SSH encodes it.
+
+    Raises
+    ------
+    ValueError
+        When it is not a public key of a known type.
+    """
+    key_type, _, rest = text.strip().partition(" ")
+    if key_type not in _TYPES or not rest.split():
+        raise ValueError("it has no public key of a known type")
+    try:
+        blob = base64.b64decode(rest.split()[0], validate=True)
+    except binascii.Error as error:
+        raise ValueError("the key is not base64") from error
+    if key_type_of(blob) != key_type:
+        raise ValueError("the key is not of the type that its line names")
+    PublicKey.parse(blob)
+    return blob
+
+
+def trust(folder: Path, line: str) -> Signer:
+    """Add a line to ``allowed_signers``, unless the file contains it already.
+
+    Parameters
+    ----------
+    folder
+        The configuration folder.
+    line
+        A line of ``allowed_signers``.
+
+    Returns
+    -------
+    Signer
+        The key that is now trusted.
+
+    Raises
+    ------
+    EvidenceError
+        When this is not a line of a key, the key is trusted for the other purpose already, or other users can change
+        the file.
+    StorageError
+        When the file cannot be read or written.
+    """
+    signer = read_signer(line)
+    path = folder / SIGNERS_FILE
+    present = _read_list(path)
+    _refuse_two_purposes(path, signer)
+    if line.strip() not in present.splitlines():
+        separator = "" if not present or present.endswith("\n") else "\n"
+        make_private_folder(folder)
+        write_atomic(path, f"{present}{separator}{line.strip()}\n".encode())
+    return signer
+
+
+def replace_lines(folder: Path, public_key: bytes, valid_before: datetime, added: Sequence[str]) -> None:
+    """End the validity of a key in ``allowed_signers``, and add lines, in one step.
+
+    Parameters
+    ----------
+    folder
+        The configuration folder.
+    public_key
+        The key whose lines get ``valid-before``; a line that ends earlier stays as it is.
+    valid_before
+        End of its validity.
+    added
+        Lines to add.
+
+    Raises
+    ------
+    EvidenceError
+        When a line is not understood, or other users can change the file.
+    StorageError
+        When the file cannot be read or written.
+    """
+    path = folder / SIGNERS_FILE
+    signers = read_signers(path) if path.exists() else []
+    lines = []
+    for line in _read_list(path).splitlines():
+        ends = not line.strip() or line.lstrip().startswith("#")
+        signer = None if ends else signers.pop(0)
+        if signer is not None and signer.public_key == public_key:
+            before = min(filter(None, (signer.valid_before, valid_before)))
+            ended = Signer(signer.principal, public_key, signer.namespaces, signer.valid_after, before)
+            lines.append(ended.line)
+        else:
+            lines.append(line)
+    make_private_folder(folder)
+    write_atomic(path, "".join(f"{line}\n" for line in (*lines, *added)).encode())
+
+
+def make_private_folder(folder: Path) -> None:
+    """Make the configuration folder, which other users cannot change. A folder that exists is left as it is.
+
+    Parameters
+    ----------
+    folder
+        The configuration folder.
+
+    Raises
+    ------
+    StorageError
+        When it cannot be made.
+    """
+    if not folder.exists():
+        make_folder(folder)
+        with storage_errors(folder):
+            folder.chmod(0o700)
+
+
+def _read_list(path: Path) -> str:
+    with storage_errors(path):
+        if not path.exists():
+            return ""
+        refuse_writable_by_others(path, "the list of trusted keys")
+        return path.read_text(encoding="utf-8")
+
+
+def _refuse_two_purposes(path: Path, signer: Signer) -> None:
+    """Refuse a key that would both seal and authorise: a bench must not be able to authorise its own work."""
+    signs = {NAMESPACE, AUTHORISATION_NAMESPACE}
+    known = [
+        one for one in (read_signers(path) if path.exists() else []) if one.public_key == signer.public_key
+    ]
+    for one in (*known, signer):
+        if one.namespaces and signer.namespaces:
+            purposes = {name for name in signs for each in (one, signer) if each.may_sign(name)}
+            if purposes == signs:
+                raise EvidenceError(
+                    f"The key {fingerprint(signer.public_key)} cannot both seal and authorise.",
+                    where=str(path),
+                    remedy="Use a key of the person's own, which no bench has: ssh-keygen -t ed25519.",
+                )
+
+
+def parse_time(text: str) -> datetime:
+    """Read a time of ssh-keygen(1): ``YYYYMMDD[HHMM[SS]][Z]``, which is local time without the Z.
+
+    Parameters
+    ----------
+    text
+        The text.
+
+    Returns
+    -------
+    datetime
+        The moment, UTC.
+
+    Raises
+    ------
+    ValueError
+        When it is not of this form.
+    """
+    digits = text.removesuffix("Z")
+    form = {8: "%Y%m%d", 12: "%Y%m%d%H%M", 14: "%Y%m%d%H%M%S"}.get(
+        len(digits) if digits.isdecimal() and digits.isascii() else 0
+    )
+    if form is None:
+        raise ValueError(f"{text!r} is not a time of the form YYYYMMDDHHMMSSZ")
+    moment = datetime.strptime(digits, form)  # noqa: DTZ007 - the zone follows from the Z
+    try:
+        return moment.replace(tzinfo=UTC) if text.endswith("Z") else moment.astimezone(UTC)
+    except OverflowError as error:
+        raise ValueError(f"{text!r} is too early or too late") from error
+
+
+def time_text(moment: datetime) -> str:
+    """Write a time as ssh-keygen(1) reads it.
+
+    Parameters
+    ----------
+    moment
+        The moment, with its time zone.
+
+    Returns
+    -------
+    str
+        ``YYYYMMDDHHMMSSZ``.
+    """
+    return f"{moment.astimezone(UTC):%Y%m%d%H%M%SZ}"
+
+
+def _matches(pattern: str, text: str) -> bool:
+    """Compare with ``*`` and ``?`` as ssh does (ssh_config(5), PATTERNS)."""
+    translated = re.escape(pattern).replace(r"\*", ".*").replace(r"\?", ".")
+    return re.fullmatch(translated, text) is not None

@@ -1,0 +1,401 @@
+"""Time stamps (RFC 3161) of the signatures beside a seal: read and check them without a network.
+
+A time stamp proves that a signature existed at a time which an authority (TSA) states. Which authorities are trusted is
+decided by certificates of the reader's own (``tsa_certificates.pem``). Those of the laboratory's own authority are in
+``tsa_laboratory.pem``: its time stamps are called "laboratory's clock", because the laboratory could have set it.
+The files beside the seal hold complete replies, as ``openssl ts -verify`` reads them.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from bench.base.errors import EvidenceError
+from bench.evidence.beside_seal import read_beside
+from bench.evidence.faults import SealFault
+from bench.evidence.safe_files import refuse_writable_by_others
+from bench.evidence.seal import AUTHORISATION, AUTHORISATION_TIMESTAMP, TIMESTAMP
+from bench.records.run_folder import SIGNATURE
+from bench.records.storage import storage_errors
+
+if TYPE_CHECKING:
+    from cryptography.x509 import Certificate
+
+TSA_FILE = "tsa_certificates.pem"
+"""Certificates of trusted time stamping authorities, in the configuration folder."""
+LABORATORY_TSA_FILE = "tsa_laboratory.pem"
+"""Certificates of the laboratory's own time stamping authority, in the configuration folder."""
+LABORATORY_CLOCK = "laboratory's clock"
+STAMPED = {TIMESTAMP: SIGNATURE, AUTHORISATION_TIMESTAMP: AUTHORISATION}
+"""File that each time stamp is of."""
+
+_EXTRA = "pip install 'starbench[certificate]'"
+_GRANTED = b"\x30\x03\x02\x01\x00"
+"""``PKIStatusInfo`` with the status ``granted`` (RFC 3161, section 2.4.2)."""
+_STATUS = {
+    1: "granted with changes",
+    2: "rejected",
+    3: "waiting",
+    4: "revocation warning",
+    5: "revocation",
+}
+
+
+@dataclass(frozen=True)
+class TrustedAuthorities:
+    """Certificates of time stamping authorities that the reader trusts.
+
+    Attributes
+    ----------
+    others, laboratory
+        Certificates of other organisations, and of the laboratory's own authority.
+    """
+
+    others: tuple[Certificate, ...] = ()
+    laboratory: tuple[Certificate, ...] = ()
+
+
+@dataclass(frozen=True)
+class Stamp:
+    """A time stamp that is valid and trusted.
+
+    Attributes
+    ----------
+    file, of
+        Its file, and the file that it is of.
+    utc
+        Time that the authority states.
+    authority
+        Name of the authority, from its certificate.
+    is_laboratory
+        Whether it is the laboratory's own.
+    """
+
+    file: str
+    of: str
+    utc: datetime
+    authority: str
+    is_laboratory: bool
+
+    @property
+    def text(self) -> str:
+        """Time and whose clock it is, for a sentence."""
+        whose = (
+            f"{LABORATORY_CLOCK} ({self.authority})" if self.is_laboratory else f"clock of {self.authority}"
+        )
+        return f"{self.utc:%Y-%m-%d %H:%M:%S} UTC by the {whose}"
+
+
+@dataclass
+class StampCheck:
+    """The time stamps beside a seal, as checked.
+
+    Attributes
+    ----------
+    faults
+        Time stamps that do not hold.
+    unchecked
+        Time stamps that could not be checked, each with the reason: a sentence without a full stop.
+    stamps
+        Those that are valid and trusted, by the name of their file.
+    """
+
+    faults: list[SealFault] = field(default_factory=list)
+    unchecked: list[str] = field(default_factory=list)
+    stamps: dict[str, Stamp] = field(default_factory=dict)
+
+    @property
+    def statements(self) -> list[str]:
+        """A sentence for each time stamp."""
+        what = {SIGNATURE: "The seal", AUTHORISATION: "The authorisation"}
+        return [f"{what[stamp.of]} existed at {stamp.text}." for stamp in self.stamps.values()]
+
+    @property
+    def seal_existed(self) -> Stamp | None:
+        """The earliest proof that the seal existed: an authorisation signs the seal, so it is the younger of both."""
+        return min(self.stamps.values(), key=lambda stamp: stamp.utc, default=None)
+
+
+def check_timestamps(folder: Path, authorities: TrustedAuthorities) -> StampCheck:
+    """Check the time stamps beside a seal. Nothing is asked over a network.
+
+    Parameters
+    ----------
+    folder
+        The sealed folder.
+    authorities
+        The trusted authorities, from `read_authorities`.
+
+    Returns
+    -------
+    StampCheck
+        What was found; nothing for a folder without time stamps.
+
+    Raises
+    ------
+    OSError
+        When a file cannot be read.
+    """
+    check = StampCheck()
+    for name, of in STAMPED.items():
+        try:
+            reply, signed = read_beside(folder, name), read_beside(folder, of)
+            if reply is None:
+                continue
+            if signed is None:
+                raise EvidenceError(f"it is a time stamp of {of}, which is missing")  # noqa: TRY301
+            check.stamps[name] = check_reply(reply, signed, authorities, name)
+        except UncheckedError as error:
+            check.unchecked.append(f"{name}: {error.what}")
+        except EvidenceError as error:
+            check.faults.append(SealFault("timestamp", name, error.what))
+    return check
+
+
+class UncheckedError(EvidenceError):
+    """A time stamp that cannot be checked here: a package or a trusted certificate is missing."""
+
+
+def check_reply(reply: bytes, signed: bytes, authorities: TrustedAuthorities, name: str) -> Stamp:
+    """Check one time stamp (RFC 3161, section 2.4.2; the authority's certificate must be valid at its time).
+
+    Parameters
+    ----------
+    reply
+        The reply of the authority.
+    signed
+        The bytes that it is of.
+    authorities
+        The trusted authorities.
+    name
+        Name of its file beside the seal.
+
+    Returns
+    -------
+    Stamp
+        The time stamp.
+
+    Raises
+    ------
+    UncheckedError
+        When the package for time stamps is missing, or no authority is trusted.
+    EvidenceError
+        When the reply is not a valid time stamp of these bytes by a trusted authority.
+    """
+    client = stamp_library()
+    response = read_reply(client, reply)
+    _refuse_other_bytes(response, signed)
+    authority = _authority_name(response)
+    if not authorities.others and not authorities.laboratory:
+        raise UncheckedError(
+            f"no certificate of a time stamping authority is trusted here; it names {authority}"
+        )
+    why = ""
+    for roots, is_laboratory in ((authorities.laboratory, True), (authorities.others, False)):
+        try:
+            if roots:
+                client.VerifierBuilder(roots=list(roots)).build().verify_message(response, signed)
+                utc = response.tst_info.gen_time.astimezone(UTC)
+                return Stamp(name, STAMPED.get(name, ""), utc, authority, is_laboratory)
+        except (client.VerificationError, ValueError) as error:
+            why = _reason(error)
+    raise EvidenceError(f"the time stamp of {authority} is not valid or not trusted ({why})")
+
+
+def as_reply(data: bytes) -> bytes:
+    """Return a complete reply. A bare token is put into one, because ``openssl ts -verify -in`` reads replies.
+
+    Parameters
+    ----------
+    data
+        A reply, or a token (``openssl ts -reply -token_out``).
+
+    Returns
+    -------
+    bytes
+        The reply in DER.
+
+    Raises
+    ------
+    EvidenceError
+        When it is neither.
+    """
+    client = stamp_library()
+    for candidate in (data, _sequence(_GRANTED + data)):
+        try:
+            if client.decode_timestamp_response(candidate).as_bytes() == candidate:
+                return candidate
+        except ValueError:
+            continue
+    read_reply(client, data)
+    raise EvidenceError("This is not a time stamp: its encoding is not DER.")
+
+
+def read_authorities(
+    home: Path, certificates: Path | None = None, laboratory: Path | None = None
+) -> TrustedAuthorities:
+    """Read the certificates of the trusted time stamping authorities.
+
+    Parameters
+    ----------
+    home
+        The configuration folder.
+    certificates
+        File to use instead of ``tsa_certificates.pem``; it must exist.
+    laboratory
+        File to use instead of ``tsa_laboratory.pem``; it must exist.
+
+    Returns
+    -------
+    TrustedAuthorities
+        The certificates; none where the configuration folder has no such file.
+
+    Raises
+    ------
+    EvidenceError
+        When a file holds no certificate, or other users can change it.
+    StorageError
+        When a file cannot be read.
+    """
+    return TrustedAuthorities(
+        _read_certificates(certificates or home / TSA_FILE, needed=certificates is not None),
+        _read_certificates(laboratory or home / LABORATORY_TSA_FILE, needed=laboratory is not None),
+    )
+
+
+def _read_certificates(path: Path, *, needed: bool) -> tuple[Certificate, ...]:
+    from cryptography.x509 import load_pem_x509_certificates
+
+    if not needed and not path.exists():
+        return ()
+    with storage_errors(path):
+        refuse_writable_by_others(path, "the list of trusted time stamping authorities")
+        data = path.read_bytes()
+    try:
+        return tuple(load_pem_x509_certificates(data))
+    except ValueError as error:
+        raise EvidenceError(
+            "This file has no certificates in PEM.",
+            where=str(path),
+            remedy="It must hold the root certificate of each trusted time stamping authority.",
+        ) from error
+
+
+def stamp_library() -> Any:
+    """Return the functions of rfc3161-client that are used here, in one object.
+
+    Returns
+    -------
+    SimpleNamespace
+        Its functions and classes by name.
+
+    Raises
+    ------
+    UncheckedError
+        When the package is not installed.
+    """
+    try:
+        import rfc3161_client
+        from rfc3161_client.base import HashAlgorithm
+    except ImportError as error:
+        raise UncheckedError(
+            "the package for time stamps is not installed", remedy=f"Install it: {_EXTRA}"
+        ) from error
+    from types import SimpleNamespace
+
+    return SimpleNamespace(
+        VerifierBuilder=rfc3161_client.VerifierBuilder,
+        VerificationError=rfc3161_client.VerificationError,
+        TimestampRequestBuilder=rfc3161_client.TimestampRequestBuilder,
+        HashAlgorithm=HashAlgorithm,
+        decode_timestamp_response=rfc3161_client.decode_timestamp_response,
+    )
+
+
+def read_reply(client: Any, reply: bytes) -> Any:
+    """Read a reply that grants a time stamp.
+
+    Parameters
+    ----------
+    client
+        The package for time stamps, from `stamp_library`.
+    reply
+        The reply in DER.
+
+    Returns
+    -------
+    TimeStampResponse
+        The reply, as the package reads it.
+
+    Raises
+    ------
+    EvidenceError
+        When it is not a reply, or the authority did not grant the time stamp.
+    """
+    try:
+        response = client.decode_timestamp_response(reply)
+        status = response.status
+        if status == 0:
+            response.tst_info.gen_time  # noqa: B018 - reads the token, or ValueError
+            return response
+    except ValueError as error:
+        raise EvidenceError(f"this is not a time stamp (RFC 3161): {_reason(error)}") from error
+    said = ", ".join(response.status_string)
+    raise EvidenceError(f"the authority did not grant it: {said or _STATUS.get(status, f'status {status}')}")
+
+
+def _refuse_other_bytes(response: Any, signed: bytes) -> None:
+    """Check the hash in a time stamp before its signature: the message is clearer, and no trust is needed."""
+    imprint = response.tst_info.message_imprint
+    names = {
+        "2.16.840.1.101.3.4.2.1": "sha256",
+        "2.16.840.1.101.3.4.2.2": "sha384",
+        "2.16.840.1.101.3.4.2.3": "sha512",
+    }
+    name = names.get(imprint.hash_algorithm.dotted_string)
+    if name is None:
+        raise EvidenceError(
+            f"the hash of the time stamp ({imprint.hash_algorithm.dotted_string}) is not accepted"
+        )
+    if bytes(imprint.message) != hashlib.new(name, signed).digest():
+        raise EvidenceError("it is a time stamp of another file")
+
+
+def _authority_name(response: Any) -> str:
+    """Return the name in the certificate that signed: its common name, else the whole name."""
+    from cryptography.x509 import NameOID, load_der_x509_certificate
+
+    signers = response.signed_data.signer_infos
+    certificates: Sequence[bytes] = list(response.signed_data.certificates)
+    if len(signers) != 1:
+        raise EvidenceError(f"the time stamp has {len(signers)} signatures, not one")
+    signer = next(iter(signers))
+    try:
+        for certificate in map(load_der_x509_certificate, map(bytes, certificates)):
+            if (certificate.issuer, certificate.serial_number) == (signer.issuer, signer.serial_number):
+                found = certificate.subject.get_attributes_for_oid(NameOID.COMMON_NAME)
+                name = str(found[0].value) if found else certificate.subject.rfc4514_string()
+                return "".join(c if c.isprintable() else "?" for c in name)
+    except ValueError as error:
+        raise EvidenceError(f"a certificate in the time stamp cannot be read: {_reason(error)}") from error
+    raise EvidenceError("the time stamp does not hold the certificate of its authority; ask for one with it")
+
+
+def _sequence(content: bytes) -> bytes:
+    """Return a SEQUENCE in DER (X.690, section 8.9)."""
+    size = len(content)
+    octets = size.to_bytes((size.bit_length() + 7) // 8, "big")
+    length = bytes([size]) if size < 0x80 else bytes([0x80 | len(octets)]) + octets
+    return b"\x30" + length + content
+
+
+def _reason(error: Exception) -> str:
+    """Return the part of a library's message that a reader understands."""
+    text = str(error)
+    marked = text.partition('data: "')[2].partition('"')[0]
+    return marked or text.splitlines()[0][:120] if text else type(error).__name__

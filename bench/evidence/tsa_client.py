@@ -1,0 +1,210 @@
+"""Ask a time stamping authority for a time stamp over HTTP (RFC 3161, section 3.4).
+
+Only a hash of the signature leaves the bench. The address is checked first; a redirect is not followed, so that nobody
+but the named authority is asked.
+"""
+
+from __future__ import annotations
+
+import http.client
+import socket
+import ssl
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+from urllib.parse import urlsplit
+
+from bench import __version__
+from bench.base.errors import EvidenceError, UsageError
+from bench.evidence.timestamp import read_reply, stamp_library
+
+_WAIT_S = 20.0
+_MOST_BYTES = 1 << 20
+_REPLY_TYPE = "application/timestamp-reply"
+
+
+@dataclass(frozen=True)
+class Request:
+    """A request for a time stamp.
+
+    Attributes
+    ----------
+    data
+        The request in DER.
+    nonce
+        The random number that the reply must repeat; None if there is none.
+    """
+
+    data: bytes
+    nonce: int | None = None
+
+
+def make_request(signed: bytes, *, nonce: bool) -> Request:
+    """Make a request for a time stamp (RFC 3161, section 2.4.1), with SHA-256 and for a reply with certificate.
+
+    Parameters
+    ----------
+    signed
+        The bytes to stamp.
+    nonce
+        Whether the request holds a random number. Without it the same bytes give the same request, as
+        ``openssl ts -query -no_nonce -sha256 -cert`` makes it.
+
+    Returns
+    -------
+    Request
+        The request.
+
+    Raises
+    ------
+    UncheckedError
+        When the package for time stamps is missing.
+    """
+    library = stamp_library()
+    builder = library.TimestampRequestBuilder().data(signed).hash_algorithm(library.HashAlgorithm.SHA256)
+    request = builder.cert_request(cert_request=True).nonce(nonce=nonce).build()
+    return Request(bytes(request.as_bytes()), request.nonce if nonce else None)
+
+
+def check_url(url: str) -> None:
+    """Check the address of an authority before anything is sent.
+
+    Parameters
+    ----------
+    url
+        The address.
+
+    Raises
+    ------
+    UsageError
+        When it is not ``https://`` or ``http://`` with a host, or has a user or password in it.
+    """
+    try:
+        parts = urlsplit(url)
+        port = parts.port
+    except ValueError as error:
+        raise UsageError(f"--tsa: this is not an address: {error}.") from error
+    if parts.username is not None or parts.password is not None:
+        raise UsageError(
+            "--tsa: an address must not contain a user or a password; it would be stored in the shell's history.",
+            remedy="Use an authority that needs none, or get the reply with --request and --token.",
+        )
+    if parts.scheme not in {"https", "http"} or not parts.hostname or port == 0 or not url.isprintable():
+        raise UsageError(
+            "--tsa: this is not an address of a time stamping authority.",
+            remedy="Write it as https://host/path; http:// is possible too, because replies are signed.",
+        )
+
+
+def ask_authority(url: str, request: Request) -> bytes:
+    """Send a request to an authority.
+
+    Parameters
+    ----------
+    url
+        Its address, ``https`` or ``http``.
+    request
+        The request.
+
+    Returns
+    -------
+    bytes
+        Its reply, which repeats the nonce; it is not verified yet.
+
+    Raises
+    ------
+    UsageError
+        When the address is not one of an authority.
+    EvidenceError
+        When the authority does not answer in 20 s, answers with a redirect or an error, or not with a time stamp.
+    """
+    check_url(url)
+    try:
+        reply = _post(url, request.data)
+    except (OSError, http.client.HTTPException, ValueError) as error:
+        why = f"no answer within {_WAIT_S:.0f} s" if isinstance(error, TimeoutError) else str(error)
+        raise EvidenceError(
+            f"The time stamping authority cannot be asked: {why or type(error).__name__}.",
+            where=url,
+            remedy="Check the address and the network, or use --request and --token without a network.",
+        ) from error
+    if request.nonce is not None and read_reply(stamp_library(), reply).tst_info.nonce != request.nonce:
+        raise EvidenceError(
+            "The reply is not the answer to this request: its random number differs.",
+            where=url,
+            remedy="Try again, or use another authority.",
+        )
+    return reply
+
+
+def _post(url: str, data: bytes) -> bytes:
+    """Send the request; return the body of the answer. Raises OSError, HTTPException, ValueError, EvidenceError."""
+    parts = urlsplit(url)
+    host = str(parts.hostname)
+    connection = (
+        http.client.HTTPSConnection(host, parts.port, timeout=_WAIT_S, context=ssl.create_default_context())
+        if parts.scheme == "https"
+        else http.client.HTTPConnection(host, parts.port, timeout=_WAIT_S)
+    )
+    path = (parts.path or "/") + (f"?{parts.query}" if parts.query else "")
+    headers = {"Content-Type": "application/timestamp-query", "User-Agent": f"starbench/{__version__}"}
+    try:
+        connection.connect()
+        with _deadline(connection.sock) as is_late:
+            try:
+                connection.request("POST", path, body=data, headers=headers)
+                answer = connection.getresponse()
+                body = answer.read(_MOST_BYTES + 1)
+            except (OSError, http.client.HTTPException) as error:
+                if is_late():
+                    raise TimeoutError from error
+                raise
+            if is_late():
+                raise TimeoutError
+    finally:
+        connection.close()
+    _refuse_answer(answer, body, url)
+    return body
+
+
+@contextmanager
+def _deadline(connection: socket.socket) -> Iterator[Callable[[], bool]]:
+    """End the connection when the block takes too long, however slowly the bytes of the other side arrive.
+
+    Yields
+    ------
+    Callable
+        Tells whether the time has passed.
+    """
+    late = threading.Event()
+
+    def end() -> None:
+        late.set()
+        with suppress(OSError):
+            connection.shutdown(socket.SHUT_RDWR)
+
+    timer = threading.Timer(_WAIT_S, end)
+    timer.daemon = True
+    timer.start()
+    try:
+        yield late.is_set
+    finally:
+        timer.cancel()
+        timer.join()
+
+
+def _refuse_answer(answer: http.client.HTTPResponse, body: bytes, url: str) -> None:
+    """Refuse an answer that is no time stamp."""
+    kind = (answer.getheader("Content-Type") or "").partition(";")[0].strip().lower()
+    if answer.status != http.client.OK:
+        moved = answer.getheader("Location") if 300 <= answer.status < 400 else None
+        more = f" and refers to {moved!a}, which is not followed" if moved else ""
+        what = f"The time stamping authority answers {answer.status} {answer.reason!a}{more}."
+    elif kind != _REPLY_TYPE:
+        what = f"The answer is of the type {kind!a}, not {_REPLY_TYPE}."
+    elif len(body) > _MOST_BYTES:
+        what = f"The answer has more than {_MOST_BYTES} bytes."
+    else:
+        return
+    raise EvidenceError(what, where=url, remedy="Check the address in the authority's documentation.")
