@@ -15,12 +15,15 @@ import numpy as np
 from bench.base.errors import BenchError, StorageError
 from calib.errors import InputMismatch
 from calib.view import View
+from drivers.camera.whole_file import require_regular
 
 Origin = Literal["corner", "centre"]
 _COLUMNS = 5
 _MOST_STARS = 100_000
+_MOST_BYTES = 20_000_000
 _MOST_ID = 2**53
 _CORNER_PX = 0.5
+_LONGEST_QUOTE = 100
 _SLACK_PX = 1.0  # points with the other origin are shifted by half a pixel: no reason to refuse them
 _SPLIT = re.compile(r"[,;\s]+")
 
@@ -87,7 +90,16 @@ def _refuse_outside(points: np.ndarray, image_size: tuple[int, int] | None, path
 
 def _rows(path: Path) -> np.ndarray[tuple[int, int], np.dtype[np.float64]]:
     try:
-        lines = path.read_text(encoding="utf-8-sig").splitlines()
+        require_regular(path)
+        with path.open("rb") as file:
+            data = file.read(_MOST_BYTES + 1)
+        if len(data) > _MOST_BYTES:
+            raise BenchError(
+                f"The file has more than {_MOST_BYTES} bytes.",
+                where=str(path),
+                remedy="Point files have lines x y X Y id, one for each star of one view.",
+            )
+        lines = data.decode("utf-8-sig").splitlines()
     except OSError as error:
         raise StorageError(f"The file cannot be read: {error.strerror}.", where=str(path)) from error
     except UnicodeDecodeError as error:
@@ -101,7 +113,9 @@ def _rows(path: Path) -> np.ndarray[tuple[int, int], np.dtype[np.float64]]:
         )
     if len(rows) > _MOST_STARS:
         raise BenchError(
-            f"The file has {len(rows)} points; at most {_MOST_STARS} are allowed.", where=str(path)
+            f"The file has {len(rows)} points; at most {_MOST_STARS} are allowed.",
+            where=str(path),
+            remedy="Give one file for each view.",
         )
     return np.array(rows, np.float64)
 
@@ -120,7 +134,11 @@ def _row(line: str, where: str) -> list[float]:
     try:
         numbers = [float(text) for text in fields]
     except ValueError as error:
-        raise BenchError(f"Not a number: {error}.", where=where, remedy=remedy) from error
+        raise BenchError(
+            f"Not a number: {str(error)[:_LONGEST_QUOTE]}.", where=where, remedy=remedy
+        ) from error
+    if "_" in line:  # Python reads 6_0 as 60
+        raise BenchError("A number has an underscore.", where=where, remedy=remedy)
     if not np.isfinite(numbers).all() or numbers[4] != int(numbers[4]) or abs(numbers[4]) > _MOST_ID:
         raise BenchError("A number is not finite, or the id is not an integer.", where=where, remedy=remedy)
     return numbers

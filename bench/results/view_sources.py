@@ -27,6 +27,7 @@ from calib.stars.detect import detect_view
 from calib.stars.vignetting import downweight_vignetted
 from calib.view import View
 from drivers.camera.frames import mean_frame
+from drivers.camera.image_size import require_bounded_images
 from drivers.camera.raw_file import RawFile
 from drivers.errors import RecordingCorrupt, RecordingFileError
 from sequences.schema import ImageKind
@@ -37,6 +38,7 @@ PHOTOGRAPHS = {".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".pgm"}
 POINTS = {".txt", ".csv"}
 _KNOWN = RECORDINGS | PHOTOGRAPHS | POINTS
 _JPEG = {".jpg", ".jpeg"}
+_LARGEST_JPEG_BYTES = 100_000_000
 _JPEG_BEGINS, _JPEG_SCAN, _JPEG_ENDS = b"\xff\xd8", b"\xff\xda", b"\xff\xd9"
 
 
@@ -189,8 +191,9 @@ def _view(found: Measurement, path: Path) -> View:
 
 
 def _view_of_photograph(path: Path, choices: OfflineOptions) -> View:
-    _refuse_truncated_jpeg(path)
     try:
+        require_bounded_images(path)
+        _refuse_truncated_jpeg(path)
         picture = mean_frame(path)
     except RecordingFileError as error:
         raise BenchError(error.what, where=str(path), remedy="Give PNG, TIFF, JPEG or BMP.") from error
@@ -202,7 +205,7 @@ def _refuse_truncated_jpeg(path: Path) -> None:
     if path.suffix.lower() not in _JPEG:
         return
     try:
-        data = path.read_bytes()
+        data = path.read_bytes() if path.stat().st_size <= _LARGEST_JPEG_BYTES else b""
     except OSError as error:
         raise StorageError(f"The file cannot be read: {error.strerror}.", where=str(path)) from error
     # Neither marker can occur within coded data; those of a preview come before those of the picture.

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.camera import CameraIdentity
+from drivers.camera.image_size import require_bounded_images
 from drivers.camera.raw_writer import check_new, check_space, sync_file
 from drivers.clock import Clock
 from drivers.errors import NotARecording, RecordingFailed, RecordingFileError
@@ -299,15 +300,23 @@ def read_frames(path: Path) -> NDArray[Any]:
     Raises
     ------
     NotARecording
-        If it holds no images of one size and bit depth.
+        If it holds no images of one size and bit depth, or states images that no file of its size can hold.
     RecordingFileError
         If it cannot be read.
     """
     if not path.is_file():
         raise RecordingFileError("There is no such file.", where=str(path), remedy="Check the path.")
+    require_bounded_images(path)
     import cv2
 
-    found, pages = cv2.imreadmulti(str(path), flags=cv2.IMREAD_UNCHANGED)
+    try:
+        found, pages = cv2.imreadmulti(str(path), flags=cv2.IMREAD_UNCHANGED)
+    except cv2.error as error:
+        raise NotARecording(
+            f"The picture cannot be decoded: {error.err}.",
+            where=str(path),
+            remedy="Give an original photograph.",
+        ) from error
     frames = [to_grey(page, where=str(path)) for page in pages] if found else []
     if not frames or len({(frame.shape, frame.dtype) for frame in frames}) != 1:
         raise NotARecording(

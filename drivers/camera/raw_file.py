@@ -18,6 +18,7 @@ from drivers.camera.evt3 import Evt3Decoder, StreamStatistics, Words
 from drivers.camera.evt3_kernel import max_event_count
 from drivers.camera.evt3_vectors import MARGIN
 from drivers.camera.raw_header import MAX_HEADER_BYTES, RawHeader, parse_header
+from drivers.camera.whole_file import require_regular, require_whole
 from drivers.errors import NotARecording, RecordingFileError
 
 
@@ -82,6 +83,8 @@ class RawFile:
         ------
         NotARecording
             If it is no RAW file of EVT3.
+        RecordingCorrupt
+            If parts of it were never written.
         RecordingFileError
             If it cannot be read.
         """
@@ -91,6 +94,8 @@ class RawFile:
                 "This is a folder.", where=str(path), remedy="Give a RAW file in this folder."
             )
         try:
+            require_regular(path)
+            require_whole(path)
             with path.open("rb") as file:
                 start = file.read(MAX_HEADER_BYTES)
         except OSError as error:

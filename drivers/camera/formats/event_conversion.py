@@ -1,8 +1,8 @@
 """Convert a file of events to another format: RAW, Metavision's HDF5, plain HDF5, NumPy; each to each.
 
-A RAW file made here does not hold a camera's own bytes, and its header says so. RAW files are streamed, except to
-NumPy; files of other formats are read into memory whole (13 bytes an event). What the new format cannot represent is
-lost: the sensor's counters outside RAW, back-steps of its clock in Metavision's HDF5.
+A RAW file made here does not hold a camera's own bytes, and its header says so. All files are read piece by piece; only
+for a new NumPy file all events are in memory. What the new format cannot represent is lost: the sensor's counters
+outside RAW, back-steps of its clock in Metavision's HDF5.
 """
 
 from __future__ import annotations
@@ -19,11 +19,12 @@ import numpy as np
 from drivers.camera import CameraIdentity
 from drivers.camera.event_arrays import Triggers, empty_events
 from drivers.camera.formats.event_files import ExportSummary, export_hdf5, export_metavision, export_numpy
-from drivers.camera.formats.event_import import ImportedEvents, import_events
+from drivers.camera.formats.event_import import EventSource, open_events
 from drivers.camera.formats.evt3_encode import Evt3Encoder
 from drivers.camera.formats.new_file import new_file, write_error
 from drivers.camera.raw_file import RawFile
 from drivers.camera.raw_header import MAX_SIDE_PX, render_header
+from drivers.camera.whole_file import require_regular
 from drivers.errors import NotARecording, RecordingFileError
 
 Kind = Literal["raw", "metavision", "hdf5", "numpy"]
@@ -35,7 +36,6 @@ _BY_ENDING: Final[Mapping[str, Kind]] = {
     ".h5": "hdf5",
     ".npz": "numpy",
 }
-_PIECE_EVENTS: Final = 1_000_000
 
 
 def kind_of_name(path: Path) -> Kind | None:
@@ -95,25 +95,26 @@ def convert(source: Path, target: Path, kind: Kind, *, utc_now: Callable[[], dat
                 remedy="Choose another kind of file.",
             )
         return _EXPORTS[kind](RawFile.open(source), target)
-    found = import_events(source)
     if kind == "raw":
-        return write_raw(found, target, source=source, utc_now=utc_now)
+        with open_events(source) as found:
+            return write_raw(found, target, source=source, utc_now=utc_now)
     with _folder_beside(target) as folder:
         between = Path(folder) / "between.raw"
-        moved = write_raw(found, between, source=source, utc_now=utc_now).moved_events
+        with open_events(source) as found:
+            moved = write_raw(found, between, source=source, utc_now=utc_now).moved_events
         written = _EXPORTS[kind](RawFile.open(between), target)
         return replace(written, moved_events=written.moved_events + moved)
 
 
 def write_raw(
-    found: ImportedEvents, path: Path, *, source: Path, utc_now: Callable[[], datetime]
+    found: EventSource, path: Path, *, source: Path, utc_now: Callable[[], datetime]
 ) -> ExportSummary:
     """Write events as a new RAW file of EVT3. Its header names the source.
 
     Parameters
     ----------
     found
-        The events to write.
+        The open file of the events.
     path
         The file to make; it must not exist.
     source
@@ -138,13 +139,15 @@ def write_raw(
             remedy=f"Convert files of sensors with sides of 1 to {MAX_SIDE_PX} px only.",
         )
     encoder = Evt3Encoder()
-    events, triggers = found.events, found.triggers
+    triggers, count = found.triggers, 0
     with new_file(path) as part, part.open("xb") as file:
         file.write(_header(found, source, utc_now))
         done, latest = 0, -1
         try:
-            for begin in range(0, len(events.t), _PIECE_EVENTS):
-                piece = events.part(begin, begin + _PIECE_EVENTS)
+            for piece in found.pieces():
+                if not len(piece.t):
+                    continue
+                count += len(piece.t)
                 latest = max(latest, int(piece.t.max()))
                 until = int(np.searchsorted(triggers.t, latest, "right"))
                 file.write(encoder.words(piece, _edges(triggers, done, until)).tobytes())
@@ -156,7 +159,7 @@ def write_raw(
                 where=str(source),
                 remedy="Change its values: times from 0 to one day, trigger values 0 or 1, trigger ids 0 to 15.",
             ) from error
-    return ExportSummary(len(events.t), len(triggers.t), encoder.moved_events)
+    return ExportSummary(count, len(triggers.t), encoder.moved_events)
 
 
 _EXPORTS: Final = {"metavision": export_metavision, "hdf5": export_hdf5, "numpy": export_numpy}
@@ -172,17 +175,18 @@ def _folder_beside(target: Path) -> TemporaryDirectory[str]:
 
 def _is_raw(path: Path) -> bool:
     try:
+        require_regular(path)
         with path.open("rb") as file:
             return file.read(2) == b"% "
     except OSError:
-        return False  # import_events reports the reason
+        return False  # open_events reports the reason
 
 
 def _edges(triggers: Triggers, begin: int, end: int) -> Triggers:
     return Triggers(triggers.t[begin:end], triggers.value[begin:end], triggers.id[begin:end])
 
 
-def _header(found: ImportedEvents, source: Path, utc_now: Callable[[], datetime]) -> bytes:
+def _header(found: EventSource, source: Path, utc_now: Callable[[], datetime]) -> bytes:
     header = found.header
     camera = CameraIdentity(
         maker=header.get("integrator_name", ""),

@@ -1,27 +1,51 @@
-"""Import events from files for analysis: Metavision's HDF5, plain HDF5 and NumPy (layouts: see ``event_files``)."""
+"""Import events from files for analysis: Metavision's HDF5, plain HDF5 and NumPy (layouts: see ``event_files``).
+
+The events are read piece by piece, with bounded memory, and only from the file itself (`hdf5_reading`, `npz_reading`).
+"""
 
 from __future__ import annotations
 
 import zipfile
 import zlib
-from collections.abc import Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
 import h5py
 import numpy as np
+from numpy.typing import NDArray
 
 from drivers.camera.event_arrays import Events, Triggers, empty_events
 from drivers.camera.formats import ecf
 from drivers.camera.formats.event_files import CD_TYPE
+from drivers.camera.formats.hdf5_reading import (
+    ChunkDamaged,
+    dataset,
+    filters,
+    has_member,
+    member,
+    require_ratio,
+    rows,
+    texts,
+    whole,
+)
+from drivers.camera.formats.npz_reading import NpzFile
+from drivers.camera.whole_file import require_regular, require_whole
 from drivers.errors import NotARecording, RecordingCorrupt, RecordingFileError
+
+MOST_TRIGGERS: Final = 5_000_000
+"""Largest number of trigger edges: a day of 28 Hz, or six hours of 115 Hz."""
 
 _AGAIN: Final = "Export it again from the RAW recording."
 _EVENT_FILES: Final = "Give a Metavision HDF5, a plain HDF5 or an .npz file of events."
+_PIECE_EVENTS: Final = 500_000
+_NAMES: Final = ("t", "x", "y", "p")
+_TRIGGER_NAMES: Final = ("t", "value", "id")
 
 _UNREADABLE: Final = (
-    *(TypeError, LookupError, ValueError, OverflowError, RuntimeError, EOFError),
+    *(TypeError, LookupError, ValueError, OverflowError, RuntimeError, EOFError, NotImplementedError),
     *(zipfile.BadZipFile, zlib.error),
 )
 """What HDF5 and NumPy raise for a damaged file, or one with another layout."""
@@ -48,8 +72,84 @@ class ImportedEvents:
     header: Mapping[str, str]
 
 
+@dataclass(frozen=True)
+class EventSource:
+    """An open file of events.
+
+    Attributes
+    ----------
+    count
+        Number of events, as the file states it.
+    triggers
+        All trigger edges, in the order of the file.
+    width, height
+        Size of the sensor, px.
+    header
+        Other keys and texts that the file holds about the recording.
+    pieces
+        Reads the events in the order of the file. It raises as `open_events` does.
+    """
+
+    count: int
+    triggers: Triggers
+    width: int
+    height: int
+    header: Mapping[str, str]
+    pieces: Callable[[], Iterator[Events]]
+
+
+@contextmanager
+def open_events(path: Path | str) -> Iterator[EventSource]:
+    """Open a file of events. Its contents decide the format, not its name.
+
+    Parameters
+    ----------
+    path
+        The file.
+
+    Yields
+    ------
+    EventSource
+        The file; its events can be read until the end of the block.
+
+    Raises
+    ------
+    NotARecording
+        If it has none of the three formats, lacks a part, keeps data in another file, or an event lies outside the
+        sensor.
+    RecordingCorrupt
+        If a chunk of events cannot be decompressed.
+    RecordingFileError
+        If it cannot be read.
+    """
+    path = Path(path)
+    with ExitStack() as opened:
+        with _told(path):
+            require_regular(path)
+            with path.open("rb") as file:
+                start = file.read(8)
+            require_whole(path)
+            if start == b"\x89HDF\r\n\x1a\n":
+                hdf5 = opened.enter_context(h5py.File(path, "r"))
+                source = _from_metavision(hdf5) if has_member(hdf5, "CD") else _from_hdf5(hdf5)
+            elif start[:4] == b"PK\x03\x04":
+                source = _from_numpy(opened.enter_context(NpzFile(path)))
+            else:
+                raise NotARecording(
+                    "The format of this file is unknown: it is not RAW, HDF5 or .npz.",
+                    where=str(path),
+                    remedy=_EVENT_FILES,
+                )
+
+        def pieces() -> Iterator[Events]:
+            with _told(path):
+                yield from _checked(source.pieces(), source)
+
+        yield EventSource(source.count, source.triggers, source.width, source.height, source.header, pieces)
+
+
 def import_events(path: Path | str) -> ImportedEvents:
-    """Read a file. Its contents decide the format, not its name.
+    """Read a file at once. Its contents decide the format, not its name.
 
     Parameters
     ----------
@@ -59,26 +159,37 @@ def import_events(path: Path | str) -> ImportedEvents:
     Returns
     -------
     ImportedEvents
-        All of it, in memory.
+        All of it, in memory: 13 bytes an event.
 
     Raises
     ------
-    NotARecording
-        If it has none of the three formats, lacks a part, or an event lies outside the sensor.
-    RecordingCorrupt
-        If a chunk of events cannot be decompressed.
-    RecordingFileError
-        If it cannot be read.
+    NotARecording, RecordingCorrupt, RecordingFileError
+        As `open_events`.
     """
-    path = Path(path)
+    with open_events(path) as source:
+        with _told(Path(path)):
+            events = empty_events(source.count)
+        done = 0
+        for piece in source.pieces():
+            place = slice(done, done + len(piece.t))
+            events.t[place], events.x[place] = piece.t, piece.x
+            events.y[place], events.p[place] = piece.y, piece.p
+            done += len(piece.t)
+        return ImportedEvents(events, source.triggers, source.width, source.height, source.header)
+
+
+@contextmanager
+def _told(path: Path) -> Iterator[None]:
+    """Turn what HDF5, NumPy and the system raise into errors of recordings."""
     try:
-        with path.open("rb") as file:
-            start = file.read(8)
-        if start == b"\x89HDF\r\n\x1a\n":
-            with h5py.File(path, "r") as file:
-                return _from_metavision(file, path) if "CD" in file else _from_hdf5(file, path)
-        if start[:4] == b"PK\x03\x04":
-            return _from_numpy(path)
+        yield
+    except ChunkDamaged as error:
+        raise RecordingCorrupt(
+            f"The events cannot be decompressed: {error}.",
+            offset=error.offset,
+            where=str(path),
+            remedy=_AGAIN,
+        ) from error
     except _UNREADABLE as error:
         raise _not_events(path, str(error)) from error
     except MemoryError as error:
@@ -91,11 +202,6 @@ def import_events(path: Path | str) -> ImportedEvents:
             where=str(path),
             remedy="Check the path and the file.",
         ) from error
-    raise NotARecording(
-        "The format of this file is unknown: it is not RAW, HDF5 or .npz.",
-        where=str(path),
-        remedy=_EVENT_FILES,
-    )
 
 
 def _not_events(path: Path, why: str) -> NotARecording:
@@ -103,83 +209,120 @@ def _not_events(path: Path, why: str) -> NotARecording:
     return NotARecording(f"The file holds no readable events: {why}.", where=str(path), remedy=_EVENT_FILES)
 
 
-def _from_numpy(path: Path) -> ImportedEvents:
-    with path.open("rb") as opened, np.load(opened, allow_pickle=False) as file:
-        width, height = (int(side) for side in _part(file, "size"))
-        events = _as_events(*(_part(file, name) for name in ("t", "x", "y", "p")))
-        triggers = _as_triggers(*(_part(file, f"trigger_{name}") for name in ("t", "value", "id")))
-    return _checked(ImportedEvents(events, triggers, width, height, {}), path)
+def _from_numpy(file: NpzFile) -> EventSource:
+    width, height = (int(side) for side in _list(file, "size", most=2))
+    lengths = {name: file.length(name) for name in _NAMES}
+    _require_one_length(lengths)
+    triggers = _triggers(
+        {name: _list(file, f"trigger_{name}", most=MOST_TRIGGERS) for name in _TRIGGER_NAMES}
+    )
+
+    def pieces() -> Iterator[Events]:
+        for part in zip(*(file.rows(name, _PIECE_EVENTS) for name in _NAMES), strict=True):
+            yield _as_events(*part)
+
+    return EventSource(lengths["t"], triggers, width, height, {}, pieces)
 
 
-def _from_hdf5(file: Any, path: Path) -> ImportedEvents:
-    events = _as_events(*(_part(file, f"events/{name}")[:] for name in ("t", "x", "y", "p")))
-    triggers = _as_triggers(*(_part(file, f"triggers/{name}")[:] for name in ("t", "value", "id")))
-    header = {key: _text(value) for key, value in _part(file, "header").attrs.items()}
-    size = int(_part(file.attrs, "width")), int(_part(file.attrs, "height"))
-    return _checked(ImportedEvents(events, triggers, *size, header), path)
+def _list(file: NpzFile, name: str, *, most: int) -> NDArray[Any]:
+    """Read a short list at once."""
+    if (n := file.length(name)) > most:
+        raise ValueError(f"{name} has {n} elements; at most {most} are read")
+    return np.concatenate([np.zeros(0, np.int64), *file.rows(name, _PIECE_EVENTS)])
 
 
-def _from_metavision(file: Any, path: Path) -> ImportedEvents:
-    header = {key: _text(value) for key, value in file.attrs.items()}
-    width, height = (int(side) for side in _part(header, "geometry").split("x"))
-    rows = _part(file, "EXT_TRIGGER/events")[:]
-    triggers = _as_triggers(rows["t"], rows["p"], rows["id"])
-    events = _metavision_events(_part(file, "CD/events"), path)
-    return _checked(ImportedEvents(events, triggers, width, height, header), path)
+def _from_hdf5(file: Any) -> EventSource:
+    columns = {name: dataset(file, f"events/{name}") for name in _NAMES}
+    _require_one_length({name: _length(column, f"events/{name}") for name, column in columns.items()})
+    require_ratio(sum(column.nbytes for column in columns.values()), int(file.id.get_filesize()), "events")
+    edges = {name: dataset(file, f"triggers/{name}") for name in _TRIGGER_NAMES}
+    header = texts(member(file, "header"))
+    sides = texts(file)
+    missing = [name for name in ("width", "height") if name not in sides]
+    if missing:
+        raise ValueError(f"{missing[0]} is missing")
+    triggers = _triggers({name: _edges(column, f"triggers/{name}") for name, column in edges.items()})
+
+    def pieces() -> Iterator[Events]:
+        for part in zip(*(_even(rows(column)) for column in columns.values()), strict=True):
+            yield _as_events(*part)
+
+    return EventSource(len(columns["t"]), triggers, int(sides["width"]), int(sides["height"]), header, pieces)
 
 
-def _metavision_events(dataset: Any, path: Path) -> Events:
-    """Decompress the chunks here, because few installations of HDF5 have the filter."""
-    if not isinstance(dataset, h5py.Dataset):
-        raise ValueError("CD/events is a group, not a dataset")  # noqa: TRY004 - of the file, not of the caller
-    creation = dataset.id.get_create_plist()
-    filters = [creation.get_filter(k)[0] for k in range(creation.get_nfilters())]
-    if filters != [ecf.FILTER_ID]:
-        return _from_rows(dataset[:])
-    events = empty_events(len(dataset))
-    read = 0
-    for k in range(dataset.id.get_num_chunks()):
-        info = dataset.id.get_chunk_info(k)
-        begin = info.chunk_offset[0]
-        n = min(len(events.t) - begin, dataset.chunks[0])
-        skipped, data = dataset.id.read_direct_chunk(info.chunk_offset)
-        try:
-            part = _from_rows(np.frombuffer(data, CD_TYPE)) if skipped else ecf.decode(data)
-            if len(part.t) < n:
-                raise ValueError(f"a chunk holds {len(part.t)} events instead of {n}")  # noqa: TRY301
-        except ValueError as error:
-            raise RecordingCorrupt(
-                f"The events cannot be decompressed: {error}.",
-                offset=info.byte_offset,
-                where=str(path),
-                remedy=_AGAIN,
-            ) from error
-        place = slice(begin, begin + n)
-        events.t[place], events.x[place] = part.t[:n], part.x[:n]
-        events.y[place], events.p[place] = part.y[:n], part.p[:n]
-        read += n
-    if read != len(events.t):
-        raise _not_events(path, f"{len(events.t) - read} of its {len(events.t)} events are missing")
-    return events
+def _from_metavision(file: Any) -> EventSource:
+    header = texts(file)
+    if "geometry" not in header:
+        raise ValueError("geometry is missing")
+    width, height = (int(side) for side in header["geometry"].split("x"))
+    table = _edges(dataset(file, "EXT_TRIGGER/events"), "EXT_TRIGGER/events")
+    triggers = _triggers({"t": table["t"], "value": table["p"], "id": table["id"]})
+    events = dataset(file, "CD/events")
+    _length(events, "CD/events")
+    # Few installations of HDF5 have the filter, so the chunks are decompressed here.
+    is_ecf = filters(events) == [ecf.FILTER_ID]
+
+    def pieces() -> Iterator[Events]:
+        for part in rows(events, _decoded_ecf if is_ecf else None):
+            yield _as_events(*(part[name] for name in _NAMES))
+
+    return EventSource(len(events), triggers, width, height, header, pieces)
 
 
-def _part(of: Any, name: str) -> Any:
-    """Return a part of a file. Raises ValueError if it is missing."""
-    if name not in of:
-        raise ValueError(f"{name} is missing")
-    return of[name]
+def _decoded_ecf(chunk: bytes) -> NDArray[Any]:
+    """Decompress a chunk to rows, as HDF5 would."""
+    found = ecf.decode(chunk)
+    table = np.empty(len(found.t), CD_TYPE)
+    for name, values in found._asdict().items():
+        table[name] = values
+    return table
 
 
-def _from_rows(rows: Any) -> Events:
-    return _as_events(rows["t"], rows["x"], rows["y"], rows["p"])
+def _length(column: Any, name: str) -> int:
+    """Return the number of rows. Raises ValueError if the array is no list."""
+    if len(column.shape) != 1:
+        raise ValueError(f"{name} has {len(column.shape)} dimensions; a list is needed")
+    return int(column.shape[0])
+
+
+def _edges(column: Any, name: str) -> NDArray[Any]:
+    """Read a list of edges at once."""
+    if (n := _length(column, name)) > MOST_TRIGGERS:
+        raise ValueError(f"{name} has {n} elements; at most {MOST_TRIGGERS} are read")
+    return whole(column, MOST_TRIGGERS * column.dtype.itemsize)
+
+
+def _even(parts: Iterator[NDArray[Any]]) -> Iterator[NDArray[Any]]:
+    """Put arrays of any lengths into pieces of one length; the last may be shorter."""
+    kept: list[NDArray[Any]] = []
+    have = 0
+    for part in parts:
+        kept.append(part)
+        have += len(part)
+        if have >= _PIECE_EVENTS:
+            joined = np.concatenate(kept)
+            for begin in range(0, have - _PIECE_EVENTS + 1, _PIECE_EVENTS):
+                yield joined[begin : begin + _PIECE_EVENTS]
+            rest = joined[have - have % _PIECE_EVENTS :]
+            kept, have = [rest], len(rest)
+    if have:
+        yield np.concatenate(kept)
+
+
+def _require_one_length(lengths: Mapping[str, int]) -> None:
+    if len(set(lengths.values())) != 1:
+        raise ValueError("the arrays have different lengths")
+
+
+def _triggers(columns: Mapping[str, NDArray[Any]]) -> Triggers:
+    _require_one_length({name: len(values) for name, values in columns.items()})
+    return Triggers(
+        _whole(columns["t"], np.int64), _whole(columns["value"], np.uint8), _whole(columns["id"], np.uint8)
+    )
 
 
 def _as_events(t: Any, x: Any, y: Any, p: Any) -> Events:
     return Events(_whole(t, np.int64), _whole(x, np.uint16), _whole(y, np.uint16), _whole(p, np.uint8))
-
-
-def _as_triggers(t: Any, value: Any, channel: Any) -> Triggers:
-    return Triggers(_whole(t, np.int64), _whole(value, np.uint8), _whole(channel, np.uint8))
 
 
 def _whole(values: Any, dtype: type[np.generic]) -> Any:
@@ -195,18 +338,15 @@ def _whole(values: Any, dtype: type[np.generic]) -> Any:
     return cast
 
 
-def _text(value: Any) -> str:
-    return value.decode("utf-8", "replace") if isinstance(value, bytes) else str(value)
-
-
-def _checked(found: ImportedEvents, path: Path) -> ImportedEvents:
-    """Check that lengths agree and that every event lies on the sensor."""
-    for arrays in (found.events, found.triggers):
-        if len({len(values) for values in arrays}) != 1:
-            raise _not_events(path, "the arrays have different lengths")
-    events = found.events
-    if len(events.t) and (
-        events.x.max() >= found.width or events.y.max() >= found.height or events.p.max() > 1
-    ):
-        raise _not_events(path, f"an event lies outside the sensor of {found.width} x {found.height} px")
-    return found
+def _checked(pieces: Iterator[Events], of: EventSource) -> Iterator[Events]:
+    """Check that every event lies on the sensor, and that none is missing."""
+    read = 0
+    for events in pieces:
+        if len(events.t) and (
+            events.x.max() >= of.width or events.y.max() >= of.height or events.p.max() > 1
+        ):
+            raise ValueError(f"an event lies outside the sensor of {of.width} x {of.height} px")
+        read += len(events.t)
+        yield events
+    if read != of.count:
+        raise ValueError(f"{of.count - read} of its {of.count} events are missing")

@@ -1,0 +1,351 @@
+"""Read arrays from HDF5 files that nobody vouches for: only what lies in the file itself, piece by piece, in bounds.
+
+An HDF5 file can point to other files (external links, external storage, virtual datasets), can state more rows than it
+holds, and can compress gigabytes into some bytes. HDF5 itself follows such links, fills missing rows with zeros, and
+decompresses a chunk of any size. So this module follows hard links only, compares every stated size with the size of
+the file, and decompresses the chunks itself. Nothing is written.
+"""
+
+from __future__ import annotations
+
+import zlib
+from collections.abc import Callable, Iterator
+from typing import Any, Final
+
+import h5py
+import numpy as np
+from numpy.typing import NDArray
+
+MOST_RATIO: Final = 200
+"""How many times larger than the file its arrays may be. Events are compressed to a third, at most to a thirtieth."""
+SMALL_BYTES: Final = 1 << 24
+"""Arrays of this size need no ratio."""
+MOST_CHUNK_BYTES: Final = 1 << 24
+"""Largest chunk, decompressed. Writers use chunks of at most some megabytes."""
+MOST_ROW_BYTES: Final = 256
+"""Largest row of a table."""
+_MOST_ATTRIBUTES: Final = 200
+_MOST_TEXT: Final = 4096
+_PIECE_BYTES: Final = 1 << 22
+_GZIP, _SHUFFLE, _CHECK_SUM = h5py.h5z.FILTER_DEFLATE, h5py.h5z.FILTER_SHUFFLE, h5py.h5z.FILTER_FLETCHER32
+_CHECK_SUM_BYTES: Final = 4
+
+Decoder = Callable[[bytes], NDArray[Any]]
+
+
+def has_member(group: Any, name: str) -> bool:
+    """Return whether a group has a member of this name. The member need not be readable.
+
+    Parameters
+    ----------
+    group
+        The group, or the file.
+    name
+        Name without slashes.
+
+    Returns
+    -------
+    bool
+        Also True for a link.
+    """
+    return group.get(name, getlink=True) is not None
+
+
+def member(group: Any, path: str) -> Any:
+    """Return a part of a file that lies in the file itself.
+
+    Parameters
+    ----------
+    group
+        The group, or the file.
+    path
+        Names with slashes between them.
+
+    Returns
+    -------
+    h5py.Group or h5py.Dataset
+        The part.
+
+    Raises
+    ------
+    ValueError
+        If it is missing, or a name on the way is a link to another place.
+    """
+    here = group
+    for name in path.split("/"):
+        link = here.get(name, getlink=True) if isinstance(here, h5py.Group) else None
+        if link is None:
+            raise ValueError(f"{path} is missing")
+        if not isinstance(link, h5py.HardLink):
+            what = "a link to another place; only data in the file itself are read"
+            raise ValueError(f"{path} is {what}")  # noqa: TRY004 - of the file, not of the caller
+        here = here[name]
+    return here
+
+
+def dataset(group: Any, path: str) -> Any:
+    """Return an array of a file, after a check that the file itself holds it.
+
+    Parameters
+    ----------
+    group
+        The group, or the file.
+    path
+        Names with slashes between them.
+
+    Returns
+    -------
+    h5py.Dataset
+        The array; its type is a number, or a table of numbers.
+
+    Raises
+    ------
+    ValueError
+        If it is missing, no array, kept in another file, compressed by an unknown filter, or larger than the file can
+        hold.
+    """
+    found = member(group, path)
+    if not isinstance(found, h5py.Dataset):
+        raise ValueError(f"{path} is a group, not an array")  # noqa: TRY004 - of the file, not of the caller
+    if found.is_virtual or found.external is not None:
+        raise ValueError(f"{path} keeps its data in another file; only data in the file itself are read")
+    if found.shape is None or found.dtype.kind not in "biufV" or found.dtype.itemsize > MOST_ROW_BYTES:
+        raise ValueError(f"{path} is an array of {found.dtype}, not of numbers")
+    require_ratio(found.nbytes, _file_bytes(found), path)
+    if found.chunks is not None and _chunk_bytes(found) > MOST_CHUNK_BYTES:
+        raise ValueError(
+            f"{path} has chunks of {_chunk_bytes(found)} bytes; at most {MOST_CHUNK_BYTES} are read"
+        )
+    if found.chunks is None and found.nbytes and found.id.get_storage_size() < found.nbytes:
+        raise ValueError(f"{path} states {found.nbytes} bytes, but they are missing")
+    return found
+
+
+def require_ratio(stated_bytes: int, file_bytes: int, what: str) -> None:
+    """Refuse arrays that are much larger than the file that holds them.
+
+    Parameters
+    ----------
+    stated_bytes
+        Size of the arrays.
+    file_bytes
+        Size of the file, or of its compressed part.
+    what
+        Names the arrays in the message.
+
+    Raises
+    ------
+    ValueError
+        If the ratio is impossible for recorded events.
+    """
+    if stated_bytes > max(SMALL_BYTES, MOST_RATIO * file_bytes):
+        raise ValueError(
+            f"{what} states {stated_bytes} bytes in {file_bytes}; recorded data cannot be compressed so far"
+        )
+
+
+def filters(found: Any) -> list[int]:
+    """Return the numbers of an array's compression filters.
+
+    Parameters
+    ----------
+    found
+        The array.
+
+    Returns
+    -------
+    list of int
+        In the order of writing.
+    """
+    creation = found.id.get_create_plist()
+    return [creation.get_filter(k)[0] for k in range(creation.get_nfilters())]
+
+
+def rows(found: Any, decode: Decoder | None = None) -> Iterator[NDArray[Any]]:
+    """Read an array of one dimension, or of whole rows, piece by piece.
+
+    Parameters
+    ----------
+    found
+        What `dataset` returned. A chunked one must be chunked along its first dimension only.
+    decode
+        Decompresses a chunk; None for gzip, shuffle and check sums.
+
+    Yields
+    ------
+    ndarray
+        The next rows, in order; all of them together are the whole array.
+
+    Raises
+    ------
+    ValueError
+        If chunks are missing or damaged. `ChunkDamaged` states the place.
+    """
+    total = found.shape[0] if found.shape else 0
+    if found.chunks is None:
+        step = max(1, _PIECE_BYTES // max(1, found.nbytes // max(total, 1)))
+        for begin in range(0, total, step):
+            yield found[begin : begin + step]
+        return
+    if found.chunks[1:] != found.shape[1:]:
+        raise ValueError(f"{found.name} is cut into chunks along more than one dimension")
+    pipeline = filters(found)
+    if decode is None and not set(pipeline) <= {_GZIP, _SHUFFLE, _CHECK_SUM}:
+        raise ValueError(f"{found.name} is compressed by filter {pipeline}; gzip and none are read")
+    done = 0
+    for place in _places(found, total):
+        begin = place.chunk_offset[0]
+        n = min(total - begin, found.chunks[0])
+        if n <= 0:
+            continue  # left over from a longer array
+        if begin != done:
+            raise ValueError(_missing(begin - done, total, found))
+        yield _chunk(found, place, pipeline, decode)[:n]
+        done += n
+    if done != total:
+        raise ValueError(_missing(total - done, total, found))
+
+
+def whole(found: Any, most_bytes: int) -> NDArray[Any]:
+    """Read an array at once.
+
+    Parameters
+    ----------
+    found
+        What `dataset` returned.
+    most_bytes
+        Largest size that is read.
+
+    Returns
+    -------
+    ndarray
+        The array.
+
+    Raises
+    ------
+    ValueError
+        If it is larger, or cannot be read.
+    """
+    if found.nbytes > most_bytes:
+        raise ValueError(f"{found.name} has {found.nbytes} bytes; at most {most_bytes} are read")
+    if found.chunks is None or not found.shape:
+        return np.asarray(found[()])
+    out = np.zeros(found.shape, found.dtype)
+    pipeline = filters(found)
+    if not set(pipeline) <= {_GZIP, _SHUFFLE, _CHECK_SUM}:
+        raise ValueError(f"{found.name} is compressed by filter {pipeline}; gzip and none are read")
+    for place in _places(found, 0):
+        at = tuple(
+            slice(first, min(first + side, end))
+            for first, side, end in zip(place.chunk_offset, found.chunks, found.shape, strict=True)
+        )
+        if any(part.start >= part.stop for part in at):
+            continue
+        part = _chunk(found, place, pipeline, None)
+        out[at] = part[tuple(slice(0, one.stop - one.start) for one in at)]
+    return out
+
+
+def texts(group: Any) -> dict[str, str]:
+    """Return the attributes of a group, as text.
+
+    Parameters
+    ----------
+    group
+        The group, or the file.
+
+    Returns
+    -------
+    dict
+        Text by name.
+
+    Raises
+    ------
+    ValueError
+        If there are more attributes, or longer ones, than a recording has.
+    """
+    names = list(group.attrs)
+    if len(names) > _MOST_ATTRIBUTES:
+        raise ValueError(f"it has {len(names)} attributes; at most {_MOST_ATTRIBUTES} are read")
+    found = {}
+    for name in names:
+        if group.attrs.get_id(name).get_storage_size() > _MOST_TEXT:
+            raise ValueError(f"its attribute {name[:40]!r} is longer than {_MOST_TEXT} bytes")
+        value = group.attrs[name]
+        text = value.decode("utf-8", "replace") if isinstance(value, bytes) else str(value)
+        if len(text) > _MOST_TEXT:
+            raise ValueError(f"its attribute {name[:40]!r} is longer than {_MOST_TEXT} bytes")
+        found[name] = text
+    return found
+
+
+class ChunkDamaged(ValueError):
+    """A chunk cannot be decompressed.
+
+    Parameters
+    ----------
+    what
+        What is wrong with it.
+    offset
+        Its first byte in the file.
+    """
+
+    def __init__(self, what: str, offset: int) -> None:
+        super().__init__(what)
+        self.offset = offset
+
+
+def _places(found: Any, rows_stated: int) -> list[Any]:
+    """Return where the chunks lie, in their order."""
+    most = max(4 * _file_bytes(found) // 512, 4096, 2 * rows_stated // max(1, found.chunks[0]))
+    if found.id.get_num_chunks() > most:
+        raise ValueError(f"{found.name} has {found.id.get_num_chunks()} chunks, more than the file can hold")
+    places: list[Any] = []
+    found.id.chunk_iter(places.append)
+    return sorted(places, key=lambda place: place.chunk_offset)
+
+
+def _chunk(found: Any, place: Any, pipeline: list[int], decode: Decoder | None) -> NDArray[Any]:
+    """Read one chunk and decompress it, never to more than its size."""
+    if place.size > 2 * MOST_CHUNK_BYTES or place.size > _file_bytes(found):
+        raise ChunkDamaged(f"a chunk states {place.size} bytes", place.byte_offset)
+    skipped, data = found.id.read_direct_chunk(place.chunk_offset)
+    size = _chunk_bytes(found)
+    try:
+        if decode is not None and not skipped:
+            return decode(data)
+        if decode is None:
+            for k, kind in reversed(list(enumerate(pipeline))):
+                if not skipped & 1 << k:
+                    data = _undone(kind, data, size, found.dtype.itemsize)
+        if len(data) < size:
+            raise ValueError(f"a chunk of {size} bytes ends after {len(data)}")  # noqa: TRY301
+    except (ValueError, zlib.error) as error:
+        raise ChunkDamaged(str(error), place.byte_offset) from error
+    return np.frombuffer(data[:size], found.dtype).reshape(found.chunks)
+
+
+def _undone(kind: int, data: bytes, size: int, itemsize: int) -> bytes:
+    """Undo one filter of HDF5."""
+    if kind == _CHECK_SUM:
+        return data[:-_CHECK_SUM_BYTES]
+    if kind == _SHUFFLE:
+        n = len(data) // itemsize
+        mixed = np.frombuffer(data, np.uint8, count=n * itemsize).reshape(itemsize, n)
+        return mixed.T.tobytes() + data[n * itemsize :]
+    unpacked = zlib.decompressobj().decompress(data, size + _CHECK_SUM_BYTES + 1)
+    if len(unpacked) > size + _CHECK_SUM_BYTES:
+        raise ValueError(f"a chunk of {size} bytes holds more")
+    return unpacked
+
+
+def _missing(n: int, total: int, found: Any) -> str:
+    return f"{n} of the {total} rows of {found.name} are missing"
+
+
+def _chunk_bytes(found: Any) -> int:
+    return int(np.prod(found.chunks, dtype=object)) * int(found.dtype.itemsize)
+
+
+def _file_bytes(found: Any) -> int:
+    return int(found.file.id.get_filesize())
