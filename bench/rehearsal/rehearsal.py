@@ -28,7 +28,10 @@ from bench.records.unsynced_journal import UnsyncedJournal
 from bench.rehearsal.virtual_devices import VirtualDevices, read_view
 from bench.results.comparison import compare_with_truth
 from bench.results.interim import Decisions
-from bench.results.result import Outcome, ResultWriter, main_numbers, software
+from bench.results.measure_again import measure_again
+from bench.results.result import Outcome, ResultWriter
+from bench.results.results_content import software
+from bench.results.solution import main_numbers
 from bench.results.solve_options import solve_options
 from bench.run.runner import RunEnd, Runner
 from bench.stations.devices import Devices
@@ -132,7 +135,8 @@ class RehearsedResults(ResultWriter):
         check()
         self._clock.sleep(SOLVE_S)
         accepted = sorted(history.accepted().items())
-        found = [measured.get(index) or self._measure_again(attempt) for index, attempt in accepted]
+        folder = self._folder.path
+        found = [measured.get(i) or measure_again(self._job, folder, attempt) for i, attempt in accepted]
         readings = [attempt.stored["measured_deg"] for _, attempt in accepted]
         options = solve_options(self._job, step, readings)
         self._calibration = calibrate([m.view for m in found if m.view is not None], options)

@@ -22,7 +22,7 @@ from bench.report.view_picture import ViewPicture
 from bench.results.exports import exports
 from bench.results.offline import OfflineResult
 from bench.results.projection_facts import projection_facts
-from bench.results.result import collimator_data, software
+from bench.results.results_content import collimator_data, software
 from bench.results.view_sources import PHOTOGRAPHS, ViewSource
 
 SOURCES = "sources.json"

@@ -18,8 +18,9 @@ from numpy.typing import NDArray
 
 from bench.base.errors import RunFolderError
 from bench.records.run_folder import JOURNAL, REPORT, RESULTS
-from calib.model.camera import PINHOLE, CameraModel
-from calib.model.collimator import CENTRE, Collimator
+from bench.results.stored_calibration import stored_camera, stored_collimator
+from calib.model.camera import CameraModel
+from calib.model.collimator import Collimator
 from calib.view import View
 
 if TYPE_CHECKING:
@@ -213,8 +214,8 @@ def _run(
         return Run(
             folder,
             results,
-            _camera(found),
-            _collimator(found["collimator"]),
+            stored_camera(found),
+            stored_collimator(found["collimator"]),
             tuple(covariance["names"]),
             np.array(covariance["matrix"], np.float64),
             tuple(_poses(folder, results, views, pictures)),
@@ -225,22 +226,6 @@ def _run(
             where=str(folder / RESULTS),
             remedy="Another version of Starbench wrote them; load the run with that version.",
         ) from error
-
-
-def _camera(found: Mapping[str, Any]) -> CameraModel:
-    width, height = found["image_size"]
-    values = found["camera"]
-    distortion = {name: value for name, value in values.items() if name not in PINHOLE}
-    return CameraModel(
-        values["fx"], values["fy"], values["cx"], values["cy"], (width, height), distortion=distortion
-    )
-
-
-def _collimator(values: Mapping[str, float] | None) -> Collimator | None:
-    if values is None:
-        return None
-    aberrations = {name: value for name, value in values.items() if name not in CENTRE}
-    return Collimator(values["x"], values["y"], values["r"], aberrations=aberrations)
 
 
 def _poses(

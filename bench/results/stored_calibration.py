@@ -36,8 +36,8 @@ def stored_calibration(stored: Mapping[str, Any]) -> Calibration:
     values = {**stored["camera"], **(stored["collimator"] or {})}
     return Calibration(
         model=stored["model"],
-        camera=_camera(stored),
-        collimator=_collimator(stored["collimator"]),
+        camera=stored_camera(stored),
+        collimator=stored_collimator(stored["collimator"]),
         rotations=np.array([view["rotation"] for view in stored["views"]], np.float64),
         centres=np.array([view["centre_mm"] for view in stored["views"]], np.float64),
         parameter_names=names,
@@ -65,14 +65,50 @@ def stored_calibration(stored: Mapping[str, Any]) -> Calibration:
     )
 
 
-def _camera(stored: Mapping[str, Any]) -> CameraModel:
+def stored_camera(stored: Mapping[str, Any]) -> CameraModel:
+    """Return the camera that results.json states.
+
+    Parameters
+    ----------
+    stored
+        ``calibration`` of results.json.
+
+    Returns
+    -------
+    CameraModel
+        Intrinsics and distortion.
+
+    Raises
+    ------
+    KeyError, TypeError, ValueError
+        When a value is missing, or is not of the expected form.
+    """
     width, height = stored["image_size"]
     values = stored["camera"]
     lens = {name: value for name, value in values.items() if name not in PINHOLE}
-    return CameraModel(*(values[name] for name in PINHOLE), (width, height), distortion=lens)
+    return CameraModel(
+        values["fx"], values["fy"], values["cx"], values["cy"], (width, height), distortion=lens
+    )
 
 
-def _collimator(values: Mapping[str, float] | None) -> Collimator | None:
+def stored_collimator(values: Mapping[str, float] | None) -> Collimator | None:
+    """Return the collimator that results.json states.
+
+    Parameters
+    ----------
+    values
+        ``calibration.collimator`` of results.json.
+
+    Returns
+    -------
+    Collimator or None
+        Its ``reference`` is None, because results.json does not contain it; None for the planar model.
+
+    Raises
+    ------
+    KeyError
+        When a value is missing.
+    """
     if values is None:
         return None
     aberrations = {name: value for name, value in values.items() if name not in CENTRE}

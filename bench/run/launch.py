@@ -36,7 +36,8 @@ from bench.records.run_folder import (
     RunFolder,
     require_resumable,
 )
-from bench.results.result import Outcome, software
+from bench.results.result import Outcome
+from bench.results.results_content import software
 from bench.run.control import remove_inbox
 from bench.run.crash_log import archive_crash, crash_log, read_crash
 from bench.run.ledger_entry import (

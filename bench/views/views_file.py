@@ -10,7 +10,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import Protocol
 
 import h5py
 import numpy as np
@@ -19,9 +19,6 @@ from numpy.typing import NDArray
 from bench.base.errors import RunFolderError
 from calib.errors import InputMismatch
 from calib.view import RimPoints, View
-
-if TYPE_CHECKING:
-    from bench.views.measure import Measurement
 
 VIEWS = "views.h5"
 FORMAT = "starbench/views/1"
@@ -45,8 +42,34 @@ class StoredView:
     residuals_px: NDArray[np.float64]
 
 
+class Pictured(Protocol):
+    """An image that can be decoded, as `bench.views.stored_image.StoredImage`."""
+
+    def decoded(self) -> NDArray[np.uint8]:
+        """Return the image.
+
+        Returns
+        -------
+        numpy.ndarray
+            (H, W) uint8, grey values.
+        """
+        ...
+
+
+class Measured(Protocol):
+    """A view with its image, as `bench.views.measure.Measurement`."""
+
+    @property
+    def view(self) -> View | None:
+        """The stars."""
+
+    @property
+    def image(self) -> Pictured | None:
+        """The image."""
+
+
 def views_file(
-    measurements: Sequence[Measurement],
+    measurements: Sequence[Measured],
     residuals_px: Sequence[NDArray[np.float64]],
 ) -> bytes:
     """Return views, residuals and images as an HDF5 file.
