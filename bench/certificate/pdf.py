@@ -10,6 +10,7 @@ import json
 from collections.abc import Callable, Mapping
 from datetime import datetime
 from importlib import resources
+from textwrap import shorten
 from typing import TYPE_CHECKING, Any, Literal
 
 from bench.base.errors import BenchError, UsageError
@@ -33,6 +34,8 @@ _KINDS = {
     "certificate.json": ("application/json", "source", "All values of this certificate"),
     "results.json": ("application/json", "source", "Results of the sealed run"),
 }
+_HEADER = 120
+"""Most characters of the laboratory's name in the head of a page."""
 _OTHER = ("application/octet-stream", "supplement", "Supplement to this certificate")
 
 
@@ -53,7 +56,7 @@ def render_pdf(
     attachments
         Files to attach, by name: ``dcc.xml`` and ``results.json``.
     plots
-        SVG by name, from `bench.certificate.pdf_plots.draw_plots`; None to draw what follows from ``results`` alone.
+        SVG by name, from `bench.certificate.pdf_plots.plots_of_run`; None to draw what follows from ``results`` alone.
 
     Returns
     -------
@@ -88,7 +91,7 @@ def _document(
         "language": certificate.language,
         "number": certificate.number,
         "simulated": certificate.simulated,
-        "laboratory": certificate.laboratory.name,
+        "laboratory": shorten(certificate.laboratory.name, _HEADER, placeholder=" …"),
         "date": [issued.year, issued.month, issued.day, issued.hour, issued.minute, issued.second],
         "footer": f"Certificate {certificate.number}. SEALED; not a certificate until authorised, see “Authorisation”.",
         "end_mark": f"END OF CERTIFICATE {certificate.number}",

@@ -6,7 +6,6 @@ Turns a certificate into blocks of text; it makes no signature and checks none.
 from __future__ import annotations
 
 import hashlib
-import shlex
 from collections.abc import Mapping
 
 from bench.certificate.certificate_data import Certificate
@@ -79,24 +78,22 @@ def verification(certificate: Certificate, attachments: Mapping[str, bytes]) -> 
         The blocks.
     """
     run, person = certificate.run, certificate.authorised_by
-    check = "ssh-keygen -Y verify -f allowed_signers -I"
     steps = [
         {
-            "text": "The bench sealed the list of files. The answer must be “Good … signature”.",
-            "command": f"{check} {shlex.quote(run.signer)} -n starbench-report@v1 -s SHA256SUMS.sig < SHA256SUMS",
+            "text": "The bench sealed the list of files. The answer begins with “Good” and names a key of the bench.",
+            "command": _check("starbench-report@v1", "SHA256SUMS.sig", "SHA256SUMS"),
         },
         {
             "text": "The files are those of the list. Every line must end with “OK”.",
             "command": "sha256sum --strict -c SHA256SUMS",
         },
         {
-            "text": "The person authorised this seal. The answer must be “Good … signature”.",
-            "command": f"{check} {shlex.quote(person.name)} -n starbench-authorisation@v1 -s {_AUTHORISATION}"
-            " < SHA256SUMS.sig",
+            "text": f"A person authorised the seal. The answer begins with “Good” and names the key of {person.name}.",
+            "command": _check("starbench-authorisation@v1", _AUTHORISATION, "SHA256SUMS.sig"),
         },
     ]
     sealed: list[tuple[Cell, Cell]] = [
-        ("Key of the bench", mono(f"{run.signer_fingerprint} {run.signer}")),
+        ("Key that sealed the run", mono(f"{run.signer_fingerprint} {run.signer}")),
         ("Key of the person", mono(f"{person.key_fingerprint} {person.name}")),
     ]
     made_from: list[tuple[Cell, Cell]] = [
@@ -120,7 +117,7 @@ def verification(certificate: Certificate, attachments: Mapping[str, bytes]) -> 
             "allowed_signers is the list of keys that you trust. Get it from the laboratory in another way than this"
             " certificate, and compare the fingerprints:"
         ),
-        pairs(sealed, label_mm=34),
+        pairs(sealed, label_mm=40),
         together(heading("The sealed run that this certificate is made from"), pairs(made_from)),
     ]
     if attachments:
@@ -136,3 +133,11 @@ def verification(certificate: Certificate, attachments: Mapping[str, bytes]) -> 
             )
         )
     return blocks
+
+
+def _check(namespace: str, signature: str, signed: str) -> str:
+    """Return a command that checks a signature by any key of the list; OpenSSH finds the name of the signer."""
+    return (
+        f"ssh-keygen -Y verify -f allowed_signers -n {namespace} -s {signature} \\\n"
+        f'  -I "$(ssh-keygen -Y find-principals -f allowed_signers -s {signature})" < {signed}'
+    )

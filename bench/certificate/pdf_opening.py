@@ -79,7 +79,7 @@ def _cards(certificate: Certificate) -> list[dict[str, object]]:
     ]
     dates: list[tuple[Cell, Cell]] = [
         ("Received", certificate.received),
-        ("Calibrated", f"{moment(certificate.begun_utc)} to {moment(certificate.ended_utc)}"),
+        ("Calibrated", f"{moment(certificate.begun_utc)} to\n{moment(certificate.ended_utc)}"),
         ("Issued", {"text": moment(certificate.issued_utc), "bold": True}),
         ("Place", laboratory.place),
         ("Method", f"{certificate.method.id}, version {certificate.method.version}"),
@@ -91,7 +91,7 @@ def _cards(certificate: Certificate) -> list[dict[str, object]]:
             "Laboratory",
             [
                 ("Name", {"text": laboratory.name, "bold": True}),
-                ("Address", ", ".join(laboratory.address.lines)),
+                ("Address", "\n".join(laboratory.address.lines)),
                 ("Contact", _contact(laboratory.contact)),
                 ("Accreditation", accredited),
             ],
@@ -100,7 +100,7 @@ def _cards(certificate: Certificate) -> list[dict[str, object]]:
             "Customer",
             [
                 ("Name", {"text": customer.name, "bold": True}),
-                ("Address", ", ".join(customer.address.lines)),
+                ("Address", "\n".join(customer.address.lines)),
                 ("Contact", _contact(customer.contact)),
             ],
         ),
@@ -114,7 +114,7 @@ def _card(title: str, rows: Sequence[tuple[Cell, Cell]]) -> dict[str, object]:
 
 
 def _contact(contact: Contact) -> str:
-    return ", ".join(filter(None, (contact.name, contact.email, contact.phone)))
+    return "\n".join(filter(None, (contact.name, contact.email, contact.phone)))
 
 
 def _with_size(sensor: str, size: Sequence[int]) -> str:

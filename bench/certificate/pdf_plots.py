@@ -1,22 +1,30 @@
 """The plots of the certificate, as SVG that is the same for the same data, with their descriptions.
 
 The plots are those of the run's report. Without the stars of the poses, only the plots that follow from the camera and
-its covariance can be drawn. Touches no files.
+its covariance can be drawn. Of a run folder it reads `views.h5`, and nothing else.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from bench.certificate.certificate_data import Certificate
+from bench.report.calibration_tables import coverage_factor
 
 if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
     from bench.report.view_picture import ViewPicture
 
+    Array = NDArray[np.float64]
+
 PLOTS = ("uncertainty", "direction", "coverage", "vectors", "radial", "regions", "distortion", "halves")
-"""Names of the plots, in their order; the names are those of `bench.report.choice.PLOTS`."""
+"""Names of the plots, in their order; the directions only of a wide lens, the halves only of many poses."""
+_WIDE_ANGLE_DEG = 25.0
 _WIDE = frozenset({"vectors"})
 _CAPTIONS = {
     "uncertainty": "Expanded uncertainty U of an image point over the sensor.",
@@ -60,6 +68,39 @@ class Picture:
         return f"{self.name}.svg"
 
 
+def plots_of_run(run: Path, results: Mapping[str, Any]) -> dict[str, str]:
+    """Draw the plots of a certificate from a run.
+
+    Parameters
+    ----------
+    run
+        The run's folder.
+    results
+        Content of its results.json.
+
+    Returns
+    -------
+    dict
+        SVG by name; without `views.h5`, the plots of the stars are missing.
+
+    Raises
+    ------
+    RunFolderError
+        If `views.h5` cannot be read.
+    """
+    from bench.report.view_picture import ViewPicture
+    from bench.views.views_file import VIEWS, read_views
+
+    stored = read_views(run / VIEWS) if (run / VIEWS).exists() else []
+    views = [
+        ViewPicture(
+            one.view.name, None, one.view.points_px, one.view.points_px - one.residuals_px, one.view.ids
+        )
+        for one in stored
+    ]
+    return draw_plots(results, views)
+
+
 def draw_plots(results: Mapping[str, Any], views: Sequence[ViewPicture] = ()) -> dict[str, str]:
     """Draw the plots of a certificate.
 
@@ -75,10 +116,60 @@ def draw_plots(results: Mapping[str, Any], views: Sequence[ViewPicture] = ()) ->
     dict
         SVG by name; a plot without data is missing.
     """
-    from bench.report.figures import report_plots
+    seen = [view for view in views if len(view.detected)]
+    drawn = _camera_plots(results, [view.detected for view in seen]) | (
+        _star_plots(results, seen) if seen else {}
+    )
+    return {name: drawn[name] for name in PLOTS if name in drawn}
 
-    drawn = report_plots(results, views)
-    return {name: drawn[name] for name in PLOTS if drawn.get(name)}
+
+def _camera_plots(results: Mapping[str, Any], stars: Sequence[Array]) -> dict[str, str]:
+    """Draw what follows from the camera and its covariance; nothing if the covariance is not stated."""
+    import numpy as np
+
+    from bench.report.camera_values import camera_covariance, camera_of
+    from bench.report.lens_plot import distortion_curve, field_angles_deg, outermost_deg
+    from bench.report.maps import sensor_map
+    from calib.uncertainty.projection_uncertainty import camera_difference, projection_uncertainty
+
+    calibration = results["calibration"]
+    covariance = camera_covariance(calibration)
+    if covariance is None:
+        return {}
+    camera, k = camera_of(calibration["camera"], calibration["image_size"]), coverage_factor(calibration)
+    found, points = projection_uncertainty(camera, covariance), np.concatenate(stars) if stars else None
+    outermost = outermost_deg(camera, stars) if stars else None
+    plots = {
+        "uncertainty": sensor_map(
+            found.grid_px, k * found.sigma_px, "U of an image point, px", "uncertainty", "", stars=points
+        ),
+        "distortion": distortion_curve(camera, covariance, k, outermost),
+    }
+    if max(field_angles_deg(camera).values()) > _WIDE_ANGLE_DEG:  # else it looks as that of the image points
+        plots["direction"] = sensor_map(
+            found.grid_px, k * found.sigma_arcsec, "U of a direction, arcsec", "direction", "", stars=points
+        )
+    if cameras := (results.get("halves") or {}).get("cameras"):
+        difference = camera_difference(*(camera_of(half, calibration["image_size"]) for half in cameras))
+        lengths = np.linalg.norm(difference.offset_px, axis=2)
+        plots["halves"] = sensor_map(
+            difference.grid_px, lengths, "Difference of the halves, px", "halves", "", arrows=difference
+        )
+    return plots
+
+
+def _star_plots(results: Mapping[str, Any], seen: Sequence[ViewPicture]) -> dict[str, str]:
+    from bench.report.plots import coverage, regions, residual_radial, residual_vectors
+
+    width, height = results["calibration"]["image_size"]
+    camera = results["calibration"]["camera"]
+    centre = (camera["cx"], camera["cy"])
+    return {
+        "coverage": coverage(seen, (width, height), centre),
+        "vectors": residual_vectors(seen, (width, height)),
+        "radial": residual_radial(seen, centre),
+        "regions": regions(seen, (width, height)),
+    }
 
 
 def pictures(certificate: Certificate, plots: Mapping[str, str]) -> list[Picture]:

@@ -15,6 +15,7 @@ from bench.certificate.certificate_data import (
     Certificate,
     Conformity,
     Covariance,
+    Result,
 )
 from bench.certificate.pdf_blocks import (
     NU,
@@ -44,8 +45,8 @@ from bench.report.text import NOTHING
 _MARK = "†"
 _RIGHT: Align = "right"
 _MOST_COLUMNS = 8
-_SHORT = 12
-"""A table with no more rows stays on one page with what follows it."""
+_FEW = 3
+"""Statements of conformity, if no more, stay on one page with their rule and their words."""
 _ONE_PAGE = 30
 """A budget with no more rows stays on one page."""
 _VERDICTS = {
@@ -125,30 +126,38 @@ def conformity(certificate: Certificate) -> list[Block]:
     if not found:
         return [paragraph("No statement of conformity was asked for.")]
     values = {one.symbol: one for one in certificate.results}
+    rules = {one.rule for one in found}
     rows: list[list[Cell]] = []
     for one in found:
         result = values.get(one.symbol)
         rows.append(
             [
                 {"text": one.symbol, "bold": True},
-                with_note(one.specification, one.rule),
+                one.specification if len(rules) == 1 else with_note(one.specification, one.rule),
                 _limits(one),
-                with_unit(printed(result.printed_value), one.unit) if result else NOTHING,
+                _with_uncertainty(result) if result else NOTHING,
                 with_unit(stated(one.guard_band), one.unit),
                 {"text": one.verdict, "verdict": one.verdict},
             ]
         )
     used = {one.verdict for one in found}
+    said = f"Specification{'' if len(rules) == 1 else ' and decision rule'}"
     shown = table(
-        ["Result", "Specification and decision rule", "Limits", "Value", "Guard band w", "Statement"],
+        ["Result", said, "Limits", "Value \N{PLUS-MINUS SIGN} U", "Guard band w", "Statement"],
         rows,
         ["auto", 1, "auto", "auto", "auto", "auto"],
         size=8.2,
-        pad=1.5,
+        pad=1.4,
     )
     words = [f"{word}: {meaning}" for word, meaning in _VERDICTS.items() if word in used]
-    legend = paragraph("; ".join(words) + ".", "note")
-    return [together(shown, legend)] if len(rows) <= _SHORT else [shown, legend]
+    rule = [paragraph(f"Decision rule: {found[0].rule}", sticky=True)] if len(rules) == 1 else []
+    blocks = [*rule, shown, paragraph("; ".join(words) + ".", "note")]
+    return [together(*blocks)] if len(rows) <= _FEW else blocks
+
+
+def _with_uncertainty(one: Result) -> str:
+    value = f"{printed(one.printed_value)} \N{PLUS-MINUS SIGN} {printed(one.printed_uncertainty)}"
+    return with_unit(value, one.unit)
 
 
 def _limits(one: Conformity) -> str:
@@ -249,9 +258,9 @@ def _budget(one: Budget, sources: dict[tuple[str, str, str, str], str]) -> Block
             with_index("u", "i"), "Share, %", NU,
         ],
         rows,
-        [2.35, "auto", 1.1, "auto", "auto", 1.3, "auto", "auto", "auto"],
+        [2.35, "auto", 1.15, "auto", "auto", 1.4, "auto", "auto", "auto"],
         ["left", "left", "right", "left", "right", "right", "right", "right", "right"],
-        size=6.6, pad=0.75, gap=0.9, foot=total,
+        size=6.6, pad=0.75, gap=0.8, foot=total,
     )  # fmt: skip
 
 

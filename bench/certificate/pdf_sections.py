@@ -33,6 +33,8 @@ Section = dict[str, object]
 _PLACED = frozenset({"simulated", "uncertainty", "model", "traceability", "adjustment", "accreditation"})
 """Fixed texts that stand elsewhere than in the section of the statements."""
 _MEASURED = {"run": "recorded by the run", "laboratory": "stated by the laboratory"}
+_SHORT = 8
+"""A table with no more rows stays on one page."""
 _SYMBOLS: tuple[tuple[Cell, Cell], ...] = (
     ("fx, fy", "focal length in pixels, along rows (x) and along columns (y) of the image"),
     (
@@ -88,7 +90,7 @@ def sections(
         ("Covariance and correlation of the results", pdf_results.covariance(certificate)),
         ("Results before adjustment", _before(certificate)),
         ("Amendments", _amendments(certificate)),
-        ("Residuals and lens", _pictures(others)),
+        ("Residuals and lens distortion", _pictures(others)),
         ("Opinions and interpretations", [bullets(certificate.opinions)] if certificate.opinions else []),
         ("Statements", _statements(certificate)),
         ("Authorisation", authorisation(certificate)),
@@ -125,7 +127,8 @@ def _conditions(found: Sequence[Condition]) -> list[Block]:
         for one in found
     ]
     head = ["Condition", "Value", "U", "k", "Measured by"]
-    return [table(head, rows, [1.1, 1.1, "auto", "auto", 1.4])]
+    shown = table(head, rows, [1.1, 1.1, "auto", "auto", 1.4])
+    return [together(shown)] if len(rows) <= _SHORT else [shown]
 
 
 def _method(certificate: Certificate) -> list[Block]:
