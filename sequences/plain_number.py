@@ -159,5 +159,5 @@ def with_plain_numbers(schema: Any) -> Any:
     kept = {"metadata", "serialization", "default", "function", "ref", "type", "cls", "config"}
     changed = {key: value if key in kept else with_plain_numbers(value) for key, value in schema.items()}
     if schema.get("type") in {"float", "int"}:
-        return core_schema.no_info_before_validator_function(require_plain_number, changed)  # type: ignore[arg-type]
+        return core_schema.no_info_before_validator_function(require_plain_number, changed)
     return changed

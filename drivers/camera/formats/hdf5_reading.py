@@ -174,7 +174,7 @@ def rows(found: Any, decode: Decoder | None = None) -> Iterator[NDArray[Any]]:
     Yields
     ------
     ndarray
-        The next rows, in order; all of them together are the whole array.
+        (n, ...) rows in the array's own type, in order; all of them together are the whole array.
 
     Raises
     ------
@@ -219,7 +219,7 @@ def whole(found: Any, most_bytes: int) -> NDArray[Any]:
     Returns
     -------
     ndarray
-        The array.
+        The array, in its own shape and type.
 
     Raises
     ------

@@ -87,7 +87,7 @@ class NpzFile:
         Yields
         ------
         ndarray
-            The next elements; the last piece may be shorter.
+            (n,) integers of the array's own type, the next ones; the last piece may be shorter.
 
         Raises
         ------
