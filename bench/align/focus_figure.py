@@ -9,7 +9,7 @@ The module computes with arrays; times come in as arguments.
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Final
 
@@ -32,6 +32,8 @@ REGIONS: Final[Mapping[str, tuple[float, float]]] = {
 """Middle of each region, as shares of width and height."""
 _HALF_SIZE: Final = (0.25, 0.3)
 _STARS_A_REGION: Final = 9
+_CIRCLE_FROM_PX: Final = 1.2
+"""Edge width below which the blur circle is far from one that counts, px."""
 _TRUSTED_CIRCLE_PX: Final = 9.0
 """Blur circle from which it counts more than the stars' edges; these stop to grow there."""
 _SIGMA_OF_CIRCLE: Final = 0.25
@@ -68,7 +70,13 @@ class FocusFigures:
 
 
 def measure_focus(
-    image: NDArray[np.float32], beam: Beam, stars: QuickStars | None, target: StarTarget
+    image: NDArray[np.float32],
+    beam: Beam,
+    stars: QuickStars | None,
+    target: StarTarget,
+    *,
+    before: FocusFigures | None = None,
+    again: Sequence[str] = (),
 ) -> FocusFigures:
     """Measure how sharp a picture is.
 
@@ -82,6 +90,10 @@ def measure_focus(
         Tag and stars in it; None if they were not searched.
     target
         The printed target.
+    before
+        Figures of a picture shortly before, whose regions are kept; None to measure all regions.
+    again
+        Regions that are measured again all the same.
 
     Returns
     -------
@@ -91,10 +103,13 @@ def measure_focus(
     detail = sharpness(image, beam.lit) if beam.share > 0.0 else None
     if stars is None:
         return FocusFigures(sharpness=detail)
-    regions = _region_widths(image, stars, target)
+    kept = {} if before is None else {name: w for name, w in before.regions.items() if name not in again}
+    regions = _region_widths(image, stars, target, kept)
     known = [width for width in regions.values() if width is not None]
     width = float(np.median(known)) if known else None
-    circle = _circle(image, stars, target)
+    circle = before.blur_circle_px if before is not None else None
+    if before is None or width is None or width > _CIRCLE_FROM_PX:
+        circle = _circle(image, stars, target)
     if circle is not None and (width is None or circle >= _TRUSTED_CIRCLE_PX):
         width = max(width or 0.0, _SIGMA_OF_CIRCLE * circle)
     return FocusFigures(width, circle, detail, regions, tilt_of(regions))
@@ -136,20 +151,26 @@ def tilt_of(regions: Mapping[str, float | None]) -> str:
 
 
 def _region_widths(
-    image: NDArray[np.float32], stars: QuickStars, target: StarTarget
+    image: NDArray[np.float32],
+    stars: QuickStars,
+    target: StarTarget,
+    kept: Mapping[str, float | None],
 ) -> dict[str, float | None]:
-    """Return the edge width of each region, from the stars nearest to its middle."""
+    """Return the edge width of each region, from the stars nearest to its middle, unless it is kept."""
     if stars.local_map is None:
         return dict.fromkeys(REGIONS)
     size = np.array([image.shape[1], image.shape[0]], float)
     groups = []
-    for middle in REGIONS.values():
-        off = (stars.points_px - np.array(middle) * size) / size
-        inside = np.flatnonzero((np.abs(off) <= np.array(_HALF_SIZE)).all(axis=1))
-        order = np.argsort(np.linalg.norm((off * size)[inside], axis=1), kind="stable")
-        groups.append(inside[order[:_STARS_A_REGION]].astype(np.int64))
-    widths = edge_widths_px(image, stars.points_px, stars.local_map, target, groups)
-    return dict(zip(REGIONS, widths, strict=True))
+    for name, middle in REGIONS.items():
+        if name not in kept:
+            off = (stars.points_px - np.array(middle) * size) / size
+            inside = np.flatnonzero((np.abs(off) <= np.array(_HALF_SIZE)).all(axis=1))
+            order = np.argsort(np.linalg.norm((off * size)[inside], axis=1), kind="stable")
+            groups.append(inside[order[:_STARS_A_REGION]].astype(np.int64))
+    near = [width for width in kept.values() if width is not None]
+    start_px = float(np.median(near)) if near else None
+    widths = iter(edge_widths_px(image, stars.points_px, stars.local_map, target, groups, start_px=start_px))
+    return {name: kept[name] if name in kept else next(widths) for name in REGIONS}
 
 
 def _circle(image: NDArray[np.float32], stars: QuickStars, target: StarTarget) -> float | None:

@@ -8,33 +8,30 @@ switches a light.
 
 from __future__ import annotations
 
-import time
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, Final, NamedTuple
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bench.align.advice import Seen, advice_for, dropped_share
-from bench.align.focus_figure import FocusCourse, FocusFigures, measure_focus
+from bench.align.focus_figure import FocusCourse, FocusFigures
 from bench.align.live_image import LiveImage, read_image, show
 from bench.align.live_setting import LiveSetting, LiveSlice
 from bench.align.seen_motion import SeenMotion
 from bench.align.signal_figures import SignalFigures
+from bench.align.star_watch import Found, StarWatch, StopWatch
 from bench.align.where_to_turn import Bench, TurnFigures, where_to_turn
-from calib.errors import CalibrationError, TargetNotFound
+from calib.errors import CalibrationError
 from calib.stars.beam import Beam, find_beam
-from calib.stars.dark_square import DarkSquare, find_dark_square
 from calib.stars.focus import contrast
-from calib.stars.quick import QuickStars, find_stars_quickly
+from calib.stars.quick import QuickStars
 from drivers.camera import RecordingFacts
 from drivers.errors import RecordingFileError
 
 __all__ = ["LiveFigures", "LiveMeter", "LiveSetting", "LiveSlice", "measure_live"]
 
-_REST: Final = 1.5
-"""Time from one search for stars to the next, at least, in units of the time that the last one took."""
 _COMPARED_EVERY_S: Final = 1.0
 """Time from one measurement of the frequency by the events to the next, s."""
 
@@ -72,7 +69,9 @@ class LiveFigures:
     stars
         Id, column and row, px, of each star found; id -1 if it is not known which star it is.
     stars_time_s
-        Time of the slice in which the stars were searched, s. It may be an earlier slice than this one.
+        Time of the slice in which the stars were measured, s. It may be an earlier slice than this one.
+    stars_followed
+        Whether these stars were found before, and only measured again at their places.
     tag_id
         Number of the target's tag if it was found.
     tag_corners_px
@@ -114,6 +113,7 @@ class LiveFigures:
     temperature_c: float | None = None
     stars: Sequence[tuple[int, float, float]] = ()
     stars_time_s: float | None = None
+    stars_followed: bool = False
     tag_id: int | None = None
     tag_corners_px: Corners | None = None
     disc_centre_px: tuple[float, float] | None = None
@@ -183,15 +183,16 @@ class LiveMeter:
     Parameters
     ----------
     stars_every_s
-        Shortest time between two searches for stars, s; in between, the last stars are shown again. If a search takes
-        long, as without a tag, the next one waits longer, so that pictures keep coming.
+        Shortest time between two searches for stars, s. In between, stars around the whole tag are measured again in
+        each picture, where they stand; if they have moved, they are searched at once. Other stars are shown again as
+        long as the picture is the same. If a search takes long, as without a tag, the next one waits longer, so that
+        pictures keep coming.
     """
 
     def __init__(self, *, stars_every_s: float = 0.4) -> None:
-        self._stars_every_s = stars_every_s
+        self._stars = StarWatch(stars_every_s=stars_every_s)
         self._course = FocusCourse()
         self._motion = SeenMotion()
-        self._found: _Found | None = None
         self._event_hz: tuple[float, float] | None = None
         self._size = (1280, 720)
 
@@ -212,7 +213,7 @@ class LiveMeter:
         figures
             What the slice showed.
         """
-        watch = _StopWatch()
+        watch = StopWatch()
         try:
             image = read_image(part.path, setting, compare=self._compares(part))
         except (CalibrationError, RecordingFileError) as error:
@@ -232,7 +233,9 @@ class LiveMeter:
         beam = find_beam(image.values, least=image.least, radius_px=setting.beam_radius_px)
         in_beam = contrast(image.values, beam.lit) if beam.share > 0.0 else None
         watch.lap("beam")
-        found = self._search(part, setting, image, beam, watch)
+        found = self._stars.look(part, setting, image, beam, watch)
+        if found.time_s == part.time_s and found.focus != FocusFigures():
+            self._course.add(part.time_s, found.focus)
         seen = Seen(
             image=image,
             facts=part.facts,
@@ -246,7 +249,7 @@ class LiveMeter:
             contrast=in_beam,
             turn=self._turn(part, setting, beam, found),
         )
-        figures = _figures(part, setting, seen, found.time_s)
+        figures = _figures(part, setting, seen, found)
         return shown, replace(
             figures,
             event_hz=event_hz,
@@ -258,10 +261,10 @@ class LiveMeter:
         """Forget the course of the focus and the last stars, for example after the lens was changed."""
         self._course.forget()
         self._motion.forget()
-        self._found = None
+        self._stars.forget()
         self._event_hz = None
 
-    def _turn(self, part: LiveSlice, setting: LiveSetting, beam: Beam, found: _Found) -> TurnFigures:
+    def _turn(self, part: LiveSlice, setting: LiveSetting, beam: Beam, found: Found) -> TurnFigures:
         """Find out where to turn, and learn how the tag has moved since the last search for it."""
         turn = where_to_turn(
             self._size, beam, found.stars, setting.target, _bench(part, setting), self._motion, found.square
@@ -287,68 +290,8 @@ class LiveMeter:
             return True
         return not 0.0 <= part.time_s - self._event_hz[0] < _COMPARED_EVERY_S
 
-    def _is_due(self, part: LiveSlice) -> bool:
-        """Return whether it is time to search stars again."""
-        last = self._found
-        if last is None:
-            return True
-        return not 0.0 <= part.time_s - last.time_s < max(self._stars_every_s, _REST * last.took_s)
 
-    def _search(
-        self, part: LiveSlice, setting: LiveSetting, image: LiveImage, beam: Beam, watch: _StopWatch
-    ) -> _Found:
-        """Search stars and measure the focus if it is time to, else return what was found last."""
-        last = self._found
-        if beam.share <= 0.0 or (image.signal is not None and image.signal.flicker is None):
-            self._found = None
-            return _Found(part.time_s, None, "", FocusFigures(), 0.0)
-        if last is not None and not self._is_due(part):
-            return last
-        started_s = time.perf_counter()
-        stars, other_tag = None, ""
-        try:
-            stars = find_stars_quickly(image.values, setting.target)
-        except TargetNotFound as fault:
-            other_tag = f"{fault.what} {fault.remedy}"
-        square = None
-        if not other_tag and (stars is None or (stars.tag is None and not stars.named_by)):
-            square = find_dark_square(image.values, beam, side_px=setting.tag_side_px)
-        watch.lap("stars")
-        focus = measure_focus(image.values, beam, stars, setting.target)
-        watch.lap("focus")
-        self._course.add(part.time_s, focus)
-        took_s = time.perf_counter() - started_s
-        self._found = _Found(part.time_s, stars, other_tag, focus, took_s, square)
-        return self._found
-
-
-class _Found(NamedTuple):
-    """Result of a search for stars: time of its slice, s, and how long it took, s."""
-
-    time_s: float
-    stars: QuickStars | None
-    other_tag: str
-    focus: FocusFigures
-    took_s: float
-    square: DarkSquare | None = None
-
-
-class _StopWatch:
-    """Durations of the stages, ms."""
-
-    def __init__(self) -> None:
-        self._last_s = time.perf_counter()
-        self._took_ms: dict[str, float] = {}
-
-    def lap(self, stage: str) -> dict[str, float]:
-        """Add the time since the last call to a stage; return all durations so far."""
-        now_s = time.perf_counter()
-        self._took_ms[stage] = self._took_ms.get(stage, 0.0) + round(1e3 * (now_s - self._last_s), 1)
-        self._last_s = now_s
-        return dict(self._took_ms)
-
-
-def _figures(part: LiveSlice, setting: LiveSetting, seen: Seen, stars_time_s: float) -> LiveFigures:
+def _figures(part: LiveSlice, setting: LiveSetting, seen: Seen, found: Found) -> LiveFigures:
     """Collect the figures of a slice, without advice."""
     image, beam, stars, focus = seen.image, seen.beam, seen.stars, seen.focus
     signal = image.signal or SignalFigures()
@@ -368,7 +311,8 @@ def _figures(part: LiveSlice, setting: LiveSetting, seen: Seen, stars_time_s: fl
         hot_pixels=image.hot_pixels,
         temperature_c=_temperature_c(part),
         stars=() if stars is None else tuple(_star_list(stars)),
-        stars_time_s=stars_time_s if stars is not None else None,
+        stars_time_s=found.time_s if stars is not None else None,
+        stars_followed=found.followed,
         tag_id=setting.target.tag_id if tag is not None else None,
         tag_corners_px=None if tag is None else tuple((float(x), float(y)) for x, y in tag.corners_px),
         disc_centre_px=beam.centre_px,

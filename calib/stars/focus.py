@@ -27,6 +27,7 @@ from numpy.typing import NDArray
 from calib.model.homography import apply_homography
 from calib.stars.edge_pixels import quantise
 from calib.stars.likelihood import edge_widths_px as widths_by_likelihood
+from calib.stars.likelihood import typical_pitch_px
 from calib.stars.local_map import LocalMap
 from calib.target import StarTarget
 
@@ -68,6 +69,8 @@ def edge_widths_px(
     local_map: LocalMap,
     target: StarTarget,
     groups: Sequence[NDArray[np.int64]],
+    *,
+    start_px: float | None = None,
 ) -> list[float | None]:
     """Measure the width of the edges of several groups of stars.
 
@@ -85,6 +88,8 @@ def edge_widths_px(
         Printed target.
     groups
         Indices of the stars of each group, (M,) int64 each.
+    start_px
+        Width at which the search begins, px; a good one saves time.
 
     Returns
     -------
@@ -95,7 +100,11 @@ def edge_widths_px(
     found: list[float | None] = [None] * len(groups)
     if enough:
         some = [groups[number] for number in enough]
-        widths = widths_by_likelihood(quantise(image), centres, local_map, target, some)
+        # A pitch of three digits: the printed star, whose edges are radii, is then drawn once for many pictures.
+        pitch = float(f"{typical_pitch_px(local_map):.3g}")
+        widths = widths_by_likelihood(
+            quantise(image), centres, local_map, target, some, pitch_px=pitch, start_px=start_px
+        )
         for number, width in zip(enough, widths, strict=True):
             found[number] = width
     return found

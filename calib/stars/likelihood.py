@@ -29,6 +29,7 @@ ratio (its overdispersion).
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -121,7 +122,7 @@ def refine_by_likelihood(
     LikelihoodFit
         In the order of ``centres``.
     """
-    pitch = float(np.sqrt(np.median(np.abs(np.linalg.det(local_map.linear)))))
+    pitch = typical_pitch_px(local_map)
     information = _InformationByBlur(levels, centres, local_map, _EdgeMaps(target, pitch))
     edge_map = _best_edge_map(information)
     pixels = gather_edge_pixels(levels, centres, local_map, edge_map, is_open)
@@ -181,10 +182,13 @@ def edge_widths_px(
     local_map: LocalMap,
     target: StarTarget,
     groups: Sequence[NDArray[np.int64]],
+    *,
+    pitch_px: float | None = None,
+    start_px: float | None = None,
 ) -> list[float]:
     """Measure how wide the edges of several groups of stars are, each as `edge_width_px` does.
 
-    The blurred printed stars are shared by all groups.
+    The blurred printed stars are shared by all groups, and kept for the next call with the same pitch.
 
     Parameters
     ----------
@@ -198,18 +202,39 @@ def edge_widths_px(
         Printed target.
     groups
         Indices of the stars of each group, (M,) int64 each, at least one star.
+    pitch_px
+        Distance of neighbouring stars, px; None to take it from ``local_map``.
+    start_px
+        Width at which the search begins, px; None for the middle of `EDGE_WIDTHS_PX`.
 
     Returns
     -------
     list of float
         Standard deviation of the blur of each group, px, between `EDGE_WIDTHS_PX`.
     """
-    pitch = float(np.sqrt(np.median(np.abs(np.linalg.det(local_map.linear)))))
-    maps = _EdgeMaps(target, pitch)
+    maps = _kept_edge_maps(target, typical_pitch_px(local_map) if pitch_px is None else pitch_px)
     return [
-        _most_informative_blur(_InformationByBlur(levels, centres[group], local_map.select(group), maps))
+        _most_informative_blur(
+            _InformationByBlur(levels, centres[group], local_map.select(group), maps), start_px
+        )
         for group in groups
     ]
+
+
+def typical_pitch_px(local_map: LocalMap) -> float:
+    """Return the distance of neighbouring stars: the root of the median Jacobian determinant.
+
+    Parameters
+    ----------
+    local_map
+        Map around each star, from the target plane to the image.
+
+    Returns
+    -------
+    float
+        Distance, px.
+    """
+    return float(np.sqrt(np.median(np.abs(np.linalg.det(local_map.linear)))))
 
 
 def _prior_precision(unknowns: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -239,6 +264,11 @@ class _EdgeMaps:
         if blur_px not in self._made:
             self._made[blur_px] = blurred_edge_map(self._sharp, self.segments, self._pitch, blur_px)
         return self._made[blur_px]
+
+
+@lru_cache(maxsize=2)
+def _kept_edge_maps(target: StarTarget, pitch: float) -> _EdgeMaps:
+    return _EdgeMaps(target, pitch)
 
 
 class _InformationByBlur:
@@ -287,11 +317,11 @@ def _best_edge_map(information: _InformationByBlur) -> EdgeMap:
     return information.edge_map(best)
 
 
-def _most_informative_blur(information: _InformationByBlur) -> float:
+def _most_informative_blur(information: _InformationByBlur, start_px: float | None = None) -> float:
     """Return the blur with most information, px: the vertex of a parabola through three blurs over log(blur)."""
     steps = np.arange(np.log(EDGE_WIDTHS_PX[0]), np.log(EDGE_WIDTHS_PX[1]), EDGE_WIDTH_STEP)
     blurs = [float(b) for b in np.exp(steps)]
-    k = len(blurs) // 2
+    k = len(blurs) // 2 if start_px is None else int(np.argmin(np.abs(steps - np.log(start_px))))
     while k + 1 < len(blurs) and information.at(blurs[k + 1]) > information.at(blurs[k]):
         k += 1
     while k > 0 and information.at(blurs[k - 1]) > information.at(blurs[k]):
@@ -344,7 +374,9 @@ def _score_tables(counts: NDArray[np.float64], bandwidth_bins: float) -> ScoreTa
     steps = np.arange(-reach, reach + 1)
     kernel = np.exp(-0.5 * (steps / bandwidth_bins) ** 2)
     kernel /= kernel.sum()
-    smoothed = np.array([np.convolve(row, kernel, "same") for row in counts])
+    smoothed = np.zeros(counts.shape)  # an image of few levels leaves most rows empty
+    for level in np.flatnonzero(counts.any(axis=1)):
+        smoothed[level] = np.convolve(counts[level], kernel, "same")
     overall = (counts.sum(axis=1, keepdims=True) + 1.0) / (counts.sum() + len(counts))
     share = (smoothed + PSEUDO_COUNT * overall) / (smoothed.sum(axis=0) + PSEUDO_COUNT)
     slope = np.gradient(share, axis=1) / TAU_BIN_PX

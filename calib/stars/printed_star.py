@@ -5,6 +5,7 @@ The module uses the printed target, a pitch and a blur. It uses no image and no 
 
 from __future__ import annotations
 
+from functools import lru_cache
 from typing import NamedTuple
 
 import cv2
@@ -108,7 +109,17 @@ def blurred_edge_map(sharp: NDArray[np.float64], segments: int, pitch_px: float,
     # By rounding, samples on an edge fall to either side of it. The mean with half a turn makes the map symmetric.
     blurred = (blurred + blurred[::-1, ::-1]) / 2.0
     tau = blur_px * ndtri(np.clip(blurred, 1e-4, 1.0 - 1e-4))
+    scale, limit_px = pitch_px * OVERSAMPLING, TAU_LIMIT_BLURS * blur_px
+    edge = _nearest_edges(pitch_px, segments)
+    return EdgeMap(tau.astype(np.float32), edge, len(sharp) // 2, scale, limit_px)
+
+
+@lru_cache(maxsize=2)
+def _nearest_edges(pitch_px: float, segments: int) -> NDArray[np.uint8]:
+    """Return the number of the nearest edge at each sample; maps of one pitch share it, and only read it.
+
+    Own definition: the edge at the nearest multiple of the angle between edges.
+    """
     u, v = _grid(pitch_px)
     edge = np.round(np.arctan2(v, u) / (2.0 * np.pi) * segments) % segments
-    scale, limit_px = pitch_px * OVERSAMPLING, TAU_LIMIT_BLURS * blur_px
-    return EdgeMap(tau.astype(np.float32), edge.astype(np.uint8), len(sharp) // 2, scale, limit_px)
+    return np.asarray(edge, np.uint8)

@@ -13,14 +13,35 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.errors import StarsUnnamed
-from calib.stars.centring import smooth
-from calib.stars.detect import BLUR_PX, COARSE_STEP_PX, MIN_STARS, Candidates, refine_candidates
+from calib.stars.centring import SYMMETRY_REACH, refine_by_symmetry, smooth, symmetry_samples
+from calib.stars.detect import (
+    BLUR_PX,
+    COARSE_STEP_PX,
+    MAX_MOVE_PITCHES,
+    MIN_CONTRAST,
+    MIN_CORRELATION,
+    MIN_OCTANT,
+    MIN_STARS,
+    OPEN_STRIP_PX,
+    Candidates,
+    refine_candidates,
+)
 from calib.stars.growth import StarGrid, grow_star_grid, start_at_tag
 from calib.stars.labelling import label_by_tag
 from calib.stars.lattice import find_lattice
+from calib.stars.likelihood import typical_pitch_px
 from calib.stars.local_map import LocalMap
-from calib.stars.tag import TagDetection, find_tag
+from calib.stars.open_sides import cell_reach, open_sides
+from calib.stars.tag import TagDetection, find_tag, modules_correlation
+from calib.stars.template import SEARCH_RADII, SHARP_CORRELATION, StarTemplate, star_contrasts
 from calib.target import StarTarget
+
+#: Distance of the samples of stars that are followed, px.
+FOLLOWING_STEP_PX = 3.2
+#: Least correlation of the tag's modules, as a share of the earlier one; least share of the stars that are found again.
+FOLLOWED_CORRELATION, FOLLOWED_SHARE = 0.85, 0.9
+#: Largest typical shift of stars that are followed, px.
+FOLLOWED_SHIFT_PX = 0.5
 
 
 class QuickStars(NamedTuple):
@@ -42,6 +63,8 @@ class QuickStars(NamedTuple):
         What identified the stars; empty if nothing did.
     blurred
         Whether the stars are out of focus.
+    sign
+        +1 if white is bright in the image, -1 if it is dark.
     """
 
     ids: NDArray[np.int64]
@@ -51,6 +74,7 @@ class QuickStars(NamedTuple):
     tag: TagDetection | None
     named_by: Literal["tag", "part of the tag", ""]
     blurred: bool
+    sign: float = 1.0
 
 
 def find_stars_quickly(image: NDArray[np.generic], target: StarTarget) -> QuickStars:
@@ -103,7 +127,64 @@ def find_stars_quickly(image: NDArray[np.generic], target: StarTarget) -> QuickS
         return _none(tag)
     nodes = candidates.nodes
     ids = target.id_at(nodes[:, 0], nodes[:, 1]) if named_by else np.full(len(nodes), -1, np.int64)
-    return QuickStars(ids, nodes.astype(float), candidates.points, local_map, tag, named_by, blurred)
+    return QuickStars(
+        ids, nodes.astype(float), candidates.points, local_map, tag, named_by, blurred, start.sign
+    )
+
+
+def follow_stars(image: NDArray[np.generic], last: QuickStars, target: StarTarget) -> QuickStars | None:
+    """Measure the stars of an earlier picture again, if they are still where they were.
+
+    Own procedure: the tag's modules must still agree with the print, nearly all stars must be found by symmetry and
+    look like stars, and their typical shift must be small. So a camera that has turned is noticed, also by exactly one
+    pitch. It takes a tenth of the time of `find_stars_quickly`. Stars that have come into view are not found.
+
+    Parameters
+    ----------
+    image
+        (H, W) of any integer or floating type.
+    last
+        Stars of an earlier picture of the same camera.
+    target
+        Printed target.
+
+    Returns
+    -------
+    QuickStars or None
+        None if the stars must be searched: something moved, or the earlier stars were out of focus or not labelled by
+        the whole tag.
+    """
+    if last.tag is None or last.blurred or last.local_map is None or len(last.points_px) < MIN_STARS:
+        return None
+    smoothed = smooth(np.nan_to_num(np.asarray(image, np.float32)), BLUR_PX)
+    agrees = last.sign * modules_correlation(smoothed, 1.0, last.tag.homography, target)
+    if agrees < FOLLOWED_CORRELATION * last.tag.correlation:
+        return None
+    pitch = typical_pitch_px(last.local_map)
+    samples = symmetry_samples(pitch / FOLLOWING_STEP_PX)
+    nodes = last.nodes.astype(np.int64)
+    used_to = cell_reach(open_sides(target, nodes), SYMMETRY_REACH, OPEN_STRIP_PX / pitch)
+    fit = refine_by_symmetry(
+        smoothed, last.points_px, last.local_map, samples, used_to, MAX_MOVE_PITCHES * pitch
+    )
+    if np.count_nonzero(fit.converged) < max(MIN_STARS, FOLLOWED_SHARE * len(fit.converged)):
+        return None
+    template = StarTemplate.of(target.segments, SEARCH_RADII)
+    score, contrast = star_contrasts(smoothed, fit.centres, last.local_map.linear, template, last.sign)
+    middle = np.median(contrast, axis=1)
+    good = fit.converged & (score >= MIN_CORRELATION)
+    good &= (contrast.min(axis=1) >= MIN_OCTANT * middle) & (middle >= MIN_CONTRAST * np.nanmedian(middle))
+    if np.count_nonzero(good) < max(MIN_STARS, FOLLOWED_SHARE * len(good)):
+        return None
+    shift = np.median(fit.centres[good] - last.points_px[good], axis=0)
+    if np.hypot(*shift) > FOLLOWED_SHIFT_PX or np.median(score[good]) < SHARP_CORRELATION:
+        return None
+    return last._replace(
+        ids=last.ids[good],
+        nodes=last.nodes[good],
+        points_px=fit.centres[good],
+        local_map=last.local_map.select(good),
+    )
 
 
 def _labelled(

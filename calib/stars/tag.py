@@ -134,7 +134,7 @@ def _verified(
 ) -> TagDetection | None:
     """Compare the modules with the print; return the detection, with refined corners, if they agree, else None."""
     nodes = target.tag_corners_mm / target.pitch_mm
-    correlation = _modules_correlation(picture, scale, _homography(nodes, corners), target)
+    correlation = modules_correlation(picture, scale, _homography(nodes, corners), target)
     if abs(correlation) < MIN_CORRELATION:
         return None
     sign = float(np.sign(correlation))
@@ -149,18 +149,34 @@ def _homography(nodes: NDArray[np.float64], corners: NDArray[np.float64]) -> NDA
     )
 
 
-def _modules_correlation(
-    picture: NDArray[np.uint8], scale: float, homography: NDArray[np.float64], target: StarTarget
+def modules_correlation(
+    picture: NDArray[np.generic], scale: float, homography: NDArray[np.float64], target: StarTarget
 ) -> float:
     """Return the correlation of the modules, at their centres, with the print.
 
     It is Pearson's correlation coefficient (NumPy's ``corrcoef``).
+
+    Parameters
+    ----------
+    picture
+        (h, w), the image at some scale.
+    scale
+        Its scale.
+    homography
+        (3, 3) float64, from [column row 1] of the target's grid to [u v 1] px of the full image.
+    target
+        Printed target.
+
+    Returns
+    -------
+    float
+        -1 to 1; 0 if the modules are all equally bright.
     """
     left, top = target.tag_corners_mm[0] / target.pitch_mm
     middles = (np.arange(target.tag_modules) + 0.5) * (target.tag_squares / target.tag_modules)
     u, v = np.meshgrid(left + middles, top + middles)
     at = cv2.perspectiveTransform(np.column_stack([u.ravel(), v.ravel()])[None], homography)[0]
-    seen = _values(picture.astype(np.float32), scale, at)
+    seen = _values(np.asarray(picture, np.float32), scale, at)
     if seen.std() == 0.0:
         return 0.0
     return float(np.corrcoef(seen, target.layout.tag_modules.ravel())[0, 1])

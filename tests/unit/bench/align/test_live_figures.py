@@ -315,20 +315,52 @@ def test_pictures_of_a_frame_camera(tmp_path):
 
 
 def test_the_meter_searches_stars_now_and_then_and_keeps_the_best(good):
-    meter = LiveMeter(stars_every_s=1000.0)
-    _, first = meter.measure(LiveSlice(good, 0.0), SETTING)
-    _, second = meter.measure(LiveSlice(good, 10.0), SETTING)
-    assert first.stars_time_s == second.stars_time_s == 0.0
-    assert second.stars == first.stars
-    assert "stars" not in second.took_ms
     meter = LiveMeter(stars_every_s=0.0)
     for number in range(3):
         _, last = meter.measure(LiveSlice(good, 100.0 * number), SETTING)
     assert last.stars_time_s == 200.0
+    assert not last.stars_followed
     assert last.focus["best_edge_width_px"] == pytest.approx(last.focus["edge_width_px"])
     meter.forget()
     _, again = meter.measure(LiveSlice(good, 400.0), SETTING)
     assert again.focus["best_edge_width_px"] is None
+
+
+def test_stars_at_rest_are_followed_and_a_turned_camera_is_noticed_in_the_next_picture(good, tmp_path):
+    meter = LiveMeter(stars_every_s=1000.0)
+    _, first = meter.measure(LiveSlice(good, 0.0), SETTING)
+    _, second = meter.measure(LiveSlice(good, 10.0), SETTING)
+    assert (first.stars_time_s, second.stars_time_s) == (0.0, 10.0)
+    assert (first.stars_followed, second.stars_followed) == (False, True)
+    assert [one[0] for one in second.stars] == [one[0] for one in first.stars]
+    apart = np.array(second.stars)[:, 1:] - np.array(first.stars)[:, 1:]
+    assert np.abs(apart).max() < 0.1
+    assert second.focus["edge_width_px"] == pytest.approx(first.focus["edge_width_px"], abs=0.05)
+    # The same pattern, further on by nearly one pitch: each star stands where its neighbour stood.
+    by_id = {number: np.array([x, y]) for number, x, y in first.stars}
+    step_px = np.median([by_id[n + 1] - by_id[n] for n in by_id if n + 1 in by_id], axis=0)
+    pan_deg, tilt_deg = np.degrees(step_px / SETTING.focal_px) * [1.0, -1.0]
+    turned = write_slice(tmp_path / "turned.raw", seen(bench(), pan=0.31 + pan_deg, tilt=-0.2 + tilt_deg))
+    _, third = meter.measure(LiveSlice(turned, 10.2), SETTING)
+    assert (third.stars_time_s, third.stars_followed) == (10.2, False)
+    moved = {number: np.array([x, y]) for number, x, y in third.stars}
+    shift = np.median([moved[n] - by_id[n] for n in by_id if n in moved], axis=0)
+    np.testing.assert_allclose(shift, step_px, atol=4.0)
+
+
+@pytest.mark.parametrize(("to", "reading"), [(15.0, 15.0), (15.2, 15.0), (15.0, 15.2)])
+def test_stars_without_a_tag_stay_only_while_nothing_moves(tmp_path, to, reading):
+    meter = LiveMeter(stars_every_s=1000.0)
+    path = write_slice(tmp_path / "aside.raw", seen(bench(), pan=15.0), periods=0)
+    later = write_slice(tmp_path / "later.raw", seen(bench(), pan=to), periods=0, seed=2)
+    _, first = meter.measure(LiveSlice(path, 0.0, None, {"pan": 15.0}), SETTING)
+    _, second = meter.measure(LiveSlice(later, 0.5, None, {"pan": reading}), SETTING)
+    assert len(first.stars) > 50
+    if (to, reading) == (15.0, 15.0):
+        assert (second.stars, second.stars_time_s) == (first.stars, 0.0)
+    else:
+        assert (second.stars, second.stars_time_s) == ((), None)
+        assert second.focus["edge_width_px"] is None
 
 
 def test_stars_are_forgotten_when_the_light_goes_off(good, tmp_path):

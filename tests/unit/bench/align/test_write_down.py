@@ -118,7 +118,7 @@ def test_all_text_keeps_its_form(tmp_path):
     path = tmp_path / "s.yaml"
     path.write_text(
         '# first\nformat: starbench/sequence/1\nname: "a: b"   # name\ndescription: >-\n    Ä long\n    text\n\n'
-        "poses:\n    list:   # the list\n        - {pan_deg: 1.0e-1}  # one\n\n        - pan_deg: 007\n"
+        "poses:\n    list:   # the list\n        - {pan_deg: 1.0e-1}  # one\n\n        - pan_deg: 7.00\n"
         "\n# before the steps\nsteps: [light, report]   # all\n# end\n"
     )
     proposal = propose_pose(path, {"pan": 2.0})

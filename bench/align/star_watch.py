@@ -1,0 +1,196 @@
+"""Stars and focus of one live picture after the other: searched now and then, and followed in between.
+
+A search takes five times as long as following stars that stand still. Nothing is followed that has moved: then the
+stars are searched at once, or none are shown. The module reads no file and opens no device.
+"""
+
+from __future__ import annotations
+
+import time
+from typing import Final, NamedTuple
+
+from bench.align.focus_figure import REGIONS, FocusFigures, measure_focus
+from bench.align.live_image import LiveImage
+from bench.align.live_setting import LiveSetting, LiveSlice
+from bench.align.sighting import Sighting
+from calib.errors import TargetNotFound
+from calib.stars.beam import Beam
+from calib.stars.dark_square import DarkSquare, find_dark_square
+from calib.stars.quick import QuickStars, find_stars_quickly, follow_stars
+
+_REST: Final = 1.5
+"""Time from one search for stars to the next, at least, in units of the time that the last one took."""
+_FOLLOWED: Final = 8.0
+"""Time between two searches while the stars are followed from picture to picture, in units of that between others."""
+
+
+class Found(NamedTuple):
+    """Stars and focus.
+
+    Attributes
+    ----------
+    time_s
+        Time of the slice in which they were measured, s.
+    stars
+        Tag and stars; None if none are known.
+    other_tag
+        What is wrong with the tags seen; empty if nothing is.
+    focus
+        Focus figures.
+    took_s
+        Duration of the last search, s.
+    square
+        A dark square that looks like the tag, if the tag was not read.
+    searched_s
+        Time of the slice of the last search, s.
+    followed
+        Whether the stars were measured again after a search.
+    seen
+        What the picture of the last search showed.
+    """
+
+    time_s: float
+    stars: QuickStars | None
+    other_tag: str
+    focus: FocusFigures
+    took_s: float
+    square: DarkSquare | None = None
+    searched_s: float = 0.0
+    followed: bool = False
+    seen: Sighting | None = None
+
+
+class StopWatch:
+    """Durations of the stages of a measurement, ms."""
+
+    def __init__(self) -> None:
+        self._last_s = time.perf_counter()
+        self._took_ms: dict[str, float] = {}
+
+    def lap(self, stage: str) -> dict[str, float]:
+        """Add the time since the last call to a stage.
+
+        Parameters
+        ----------
+        stage
+            Name of the stage.
+
+        Returns
+        -------
+        dict
+            All durations so far, ms.
+        """
+        now_s = time.perf_counter()
+        self._took_ms[stage] = self._took_ms.get(stage, 0.0) + round(1e3 * (now_s - self._last_s), 1)
+        self._last_s = now_s
+        return dict(self._took_ms)
+
+
+class StarWatch:
+    """Finds the stars of one slice after the other.
+
+    Not for several threads at once.
+
+    Parameters
+    ----------
+    stars_every_s
+        As `bench.align.live_figures.LiveMeter` takes it.
+    """
+
+    def __init__(self, *, stars_every_s: float) -> None:
+        self._stars_every_s = stars_every_s
+        self._found: Found | None = None
+        self._turn = 0
+
+    def forget(self) -> None:
+        """Forget the last stars: the next slice is searched."""
+        self._found = None
+
+    def look(
+        self, part: LiveSlice, setting: LiveSetting, image: LiveImage, beam: Beam, watch: StopWatch
+    ) -> Found:
+        """Search stars and measure the focus if it is time to; else measure the last stars again, where they stand.
+
+        Parameters
+        ----------
+        part
+            The slice.
+        setting
+            What is known of the bench.
+        image
+            Image of the slice.
+        beam
+            The beam in it.
+        watch
+            Gets the times of the stages.
+
+        Returns
+        -------
+        Found
+            Of this slice, or of an earlier one that showed the same.
+        """
+        last = self._found
+        if beam.share <= 0.0 or (image.signal is not None and image.signal.flicker is None):
+            self._found = None
+            return Found(part.time_s, None, "", FocusFigures(), 0.0)
+        if last is not None and not self._is_due(part):
+            kept = self._followed(last, part, setting, image, beam, watch)
+            if kept is not None:
+                return kept
+        started_s = time.perf_counter()
+        stars, other_tag = None, ""
+        try:
+            stars = find_stars_quickly(image.values, setting.target)
+        except TargetNotFound as fault:
+            other_tag = f"{fault.what} {fault.remedy}"
+        square = None
+        if not other_tag and (stars is None or (stars.tag is None and not stars.named_by)):
+            square = find_dark_square(image.values, beam, side_px=setting.tag_side_px)
+        watch.lap("stars")
+        focus = measure_focus(image.values, beam, stars, setting.target)
+        watch.lap("focus")
+        took_s = time.perf_counter() - started_s
+        self._found = Found(part.time_s, stars, other_tag, focus, took_s, square, part.time_s)
+        self._found = self._found._replace(seen=Sighting.of(image.values, part.reading_deg))
+        return self._found
+
+    def _is_due(self, part: LiveSlice) -> bool:
+        """Return whether it is time to search stars again."""
+        last = self._found
+        if last is None:
+            return True
+        wait_s = max(self._stars_every_s, _REST * last.took_s)
+        if last.followed:
+            wait_s = max(_FOLLOWED * self._stars_every_s, wait_s)
+        return not 0.0 <= part.time_s - last.searched_s < wait_s
+
+    def _followed(
+        self,
+        last: Found,
+        part: LiveSlice,
+        setting: LiveSetting,
+        image: LiveImage,
+        beam: Beam,
+        watch: StopWatch,
+    ) -> Found | None:
+        """Return what was found last, measured again if possible; None if stars must be searched at once.
+
+        Stars of an earlier picture are never shown where something has moved since.
+        """
+        stars = last.stars
+        if stars is not None and stars.tag is not None and not stars.blurred:
+            stars = follow_stars(image.values, stars, setting.target)
+            watch.lap("stars")
+            if stars is None:
+                return None
+            # The middle, and one of the other regions in turn.
+            self._turn = self._turn % (len(REGIONS) - 1) + 1
+            again = [list(REGIONS)[number] for number in (0, self._turn)]
+            focus = measure_focus(image.values, beam, stars, setting.target, before=last.focus, again=again)
+            watch.lap("focus")
+            self._found = last._replace(time_s=part.time_s, stars=stars, focus=focus, followed=True)
+            return self._found
+        if last.seen is not None and last.seen.differs(image.values, part.reading_deg):
+            self._found = last._replace(stars=None, square=None, focus=FocusFigures())
+            return self._found
+        return last
