@@ -24,13 +24,14 @@ from bench.certificate.dcc_numbers import (
     stated_results,
     unit_faults,
 )
+from bench.certificate.dcc_parties import NO_NUMBER
 from bench.certificate.dcc_words import SIMULATED, SIMULATED_TYPE
 from bench.certificate.dcc_xml import NAMESPACES, library, qualified, read_dcc, short
 
 if TYPE_CHECKING:
     from lxml.etree import _Element
 
-_EMPTY = frozenset({"", "-", "n/a", "none", "unknown", "tbd", "todo", "?", "not stated"})
+_EMPTY = frozenset({"", "-", "n/a", "none", "unknown", "tbd", "todo", "?", NO_NUMBER})
 _SHA256 = re.compile(r"[0-9a-f]{64}")
 _RELEASE = re.compile(r"[A-Za-z] ?(?:\d{1,3}\.){0,3}\d{1,3}")
 _CORE = "dcc:administrativeData/dcc:coreData"
@@ -182,7 +183,9 @@ def _simulated_faults(root: _Element) -> Iterator[str]:
     number_ = root.findtext(f"{_CORE}/dcc:uniqueIdentifier", "", NAMESPACES)
     titles = [_text(one, "dcc:name") for one in root.iterfind(".//dcc:measurementResult", NAMESPACES)]
     names = [_text(one, "dcc:name") for one in root.iterfind(".//dcc:item", NAMESPACES)]
-    items = " ".join("".join(one.itertext("{*}*")) for one in root.iterfind(".//dcc:items", NAMESPACES))
+    items = " ".join(
+        "".join(map(str, one.itertext("{*}*"))) for one in root.iterfind(".//dcc:items", NAMESPACES)
+    )
     flagged = any(one.get("simulated") == "true" for one in root.iterfind("dcc:comment/*", NAMESPACES))
     statements = root.findall(".//dcc:statement", NAMESPACES)
     stated = any(

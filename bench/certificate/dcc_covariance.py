@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtri
 
-from bench.certificate.dcc_numbers import StatedResult, number, stated_results
+from bench.certificate.dcc_numbers import StatedResult, line_of, number, stated_results
 from bench.certificate.dcc_units import product, unit_powers
 from bench.certificate.dcc_words import JOINT
 from bench.certificate.dcc_xml import NAMESPACES, qualified, short
@@ -165,7 +165,7 @@ def _joint_faults(root: _Element) -> Iterator[str]:
 def _against_results(
     quantity: _Element, several: _Element, results: dict[str, StatedResult]
 ) -> Iterator[str]:
-    line = several.sourceline
+    line = line_of(several)
     ids = quantity.get("refId", "").split()
     labels = several.findtext("si:labelXMLList", "", NAMESPACES).split()
     values = several.findtext("si:valueXMLList", "", NAMESPACES).split()
@@ -185,10 +185,10 @@ def _against_results(
         one = results.get(id_)
         if one is None:
             continue
-        yield from _member_faults(one, line or 0, label, text, units[at] if units else one.unit)
+        yield from _member_faults(one, line, label, text, units[at] if units else one.unit)
         if diagonal is not None and diagonal[at] > 0:
-            expanded, step = one.k * float(np.sqrt(diagonal[at])), 10.0 ** int(one.U.as_tuple().exponent)
-            if not expanded - 0.51 * step <= float(one.U) <= 1.001 * expanded + step:
+            expanded = one.k * float(np.sqrt(diagonal[at]))
+            if not expanded - 0.51 * one.step <= float(one.U) <= 1.001 * expanded + one.step:
                 yield (
                     f"line {line}: U = {one.U} of {one.name} is not k times the root of the diagonal of the"
                     f" covariance, {expanded:.3g}"
@@ -202,7 +202,5 @@ def _member_faults(one: StatedResult, line: int, label: str, text: str, unit: st
         yield f"line {line}: the joint list calls {one.name} {short(label)}"
     if unit != one.unit:
         yield f"line {line}: the joint list has {one.name} in {short(unit)}, the result in {short(one.unit)}"
-    if value is not None and abs(float(value - one.value)) > 0.51 * 10.0 ** int(
-        one.value.as_tuple().exponent
-    ):
+    if value is not None and abs(float(value - one.value)) > 0.51 * one.step:
         yield f"line {line}: {one.name} is {one.value} as a result and {value} in the joint list"

@@ -75,9 +75,32 @@ class StatedResult:
     nu: float | None
 
     @property
+    def step(self) -> float:
+        """One unit of the last digit of the uncertainty; of its second digit where it is a whole number."""
+        exponent = int(self.U.as_tuple().exponent)
+        return 10.0 ** (exponent if exponent < 0 else max(exponent, self.U.adjusted() - _MOST_DIGITS + 1))
+
+    @property
     def name(self) -> str:
         """The result's name in messages."""
         return self.label or self.id or "a result"
+
+
+def line_of(element: _Element) -> int:
+    """Return the line of an element in its file.
+
+    Parameters
+    ----------
+    element
+        The element.
+
+    Returns
+    -------
+    int
+        The line; 0 if it is not known.
+    """
+    line = element.sourceline
+    return line if isinstance(line, int) else 0
 
 
 def number(text: str | None) -> Decimal | None:
@@ -134,7 +157,7 @@ def stated_results(root: _Element) -> list[StatedResult]:
             StatedResult(
                 id=quantity.get("id", ""),
                 label=real.findtext("si:label", "", NAMESPACES),
-                line=real.sourceline or 0,
+                line=line_of(real),
                 value=value,
                 U=U,
                 unit=(real.findtext("si:unit", "", NAMESPACES)).strip(),

@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 
 CAMERA_ID = "item-camera"
 LENS_ID = "item-lens"
+NO_NUMBER = "not stated"
 PIXEL_ID = "statement-pixel"
 SUPPLIED_ID = "statement-customer-data"
 PIXEL = (
@@ -30,6 +31,7 @@ PIXEL = (
 )
 _STATEMENT_NAMES = {
     "simulated": "Simulated devices",
+    "authorisation": "Authorisation",
     "items": "Validity",
     "reproduction": "Reproduction",
     "uncertainty": "Measurement uncertainty",
@@ -40,6 +42,7 @@ _STATEMENT_NAMES = {
     "customer_data": "Data of the customer",
     "recalibration": "Recalibration",
     "also": "Further information",
+    "notes": "Notes on the results",
     "not_included": "Not included in the uncertainty",
 }
 
@@ -83,16 +86,16 @@ def add_items(parent: _Element, certificate: Certificate) -> None:
     if stated:
         add_text(one, "dcc:description", "; ".join(stated))
     _add_maker(one, camera.maker)
-    add(one, "dcc:model", token(camera.model))
+    _add_model(one, camera.model)
     identifications(
         one,
-        ("manufacturer", camera.serial, "Serial number"),
+        ("manufacturer", camera.serial or NO_NUMBER, "Serial number"),
         ("manufacturer", camera.firmware, "Firmware"),
         ("customer", item.customer_id, "Customer's number"),
         ("calibrationLaboratory", camera.biases_sha256, "SHA-256 of the biases"),
     )
     one = add(items, "dcc:item", id=LENS_ID)
-    add_text(one, "dcc:name", f"Lens {lens.maker} {lens.model}")
+    add_text(one, "dcc:name", " ".join(("Lens", lens.maker, lens.model)))
     locks = {True: "locked", False: "not locked"}
     add_text(
         one,
@@ -100,8 +103,8 @@ def add_items(parent: _Element, certificate: Certificate) -> None:
         f"Focus: {lens.focus}, {locks[lens.focus_locked]}; aperture: {lens.aperture}, {locks[lens.aperture_locked]}",
     )
     _add_maker(one, lens.maker)
-    add(one, "dcc:model", token(lens.model))
-    identifications(one, ("manufacturer", lens.serial or "not stated", "Serial number"))
+    _add_model(one, lens.model)
+    identifications(one, ("manufacturer", lens.serial or NO_NUMBER, "Serial number"))
 
 
 def add_laboratory(parent: _Element, certificate: Certificate) -> None:
@@ -229,6 +232,11 @@ def _add_declaration(parent: _Element, name: str, text: str, /, **attributes: st
 def _add_maker(parent: _Element, maker: str) -> None:
     if maker.strip():
         add_text(add(parent, "dcc:manufacturer"), "dcc:name", maker)
+
+
+def _add_model(parent: _Element, model: str) -> None:
+    if model.strip():
+        add(parent, "dcc:model", token(model))
 
 
 def _add_contact(parent: _Element, name: str, contact: Contact, address: Address, further: str) -> None:

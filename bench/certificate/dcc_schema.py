@@ -82,7 +82,10 @@ def schema_faults(data: bytes, folder: Path, where: str) -> list[str]:
     schema = load_schema(folder, versions_of(root, where))
     if schema.validate(root):
         return []
-    lines = [f"line {entry.line}: {_plain(entry.message)}" for entry in schema.error_log]
+    lines = [
+        f"line {entry.line}: {_plain(entry.message)}"
+        for entry in schema.error_log  # type: ignore[attr-defined]
+    ]
     more = [f"and {len(lines) - _MOST_FAULTS} more"] if len(lines) > _MOST_FAULTS else []
     return [*lines[:_MOST_FAULTS], *more]
 
@@ -118,7 +121,7 @@ def load_schema(folder: Path, versions: Versions) -> XMLSchema:
     parser = _parser(etree)
     parser.resolvers.add(_resolver(etree, contents))
     try:
-        return etree.XMLSchema(etree.fromstring(contents[DCC_SCHEMA], parser))  # type: ignore[no-any-return]
+        return etree.XMLSchema(etree.fromstring(contents[DCC_SCHEMA], parser))
     except (etree.XMLSchemaParseError, etree.XMLSyntaxError) as error:
         raise UsageError(
             f"The schemas cannot be used: {_plain(str(error))}.", where=str(folder), remedy=_REMEDY
@@ -132,7 +135,7 @@ def _parser(etree: Any) -> Any:
 def _resolver(etree: Any, contents: Mapping[str, bytes]) -> Any:
     """Return a resolver that answers every address with a file of the folder, and refuses all others."""
 
-    class Resolver(etree.Resolver):  # type: ignore[misc, name-defined]
+    class Resolver(etree.Resolver):  # type: ignore[misc]
         def resolve(self, system_url: str, public_id: str, context: Any) -> Any:
             del public_id
             content = contents.get(system_url.rsplit("/", 1)[-1])

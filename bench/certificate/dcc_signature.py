@@ -235,16 +235,18 @@ def _repeatable(key: PrivateKey) -> Any:
     if isinstance(key, rsa.RSAPrivateKey):
         return key
 
+    curve_key = key
+
     class Repeatable:
-        key_size = key.key_size
+        key_size = curve_key.key_size
 
         @staticmethod
         def sign(data: bytes, signature_algorithm: ec.ECDSA) -> bytes:
             try:
                 repeatable = ec.ECDSA(signature_algorithm.algorithm, deterministic_signing=True)
-                return key.sign(data, repeatable)
+                return curve_key.sign(data, repeatable)
             except (TypeError, UnsupportedAlgorithm):  # an older cryptography or OpenSSL
-                return key.sign(data, signature_algorithm)
+                return curve_key.sign(data, signature_algorithm)
 
     return Repeatable()
 
