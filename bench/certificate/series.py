@@ -1,0 +1,314 @@
+"""The series of certificate numbers, kept in the laboratory's ledger: without gaps, each number given once.
+
+A number is reserved before a certificate is made, and entered as issued when its folder has its final name. A number
+without either end was left by a process that was killed or failed; the next certificate of the same run takes it, or a
+person declares it void with a reason. Nothing is removed from the ledger.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from datetime import datetime, timedelta
+from pathlib import Path
+
+from bench.base.errors import EvidenceError
+from bench.certificate.number_format import number_of, series_of
+from bench.certificate.series_numbers import ISSUED, LOST, RESERVED, VOIDED, Numbered, numbers, open_numbers
+from bench.records.journal import Journal
+from bench.records.journal_entry import Entry
+from bench.records.ledger import Ledger
+from bench.records.storage import make_folder, storage_errors, write_atomic
+from drivers import file_lock
+
+LOCK = "certificates.lock"
+HIGHEST = "certificates_high"
+"""File with the highest count of each series: shows numbers that were lost with lines of the ledger."""
+_CLOCK_SLACK = timedelta(seconds=2)
+
+
+@dataclass(frozen=True)
+class Wanted:
+    """For what a number is wanted.
+
+    Attributes
+    ----------
+    number_format
+        Format of the numbers, from lab.yaml.
+    simulated
+        Whether devices were simulated: these certificates have a series of their own.
+    run_seal, run_id
+        The run.
+    folder
+        Folder that the certificate will have.
+    amends
+        Number of the certificate that it replaces; empty if none.
+    also
+        Why a second certificate of the run is issued; empty: a second one is refused.
+    """
+
+    number_format: str
+    simulated: bool
+    run_seal: str
+    run_id: str
+    folder: str
+    amends: str = ""
+    also: str = ""
+
+
+@contextmanager
+def one_at_a_time(home: Path) -> Iterator[None]:
+    """Let one process at a time issue certificates. So an open number belongs to a process that has ended.
+
+    Parameters
+    ----------
+    home
+        The configuration folder.
+
+    Yields
+    ------
+    None
+        For the block; another process waits until it ends.
+
+    Raises
+    ------
+    StorageError
+        When the lock cannot be made.
+    """
+    make_folder(home)
+    with storage_errors(home / LOCK):
+        lock = os.open(home / LOCK, os.O_RDWR | os.O_CREAT, 0o600)
+    try:
+        file_lock.lock(lock, wait=True)
+        yield
+    finally:
+        os.close(lock)
+
+
+def reserve(ledger: Ledger, wanted: Wanted, now: datetime) -> Numbered:
+    """Reserve the next number, or take the open one of the same run.
+
+    Parameters
+    ----------
+    ledger
+        The laboratory's ledger.
+    wanted
+        For what the number is wanted.
+    now
+        Time of issue.
+
+    Returns
+    -------
+    Numbered
+        The number, on the disk as reserved. Numbers that were lost before it are entered as lost.
+
+    Raises
+    ------
+    EvidenceError
+        When the clock was set back, another number is open, the run has a certificate already, or what is to be amended
+        is not the newest one.
+    JournalBroken, StorageError
+        When the ledger is not valid or cannot be written.
+    """
+    with ledger.locked() as journal:
+        found = numbers(journal.entries)
+        _refuse_clock(journal.entries, now, ledger.path)
+        own = _own_open_number(found, wanted)
+        if own is None:
+            refuse_second(found, wanted)
+            own = _next(ledger, journal, found, wanted, now)
+        reserved = _enter(journal, wanted, now, own)
+        _write_highest(ledger.home, own.series, own.count)
+        return reserved
+
+
+def _next(
+    ledger: Ledger, journal: Journal, found: Mapping[str, Numbered], wanted: Wanted, now: datetime
+) -> Numbered:
+    """Return the next number of the series; enter as lost those that were given and are not in the ledger."""
+    series = series_of(wanted.number_format, year=now.year, simulated=wanted.simulated)
+    last = sum(one.series == series for one in found.values())
+    highest = _read_highest(ledger.home).get(series, 0)
+    for count in range(last + 1, highest + 1):
+        lost = number_of(series, year=now.year, number=count)
+        journal.append(LOST, number=lost, series=series, count=count)
+    count = max(last, highest) + 1
+    number = number_of(series, year=now.year, number=count)
+    if number in found:
+        raise EvidenceError(
+            f"The number {number} was given already, in the series {found[number].series}.",
+            where=str(ledger.path),
+            remedy="Give numbers.format of lab.yaml another text.",
+        )
+    return Numbered(number, series, count, "reserved", "", "", "", "")
+
+
+def _enter(journal: Journal, wanted: Wanted, now: datetime, one: Numbered) -> Numbered:
+    texts = {
+        "run_seal": wanted.run_seal,
+        "run_id": wanted.run_id,
+        "folder": wanted.folder,
+        "issued_utc": f"{now:%Y-%m-%dT%H:%M:%SZ}",
+        "amends": wanted.amends,
+    }
+    journal.append(RESERVED, number=one.number, series=one.series, count=one.count, **texts)
+    return Numbered(one.number, one.series, one.count, "reserved", **texts)
+
+
+def _read_highest(home: Path) -> dict[str, int]:
+    """Return the highest count of each series; a file that was damaged is refused."""
+    path = home / HIGHEST
+    with storage_errors(path):
+        if not path.exists():
+            return {}
+        data = path.read_bytes()
+    try:
+        found = json.loads(data)
+        return {str(series): int(count) for series, count in found.items()}
+    except (ValueError, TypeError, AttributeError, RecursionError) as error:
+        raise EvidenceError(
+            "This file does not hold the highest numbers of the series of certificates.",
+            where=str(path),
+            remedy="Somebody changed it. Write it again: the highest number given, by series, as a JSON mapping.",
+        ) from error
+
+
+def _write_highest(home: Path, series: str, count: int) -> None:
+    found = _read_highest(home)
+    if found.get(series, 0) < count:
+        text = json.dumps({**found, series: count}, indent=1, sort_keys=True)
+        write_atomic(home / HIGHEST, f"{text}\n".encode())
+
+
+def _own_open_number(found: Mapping[str, Numbered], wanted: Wanted) -> Numbered | None:
+    """Return the open number of the same run and purpose; refuse while another one is open."""
+    for one in open_numbers(found):
+        if (one.run_seal, one.amends) == (wanted.run_seal, wanted.amends):
+            return one
+        raise EvidenceError(
+            f"The certificate number {one.number} was reserved for the run {one.run_id} on"
+            f" {one.issued_utc[:16]}, and was not issued: that command was stopped or failed.",
+            where=one.folder,
+            remedy=f"Issue the certificate of that run, which takes this number, or declare it void:"
+            f" `starbench certificate void {one.number} --reason TEXT`.",
+        )
+    return None
+
+
+def refuse_second(found: Mapping[str, Numbered], wanted: Wanted) -> None:
+    """Refuse a second certificate of a run, and an amendment of anything but the newest certificate.
+
+    Parameters
+    ----------
+    found
+        All numbers.
+    wanted
+        For what a number is wanted.
+
+    Raises
+    ------
+    EvidenceError
+        When the run has a certificate already and there is no reason for another one, or when what is to be amended is
+        unknown, void, or superseded.
+    """
+    if wanted.amends:
+        old = found.get(wanted.amends)
+        if old is None or not old.is_newest:
+            state = "is not in this ledger" if old is None else f"is {old.how}"
+            if old is not None and old.superseded_by:
+                state = f"was replaced by {old.superseded_by}"
+            newest = f" Amend {_newest(found, old).number}." if old is not None and old.superseded_by else ""
+            raise EvidenceError(
+                f"Certificate {wanted.amends} cannot be amended: it {state}.",
+                remedy=f"Only the newest certificate can be amended.{newest}",
+            )
+        return
+    first = next((one for one in found.values() if one.run_seal == wanted.run_seal and one.is_newest), None)
+    if first is not None and not wanted.also:
+        raise EvidenceError(
+            f"The run has a certificate already: {first.number} of {first.issued_utc[:10]}.",
+            where=first.folder,
+            remedy="To correct it: `starbench certificate amend`. If a second one is needed, give its reason, which"
+            " is printed: --also TEXT.",
+        )
+
+
+def _newest(found: Mapping[str, Numbered], one: Numbered) -> Numbered:
+    while one.superseded_by:
+        one = found[one.superseded_by]
+    return one
+
+
+def _refuse_clock(entries: Sequence[Entry], now: datetime, path: Path) -> None:
+    """Refuse a time of issue before the last line of the ledger, so that numbers and times have one order."""
+    if entries and now < (last := datetime.fromisoformat(entries[-1].utc)) - _CLOCK_SLACK:
+        raise EvidenceError(
+            f"The computer's clock was set back: it is {now:%Y-%m-%d %H:%M:%S} UTC, but the last line of the ledger"
+            f" is of {last:%Y-%m-%d %H:%M:%S} UTC.",
+            where=str(path),
+            remedy="Set the clock. A certificate must not be older than the one before.",
+        )
+
+
+def enter_issued(ledger: Ledger, number: str, *, seal: str, serial: str, customer: str) -> None:
+    """Enter that a certificate is issued: its sealed folder has its final name.
+
+    Parameters
+    ----------
+    ledger
+        The laboratory's ledger.
+    number
+        Its number.
+    seal
+        SHA-256 of its SHA256SUMS.
+    serial, customer
+        Serial number of the camera, and name of the customer.
+
+    Raises
+    ------
+    EvidenceError, JournalBroken, StorageError
+        When the ledger is not valid or cannot be written.
+    """
+    with ledger.locked() as journal:
+        journal.append(ISSUED, number=number, seal=seal, serial=serial, customer=customer)
+
+
+def declare_void(ledger: Ledger, number: str, *, reason: str, by: str) -> Numbered:
+    """Declare void a number that was reserved and not issued.
+
+    Parameters
+    ----------
+    ledger
+        The laboratory's ledger.
+    number
+        The number.
+    reason, by
+        Why, and who says so.
+
+    Returns
+    -------
+    Numbered
+        The number, now void.
+
+    Raises
+    ------
+    EvidenceError
+        When there is no such number, or it is issued or void.
+    JournalBroken, StorageError
+        When the ledger is not valid or cannot be written.
+    """
+    with ledger.locked() as journal:
+        one = numbers(journal.entries).get(number)
+        if one is None or one.how != "reserved":
+            state = "is not in the ledger" if one is None else f"is {one.how} already"
+            raise EvidenceError(
+                f"The number {number} {state}.",
+                where=str(ledger.path),
+                remedy="Only a number that was reserved and not issued can be void. To replace a certificate:"
+                " `starbench certificate amend`.",
+            )
+        journal.append(VOIDED, number=number, reason=reason, by=by)
+        return replace(one, how="void", reason=reason)
