@@ -150,6 +150,7 @@ def _candidates(lenses: Iterable[str], options: CalibrationOptions, fitted: Fit)
                 leave_out=True,
                 discs=fitted.discs or None,
                 enlarge=False,
+                near=fitted.parameters,
             )
         except CalibrationError:  # too many parameters for these views
             continue

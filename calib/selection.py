@@ -90,8 +90,18 @@ def choose(views: Sequence[View], options: CalibrationOptions, wrong: Sequence[G
     errors: dict[str, CalibrationError] = {}
     for model in MODELS:
         try:
+            near = fits[0].parameters if fits else None
             fits.append(
-                fit_model(views, options, model, leave_out=True, discs=discs, wrong=wrong, enlarge=False)
+                fit_model(
+                    views,
+                    options,
+                    model,
+                    leave_out=True,
+                    discs=discs,
+                    wrong=wrong,
+                    enlarge=False,
+                    near=near,
+                )
             )
         except CalibrationError as error:
             errors[model] = error

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import TypeVar, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
 from calib.errors import InputMismatch
+
+T = TypeVar("T")
 
 
 @dataclass(frozen=True)
@@ -79,6 +83,7 @@ class View:
     target_mm: NDArray[np.float64]
     covariances_px2: NDArray[np.float64]
     rim: RimPoints | None = None
+    _remembered: dict[str, object] = field(default_factory=dict, init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
         n = len(self.ids)
@@ -95,3 +100,23 @@ class View:
     def __len__(self) -> int:
         """Number of stars."""
         return len(self.ids)
+
+    def remembered(self, what: str, of: Callable[[View], T]) -> T:
+        """Return what a function gives for this view; it is computed at the first call only.
+
+        Parameters
+        ----------
+        what
+            Name of the result.
+        of
+            A function of the view alone, always the same one for a name. A view never changes, so its result does not
+            either.
+
+        Returns
+        -------
+        object
+            Its result.
+        """
+        if what not in self._remembered:
+            self._remembered[what] = of(self)
+        return cast("T", self._remembered[what])

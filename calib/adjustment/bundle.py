@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.adjustment.gimbal_observations import GimbalObservations
+from calib.adjustment.linearisation import Places, blocks, camera_points, view_equations
 from calib.adjustment.normal_equations import NormalEquations
 from calib.adjustment.observations import Observations
 from calib.adjustment.parameters import AdjustmentParameters
@@ -271,23 +272,12 @@ class Bundle:
 
         J^T W J and J^T psi, with the curvature of the robust cost (Triggs et al., 2000, section 4.3).
         """
-        weight = (
-            self.observations.whitening
-            if curvature_root is None
-            else curvature_root @ self.observations.whitening
-        )
-        square = np.ascontiguousarray((np.swapaxes(weight, 1, 2) @ weight).transpose(1, 2, 0))
-        weighted_influence = np.ascontiguousarray(self.observations.unwhitened(influence).T)
-        normal, gradient = [], []
-        for rows, jacobian in zip(self.observations.slices, self.jacobians(parameters), strict=True):
-            flat, own = jacobian.reshape(len(jacobian), -1), square[:, :, rows]
-            weighted = jacobian * np.stack([own[0, 0], own[1, 1]]) + jacobian[:, ::-1] * own[0, 1]
-            normal.append(flat @ weighted.reshape(flat.shape).T)
-            gradient.append(flat @ weighted_influence[:, rows].reshape(-1))
+        every = blocks(self.observations, self.displacements, parameters, self._places(parameters))
+        normal, gradient = view_equations(self.observations, every, influence, curvature_root)
         from_readings = self.reading_equations(parameters)
         if from_readings is None:
-            return np.array(normal), np.array(gradient)
-        return np.array(normal) + from_readings[0], np.array(gradient) + from_readings[1]
+            return normal, gradient
+        return normal + from_readings[0], gradient + from_readings[1]
 
     def reading_equations(self, parameters: AdjustmentParameters) -> tuple[Array, Array] | None:
         """Return what the gimbal's readings add to the normal equations of each view.
@@ -331,25 +321,13 @@ class Bundle:
             )
 
     def _camera_points(self, parameters: AdjustmentParameters) -> Array:
-        """Return (N, 3) the stars in the camera frame, mm: R (P - c).
-
-        Spherical motion: arXiv:2512.16092, eq. 2. The aberrations are those of `calib.model.aberrations`.
-        """
-        points = self.observations.target.copy()
-        if self.displacements is not None:
-            coefficients = np.array(list(parameters.collimator.aberrations.values()))
-            points[:, :2] += self.displacements @ coefficients
-        views = zip(self.observations.slices, parameters.rotations, parameters.centres, strict=True)
-        for rows, rotation, centre in views:
-            points[rows] = (points[rows] - centre) @ rotation.T
-        return points
+        """Return (N, 3) the stars in the camera frame, mm: R (P - c)."""
+        return camera_points(self.observations, self.displacements, parameters).T
 
     def jacobians(self, parameters: AdjustmentParameters) -> Iterator[Array]:
         """Yield the derivatives of the image points of each view.
 
-        The function works view by view, with one contiguous row for each parameter, so that the data stay in the
-        processor's cache. Own derivation, by the chain rule: with P = R (X - c), a rotation t on the camera's side
-        moves P by t x P, and a shift s of the centre moves it by -R s.
+        They are those of `calib.adjustment.linearisation.blocks`.
 
         Parameters
         ----------
@@ -362,35 +340,12 @@ class Bundle:
             (G + L, 2, n_i) derivatives of one view's n_i image points, px per unit, by the G free shared parameters and
             by the L local ones (rotation in rad, then centre in mm).
         """
-        camera, points = parameters.camera, self._camera_points(parameters)
-        _, by_points, by_camera = camera.project_with_jacobians(points)
-        along, by_camera = by_points.transpose(2, 1, 0), by_camera.transpose(2, 1, 0)
-        shifts = None if self.displacements is None else self.displacements.transpose(2, 1, 0)
-        count, depth = len(self.names), 6 if self.free_centres else 3
-        places = self._parameter_places(parameters)
-        for rows, rotation in zip(self.observations.slices, parameters.rotations, strict=True):
-            x, y, z = points[rows].T
-            u, v, w = along[:, :, rows]
-            jacobian = np.empty((count + depth, 2, len(x)))
-            # A rotation t on the camera's side moves the point P by t x P; a shift s of the centre moves it by -R s.
-            jacobian[count] = y * w - z * v
-            jacobian[count + 1] = z * u - x * w
-            jacobian[count + 2] = x * v - y * u
-            by_centre = np.tensordot(-rotation.T, along[:, :, rows], 1)
-            jacobian[count + 3 :] = by_centre[: depth - 3]
-            for row, (kind, at) in zip(jacobian, places, strict=False):
-                if kind == "camera":
-                    row[:] = by_camera[at, :, rows]
-                elif kind == "centre":
-                    row[:] = -by_centre[at] if CENTRE[at] == "r" else by_centre[at]
-                elif kind == "gimbal":
-                    row[:] = 0.0
-                elif shifts is not None:
-                    row[:] = -(by_centre[0] * shifts[at, 0, rows] + by_centre[1] * shifts[at, 1, rows])
-            yield jacobian
+        for block in blocks(self.observations, self.displacements, parameters, self._places(parameters)):
+            for own in block.own:
+                yield block.jacobian[:, :, own]
 
-    def _parameter_places(self, parameters: AdjustmentParameters) -> list[tuple[str, int]]:
-        """Return for each free shared parameter the kind of part it belongs to, and its index there."""
+    def _places(self, parameters: AdjustmentParameters) -> Places:
+        """Return where the derivatives by the free parameters come from."""
         kinds = {
             "camera": parameters.camera.parameter_names,
             "centre": CENTRE,
@@ -398,4 +353,4 @@ class Bundle:
             "gimbal": GIMBAL,
         }
         known = {name: (kind, at) for kind, names in kinds.items() for at, name in enumerate(names)}
-        return [known[name] for name in self.names]
+        return Places([known[name] for name in self.names], 6 if self.free_centres else 3)

@@ -139,12 +139,14 @@ class Loss:
         """
         if not np.isfinite(self.limit):
             return None
-        lengths = np.linalg.norm(residuals, axis=1)
-        unit = residuals / np.maximum(lengths, np.finfo(float).tiny)[:, None]
+        lengths = _lengths(residuals)
+        ux, uy = residuals.T / np.maximum(lengths, np.finfo(float).tiny)
         along = np.sqrt(np.maximum(self.second_derivatives(lengths), 0.0))
         across = np.sqrt(self.weights(lengths))
-        outer = unit[:, :, None] * unit[:, None, :]
-        return np.asarray(across[:, None, None] * np.eye(2) + (along - across)[:, None, None] * outer)
+        excess = along - across
+        shared = excess * ux * uy
+        root = np.array([[across + excess * ux * ux, shared], [shared, across + excess * uy * uy]])
+        return np.asarray(root.transpose(2, 0, 1))
 
 
 @dataclass(frozen=True)
@@ -255,4 +257,5 @@ def _residuals(bundle: Bundle, parameters: AdjustmentParameters) -> Array:
 
 def _lengths(residuals: Array) -> Array:
     """Return (N,) lengths of residuals."""
-    return np.asarray(np.linalg.norm(residuals, axis=1))
+    x, y = residuals.T
+    return np.asarray(np.sqrt(x * x + y * y))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -70,13 +71,23 @@ class Observations:
             ) from None
         return cls(
             np.column_stack([target, np.zeros(len(target))]),
-            np.concatenate([view.points_px for view in views]),
+            np.asfortranarray(np.concatenate([view.points_px for view in views])),
             whitening,
             _slices(counts),
             np.repeat(np.arange(len(views)), counts),
         )
 
-    @property
+    @cached_property
+    def target_rows(self) -> Array:
+        """(3, N) float64 positions on the target, mm: one contiguous row for each coordinate."""
+        return np.ascontiguousarray(self.target.T)
+
+    @cached_property
+    def factors(self) -> Array:
+        """(3, N) float64 elements 00, 10 and 11 of the whitening, 1 / px; element 01 is zero."""
+        return np.array([self.whitening[:, 0, 0], self.whitening[:, 1, 0], self.whitening[:, 1, 1]])
+
+    @cached_property
     def sigmas_per_px(self) -> float:
         """The factor from px to standard deviations of the typical star."""
         return float(np.sqrt(np.median(np.abs(np.linalg.det(self.whitening)))))
@@ -96,11 +107,10 @@ class Observations:
         Array
             (N, 2) vectors in standard deviations.
         """
-        w = self.whitening
         # The factors are lower triangular; written out, this is several times faster than small products.
-        return np.column_stack(
-            [w[:, 0, 0] * vectors[:, 0], w[:, 1, 0] * vectors[:, 0] + w[:, 1, 1] * vectors[:, 1]]
-        )
+        a, b, c = self.factors
+        x, y = vectors.T
+        return np.array([a * x, b * x + c * y]).T
 
     def unwhitened(self, vectors: Array) -> Array:
         """Multiply vectors by the transposed whitening: a gradient by weighted residuals becomes one by px.
@@ -117,10 +127,9 @@ class Observations:
         Array
             (N, 2) gradients by image points, 1 / px.
         """
-        w = self.whitening
-        return np.column_stack(
-            [w[:, 0, 0] * vectors[:, 0] + w[:, 1, 0] * vectors[:, 1], w[:, 1, 1] * vectors[:, 1]]
-        )
+        a, b, c = self.factors
+        x, y = vectors.T
+        return np.array([a * x + b * y, c * y]).T
 
     def rows(self, views: Sequence[int]) -> list[NDArray[np.int64]]:
         """Return the rows of some views.
@@ -154,7 +163,7 @@ class Observations:
         counts = [len(r) for r in rows]
         return Observations(
             self.target[every],
-            self.points_px[every],
+            np.asfortranarray(self.points_px[every]),
             self.whitening[every],
             _slices(counts),
             np.repeat(np.arange(len(counts)), counts),

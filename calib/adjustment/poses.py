@@ -10,8 +10,6 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.model.rotation import log_map
-
 Array = NDArray[np.float64]
 
 #: Views that are turned by less against each other belong to one pose.
@@ -33,14 +31,17 @@ def poses_of(rotations: Array) -> tuple[int, ...]:
     tuple of int
         For each view the index of its pose; poses are numbered in the order of their first views.
     """
-    firsts: list[Array] = []
+    flat = np.asarray(rotations).reshape(len(rotations), 9)
+    # The chord between two rotations turned by an angle t: |R - S| = sqrt(8) sin(t / 2), in the Frobenius norm.
+    chord = np.sqrt(8.0) * np.sin(np.deg2rad(SAME_POSE_DEG) / 2.0)
+    same = np.linalg.norm(flat[:, None] - flat[None], axis=2) < chord
+    firsts: list[int] = []
     found = []
-    for rotation in rotations:
-        turns = [float(np.rad2deg(np.linalg.norm(log_map(rotation @ first.T)))) for first in firsts]
-        near = [i for i, turn in enumerate(turns) if turn < SAME_POSE_DEG]
-        if not near:
-            firsts.append(rotation)
-        found.append(near[0] if near else len(firsts) - 1)
+    for i, near in enumerate(same):
+        pose = next((k for k, first in enumerate(firsts) if near[first]), len(firsts))
+        if pose == len(firsts):
+            firsts.append(i)
+        found.append(pose)
     return tuple(found)
 
 

@@ -31,6 +31,11 @@ def noise_px(view: View) -> float:
     TooFewStars
         If the stars do not determine a homography.
     """
+    return view.remembered("noise", _noise_px)
+
+
+def _noise_px(view: View) -> float:
+    """Return the noise of a view, as `noise_px`."""
     h = fit_homography(view.target_mm, view.points_px)
     return local_sigma_px(view.target_mm, apply_homography(h, view.target_mm), view.points_px)
 

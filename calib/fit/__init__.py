@@ -35,7 +35,7 @@ from calib.fit.robust import refine_robustly
 from calib.model.aberrations import LADDER, model_with_terms, needs_rim
 from calib.model.beam import Disc, inside_guard_band, visible_discs
 from calib.model.camera import PINHOLE
-from calib.model.collimator import CENTRE
+from calib.model.collimator import CENTRE, Collimator
 from calib.model.homography import view_homography
 from calib.uncertainty.consistency import check_passport
 from calib.uncertainty.covariance import (
@@ -117,6 +117,7 @@ def fit_model(
     discs: Sequence[Disc] | None = None,
     wrong: Sequence[GrossStars] = (),
     enlarge: bool = True,
+    near: AdjustmentParameters | None = None,
 ) -> Fit:
     """Fit one model to views.
 
@@ -136,6 +137,8 @@ def fit_model(
         Stars with a gross error, for each view; they are left out. None if there are none.
     enlarge
         Whether to enlarge the uncertainty of inconsistent views at once; else `with_uncertainty` does it later.
+    near
+        The end of another model's fit to the same views, as the start; None to compare starts.
 
     Returns
     -------
@@ -154,7 +157,7 @@ def fit_model(
     discs = _discs_with_rims(views, discs) if needs_rim(terms) or options.guard_band < 1 else ()
     used = _used_stars(views, discs, options.guard_band, wrong)
     kept = _used_parts(views, used)
-    bundle, start = initialize(kept, options, model)
+    bundle, start = initialize(kept, options, model, near)
     if terms:
         if not held:
             start = refine(bundle, start, Loss("l2"), options.max_iterations).parameters
@@ -239,7 +242,10 @@ def _used_stars(
 
 
 def initialize(
-    views: Sequence[View], options: CalibrationOptions, model: str
+    views: Sequence[View],
+    options: CalibrationOptions,
+    model: str,
+    near: AdjustmentParameters | None = None,
 ) -> tuple[Bundle, AdjustmentParameters]:
     """Return the bundle of the ideal model, without aberrations, and its starting values.
 
@@ -251,6 +257,8 @@ def initialize(
         Distortion coefficients and passport.
     model
         ``planar`` frees the centre of each view; all other models share one centre.
+    near
+        Parameters near the optimum, from another model; None to compare starts. ``planar`` always compares starts.
 
     Returns
     -------
@@ -262,12 +270,14 @@ def initialize(
     DegenerateViews
         If no start leads to a real camera.
     """
-    h = np.array([view_homography(view) for view in views])
     size, distortion = views[0].image_size, tuple(options.distortion)
     held = options.passport.names if options.passport else ()
     centre = [] if model == "planar" else [name for name in CENTRE if name not in held]
     observations = Observations.from_views(views)
     bundle = Bundle(observations, (*PINHOLE, *distortion, *centre), free_centres=model == "planar")
+    if near is not None and model != "planar":
+        return bundle, _ideal(near, distortion)
+    h = np.array([view_homography(view) for view in views])
     if options.passport:
         starts = list(passport_starts(h, size, distortion, options.passport))
     elif model == "planar":
@@ -275,6 +285,18 @@ def initialize(
     else:
         starts = list(spherical_starts(h, size, distortion))
     return bundle, best_start(bundle, starts)
+
+
+def _ideal(near: AdjustmentParameters, distortion: Sequence[str]) -> AdjustmentParameters:
+    """Return parameters without aberrations, shifts of centres and gimbal; coefficients they do not have are zero."""
+    camera, centre = near.camera, near.collimator
+    coefficients = {name: camera.distortion.get(name, 0.0) for name in distortion}
+    return AdjustmentParameters(
+        replace(camera, distortion=coefficients),
+        Collimator(centre.x, centre.y, centre.r),
+        near.rotations,
+        np.zeros_like(near.offsets),
+    )
 
 
 def _constrained(

@@ -171,8 +171,9 @@ class CameraModel:
         Array
             (N, 2) image points, px. NaN for points that are not in front of the camera (Z <= 0).
         """
-        forward = np.where(points[:, 2:] > 0, points, np.nan)
-        distorted = distort(forward[:, :2] / forward[:, 2:], self.distortion)
+        x, y, z = np.ascontiguousarray(points.T)
+        inverse_z = 1.0 / np.where(z > 0, z, np.nan)
+        distorted = distort(np.array([x * inverse_z, y * inverse_z]).T, self.distortion)
         return np.asarray(distorted * [self.fx, self.fy] + [self.cx, self.cy])
 
     def project_with_jacobians(self, points: Array) -> tuple[Array, Array, Array]:
@@ -192,21 +193,23 @@ class CameraModel:
             (N, 2) image points, px; (N, 2, 3) derivatives by the points, px per length unit; (N, 2, 4 + K) derivatives
             by the parameters in the order of `parameter_names`.
         """
-        inverse_z = 1.0 / points[:, 2]
-        normalised = points[:, :2] * inverse_z[:, None]
-        distorted, by_normalised, by_coefficients = distort_with_jacobians(normalised, self.distortion)
+        x, y, z = np.ascontiguousarray(points.T)
+        inverse_z = 1.0 / z
+        normalised = np.array([x * inverse_z, y * inverse_z])
+        distorted, by_normalised, by_coefficients = distort_with_jacobians(normalised.T, self.distortion)
         focal = np.array([self.fx, self.fy])
         pixels = distorted * focal + [self.cx, self.cy]
 
-        by_pixel = by_normalised * focal[:, None] * inverse_z[:, None, None]
-        along_ray = -(by_pixel @ normalised[:, :, None])
-        by_points = np.concatenate([by_pixel, along_ray], axis=2)
+        # One contiguous row over the points for each derivative: several times faster than one small matrix a point.
+        by_points = np.empty((2, 3, len(x)))
+        by_points[:, :2] = by_normalised.transpose(1, 2, 0) * (focal[:, None, None] * inverse_z)
+        by_points[:, 2] = -(by_points[:, 0] * normalised[0] + by_points[:, 1] * normalised[1])
 
-        by_parameters = np.zeros((len(points), 2, 4 + len(self.distortion)))
-        by_parameters[:, 0, 0], by_parameters[:, 1, 1] = distorted[:, 0], distorted[:, 1]
-        by_parameters[:, 0, 2] = by_parameters[:, 1, 3] = 1.0
-        by_parameters[:, :, 4:] = by_coefficients * focal[:, None]
-        return pixels, by_points, by_parameters
+        by_parameters = np.zeros((4 + len(self.distortion), 2, len(x)))
+        by_parameters[0, 0], by_parameters[1, 1] = distorted.T
+        by_parameters[2, 0] = by_parameters[3, 1] = 1.0
+        by_parameters[4:] = by_coefficients.transpose(2, 1, 0) * focal[:, None]
+        return pixels, by_points.transpose(2, 0, 1), by_parameters.transpose(2, 1, 0)
 
     def rays(self, points_px: Array) -> Array:
         """Return the unit rays that are seen at image points: the inverse of `project`.

@@ -108,7 +108,7 @@ def view_homography(view: View) -> Array:
     InputMismatch
         If the image shows the target mirrored.
     """
-    h, wrong = _fit_without_gross_errors(view)
+    h, wrong = view.remembered("homography", _fit_without_gross_errors)
     kept = ~wrong
     part = wrong.any() and np.count_nonzero(kept) >= MIN_STARS
     return _oriented(h, _part(view, kept) if part else view)
@@ -138,7 +138,7 @@ def gross_errors(view: View) -> Bools:
     DegenerateViews
         If all stars lie on one line, on the target or in the image.
     """
-    return _fit_without_gross_errors(view)[1]
+    return view.remembered("homography", _fit_without_gross_errors)[1]
 
 
 def _fit_without_gross_errors(view: View) -> tuple[Array, Bools]:

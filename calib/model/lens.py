@@ -7,7 +7,7 @@ coordinates (x / z, y / z), not pixels.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +16,17 @@ Array = NDArray[np.float64]
 
 #: Coefficients of Brown's model in OpenCV's order; k4 to k6 are those of the denominator (rational model).
 BROWN = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
+_TANGENTIAL = (2, 3)
+_NUMERATOR = (0, 1, 4)
+#: Power of r^2 of each radial coefficient, by its place in `BROWN`. Products, because a general power is slow.
+_POWERS: Mapping[int, Callable[[Array], Array]] = {
+    0: lambda r2: r2,
+    1: lambda r2: r2 * r2,
+    4: lambda r2: r2 * r2 * r2,
+    5: lambda r2: r2,
+    6: lambda r2: r2 * r2,
+    7: lambda r2: r2 * r2 * r2,
+}
 #: Coefficients of the angle's polynomial: theta (1 + kb1 theta^2 + kb2 theta^4 + ...); OpenCV's fisheye k1 to k4.
 FISHEYE = ("kb1", "kb2", "kb3", "kb4")
 
@@ -62,8 +73,8 @@ def distort_with_jacobians(points: Array, coefficients: Mapping[str, float]) -> 
     """
     family = FISHEYE if is_fisheye(coefficients) else BROWN
     evaluate = _fisheye_with_jacobians if family is FISHEYE else _brown_with_jacobians
-    distorted, by_points, by_all = evaluate(points, _ordered(coefficients, family))
-    return distorted, by_points, by_all[:, :, [family.index(name) for name in coefficients]]
+    wanted = [family.index(name) for name in coefficients]
+    return evaluate(points, _ordered(coefficients, family), wanted)
 
 
 def is_fisheye(coefficients: Mapping[str, float]) -> bool:
@@ -87,12 +98,12 @@ def _ordered(coefficients: Mapping[str, float], family: tuple[str, ...]) -> Arra
     return np.array([coefficients.get(name, 0.0) for name in family])
 
 
-def _radial_terms(points: Array, k: Array) -> tuple[Array, Array, Array, Array]:
+def _radial_terms(x: Array, y: Array, k: Array) -> tuple[Array, Array, Array, Array]:
     """Return r^2, numerator, denominator and radial factor of the rational distortion, (N,) each.
 
     OpenCV's rational model: (1 + k1 r^2 + k2 r^4 + k3 r^6) / (1 + k4 r^2 + k5 r^4 + k6 r^6).
     """
-    r2 = points[:, 0] ** 2 + points[:, 1] ** 2
+    r2 = x * x + y * y
     numerator = 1.0 + r2 * (k[0] + r2 * (k[1] + r2 * k[4]))
     denominator = 1.0 + r2 * (k[5] + r2 * (k[6] + r2 * k[7]))
     return r2, numerator, denominator, numerator / denominator
@@ -100,70 +111,88 @@ def _radial_terms(points: Array, k: Array) -> tuple[Array, Array, Array, Array]:
 
 def _brown(points: Array, k: Array) -> Array:
     """Distort (N, 2) normalised points: Brown (1971), with OpenCV's rational radial factor."""
-    x, y = points[:, 0], points[:, 1]
-    r2, _, _, radial = _radial_terms(points, k)
+    x, y = np.ascontiguousarray(points.T)
+    r2, _, _, radial = _radial_terms(x, y, k)
+    return _bent(x, y, r2, radial, k).T
+
+
+def _bent(x: Array, y: Array, r2: Array, radial: Array, k: Array) -> Array:
+    """Return (2, N) the distorted points: radial factor and tangential terms."""
     p1, p2 = k[2], k[3]
-    return np.column_stack(
-        [
-            x * radial + 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x * x),
-            y * radial + p1 * (r2 + 2.0 * y * y) + 2.0 * p2 * x * y,
-        ]
-    )
+    bent = np.array([x * radial, y * radial])
+    if p1 or p2:
+        bent[0] += 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x * x)
+        bent[1] += p1 * (r2 + 2.0 * y * y) + 2.0 * p2 * x * y
+    return bent
 
 
-def _brown_with_jacobians(points: Array, k: Array) -> tuple[Array, Array, Array]:
-    """Distort points; return also the derivatives by the points (N, 2, 2) and by all 8 coefficients (N, 2, 8).
+def _brown_with_jacobians(points: Array, k: Array, wanted: Sequence[int]) -> tuple[Array, Array, Array]:
+    """Distort points; return also the derivatives by the points (N, 2, 2) and by the wanted coefficients (N, 2, K).
 
-    Own derivatives of `_brown`: Brown (1971), with OpenCV's rational radial factor.
+    Own derivatives of `_brown`: Brown (1971), with OpenCV's rational radial factor. In memory each derivative is one
+    contiguous row over the points.
     """
-    x, y = points[:, 0], points[:, 1]
-    r2, numerator, denominator, radial = _radial_terms(points, k)
+    x, y = np.ascontiguousarray(points.T)
+    r2, _, denominator, radial = _radial_terms(x, y, k)
     p1, p2 = k[2], k[3]
     numerator_slope = k[0] + r2 * (2.0 * k[1] + 3.0 * k[4] * r2)
     denominator_slope = k[5] + r2 * (2.0 * k[6] + 3.0 * k[7] * r2)
     slope = (numerator_slope - radial * denominator_slope) / denominator
 
-    by_points = np.empty((len(points), 2, 2))
-    by_points[:, 0, 0] = radial + 2.0 * x * x * slope + 2.0 * p1 * y + 6.0 * p2 * x
-    by_points[:, 1, 1] = radial + 2.0 * y * y * slope + 6.0 * p1 * y + 2.0 * p2 * x
-    by_points[:, 0, 1] = by_points[:, 1, 0] = 2.0 * x * y * slope + 2.0 * p1 * x + 2.0 * p2 * y
+    by_points = np.empty((2, 2, len(x)))
+    by_points[0, 0] = radial + 2.0 * x * x * slope + 2.0 * p1 * y + 6.0 * p2 * x
+    by_points[1, 1] = radial + 2.0 * y * y * slope + 6.0 * p1 * y + 2.0 * p2 * x
+    by_points[0, 1] = by_points[1, 0] = 2.0 * x * y * slope + 2.0 * p1 * x + 2.0 * p2 * y
 
-    by_coefficients = np.zeros((len(points), 2, 8))
-    powers = np.column_stack([r2, r2**2, r2**3])
-    by_coefficients[:, :, [0, 1, 4]] = points[:, :, None] * (powers / denominator[:, None])[:, None, :]
-    by_denominator = -(numerator / denominator**2)[:, None] * powers
-    by_coefficients[:, :, 5:8] = points[:, :, None] * by_denominator[:, None, :]
-    by_coefficients[:, 0, 2] = by_coefficients[:, 1, 3] = 2.0 * x * y
-    by_coefficients[:, 1, 2] = r2 + 2.0 * y * y
-    by_coefficients[:, 0, 3] = r2 + 2.0 * x * x
-    return _brown(points, k), by_points, by_coefficients
+    by_coefficients = np.empty((len(wanted), 2, len(x)))
+    for rows, at in zip(by_coefficients, wanted, strict=True):
+        if at in _TANGENTIAL:
+            rows[at - 2] = 2.0 * x * y
+            rows[3 - at] = r2 + 2.0 * (y * y if at == _TANGENTIAL[0] else x * x)
+        else:
+            factor = _POWERS[at](r2) / denominator
+            factor = factor if at in _NUMERATOR else -factor * radial
+            rows[0], rows[1] = x * factor, y * factor
+    bent = _bent(x, y, r2, radial, k)
+    return bent.T, by_points.transpose(2, 0, 1), by_coefficients.transpose(2, 1, 0)
 
 
 def _angles(points: Array) -> tuple[Array, Array]:
     """Return the distance r from the axis, (N,), and the angle theta = atan r, (N,) rad."""
-    r = np.maximum(np.linalg.norm(points, axis=1), 1e-12)
+    r = np.maximum(np.hypot(points[:, 0], points[:, 1]), 1e-12)
     return r, np.arctan(r)
 
 
 def _fisheye(points: Array, k: Array) -> Array:
     """Distort (N, 2) normalised points: the radius becomes a polynomial of the angle (Kannala and Brandt, 2006)."""
     r, theta = _angles(points)
-    t2 = theta**2
+    t2 = theta * theta
     bent = theta * (1.0 + t2 * (k[0] + t2 * (k[1] + t2 * (k[2] + t2 * k[3]))))
     return points * (bent / r)[:, None]
 
 
-def _fisheye_with_jacobians(points: Array, k: Array) -> tuple[Array, Array, Array]:
-    """Distort points; return also the derivatives by the points (N, 2, 2) and by all 4 coefficients (N, 2, 4).
+def _fisheye_with_jacobians(points: Array, k: Array, wanted: Sequence[int]) -> tuple[Array, Array, Array]:
+    """Distort points; return also the derivatives by the points (N, 2, 2) and by the wanted coefficients (N, 2, K).
 
-    Own derivatives of `_fisheye`: Kannala and Brandt (2006).
+    Own derivatives of `_fisheye`: Kannala and Brandt (2006). In memory each derivative is one contiguous row over the
+    points.
     """
     r, theta = _angles(points)
-    powers = theta[:, None] ** np.array([3, 5, 7, 9])
-    bent = theta + powers @ k
-    slope = (1.0 + (theta[:, None] ** np.array([2, 4, 6, 8])) @ (k * [3, 5, 7, 9])) / (1.0 + r**2)
-    unit = points / r[:, None]
-    outer = unit[:, :, None] * unit[:, None, :]
+    t2 = theta * theta
+    bent = theta * (1.0 + t2 * (k[0] + t2 * (k[1] + t2 * (k[2] + t2 * k[3]))))
+    bending = 1.0 + t2 * (3.0 * k[0] + t2 * (5.0 * k[1] + t2 * (7.0 * k[2] + t2 * 9.0 * k[3])))
+    slope = bending / (1.0 + r * r)
     scale = bent / r
-    by_points = scale[:, None, None] * np.eye(2) + (slope - scale)[:, None, None] * outer
-    return points * scale[:, None], by_points, unit[:, :, None] * powers[:, None, :]
+    ux, uy = points[:, 0] / r, points[:, 1] / r
+
+    by_points = np.empty((2, 2, len(r)))
+    by_points[0, 0] = scale + (slope - scale) * ux * ux
+    by_points[1, 1] = scale + (slope - scale) * uy * uy
+    by_points[0, 1] = by_points[1, 0] = (slope - scale) * ux * uy
+
+    powers = [theta * t2]
+    for _ in range(max(wanted, default=0)):
+        powers.append(powers[-1] * t2)
+    by_coefficients = np.array([[ux * powers[at], uy * powers[at]] for at in wanted])
+    by_coefficients = by_coefficients.reshape(len(wanted), 2, len(r))
+    return points * scale[:, None], by_points.transpose(2, 0, 1), by_coefficients.transpose(2, 1, 0)

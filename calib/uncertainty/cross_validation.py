@@ -137,4 +137,4 @@ def _alone(bundle: Bundle, others: AdjustmentParameters, rotation: Array, i: int
         collimator = Collimator(float(x), float(y), float(-z))
     view = replace(bundle.subset([i]), names=(), free_centres=False, prior=None, gimbal=None)
     start = AdjustmentParameters(others.camera, collimator, rotation[None], np.zeros((1, 3)))
-    return view.residuals_px(refine(view, start, Loss("l2")).parameters)
+    return view.residuals_px(refine(view, start, Loss("l2"), tolerance=_TOLERANCE).parameters)

@@ -1,0 +1,241 @@
+"""Derivatives of the image points of many views, and the normal equations of each view.
+
+The derivatives are kept in planes: one contiguous row over the stars for each parameter and image axis. Views are
+handled in blocks that stay in the processor's cache. This module is arithmetic only; `calib.adjustment.bundle` says
+which parameters are free.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calib.adjustment.observations import Observations
+from calib.adjustment.parameters import AdjustmentParameters
+from calib.model.collimator import CENTRE
+
+Array = NDArray[np.float64]
+
+#: Number of stars of a block: its derivatives by 15 parameters are about half a megabyte.
+_BLOCK_STARS = 2000
+
+
+@dataclass(frozen=True)
+class Places:
+    """Where the derivatives by the free parameters come from.
+
+    Attributes
+    ----------
+    shared
+        For each of G free shared parameters its kind (``camera``, ``centre``, ``aberration`` or ``gimbal``) and its
+        index among the parameters of that kind.
+    local
+        Number L of local parameters of each view: 3 for the rotation; 6 with a free centre.
+    """
+
+    shared: Sequence[tuple[str, int]]
+    local: int
+
+
+@dataclass(frozen=True)
+class Block:
+    """Consecutive views with their derivatives.
+
+    Attributes
+    ----------
+    views
+        Indices of the views.
+    rows
+        Rows of the stars of all these views.
+    own
+        For each view, its rows within the block.
+    jacobian
+        (G + L, 2, N) derivatives of the block's N image points, px per unit, by the G free shared and the L local
+        parameters (rotation in rad, then centre in mm).
+    """
+
+    views: range
+    rows: slice
+    own: Sequence[slice]
+    jacobian: Array
+
+
+def camera_points(
+    observations: Observations, displacements: Array | None, parameters: AdjustmentParameters
+) -> Array:
+    """Return all stars in the camera frame: P = R (X - c).
+
+    Spherical motion: arXiv:2512.16092, eq. 2. The aberrations are those of `calib.model.aberrations`.
+
+    Parameters
+    ----------
+    observations
+        The stars of all views.
+    displacements
+        (N, 2, T) displacement of each star by a unit of each aberration, mm; None if there are none.
+    parameters
+        Camera, collimator, rotations and centres.
+
+    Returns
+    -------
+    Array
+        (3, N) float64 points, mm.
+    """
+    x, y, z = observations.target_rows
+    if displacements is not None:
+        dx, dy = (displacements @ np.array(list(parameters.collimator.aberrations.values()))).T
+        x, y = x + dx, y + dy
+    plane = np.array([x, y, z])
+    points = np.empty_like(plane)
+    views = zip(observations.slices, parameters.rotations, parameters.centres, strict=True)
+    for rows, rotation, centre in views:
+        np.matmul(rotation, plane[:, rows] - centre[:, None], out=points[:, rows])
+    return points
+
+
+def _turned(
+    observations: Observations, displacements: Array | None, parameters: AdjustmentParameters, rows: slice
+) -> tuple[Array, Array]:
+    """Return the rotation of each star's view, (3, 3, M), and its point in the camera frame, (3, M) mm."""
+    view = observations.view[rows]
+    turn = np.ascontiguousarray(parameters.rotations.transpose(1, 2, 0))[:, :, view]
+    x, y, z = observations.target_rows[:, rows] - np.ascontiguousarray(parameters.centres.T)[:, view]
+    if displacements is not None:
+        coefficients = np.array(list(parameters.collimator.aberrations.values()))
+        dx, dy = (displacements[rows] @ coefficients).T
+        x, y = x + dx, y + dy
+    return turn, turn[:, 0] * x + turn[:, 1] * y + turn[:, 2] * z
+
+
+def blocks(
+    observations: Observations,
+    displacements: Array | None,
+    parameters: AdjustmentParameters,
+    places: Places,
+) -> Iterator[Block]:
+    """Yield the views in blocks, with the derivatives of their image points.
+
+    Own derivation, by the chain rule: with P = R (X - c), a rotation t on the camera's side moves P by t x P, and a
+    shift s of the centre moves it by -R s.
+
+    Parameters
+    ----------
+    observations
+        The stars of all views.
+    displacements
+        (N, 2, T) float64 displacement of each star by a unit of each aberration, mm; None if there are none.
+    parameters
+        Camera, collimator, rotations and centres.
+    places
+        The free parameters.
+
+    Yields
+    ------
+    Block
+        At least one view each.
+    """
+    for views in _views_in_blocks(observations.slices):
+        own = [observations.slices[i] for i in views]
+        rows = slice(own[0].start, own[-1].stop)
+        turn, points = _turned(observations, displacements, parameters, rows)
+        _, by_points, by_camera = parameters.camera.project_with_jacobians(points.T)
+        shifts = None if displacements is None else displacements[rows].transpose(2, 1, 0)
+        jacobian = _jacobian(
+            turn, points, by_points.transpose(2, 1, 0), by_camera.transpose(2, 1, 0), shifts, places
+        )
+        own = [slice(one.start - rows.start, one.stop - rows.start) for one in own]
+        yield Block(views, rows, own, jacobian)
+
+
+def _views_in_blocks(slices: Sequence[slice]) -> Iterator[range]:
+    """Yield the indices of consecutive views that have about as many stars as a block."""
+    first = 0
+    for i, rows in enumerate(slices):
+        if rows.stop - slices[first].start > _BLOCK_STARS and i > first:
+            yield range(first, i)
+            first = i
+    yield range(first, len(slices))
+
+
+def _jacobian(
+    turn: Array, points: Array, along: Array, by_camera: Array, shifts: Array | None, places: Places
+) -> Array:
+    """Return the derivatives (G + L, 2, N) of N image points, from those by the points (3, 2, N) and by the camera."""
+    x, y, z = points
+    u, v, w = along
+    count = len(places.shared)
+    jacobian = np.empty((count + places.local, 2, len(x)))
+    jacobian[count] = y * w - z * v
+    jacobian[count + 1] = z * u - x * w
+    jacobian[count + 2] = x * v - y * u
+    by_centre = -(turn[0][:, None] * u + turn[1][:, None] * v + turn[2][:, None] * w)
+    jacobian[count + 3 :] = by_centre[: places.local - 3]
+    for row, (kind, at) in zip(jacobian, places.shared, strict=False):
+        if kind == "camera":
+            row[:] = by_camera[at]
+        elif kind == "centre":
+            row[:] = -by_centre[at] if CENTRE[at] == "r" else by_centre[at]
+        elif kind == "gimbal":
+            row[:] = 0.0
+        elif shifts is not None:
+            row[:] = -(by_centre[0] * shifts[at, 0] + by_centre[1] * shifts[at, 1])
+    return jacobian
+
+
+def view_equations(
+    observations: Observations, every: Iterator[Block], influence: Array, curvature_root: Array | None
+) -> tuple[Array, Array]:
+    """Return the normal matrix and the gradient of each view, without priors.
+
+    J^T W J and J^T psi, with the curvature of the robust cost (Triggs et al., 2000, section 4.3).
+
+    Parameters
+    ----------
+    observations
+        The stars of all views.
+    every
+        All blocks, from `blocks`.
+    influence
+        (N, 2) gradient of the cost by each weighted residual.
+    curvature_root
+        (N, 2, 2) symmetric square root of the second derivative of the cost by each weighted residual; None for the
+        identity.
+
+    Returns
+    -------
+    tuple of Array
+        (n, G + L, G + L) normal matrices and (n, G + L) gradients.
+    """
+    along_x, across, along_y = _square(observations, curvature_root)
+    by_points = np.ascontiguousarray(observations.unwhitened(influence).T)
+    normal, gradient = [], []
+    for block in every:
+        jacobian, rows = block.jacobian, block.rows
+        count = len(jacobian)
+        # The last row is the gradient by the image points, so that one product gives normal matrix and gradient.
+        weighted = np.empty((2, count + 1, jacobian.shape[2]))
+        weighted[0, :count] = jacobian[:, 0] * along_x[rows]
+        weighted[0, :count] += jacobian[:, 1] * across[rows]
+        weighted[1, :count] = jacobian[:, 1] * along_y[rows]
+        weighted[1, :count] += jacobian[:, 0] * across[rows]
+        weighted[:, count] = by_points[:, rows]
+        for own in block.own:
+            product = jacobian[:, 0, own] @ weighted[0, :, own].T
+            product += jacobian[:, 1, own] @ weighted[1, :, own].T
+            normal.append(product[:, :count])
+            gradient.append(product[:, count])
+    return np.array(normal), np.array(gradient)
+
+
+def _square(observations: Observations, curvature_root: Array | None) -> tuple[Array, Array, Array]:
+    """Return the elements xx, xy and yy, (N,) each, of W^T C W: whitening W, curvature C of the robust cost."""
+    a, b, c = observations.factors
+    if curvature_root is None:
+        return a * a + b * b, b * c, c * c
+    xx, xy, yy = curvature_root[:, 0, 0], curvature_root[:, 0, 1], curvature_root[:, 1, 1]
+    left, right = xx * a + xy * b, xy * a + yy * b
+    upper, lower = xy * c, yy * c
+    return left * left + right * right, left * upper + right * lower, upper * upper + lower * lower
