@@ -42,29 +42,29 @@ def show_verification(verification: Verification, *, as_json: bool) -> int:
         click.echo("NOT VERIFIED:", err=True)
         for fault in verification.faults:
             click.echo(f"  {fault}", err=True)
+        click.echo(f"State by its signatures alone: {verification.state}", err=True)
     if not verification.ok:
         return 1
     return 0 if verification.complete else NOT_COMPARED
 
 
-def _show_valid(verification: Verification) -> None:
-    click.echo(f"State: {verification.state}")
-    for statement in verification.statements:
-        click.echo(f"  {statement}.")
-    click.echo(
-        f"Seal is valid: {verification.files} files, sealed by {verification.signer} ({verification.fingerprint})."
-    )
-    if verification.run_id is not None:
-        simulated = " SIMULATED devices." if verification.simulated else ""
-        camera = verification.camera_serial or "without number"
-        click.echo(f"Run {verification.run_id}, camera {camera}.{simulated}")
-    for remark in verification.remarks:
+def _show_valid(found: Verification) -> None:
+    click.echo(f"{found.state}: {found.files} files, sealed by {found.signer} ({found.fingerprint}).")
+    if found.stated is not None:
+        click.echo(f"Sealed {found.stated[:19].replace('T', ' ')} UTC by the bench's own clock.")
+    for statement in found.statements:
+        click.echo(statement)
+    if found.run_id is not None:
+        simulated = " SIMULATED devices." if found.simulated else ""
+        camera = found.camera_serial or "without number"
+        click.echo(f"Run {found.run_id}, camera {camera}.{simulated}")
+    for remark in found.remarks:
         click.echo(f"Note: {remark}.")
-    if verification.not_compared:
+    if found.not_compared:
         click.echo(
-            "NOT COMPARED. Only the seal protects these parts; whoever holds the key could change them:"
+            "NOT COMPARED. Only the seal protects these parts; whoever holds its key could change them:"
         )
-        for what in verification.not_compared:
+        for what in found.not_compared:
             click.echo(f"  {what}")
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from datetime import datetime
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -11,13 +11,29 @@ import click
 from bench.commands.options import JSON, ExistingFile, RunFolder
 
 if TYPE_CHECKING:
-    from bench.evidence.findings import Derivation
+    from bench.evidence.findings import Derivation, Findings
 
 
 @click.command()
 @click.argument("folder", metavar="FOLDER", type=RunFolder(journal=False))
 @click.option(
     "--allowed-signers", type=ExistingFile(), help="File of trusted keys.  [default: this bench's own]"
+)
+@click.option(
+    "--revoked-keys",
+    type=ExistingFile(),
+    help="File of revoked keys.  [default: the one beside the trusted keys]",
+)
+@click.option(
+    "--tsa-certificates",
+    type=ExistingFile(),
+    help="Root certificates of trusted time stamping authorities, PEM.  [default: this bench's own]",
+)
+@click.option(
+    "--at",
+    type=click.DateTime(["%Y-%m-%d", "%Y-%m-%dT%H:%M:%S", "%Y-%m-%d %H:%M"]),
+    help="Day, or UTC time, for which the keys must have been valid.  [default: when the folder was sealed, by the"
+    " bench's own clock]",
 )
 @click.option("--serial", help="Serial number that the calibrated camera must have.")
 @click.option(
@@ -26,20 +42,38 @@ if TYPE_CHECKING:
     help="Also find the stars in the recordings again, calibrate again, and compare every number.",
 )
 @JSON
-def verify(folder: Path, allowed_signers: Path | None, serial: str | None, again: bool, as_json: bool) -> int:
+def verify(
+    folder: Path,
+    allowed_signers: Path | None,
+    revoked_keys: Path | None,
+    tsa_certificates: Path | None,
+    at: datetime | None,
+    serial: str | None,
+    again: bool,
+    as_json: bool,
+) -> int:
     """Check a sealed FOLDER: a run, a certificate or recalculated results.
 
-    The signature, every file and the journal are checked; results, exports and report are derived again and compared.
+    The signatures, every file and the journal are checked. Results, exports and report are derived again and compared
+    byte by byte; with --again from the recordings.
     """
     from bench.base.home import home_folder
     from bench.commands.evidence_output import show_verification
-    from bench.evidence.keys import SIGNERS_FILE, read_signers
+    from bench.evidence.key_trust import read_trust
     from bench.evidence.verify import verify_folder
 
-    signers = read_signers(allowed_signers or home_folder() / SIGNERS_FILE)
-    when: datetime | None = None
+    trust = read_trust(
+        home_folder(),
+        allowed_signers=allowed_signers,
+        revoked_keys=revoked_keys,
+        tsa_certificates=tsa_certificates,
+    )
     found = verify_folder(
-        folder, signers, when=when, camera_serial=serial, derivations=derivations(again=again)
+        folder,
+        trust,
+        at=at.replace(tzinfo=UTC) if at else None,
+        camera_serial=serial,
+        derivations=derivations(again=again),
     )
     return show_verification(found, as_json=as_json)
 
@@ -61,6 +95,24 @@ def derivations(*, again: bool) -> dict[str, list[Derivation]]:
     from bench.results.reproduce import check_recordings
 
     return {
-        "run": [check_run, *([check_recordings] if again else [])],
+        "run": [_check_ledger, check_run, *([check_recordings] if again else [])],
         "results": [check_results_folder],
     }
+
+
+def _check_ledger(folder: Path) -> Findings:
+    """Compare the number and the head of a run with the ledger of this bench, if the run is in it."""
+    from bench.evidence.findings import Findings
+    from bench.evidence.ledger_check import ledger_faults_of_run
+    from bench.records.history import replay
+    from bench.records.journal import read_journal
+    from bench.records.run_folder import JOURNAL
+    from bench.results.previous_calibration import bench_ledger
+
+    found, ledger = Findings(), bench_ledger()
+    for what in ledger_faults_of_run(folder, ledger):
+        found.fault("ledger", JOURNAL, what.rstrip("."))
+    place = replay(read_journal(folder / JOURNAL)[0]).ledger
+    if not found.faults and not (place and ledger.contains(place)):
+        found.remarks.append("this run is not in the ledger of this bench, so no ledger confirms its number")
+    return found

@@ -81,8 +81,12 @@ class Verification:
         ``DRAFT``, ``SEALED`` or ``AUTHORISED``.
     statements
         Who authorised it, and what its time stamps say: a sentence each.
+    stated
+        When the folder says that it was made, by the bench's own clock, ISO 8601; None if it does not say.
     signer, fingerprint
-        Name of the signer in the list of trusted keys (None when the key is not in it), and fingerprint of the key.
+        Name of the bench in the list of trusted keys (None if its key is not accepted), and fingerprint of its key.
+    person, person_fingerprint
+        Name and fingerprint of the person who authorised; None if nobody did, or if it does not hold.
     files
         Number of files in the list of the seal.
     run_id, camera_serial
@@ -98,8 +102,11 @@ class Verification:
     remarks: Sequence[str] = ()
     state: str = "DRAFT"
     statements: Sequence[str] = ()
+    stated: str | None = None
     signer: str | None = None
     fingerprint: str | None = None
+    person: str | None = None
+    person_fingerprint: str | None = None
     files: int = 0
     run_id: str | None = None
     camera_serial: str | None = None

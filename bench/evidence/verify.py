@@ -18,9 +18,11 @@ from bench.base.errors import RunFolderError
 from bench.evidence.faults import SealFault
 from bench.evidence.findings import Derivation, Derivations, Findings, Verification
 from bench.evidence.instructions import KINDS, kind_of
-from bench.evidence.keys import Signer
+from bench.evidence.key_trust import Trust
+from bench.evidence.signers import Signer
+from bench.evidence.states import standing_of
 from bench.evidence.verify_journal import check_journal
-from bench.evidence.verify_seal import check_seal, too_large
+from bench.evidence.verify_seal import check_listed, too_large
 from bench.records.captures import Capture
 from bench.records.run_folder import MANIFEST, RESULTS
 from bench.records.storage import storage_errors
@@ -33,9 +35,10 @@ UNREADABLE = (ValueError, LookupError, TypeError, AttributeError, ArithmeticErro
 
 def verify_folder(
     folder: Path,
-    signers: Iterable[Signer],
+    trust: Trust | Iterable[Signer],
     *,
-    when: datetime | None = None,
+    now: datetime | None = None,
+    at: datetime | None = None,
     camera_serial: str | None = None,
     derivations: Derivations | None = None,
 ) -> Verification:
@@ -51,10 +54,13 @@ def verify_folder(
     ----------
     folder
         The folder.
-    signers
-        Trusted keys, from `bench.evidence.keys.read_signers`.
-    when
-        Moment at which the signer's key must be valid, with its time zone; None for now.
+    trust
+        Whom the reader trusts, from `bench.evidence.key_trust.read_trust`; or trusted keys alone.
+    now
+        The present time, with its time zone; None for that of the system.
+    at
+        Moment for which the reader asks whether the keys were valid (``verify --at``), with its time zone. A trusted
+        time stamp goes before it. None: the bench's own clock states when the folder was sealed.
     camera_serial
         Serial number that the calibrated camera must have; None for any. It reveals a report of another camera.
     derivations
@@ -79,11 +85,16 @@ def verify_folder(
             remedy="Name the folder that a run, a certificate or recalculated results were written to.",
         )
     kind = kind_of(folder)
+    found = Findings()
+    trusted = trust if isinstance(trust, Trust) else Trust(tuple(trust))
     with storage_errors(folder):
-        seal = check_seal(folder, list(signers), when or datetime.now(UTC))
-        found, manifest = seal.found, seal.manifest
-        captures = check_journal(folder, manifest or {}, found) if kind == "run" else {}
-        facts = _results(folder, manifest, captures if kind == "run" else None, camera_serial, found)
+        standing = standing_of(folder, trusted, now or datetime.now(UTC), at=at)
+        found.faults += standing.faults
+        found.not_compared += standing.unchecked
+        found.remarks += standing.remarks
+        manifest = check_listed(folder, found)
+        captures = check_journal(folder, manifest, found) if kind == "run" and manifest is not None else None
+        facts = _results(folder, manifest, captures, camera_serial, found)
         derive_with = (derivations or {}).get(kind, ())
         if derivations is not None and not derive_with:
             found.not_compared.append(
@@ -98,8 +109,13 @@ def verify_folder(
         faults=tuple(found.faults),
         not_compared=tuple(found.not_compared),
         remarks=tuple(found.remarks),
-        signer=seal.signer,
-        fingerprint=seal.fingerprint,
+        state=str(standing.state),
+        statements=tuple(standing.statements),
+        stated=standing.stated.isoformat() if standing.stated else None,
+        signer=standing.signer,
+        fingerprint=standing.fingerprint,
+        person=standing.person,
+        person_fingerprint=standing.person_fingerprint,
         files=len(manifest or ()),
         run_id=facts.run_id,
         camera_serial=facts.camera_serial,

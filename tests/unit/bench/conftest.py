@@ -1,5 +1,6 @@
 """A small sealed run, and a key to seal it with."""
 
+import hashlib
 import json
 import os
 import shutil
@@ -52,22 +53,33 @@ def make_a_run(path, *, serial="00050423"):
     folder = RunFolder.create(path)
     clocks = {"utc_now": lambda: datetime(2026, 3, 1, tzinfo=UTC), "monotonic": lambda: 0.0}
     poses = []
+    documents = {name: f"{name} of a run\n".encode() for name in ("sequence.yaml", "station.yaml")}
+    for name, text in {**documents, "plan.json": b"{}\n"}.items():
+        folder.write_atomic(name, text)
     with Journal.create(folder.journal_path, **clocks) as journal:
+        hashes = {name: hashlib.sha256(text).hexdigest() for name, text in documents.items()}
+        journal.append("run_started", id="run-1", sha256=hashes)
         for pose, attempts in ((1, 2), (2, 1)):
             told = []
             for attempt in range(1, attempts + 1):
                 folder.capture_part_path(pose, attempt).write_bytes(f"recording {pose} {attempt}".encode())
                 capture = folder.commit_capture(pose, attempt)
-                journal.append(CAPTURE_STORED, pose=pose, attempt=attempt, **capture.as_data())
+                journal.append(
+                    CAPTURE_STORED, pose=pose, pose_name=str(pose), attempt=attempt, **capture.as_data()
+                )
                 told.append({"attempt": attempt, "capture": capture.name, "sha256": capture.sha256})
             poses.append({"index": pose, "attempts": told})
-        journal.append("finished")
+        for event in ("entering", "left_off"):
+            journal.append(event, state="reporting")
+        journal.append("run_ended", how="finished", why="")
     results = {
         "run": {"id": "run-1", "simulated": True},
         "devices": {"camera": {"serial": serial}},
         "poses": poses,
     }
     folder.write_atomic("results.json", json.dumps(results).encode())
+    for name in ("report.html", "views.h5"):
+        folder.write_atomic(name, name.encode())
     folder.write_atomic("exports/camera.yaml", b"fx: 3345.06\n")
     return folder
 

@@ -29,7 +29,7 @@ def test_the_untouched_bundle_passes(sealed_once, signers, key):
     assert found.signer == "bench1@lab.example"
     assert found.fingerprint == key.fingerprint
     assert (found.run_id, found.camera_serial, found.simulated) == ("run-1", "00050423", True)
-    assert found.files == 7  # journal, results, export, VERIFY.txt, three captures
+    assert found.files == 12
 
 
 def test_what_was_found_can_be_written_as_json(sealed, signers):
@@ -147,10 +147,10 @@ def test_an_expired_key_is_found(sealed_once, signers):
     expired = Signer(
         signer.principal, signer.public_key, signer.namespaces, valid_before=datetime(2026, 1, 1, tzinfo=UTC)
     )
-    found = verify_folder(sealed_once, [expired], when=datetime(2026, 1, 2, tzinfo=UTC))
+    found = verify_folder(sealed_once, [expired], at=datetime(2026, 1, 2, tzinfo=UTC))
     assert kinds(found) == [("key", "SHA256SUMS.sig")]
     assert "expired" in found.faults[0].what
-    assert verify_folder(sealed_once, [expired], when=datetime(2025, 12, 31, tzinfo=UTC)).ok
+    assert verify_folder(sealed_once, [expired], at=datetime(2025, 12, 31, tzinfo=UTC)).ok
 
 
 def test_any_of_several_lines_of_a_key_may_allow_it(sealed_once, signers):
@@ -175,7 +175,7 @@ def test_a_spoiled_signature_is_found(sealed, signers, content):
 def test_a_seal_that_is_a_link_is_found(sealed, signers, tmp_path, name):
     shutil.move(sealed / name, tmp_path / "elsewhere")
     (sealed / name).symlink_to(tmp_path / "elsewhere")
-    assert kinds(verify_folder(sealed, signers)) == [("unsealed", name)]
+    assert ("unsealed", name) in kinds(verify_folder(sealed, signers))
 
 
 def test_an_endless_seal_is_not_read(sealed, signers):
@@ -192,7 +192,8 @@ def test_a_capture_lost_before_sealing_is_found(make_run, key, signers, tmp_path
         seal(folder, key)
     found = verify_folder(tmp_path / "run", signers)
     assert [str(f) for f in found.faults] == [
-        "results.json: SHA256SUMS does not name captures/pose-002-attempt-1.raw with this hash"
+        "captures/pose-002-attempt-1.raw: the journal names this recording; it is missing",
+        "results.json: SHA256SUMS does not name captures/pose-002-attempt-1.raw with this hash",
     ]
 
 
@@ -208,7 +209,7 @@ def test_a_journal_that_does_not_hold_is_found_even_under_a_good_seal(sealed, si
     journal.write_bytes(journal.read_bytes().replace(b'"pose":2', b'"pose":3'))
     reseal(sealed, key)
     found = verify_folder(sealed, signers)
-    assert ("journal", "journal.jsonl:3") in kinds(found)
+    assert ("journal", "journal.jsonl:4") in kinds(found)
 
 
 def test_results_of_recordings_that_the_journal_does_not_tell_of_are_found(sealed, signers, key):
@@ -238,13 +239,19 @@ def test_results_of_thousands_of_poses_are_not_too_large(make_run, key, signers,
     ] == []
 
 
-def test_a_failed_run_without_results_can_be_sealed_and_verified(make_run, key, signers, tmp_path):
+def test_results_lost_before_sealing_are_found(make_run, key, signers, tmp_path):
     with make_run(tmp_path / "run") as folder:
         (folder.path / "results.json").unlink()
         seal(folder, key)
     found = verify_folder(tmp_path / "run", signers)
-    assert found.ok
+    assert kinds(found) == [("results", "results.json")]
     assert found.run_id is None
+
+
+def test_a_folder_without_a_seal_is_a_draft(sealed, signers):
+    (sealed / "SHA256SUMS.sig").unlink()
+    assert verify_folder(sealed, signers).state == "DRAFT"
+    assert verify_folder(sealed, signers).to_dict()["ok"] is False
 
 
 def test_what_is_no_run_folder_is_an_error(tmp_path):
