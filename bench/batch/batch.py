@@ -22,7 +22,7 @@ from bench.batch.batch_messages import BatchMessages
 from bench.batch.batch_plan import planned_duration_s
 from bench.batch.batch_record import BatchRecord, resume_text
 from bench.batch.batch_requests import Request, RequestInbox, refusal
-from bench.batch.batch_summary import RUNS, write_summary
+from bench.batch.batch_summary import RUNS, newest_place, summarise, write_summary
 from bench.batch.schedule import NEVER_S, Item, choose_next
 from bench.batch.supervisor import WorkerEnd, adopt, make_safe_after, supervise
 from bench.records.folder_lock import lock_folder
@@ -155,8 +155,9 @@ class Batch:
                 f"{key}: {end.how}{': ' if end.why else ''}{end.why}"
                 for key, end in self._record.ends.items()
             ]
+            place = newest_place(summarise(self.folder, self._record))
             self._messages.batch_ended(
-                self._queue.value.name, how, why, runs, self.folder, self._journal.head
+                self._queue.value.name, how, why, runs, self.folder, self._journal.head, place=place
             )
 
     def _files(self) -> dict[str, str]:

@@ -62,16 +62,24 @@ class BatchMessages:
         if courier is None or end.how not in REPORTED_BY_BATCH:
             return
         what = f"{end.how}{': ' if end.why else ''}{end.why}"
-        text = _status_of(run)
+        text, place = _status_of(run)
         if end.how != "failed":
             made_safe = end.unsafe or ["Its stage is stopped, its light is off."]
             text = "\n".join([f"Its process {what}", *made_safe, "", text])
         subject = f"Starbench: run {key} {what}"
         own_message = _journal_head(run) if end.how == "failed" else ""
-        courier.write("failure", subject, text, run=key, folder=run, key=own_message or line)
+        courier.write("failure", subject, text, run=key, folder=run, key=own_message or line, place=place)
 
     def batch_ended(
-        self, name: str, how: str, why: str, runs: Iterable[str], folder: Path, line: str
+        self,
+        name: str,
+        how: str,
+        why: str,
+        runs: Iterable[str],
+        folder: Path,
+        line: str,
+        *,
+        place: tuple[int, str] | None = None,
     ) -> None:
         """Send a message about the end of the batch to all recipients of its runs.
 
@@ -87,6 +95,8 @@ class BatchMessages:
             Folder of the batch.
         line
             Hash of the line in the batch's journal that records the end.
+        place
+            Number and line in the bench's ledger of the newest run of the batch; None if there is none.
         """
         what = f"{how}{': ' if why else ''}{why}"
         text = "\n".join([f"Batch {name}: {what}", "", *runs])
@@ -98,6 +108,7 @@ class BatchMessages:
                 run=name,
                 folder=folder,
                 key=line,
+                place=place,
             )
 
     def add_recipients(self, stations: Iterable[str]) -> None:
@@ -131,11 +142,13 @@ class BatchMessages:
         return Courier(messages, Outbox(home_folder()), self._clock, self._say)
 
 
-def _status_of(run: Path) -> str:
+def _status_of(run: Path) -> tuple[str, tuple[int, str] | None]:
+    """Return the status of a run as text, and its place in the ledger."""
     try:
-        return status_text(read_status(run))
+        status = read_status(run)
     except BenchError as error:
-        return str(error)
+        return str(error), None
+    return status_text(status), status.place
 
 
 def _journal_head(run: Path) -> str:

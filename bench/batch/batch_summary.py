@@ -29,6 +29,7 @@ from sequences.reader import read_document
 RUNS = "runs"
 SUMMARY, PAGE = "summary.json", "summary.html"
 SCHEMA = "starbench/batch/1"
+_NO_PLACE = {"ledger_number": None, "ledger_head": None}
 
 
 def read_batch(folder: Path) -> BatchRecord:
@@ -144,6 +145,25 @@ def summarise(folder: Path, record: BatchRecord) -> dict[str, Any]:
     }
 
 
+def newest_place(summary: Mapping[str, Any]) -> tuple[int, str] | None:
+    """Return the place of the newest run of a batch in the bench's ledger.
+
+    Parameters
+    ----------
+    summary
+        From `summarise`.
+
+    Returns
+    -------
+    tuple of int and str
+        Number of the run, and hash of its line; None if no run is in a ledger.
+    """
+    places = [
+        (item["ledger_number"], item["ledger_head"]) for item in summary["items"] if item["ledger_head"]
+    ]
+    return max(places, default=None)
+
+
 def _in_order_of_begin(record: BatchRecord) -> list[Item]:
     """Return the runs in the order in which they began; runs that did not begin are last, by priority."""
     never = datetime.max.replace(tzinfo=record.begun.tzinfo if record.begun else None)
@@ -199,7 +219,7 @@ def _run_facts(run: IndexedRun | None, planned_poses: int | None) -> dict[str, A
             "sealed": False,
             "parameters": {},
         }
-        return {"camera": "", "poses": planned_poses, **counts, **result}
+        return {"camera": "", "poses": planned_poses, **counts, **result, **_NO_PLACE}
     return {
         "camera": run.camera,
         "poses": planned_poses,
@@ -211,6 +231,8 @@ def _run_facts(run: IndexedRun | None, planned_poses: int | None) -> dict[str, A
         "rms_px": run.rms_px,
         "sealed": run.sealed,
         "parameters": _parameters(run),
+        "ledger_number": run.ledger_number,
+        "ledger_head": run.ledger_head,
     }
 
 

@@ -1,6 +1,7 @@
 """Sends messages about runs by mail, webhook or apprise.
 
-A message is put into the outbox first. A thread delivers it from there, so that a dead network does not delay a run.
+A message is put into the outbox first. Threads deliver it from there, one for each channel, so that neither a dead
+network nor a server that hangs delays a run or another channel.
 Mail carries the key of the message in ``Message-ID`` (RFC 5322), a webhook in ``Idempotency-Key``, so that a receiver
 recognises a message that arrives twice.
 """
@@ -14,9 +15,10 @@ import os
 import smtplib
 import ssl
 import threading
+import time
 import urllib.error
 import urllib.request
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import asdict
 from datetime import datetime
 from email.message import EmailMessage
@@ -114,8 +116,16 @@ def _post(hook: WebhookConfig, message: Message, environ: Mapping[str, str]) -> 
     request = urllib.request.Request(  # noqa: S310 - is http or https, see above
         url, body, {"Content-Type": "application/json", "Idempotency-Key": message.key}
     )
-    with urllib.request.urlopen(request, timeout=TIMEOUT_S):  # noqa: S310 - as above; raises unless 2xx
+    opener = urllib.request.build_opener(_NoRedirect)
+    with opener.open(request, timeout=TIMEOUT_S):  # raises unless 2xx
         pass
+
+
+class _NoRedirect(urllib.request.HTTPRedirectHandler):
+    """Follows no redirection: the method and the body of a message are never changed, and 3xx is not delivered."""
+
+    def redirect_request(self, *_: object, **__: object) -> None:
+        """Refuse; the answer then counts as a failed delivery."""
 
 
 def _notify(service: AppriseConfig, message: Message, environ: Mapping[str, str]) -> None:
@@ -166,12 +176,23 @@ class Courier:
         self._outbox = outbox
         self._clock = clock
         self._say = say
-        self._closing, self._wake = threading.Event(), threading.Event()
-        self._thread = threading.Thread(target=self._deliver, name="messages", daemon=True)
+        self._closing = threading.Event()
+        self._wakes: dict[str, threading.Event] = {}
+        self._threads: list[threading.Thread] = []
         if self._channels:
-            self._thread.start()
+            self._serve([*self._channels, *self._waiting_channels()])
 
-    def write(self, occasion: str, subject: str, text: str, *, run: str, folder: Path, key: str) -> None:
+    def write(
+        self,
+        occasion: str,
+        subject: str,
+        text: str,
+        *,
+        run: str,
+        folder: Path,
+        key: str,
+        place: tuple[int, str] | None = None,
+    ) -> None:
         """Put a message into the outbox if the station file asks for messages on this occasion. Returns at once.
 
         Parameters
@@ -186,18 +207,23 @@ class Courier:
             Its folder.
         key
             Identifies the message permanently: the hash of the journal line that caused it.
+        place
+            Number of the run in the bench's ledger and hash of its line there; None if there is none.
         """
         if not self.is_wanted(occasion):
             return
         utc = self._clock.utc_now().isoformat()
+        number, head = place or (None, None)
+        if place is not None:
+            text = f"{text}\nLedger: run {number} of this bench, line {head}"
+        subject = " ".join(subject.split())[:200]
         try:
             self._outbox.put(
-                Message(key, occasion, " ".join(subject.split())[:200], text, run, str(folder), utc),
-                self._channels,
+                Message(key, occasion, subject, text, run, str(folder), utc, number, head), self._channels
             )
         except BenchError as error:
             self._say(f"A message could not be put into the outbox and is lost: {error}")
-        self._wake.set()
+        self._wake_all()
 
     def is_wanted(self, occasion: str) -> bool:
         """Return whether the station file asks for messages on this occasion, and names a channel.
@@ -220,24 +246,51 @@ class Courier:
         Parameters
         ----------
         patience_s
-            Longest wait for the thread, s.
+            Longest wait for the deliveries, all channels together, s.
         """
         self._closing.set()
-        self._wake.set()
-        if self._thread.is_alive():
-            self._thread.join(patience_s)
-
-    def _deliver(self) -> None:
+        self._wake_all()
+        deadline_s = time.monotonic() + patience_s
+        for thread in self._threads:
+            thread.join(max(0.0, deadline_s - time.monotonic()))
         try:
-            closing, waiting = False, 0
+            waiting = self._outbox.waiting() if self._threads else 0
+        except BenchError as error:
+            self._say(f"Messages cannot be delivered: {error}")
+            return
+        if waiting:
+            self._say(f"Messages not delivered yet: {waiting}. See `starbench messages`.")
+
+    def _waiting_channels(self) -> list[str]:
+        """Return the channels of other stations that messages wait for."""
+        try:
+            return self._outbox.channels()
+        except BenchError as error:
+            self._say(f"Messages cannot be delivered: {error}")
+            return []
+
+    def _serve(self, channels: Iterable[str]) -> None:
+        """Serve each channel in a thread of its own, so that one that hangs delays no other one."""
+        for channel in dict.fromkeys(channels):
+            self._wakes[channel] = threading.Event()
+            thread = threading.Thread(target=self._deliver, args=(channel,), name="messages", daemon=True)
+            self._threads.append(thread)
+        for thread in self._threads:
+            thread.start()
+
+    def _wake_all(self) -> None:
+        for wake in self._wakes.values():
+            wake.set()
+
+    def _deliver(self, channel: str) -> None:
+        wake, closing = self._wakes[channel], False
+        try:
             while not closing:
-                self._wake.wait(_LOOK_S)
-                self._wake.clear()
+                wake.wait(_LOOK_S)
+                wake.clear()
                 closing = (
                     self._closing.is_set()
                 )  # read before the last delivery, which then misses no message
-                waiting = self._outbox.deliver(send, self._clock.utc_now())
-            if waiting:
-                self._say(f"Messages not delivered yet: {waiting}. See `starbench messages`.")
+                self._outbox.deliver_to(channel, send, self._clock.utc_now())
         except BenchError as error:
             self._say(f"Messages cannot be delivered: {error}")

@@ -4,13 +4,17 @@ They lie in one SQLite file beside the signing key, synced at every change. Ever
 in again changes nothing. A delivery is marked before and after it is tried. If the process dies in between, it is
 unknown whether the message arrived. It is then tried again with the same key, which lets the receiver recognise it, and
 is marked ``perhaps_twice``. A message that cannot be delivered is tried again without end, at growing intervals.
+
+Each channel is served by itself, and each delivery has a deadline, so that a server that hangs delays no other channel.
 """
 
 from __future__ import annotations
 
+import hashlib
 import os
 import sqlite3
-from collections.abc import Callable, Iterator, Sequence
+import threading
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from datetime import datetime, timedelta
@@ -22,16 +26,23 @@ from bench.records.storage import make_folder, storage_errors
 from drivers import file_lock
 
 OUTBOX = "outbox.sqlite3"
-LOCK = "outbox.lock"
-VERSION = 1
+VERSION = 2
+DEADLINE_S = 30.0
+"""Longest duration of one delivery, s. Whether a message has arrived that took longer is unknown."""
 FIRST_PAUSE_S = 5.0
 LONGEST_PAUSE_S = 3600.0
 _SCHEMA = f"""
 CREATE TABLE IF NOT EXISTS deliveries (
     key TEXT, channel TEXT, occasion TEXT, subject TEXT, text TEXT, run TEXT, folder TEXT, utc TEXT,
     state TEXT, tries INTEGER, next_try REAL, perhaps_twice INTEGER, last_error TEXT,
+    ledger_number INTEGER, ledger_head TEXT,
     PRIMARY KEY (key, channel)
 );
+PRAGMA user_version = {VERSION};
+"""
+_FROM_1 = f"""
+ALTER TABLE deliveries ADD COLUMN ledger_number INTEGER;
+ALTER TABLE deliveries ADD COLUMN ledger_head TEXT;
 PRAGMA user_version = {VERSION};
 """
 
@@ -54,6 +65,9 @@ class Message:
         Subject and text.
     run, folder, utc
         The run or batch that it is about, its folder, and the time at which it was written (ISO 8601).
+    ledger_number, ledger_head
+        Number of the run in the bench's ledger and hash of its line; of a batch, those of the newest run. None before
+        the run is entered.
     """
 
     key: str
@@ -63,6 +77,8 @@ class Message:
     run: str
     folder: str
     utc: str
+    ledger_number: int | None = None
+    ledger_head: str | None = None
 
 
 @dataclass(frozen=True)
@@ -126,10 +142,11 @@ class Outbox:
             When it cannot be written.
         """
         fields = (message.occasion, message.subject, message.text, message.run, message.folder, message.utc)
+        place = (message.ledger_number, message.ledger_head)
         with self._open() as database:
             database.executemany(
-                "INSERT OR IGNORE INTO deliveries VALUES (?, ?, ?, ?, ?, ?, ?, ?, 'waiting', 0, 0.0, 0, '')",
-                [(message.key, channel, *fields) for channel in channels],
+                "INSERT OR IGNORE INTO deliveries VALUES (?, ?, ?, ?, ?, ?, ?, ?, 'waiting', 0, 0.0, 0, '', ?, ?)",
+                [(message.key, channel, *fields, *place) for channel in channels],
             )
 
     def deliveries(self) -> list[Delivery]:
@@ -150,13 +167,34 @@ class Outbox:
         with self._open() as database:
             return [_delivery(row) for row in database.execute("SELECT * FROM deliveries ORDER BY utc, key")]
 
+    def channels(self) -> list[str]:
+        """List the channels that something waits for.
+
+        Returns
+        -------
+        list of str
+            The channels, as `put` got them; empty while there is no outbox.
+
+        Raises
+        ------
+        StorageError
+            When the outbox cannot be read.
+        """
+        if not self.path.exists():
+            return []
+        with self._open() as database:
+            rows = database.execute(
+                "SELECT DISTINCT channel FROM deliveries WHERE state != 'sent' ORDER BY channel"
+            )
+            return [channel for (channel,) in rows]
+
     def deliver(self, send: Send, now: datetime, *, all_waiting: bool = False) -> int:
-        """Try the deliveries that are due, unless another process does so at this moment.
+        """Try the deliveries that are due, all channels side by side.
 
         Parameters
         ----------
         send
-            Delivers one message; must have a time limit.
+            Delivers one message; is given up after ``DEADLINE_S``.
         now
             The present time, with its time zone.
         all_waiting
@@ -172,41 +210,89 @@ class Outbox:
         StorageError
             When the outbox cannot be read or written.
         """
+
+        def serve(channel: str) -> None:
+            self.deliver_to(channel, send, now, all_waiting=all_waiting)
+
+        _side_by_side(serve, self.channels())
+        return self.waiting()
+
+    def deliver_to(self, channel: str, send: Send, now: datetime, *, all_waiting: bool = False) -> None:
+        """Try the deliveries to one channel that are due, unless another process does so at this moment.
+
+        After a delivery that was not complete in time, the others of this channel wait for the next call.
+
+        Parameters
+        ----------
+        channel
+            The channel.
+        send, now, all_waiting
+            As for ``deliver``.
+
+        Raises
+        ------
+        StorageError
+            When the outbox cannot be read or written.
+        """
+        if not self.path.exists():
+            return
+        with self._alone(channel) as alone:
+            if not alone:
+                return
+            with self._open() as database:
+                database.execute(
+                    "UPDATE deliveries SET state = 'waiting', perhaps_twice = 1"
+                    " WHERE state = 'sending' AND channel = ?",
+                    (channel,),
+                )
+            for delivery in self._due(channel, now.timestamp(), all_waiting=all_waiting):
+                if not self._try(delivery, send, now):
+                    return
+
+    def waiting(self) -> int:
+        """Count the deliveries that still wait.
+
+        Returns
+        -------
+        int
+            Their number.
+
+        Raises
+        ------
+        StorageError
+            When the outbox cannot be read.
+        """
         if not self.path.exists():
             return 0
-        with self._alone() as alone:
-            if alone:
-                with self._open() as database:
-                    database.execute(
-                        "UPDATE deliveries SET state = 'waiting', perhaps_twice = 1 WHERE state = 'sending'"
-                    )
-                for delivery in self._due(now.timestamp(), all_waiting=all_waiting):
-                    self._try(delivery, send, now)
         with self._open() as database:
-            count: int = database.execute("SELECT count(*) FROM deliveries WHERE state != 'sent'").fetchone()[
-                0
-            ]
-        return count
+            row = database.execute("SELECT count(*) FROM deliveries WHERE state != 'sent'").fetchone()
+        return int(row[0])
 
-    def _due(self, now_s: float, *, all_waiting: bool) -> list[Delivery]:
+    def _due(self, channel: str, now_s: float, *, all_waiting: bool) -> list[Delivery]:
         with self._open() as database:
             rows = database.execute(
-                "SELECT * FROM deliveries WHERE state = 'waiting' AND (? OR next_try <= ?) ORDER BY utc, key",
-                (all_waiting, now_s),
+                "SELECT * FROM deliveries WHERE channel = ? AND state = 'waiting' AND (? OR next_try <= ?)"
+                " ORDER BY utc, key",
+                (channel, all_waiting, now_s),
             )
             return [_delivery(row) for row in rows]
 
-    def _try(self, delivery: Delivery, send: Send, now: datetime) -> None:
+    def _try(self, delivery: Delivery, send: Send, now: datetime) -> bool:
+        """Try one delivery; return whether it ended in time, with or without success."""
         self._mark(delivery, state="sending", tries=delivery.tries + 1)
+        pause = timedelta(seconds=min(LONGEST_PAUSE_S, FIRST_PAUSE_S * 2.0 ** min(delivery.tries, 20)))
+        later = {"state": "waiting", "next_try": (now + pause).timestamp()}
         try:
-            send(delivery.message, delivery.channel)
+            in_time = _in_time(lambda: send(delivery.message, delivery.channel), DEADLINE_S)
         except DeliveryFailed as error:
-            pause = timedelta(seconds=min(LONGEST_PAUSE_S, FIRST_PAUSE_S * 2.0 ** min(delivery.tries, 20)))
-            self._mark(
-                delivery, state="waiting", next_try=(now + pause).timestamp(), last_error=str(error)[:500]
-            )
-        else:
+            self._mark(delivery, **later, last_error=str(error)[:500])
+            return True
+        if in_time:
             self._mark(delivery, state="sent", last_error="")
+        else:
+            why = f"not complete within {DEADLINE_S:g} s; the server is too slow or hangs"
+            self._mark(delivery, **later, perhaps_twice=1, last_error=why)
+        return in_time
 
     def _mark(self, delivery: Delivery, **facts: Any) -> None:
         names = ", ".join(f"{name} = ?" for name in facts)
@@ -217,10 +303,11 @@ class Outbox:
             )
 
     @contextmanager
-    def _alone(self) -> Iterator[bool]:
-        """Yield whether this process alone may deliver during the block."""
+    def _alone(self, channel: str) -> Iterator[bool]:
+        """Yield whether this process alone may deliver to a channel during the block."""
+        name = f"outbox-{hashlib.sha256(channel.encode()).hexdigest()[:12]}.lock"
         with storage_errors(self.path):
-            lock = os.open(self._home / LOCK, os.O_RDWR | os.O_CREAT, 0o644)
+            lock = os.open(self._home / name, os.O_RDWR | os.O_CREAT, 0o644)
         try:
             try:
                 file_lock.lock(lock)
@@ -238,8 +325,7 @@ class Outbox:
             with closing(sqlite3.connect(self.path, timeout=10.0)) as database:
                 database.execute("PRAGMA journal_mode = WAL")
                 database.execute("PRAGMA synchronous = FULL")
-                if database.execute("PRAGMA user_version").fetchone()[0] != VERSION:
-                    database.executescript(f"BEGIN IMMEDIATE; {_SCHEMA} COMMIT;")
+                _bring_up_to_date(database)
                 with database:
                     yield database
         except sqlite3.Error as error:
@@ -250,7 +336,62 @@ class Outbox:
             ) from error
 
 
+def _bring_up_to_date(database: sqlite3.Connection) -> None:
+    """Make the tables, or add what an earlier version did not have."""
+    found = database.execute("PRAGMA user_version").fetchone()[0]
+    if found == VERSION:
+        return
+    database.execute("BEGIN IMMEDIATE")  # another process may do the same
+    found = database.execute("PRAGMA user_version").fetchone()[0]
+    statements = "" if found == VERSION else _FROM_1 if found == 1 else _SCHEMA
+    for statement in filter(None, map(str.strip, statements.split(";"))):
+        database.execute(statement)
+    database.commit()
+
+
+def _side_by_side(work: Callable[[str], None], names: Iterable[str]) -> None:
+    """Do work for each name in a thread of its own, and wait for all; an error is raised again afterwards."""
+    failed: list[BaseException] = []
+
+    def thread(name: str) -> None:
+        try:
+            work(name)
+        except BaseException as error:  # noqa: BLE001 - raised again below, in the caller's thread
+            failed.append(error)
+
+    threads = [threading.Thread(target=thread, args=(name,), name="messages", daemon=True) for name in names]
+    for one in threads:
+        one.start()
+    for one in threads:
+        one.join()
+    if failed:
+        raise failed[0]
+
+
+def _in_time(work: Callable[[], None], deadline_s: float) -> bool:
+    """Do work in a thread of its own; return whether it ended in time. An error of it is raised again.
+
+    A thread that did not end in time is left alone: it ends by itself or with the process.
+    """
+    done = threading.Event()
+    failed: list[BaseException] = []
+
+    def thread() -> None:
+        try:
+            work()
+        except BaseException as error:  # noqa: BLE001 - raised again below, in the caller's thread
+            failed.append(error)
+        done.set()
+
+    threading.Thread(target=thread, name="delivery", daemon=True).start()
+    if not done.wait(deadline_s):
+        return False
+    if failed:
+        raise failed[0]
+    return True
+
+
 def _delivery(row: Sequence[Any]) -> Delivery:
-    key, channel, occasion, subject, text, run, folder, utc, state, tries, _, twice, error = row
-    message = Message(key, occasion, subject, text, run, folder, utc)
+    key, channel, occasion, subject, text, run, folder, utc, state, tries, _, twice, error, *place = row
+    message = Message(key, occasion, subject, text, run, folder, utc, *place)
     return Delivery(message, channel, state, tries, bool(twice), error)

@@ -45,6 +45,7 @@ class RunRow(NamedTuple):
     focal: str
     how: str
     verdict: str
+    number: str
 
 
 class TrendRow(NamedTuple):
@@ -97,6 +98,7 @@ def render_batch(summary: Json) -> str:
             cameras=[_camera_section(camera, place, zone) for place, camera in enumerate(summary["cameras"])],
             rows=[_run_row(item, zone) for item in summary["items"] if item["begun_utc"]],
             requests=summary["requests"],
+            ledger=_newest_line(summary["items"]),
         )
     )
 
@@ -163,7 +165,14 @@ def _run_row(item: Json, zone: tzinfo | None) -> RunRow:
         focal,
         item["how"],
         {"finished": "pass", "aborted": "marginal", "cut off": "marginal"}.get(item["how"], "fail"),
+        str(item.get("ledger_number") or NOTHING),
     )
+
+
+def _newest_line(items: Sequence[Json]) -> str:
+    """Return the place of the newest run in the ledger as text; empty if no run is in a ledger."""
+    places = [(item["ledger_number"], item["ledger_head"]) for item in items if item.get("ledger_head")]
+    return "run {} of this bench, line {}".format(*max(places)) if places else ""
 
 
 def _camera_section(camera: Json, place: int, zone: tzinfo | None) -> dict[str, Any]:

@@ -53,5 +53,11 @@ class RunMessages:
         simulated = " (SIMULATED)" if status.simulated else ""
         subject = f"Starbench: run {status.run_id}{simulated} {what}"
         self._courier.write(
-            occasion, subject, status_text(status), run=status.run_id, folder=self._folder, key=key
+            occasion,
+            subject,
+            status_text(status),
+            run=status.run_id,
+            folder=self._folder,
+            key=key,
+            place=status.place,
         )

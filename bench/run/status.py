@@ -74,6 +74,8 @@ class Status:
         Last journal lines as text, the newest last.
     advice
         What to do next.
+    ledger_number, ledger_head
+        Number of the run in its bench's ledger, and the hash of its line there; None for a rehearsal.
     """
 
     run_id: str
@@ -100,6 +102,15 @@ class Status:
     deviations: Sequence[str]
     last: Sequence[str]
     advice: str
+    ledger_number: int | None = None
+    ledger_head: str | None = None
+
+    @property
+    def place(self) -> tuple[int, str] | None:
+        """Number and hash of the run's line in the ledger; None if it is in no ledger."""
+        if self.ledger_number is None or self.ledger_head is None:
+            return None
+        return self.ledger_number, self.ledger_head
 
     def to_dict(self) -> dict[str, Any]:
         """Return the status for JSON output.
@@ -279,6 +290,8 @@ def _status(folder: Path, entries: Sequence[Entry], now: datetime, *, running: b
         deviations=tuple(history.deviations),
         last=_last_lines(entries),
         advice=_advice(folder, history, running=running, sealed=sealed),
+        ledger_number=history.ledger.get("number"),
+        ledger_head=history.ledger.get("head"),
     )
 
 

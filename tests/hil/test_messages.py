@@ -57,7 +57,9 @@ def test_a_webhook_gets_one_object_with_its_key():
         send(MESSAGE, hook_to(url_env="SECRET"), {"SECRET": server.url})
     ((key, told),) = server.posts
     assert key == told["id"] == MESSAGE.key
-    assert set(told) == {"schema", "id", "occasion", "subject", "text", "run", "folder", "utc"}
+    assert set(told) == {
+        "schema", "id", "occasion", "subject", "text", "run", "folder", "utc", "ledger_number", "ledger_head",
+    }  # fmt: skip
 
 
 @pytest.mark.parametrize(
@@ -78,6 +80,16 @@ def test_a_server_that_is_ill_is_a_failed_delivery():
         server.status = 503
         with pytest.raises(DeliveryFailed, match="503"):
             send(MESSAGE, hook_to(url=server.url))
+
+
+@pytest.mark.parametrize("status", [300, 301, 302, 303, 307, 308])
+def test_a_server_that_redirects_has_not_taken_the_message_and_gets_no_other_request(status):
+    with serving(WebServer()) as server:
+        server.status, server.location = status, "/elsewhere"
+        with pytest.raises(DeliveryFailed, match=str(status)):
+            send(MESSAGE, hook_to(url=server.url))
+    assert len(server.posts) == 1
+    assert server.gets == []
 
 
 class Services:
@@ -140,5 +152,8 @@ def test_a_dead_network_holds_up_no_run_and_its_message_goes_out_later(tmp_path)
     assert told["occasion"] == "end"
     assert told["subject"] == "Starbench: run run (SIMULATED) finished"
     assert "Finished and sealed" in told["text"]
+    place = results(folder)["run"]["ledger"]
+    assert (told["ledger_number"], told["ledger_head"]) == (1, place["head"])
+    assert f"Ledger: run 1 of this bench, line {place['head']}" in told["text"]
     (kept,) = json.loads(starbench("messages", "--json", home=home).stdout)["messages"]
     assert (kept["state"], kept["perhaps_twice"]) == ("sent", False)

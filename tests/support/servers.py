@@ -48,10 +48,10 @@ class _MailSession(socketserver.StreamRequestHandler):
 
 
 class WebServer(ThreadingHTTPServer):
-    """Keeps every object posted to it with its key; answers with ``status``."""
+    """Keeps every object posted to it with its key; answers with ``status``, and with ``location`` if it is set."""
 
     def __init__(self, port=0):
-        self.posts, self.status = [], 200
+        self.posts, self.status, self.location, self.gets = [], 200, "", []
         super().__init__(("127.0.0.1", port), _WebSession)
 
     @property
@@ -64,6 +64,14 @@ class _WebSession(BaseHTTPRequestHandler):
         body = self.rfile.read(int(self.headers["Content-Length"]))
         self.server.posts.append((self.headers["Idempotency-Key"], json.loads(body)))
         self.send_response(self.server.status)
+        if self.server.location:
+            self.send_header("Location", self.server.location)
+        self.send_header("Content-Length", "0")
+        self.end_headers()
+
+    def do_GET(self):
+        self.server.gets.append(self.path)
+        self.send_response(200)
         self.send_header("Content-Length", "0")
         self.end_headers()
 

@@ -7,6 +7,7 @@ from station_texts import PLAIN
 
 from bench.base.clock import VirtualClock
 from bench.batch.batch_messages import BatchMessages
+from bench.batch.batch_summary import newest_place
 from bench.batch.supervisor import WorkerEnd
 from bench.messaging.outbox import Message, Outbox
 from bench.records.journal import Journal
@@ -81,6 +82,22 @@ def test_everybody_hears_how_the_batch_ended(tmp_path, outbox, messages, how, oc
         f"Starbench: batch Night {how}",
     )
     assert "cam-001: finished" in delivery.message.text
+
+
+def test_a_message_holds_the_place_of_the_newest_run_in_the_ledger(tmp_path, outbox, messages):
+    items = [
+        {"ledger_number": 10, "ledger_head": "b" * 64},
+        {"ledger_number": 9, "ledger_head": "a" * 64},
+        {"ledger_number": None, "ledger_head": None},
+    ]
+    assert newest_place({"items": items[2:]}) is None
+    messages.add_recipients([station(tmp_path)])
+    messages.batch_ended(
+        "Night", "finished", "", [], tmp_path, "c" * 64, place=newest_place({"items": items})
+    )
+    (delivery,) = outbox.deliveries()
+    assert (delivery.message.ledger_number, delivery.message.ledger_head) == (10, "b" * 64)
+    assert f"Ledger: run 10 of this bench, line {'b' * 64}" in delivery.message.text
 
 
 def test_who_does_not_want_to_hear_of_failures_does_not(tmp_path, outbox, messages):

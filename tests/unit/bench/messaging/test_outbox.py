@@ -1,7 +1,11 @@
 """The outbox: nothing lost, nothing made twice, whatever the network does and whenever the process dies."""
 
+import sqlite3
 import subprocess
 import sys
+import threading
+import time
+from contextlib import closing
 from datetime import UTC, datetime, timedelta
 
 import pytest
@@ -91,6 +95,48 @@ def test_one_channel_that_is_down_holds_up_no_other(outbox):
 
     assert outbox.deliver(send, NOW) == 1
     assert receiver.taken == [("k1", "up")]
+
+
+def test_a_channel_that_hangs_is_given_up_and_holds_up_no_other(outbox, monkeypatch):
+    monkeypatch.setattr("bench.messaging.outbox.DEADLINE_S", 0.3)
+    for key in ("k1", "k2"):
+        outbox.put(message(key), ["hangs", "up"])
+    receiver, tried, over, order = Receiver(), [], threading.Event(), []
+
+    def send(message, channel):
+        order.append(channel)
+        if channel == "hangs":
+            tried.append(message.key)
+            over.wait(10)
+        else:
+            receiver(message, channel)
+
+    begun = time.monotonic()
+    assert outbox.deliver(send, NOW) == 2
+    assert time.monotonic() - begun < 5
+    over.set()
+    assert receiver.taken == [("k1", "up"), ("k2", "up")]
+    assert tried == ["k1"]  # the next one waits for the next round
+    found = {(d.message.key, d.channel): d for d in outbox.deliveries()}
+    assert found["k1", "hangs"].perhaps_twice
+    assert "not complete within 0.3 s" in found["k1", "hangs"].last_error
+
+
+def test_an_outbox_of_an_earlier_version_keeps_its_messages(outbox):
+    outbox.path.parent.mkdir()
+    with closing(sqlite3.connect(outbox.path)) as database:
+        database.executescript(
+            "CREATE TABLE deliveries (key TEXT, channel TEXT, occasion TEXT, subject TEXT, text TEXT, run TEXT,"
+            " folder TEXT, utc TEXT, state TEXT, tries INTEGER, next_try REAL, perhaps_twice INTEGER, last_error TEXT,"
+            " PRIMARY KEY (key, channel)); PRAGMA user_version = 1;"
+            "INSERT INTO deliveries VALUES ('old', 'mail', 'end', 's', 't', 'r', '/r', '2026', 'waiting', 0, 0, 0, '');"
+        )
+    outbox.put(Message("new", "end", "s", "t", "r", "/r", "2027", 3, "a" * 64), ["mail"])
+    receiver = Receiver()
+    assert outbox.deliver(receiver, NOW) == 0
+    assert receiver.taken == [("old", "mail"), ("new", "mail")]
+    places = [(d.message.ledger_number, d.message.ledger_head) for d in outbox.deliveries()]
+    assert places == [(None, None), (3, "a" * 64)]
 
 
 def test_where_the_process_died_while_sending_it_is_sent_again_and_said_to_be(outbox):

@@ -170,6 +170,19 @@ def test_the_page_says_in_words_what_changed_and_what_did_not():
     assert "there is no comparison" in single
 
 
+def test_the_page_holds_the_number_of_each_run_and_the_newest_line_of_the_ledger():
+    html = render_batch(
+        summary(
+            item("a-001", ledger_number=9, ledger_head="a" * 64),
+            item("b-001", ledger_number=10, ledger_head="b" * 64),
+            item("c-001", ledger_number=None, ledger_head=None),
+        )
+    )
+    assert f"Newest run in the ledger: run 10 of this bench, line {'b' * 64}" in html
+    assert '<td class="n">9</td>' in html
+    assert "in the ledger" not in render_batch(summary(item("a-001")))
+
+
 def test_the_same_summary_gives_the_same_page():
     told = summary(item("a-001"), cameras=[of_runs([run(n, temperature_c=40 + n / 10) for n in range(5)])])
     assert render_batch(told) == render_batch(told)
