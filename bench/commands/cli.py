@@ -18,9 +18,11 @@ import click
 from bench import __version__
 from bench.commands.align_command import align
 from bench.commands.batch_commands import BATCH_COMMANDS, BEGIN
+from bench.commands.certificate_commands import CERTIFICATE_COMMANDS
 from bench.commands.completion import add_completion
 from bench.commands.engine_commands import ENGINE_COMMANDS
 from bench.commands.help_text import Sections, complete
+from bench.commands.keys_commands import keys
 from bench.commands.ledger_commands import LEDGER_COMMANDS
 from bench.commands.options import JSON, RUN, SEED, NewFile, OutputFolder
 from bench.commands.panel_command import panel
@@ -222,48 +224,6 @@ def station_new(path: Path, name: str, stage: str, light: str, camera: str | Non
     return write_station(path, name, stage=stage, light=light, camera=camera, found=discover())
 
 
-@cli.group(invoke_without_command=True)
-@click.pass_context
-def keys(context: click.Context) -> None:
-    """Show, create and trust signing keys. Without a command: show."""
-    if context.invoked_subcommand is None:
-        context.invoke(keys_show)
-
-
-@keys.command("show")
-def keys_show() -> int:
-    """Show this bench's key and the keys that it trusts.
-
-    Also prints the line by which others can trust this bench.
-    """
-    from bench.commands.evidence_output import show_keys
-
-    return show_keys()
-
-
-@keys.command("create")
-@click.option("--principal", help="Name of the signer, as name@place.  [default: bench@ and the host name]")
-@click.option(
-    "--passphrase",
-    is_flag=True,
-    help="Protect the key by a passphrase, which is asked for at each signature.",
-)
-def keys_create(principal: str | None, passphrase: bool) -> int:
-    """Create this bench's key."""
-    from bench.commands.evidence_output import make_key
-
-    return make_key(principal, protect=passphrase)
-
-
-@keys.command("trust")
-@click.argument("line")
-def keys_trust(line: str) -> int:
-    """Trust the key of another bench. LINE is what `starbench keys show` prints there."""
-    from bench.commands.evidence_output import trust_key
-
-    return trust_key(line)
-
-
 @cli.command()
 @click.argument("document", type=click.Choice(["sequence", "station", "queue", "job"]))
 def schema(document: str) -> int:
@@ -275,9 +235,10 @@ def schema(document: str) -> int:
 
 for engine_command in ENGINE_COMMANDS:
     cli.add_command(engine_command)
-for run_command in (*RUN_COMMANDS, *BATCH_COMMANDS, *LEDGER_COMMANDS):
+for run_command in (*RUN_COMMANDS, *BATCH_COMMANDS, *LEDGER_COMMANDS, *CERTIFICATE_COMMANDS):
     cli.add_command(run_command)
 cli.add_command(align)
+cli.add_command(keys)
 cli.add_command(panel)
 cli.add_command(verify)
 for target_command in TARGET_COMMANDS:

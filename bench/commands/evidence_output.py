@@ -1,4 +1,4 @@
-"""Print the result of a verification and the keys of this bench; ask for a passphrase."""
+"""Print the result of a verification; ask for a passphrase."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from bench.base.errors import EvidenceError, UsageError
+from bench.base.errors import EvidenceError
 from bench.commands.output import print_json
 
 if TYPE_CHECKING:
@@ -94,97 +94,3 @@ def ask_passphrase(key: Path) -> bytes:
         )
     answer: str = click.prompt(f"Passphrase of {key}", hide_input=True, err=True)
     return answer.encode()
-
-
-def show_keys() -> int:
-    """Print this bench's key and the keys that it trusts.
-
-    Returns
-    -------
-    int
-        Exit status, 0.
-    """
-    from bench.base.home import home_folder
-    from bench.evidence.keys import KEY_FILE, SIGNERS_FILE, load_key, read_signers
-    from bench.evidence.sshsig import fingerprint
-
-    home = home_folder()
-    if not (home / KEY_FILE).exists():
-        click.echo(
-            "This bench has no key yet; the first run creates one, and so does `starbench keys create`."
-        )
-    else:
-        key = load_key(home, ask_passphrase=ask_passphrase)
-        click.echo(
-            f"Key:         {home / KEY_FILE}\nFingerprint: {key.fingerprint}\n"
-            "Line for the allowed_signers file of those who verify:"
-        )
-        click.echo(f"  {key.signers_line}")
-    if (home / SIGNERS_FILE).exists():
-        click.echo(f"Trusted here ({home / SIGNERS_FILE}):")
-        for signer in read_signers(home / SIGNERS_FILE):
-            click.echo(f"  {signer.principal}  {fingerprint(signer.public_key)}")
-    return 0
-
-
-def make_key(principal: str | None, *, protect: bool) -> int:
-    """Create this bench's signing key.
-
-    Parameters
-    ----------
-    principal
-        Name of the signer, as name@place; bench@ and the host name where None.
-    protect
-        Whether to ask for a passphrase that protects the key.
-
-    Returns
-    -------
-    int
-        Exit status, 0.
-    """
-    from bench.base.home import home_folder
-    from bench.evidence.keys import create_key
-    from bench.records.storage import make_folder
-
-    passphrase: str | None = None
-    if protect:
-        passphrase = click.prompt("Passphrase", hide_input=True, confirmation_prompt=True, err=True)
-    make_folder(home_folder())
-    key = create_key(
-        home_folder(), principal=principal, passphrase=passphrase.encode() if passphrase else None
-    )
-    click.echo(f"Created {key.fingerprint}. Line for the allowed_signers file of those who verify:")
-    click.echo(f"  {key.signers_line}")
-    return 0
-
-
-def trust_key(line: str) -> int:
-    """Trust the key of another bench.
-
-    Parameters
-    ----------
-    line
-        Line that `starbench keys show` prints on the other bench.
-
-    Returns
-    -------
-    int
-        Exit status, 0.
-
-    Raises
-    ------
-    UsageError
-        If the line is not a key.
-    """
-    from bench.base.home import home_folder
-    from bench.evidence.keys import trust
-    from bench.evidence.sshsig import fingerprint
-    from bench.records.storage import make_folder
-
-    make_folder(home_folder())
-    try:
-        signer = trust(home_folder(), line)
-    except EvidenceError as error:
-        raise UsageError(error.what, where=error.where, remedy=error.remedy) from error
-    click.echo(f"Trusted: {signer.principal}  {fingerprint(signer.public_key)}")
-    return 0

@@ -12,6 +12,7 @@ SECTIONS = {
     "Before a run": ("align",),
     "A run": ("plan", "run", "resume", "verify"),
     "While it runs, from another terminal": ("panel", "status", "hold", "release", "skip", "abort", "answer"),
+    "After a run": ("certificate",),
     "Many runs": ("batch", "rehearse", "runs", "ledger", "messages"),
     "Without devices": ("calibrate", "passport", "rig", "study", "convert"),
     "The bench": ("devices", "station", "target", "simulate", "keys", "schema"),
@@ -89,8 +90,25 @@ EXAMPLES = {
     "keys": ("starbench keys show",),
     "keys show": ("starbench keys show",),
     "keys create": ("starbench keys create --principal bench2@lab.example",),
+    "keys list": ("starbench keys list",),
     "keys trust": (
         "starbench keys trust 'bench2@lab.example namespaces=\"starbench-report@v1\" ssh-ed25519 AAAA...'",
+        "starbench keys trust id_ed25519.pub --person ada@lab.example --valid-before 2028-01-01",
+    ),
+    "keys rotate": ("starbench keys rotate --old-key delete",),
+    "keys revoke": ("starbench keys revoke SHA256:... --reason 'laptop stolen'",),
+    "certificate": (
+        "starbench certificate authorise certificates/2026-0042 --key ~/.ssh/id_ed25519",
+        "starbench certificate timestamp certificates/2026-0042 --tsa https://tsa.example/tsr",
+    ),
+    "certificate authorise": (
+        "starbench certificate authorise certificates/2026-0042 --key ~/.ssh/id_ed25519",
+        "starbench certificate authorise certificates/2026-0042 --key SHA256:...",
+    ),
+    "certificate timestamp": (
+        "starbench certificate timestamp certificates/2026-0042 --tsa https://tsa.example/tsr",
+        "starbench certificate timestamp certificates/2026-0042 --request request.tsq",
+        "starbench certificate timestamp certificates/2026-0042 --token reply.tsr",
     ),
     "ledger": ("starbench ledger check",),
     "ledger check": ("starbench ledger check",),
@@ -124,6 +142,7 @@ _SHORT = {
     "resume": "Continue a run that was stopped, failed or was interrupted.",
     "plan": "Check a sequence or a queue; show time, disk space and expected uncertainty.",
     "verify": "Check a sealed run, certificate or recalculated results.",
+    "certificate": "Authorise a sealed folder with a person's key; add a time stamp.",
     "status": "Show the status of a run or a batch.",
     "panel": "Watch and steer runs and batches in a browser.",
     "hold": "Hold a run at its next safe point.",
@@ -145,7 +164,7 @@ _SHORT = {
     "station": "Create a station file.",
     "target": "Draw the reticle of a station; show what it is good for.",
     "simulate": "Keep a simulated bench running.",
-    "keys": "Show, create and trust signing keys.",
+    "keys": "Show, create, trust, replace and revoke signing keys.",
     "schema": "Print the JSON Schema of a kind of file.",
 }
 

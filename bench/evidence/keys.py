@@ -79,16 +79,19 @@ class BenchKey:
         return f"BenchKey({self.principal}, {self.fingerprint})"
 
     @property
+    def public_key(self) -> bytes:
+        """The public key as SSH encodes it."""
+        return encode_public_key(self.private.public_key())
+
+    @property
     def fingerprint(self) -> str:
         """Fingerprint of the public key, as ``ssh-keygen -l`` prints it."""
-        return fingerprint(encode_public_key(self.private.public_key()))
+        return fingerprint(self.public_key)
 
     @property
     def public_text(self) -> str:
         """The public key as OpenSSH writes it: type and base64."""
-        return (
-            f"{KEY_TYPE.decode()} {base64.b64encode(encode_public_key(self.private.public_key())).decode()}"
-        )
+        return f"{KEY_TYPE.decode()} {base64.b64encode(self.public_key).decode()}"
 
     @property
     def signers_line(self) -> str:
@@ -243,7 +246,7 @@ def require_usable(folder: Path, key: BenchKey, when: datetime) -> None:
         When ``allowed_signers`` trusts the key at another time only or for another purpose, when it is revoked, or
         when other users can change these lists.
     """
-    public = encode_public_key(key.private.public_key())
+    public = key.public_key
     path = folder / SIGNERS_FILE
     known = [one for one in (read_signers(path) if path.exists() else []) if one.public_key == public]
     rejections = [one.rejection(NAMESPACE, when) for one in known]

@@ -58,7 +58,7 @@ class Standing:
     remarks
         What a reader should know: a sentence each, without a full stop.
     statements
-        Who authorised, and what the time stamps say: a sentence each.
+        Who authorised, and what the time stamps say: a sentence each, without a full stop.
     signer, fingerprint
         Name of the bench in the list of trusted keys (None if its key is not accepted), and fingerprint of its key.
     person, person_fingerprint
@@ -149,7 +149,7 @@ def standing_of(folder: Path, trust: Trust, now: datetime, *, at: datetime | Non
     elif check.person is not None and found.state is State.SEALED:
         found.state = State.AUTHORISED
         found.person, found.person_fingerprint = check.person, check.fingerprint
-        found.statements.append(f"Authorised by {check.person} ({check.fingerprint}).")
+        found.statements.append(f"Authorised by {check.person} ({check.fingerprint})")
         found.remarks += [f"{AUTHORISATION}: {check.remark}"] if check.remark else []
     found.statements += stamps.statements
     _clocks(found, now)

@@ -111,9 +111,9 @@ class StampCheck:
 
     @property
     def statements(self) -> list[str]:
-        """A sentence for each time stamp."""
+        """A sentence for each time stamp, without a full stop."""
         what = {SIGNATURE: "The seal", AUTHORISATION: "The authorisation"}
-        return [f"{what[stamp.of]} existed at {stamp.text}." for stamp in self.stamps.values()]
+        return [f"{what[stamp.of]} existed at {stamp.text}" for stamp in self.stamps.values()]
 
     @property
     def seal_existed(self) -> Stamp | None:
@@ -159,6 +159,10 @@ def check_timestamps(folder: Path, authorities: TrustedAuthorities) -> StampChec
 
 class UncheckedError(EvidenceError):
     """A time stamp that cannot be checked here: a package or a trusted certificate is missing."""
+
+
+class OtherFileError(EvidenceError):
+    """A time stamp of other bytes."""
 
 
 def check_reply(reply: bytes, signed: bytes, authorities: TrustedAuthorities, name: str) -> Stamp:
@@ -363,7 +367,7 @@ def _refuse_other_bytes(response: Any, signed: bytes) -> None:
             f"the hash of the time stamp ({imprint.hash_algorithm.dotted_string}) is not accepted"
         )
     if bytes(imprint.message) != hashlib.new(name, signed).digest():
-        raise EvidenceError("it is a time stamp of another file")
+        raise OtherFileError("it is a time stamp of another file")
 
 
 def _authority_name(response: Any) -> str:

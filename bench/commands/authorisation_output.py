@@ -1,0 +1,184 @@
+"""`certificate authorise`: verify a sealed folder, show it to the person, ask, and add the signature."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+from collections.abc import Sequence
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from bench.base.errors import EvidenceError, UsageError
+from bench.base.home import home_folder
+from bench.commands.evidence_output import ask_passphrase
+from bench.commands.output import STOPPED, print_json
+
+if TYPE_CHECKING:
+    from bench.evidence.key_trust import Trust
+
+_FROM_ENVIRONMENT = "STARBENCH_PASSPHRASE"
+_KINDS = {"certificate": "Certificate", "run": "Run", "results": "Recalculated results", "files": "Files"}
+
+
+def authorise_folder(
+    folder: Path, key_name: str | None, *, allowed_signers: Path | None, yes: bool, as_json: bool
+) -> int:
+    """Verify a folder, show it, ask, and sign its seal with a person's key.
+
+    Parameters
+    ----------
+    folder
+        The sealed folder.
+    key_name
+        File of the key, or fingerprint of a key in ssh-agent; None for the only key in ssh-agent.
+    allowed_signers
+        File of trusted keys; this bench's own where None.
+    yes
+        Whether not to ask.
+    as_json
+        Whether to print JSON.
+
+    Returns
+    -------
+    int
+        Exit status: 0 authorised, 3 not confirmed.
+
+    Raises
+    ------
+    UsageError
+        If JSON is wanted without ``yes``.
+    EvidenceError
+        If the folder or the key cannot be used; nothing is written.
+    """
+    from bench.evidence.authorisation import authorise, require_authorisable, require_unauthorised
+    from bench.evidence.key_trust import read_trust
+    from bench.evidence.person_key import find_key
+    from bench.evidence.ssh_agent import agent_socket
+    from bench.evidence.ssh_keys import fingerprint
+
+    if as_json and not yes:
+        raise UsageError("--json cannot ask for confirmation.", remedy="Add --yes.")
+    require_unauthorised(folder)
+    trust = read_trust(home_folder(), allowed_signers=allowed_signers)
+    _refuse_unverified(folder, trust)
+    key = find_key(key_name, agent_socket(), _passphrase)
+    now = datetime.now(UTC)
+    person = require_authorisable(folder, key.public_key, trust, now)
+    facts = facts_of(folder)
+    if not as_json:
+        _show([*facts.items(), ("You are", f"{person} ({fingerprint(key.public_key)})")])
+    if not yes and not click.confirm("Do you authorise this?", err=True):
+        click.echo("Not authorised.", err=True)
+        return STOPPED
+    authorise(folder, key, trust, now)
+    if as_json:
+        shown = {
+            "schema": "starbench/authorised/1",
+            "folder": str(folder),
+            "state": "AUTHORISED",
+            "person": person,
+        }
+        print_json({**shown, "fingerprint": fingerprint(key.public_key), "facts": facts})
+    else:
+        click.echo(
+            f"AUTHORISED by {person}. To prove when: starbench certificate timestamp {folder} --tsa URL"
+        )
+    return 0
+
+
+def facts_of(folder: Path) -> dict[str, str]:
+    """Return what a person must see before signing: kind, number, item, run, and the seal's hash.
+
+    Parameters
+    ----------
+    folder
+        The sealed folder, which was verified.
+
+    Returns
+    -------
+    dict
+        Text by name, in the order in which it is shown.
+    """
+    from bench.evidence.instructions import kind_of
+    from bench.records.run_folder import MANIFEST, RESULTS
+
+    kind = kind_of(folder)
+    certificate = _read_json(folder / "certificate.json")
+    results = _read_json(folder / RESULTS)
+    run = _part(certificate, "run") or _part(results, "run")
+    camera = _part(_part(certificate, "item"), "camera") or _part(_part(results, "devices"), "camera")
+    lens = _part(_part(certificate, "item"), "lens")
+    number = f" {certificate['number']}" if certificate.get("number") else ""
+    place = run.get("ledger_number", _part(run, "ledger").get("number"))
+    simulated = certificate.get("simulated", _part(results, "run").get("simulated"))
+    facts = {
+        "Kind": f"{_KINDS[kind]}{number}",
+        "Customer": str(_part(certificate, "customer").get("name", "")),
+        "Camera": _words(camera, ("maker", "model", "serial")),
+        "Lens": _words(lens, ("maker", "model", "serial")),
+        "Run": " ".join(filter(None, (str(run.get("id", "")), f"(ledger number {place})" if place else ""))),
+        "Devices": "SIMULATED" if simulated else "",
+        "Folder": str(folder),
+        "Seal": f"SHA-256 of {MANIFEST}: {hashlib.sha256((folder / MANIFEST).read_bytes()).hexdigest()}",
+    }
+    return {name: text for name, text in facts.items() if text}
+
+
+def _refuse_unverified(folder: Path, trust: Trust) -> None:
+    """Refuse a folder in which the verification finds a fault: a person must not sign it."""
+    from bench.commands.verify_command import derivations
+    from bench.evidence.verify import verify_folder
+
+    found = verify_folder(folder, trust.signers, derivations=derivations(again=False))
+    if found.faults:
+        faults = "; ".join(str(fault) for fault in found.faults[:5])
+        raise EvidenceError(
+            f"This folder is not valid, so it is not authorised: {faults}.",
+            where=str(folder),
+            remedy="See all faults with `starbench verify`.",
+        )
+    for what in found.not_compared:
+        click.echo(f"Not compared: {what}", err=True)
+
+
+def _passphrase(key: Path) -> bytes:
+    """Return the passphrase from the environment, or ask for it."""
+    if (given := os.environ.get(_FROM_ENVIRONMENT)) is not None:
+        return given.encode()
+    try:
+        return ask_passphrase(key)
+    except EvidenceError as error:
+        raise EvidenceError(
+            "The key has a passphrase, and there is no terminal to ask for it.",
+            where=str(key),
+            remedy=f"Put it into the variable {_FROM_ENVIRONMENT}, or add the key to ssh-agent.",
+        ) from error
+
+
+def _show(rows: Sequence[tuple[str, str]]) -> None:
+    width = max(len(name) for name, _ in rows)
+    for name, text in rows:
+        click.echo(f"{name:{width}}  {text}", err=True)
+
+
+def _read_json(path: Path) -> dict[str, Any]:
+    """Return a JSON object; empty if there is none. The folder has been verified."""
+    try:
+        found = json.loads(path.read_bytes())
+    except (OSError, ValueError, RecursionError):
+        return {}
+    return found if isinstance(found, dict) else {}
+
+
+def _part(values: dict[str, Any], name: str) -> dict[str, Any]:
+    found = values.get(name)
+    return found if isinstance(found, dict) else {}
+
+
+def _words(values: dict[str, Any], names: Sequence[str]) -> str:
+    words = " ".join(str(values[name]) for name in names if values.get(name))
+    return "".join(c if c.isprintable() else "?" for c in words)
