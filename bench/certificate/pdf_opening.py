@@ -27,7 +27,7 @@ def opening(certificate: Certificate) -> list[Block]:
     if certificate.simulated:
         text = certificate.statement("simulated") or "The devices of this run were simulated."
         text = text.removeprefix("SIMULATED: ")
-        blocks.append(notice("SIMULATED", [text[:1].upper() + text[1:]], warning=True))
+        blocks.append(notice("SIMULATED:", [text[:1].upper() + text[1:]], warning=True))
     if certificate.amends:
         line = f"It replaces certificate {certificate.amends.number}: {certificate.amends.reason}"
         blocks.append(notice("Amended certificate", [line]))

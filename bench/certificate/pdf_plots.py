@@ -150,7 +150,8 @@ def _camera_plots(results: Mapping[str, Any], stars: Sequence[Array]) -> dict[st
             found.grid_px, k * found.sigma_arcsec, "U of a direction, arcsec", "direction", "", stars=points
         )
     if cameras := (results.get("halves") or {}).get("cameras"):
-        difference = camera_difference(*(camera_of(half, calibration["image_size"]) for half in cameras))
+        first, second = (camera_of(half, calibration["image_size"]) for half in cameras)
+        difference = camera_difference(first, second)
         lengths = np.linalg.norm(difference.offset_px, axis=2)
         plots["halves"] = sensor_map(
             difference.grid_px, lengths, "Difference of the halves, px", "halves", "", arrows=difference

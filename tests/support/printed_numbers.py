@@ -1,0 +1,100 @@
+"""Every number and every text of a certificate, and whether a printed page shows it."""
+
+import dataclasses
+import re
+import unicodedata
+from datetime import datetime
+
+SUPERSCRIPTS = str.maketrans("⁻⁰¹²³⁴⁵⁶⁷⁸⁹", "-0123456789")
+NUMBER = re.compile(r"(?<![\w.])[-\u2212]?\d+(?:\.\d+)?(?:e-?\d{1,3}(?!\w)|·10[⁻⁰¹²³⁴⁵⁶⁷⁸⁹]+)?(?!\w)")
+NOT_PRINTED = ("format", "language", "series", "title", "laboratory.place_kind")
+"""Fields for machines; the title stands on the page with the number."""
+
+
+def leaves(certificate):
+    """Each number and text of a certificate with the path of its field."""
+    yield from _leaves(dataclasses.asdict(certificate), "")
+
+
+def _leaves(found, path):
+    if isinstance(found, dict):
+        for name, value in found.items():
+            yield from _leaves(value, f"{path}.{name}".removeprefix("."))
+    elif isinstance(found, list | tuple):
+        for number, value in enumerate(found):
+            yield from _leaves(value, f"{path}[{number}]")
+    else:
+        yield path, found
+
+
+def numbers_of(text):
+    """Each number of a text: its value, and half a unit of its last digit."""
+    found = set()
+    for token in NUMBER.findall(text):
+        plain, _, power = (
+            token.replace("\u2212", "-").replace("·10", "e").translate(SUPERSCRIPTS).partition("e")
+        )
+        scale = 10.0 ** int(power or 0)
+        decimals = len(plain.partition(".")[2])
+        digits = len(plain.lstrip("-0.").replace(".", ""))
+        found.add((float(plain) * scale, 0.5000001 * 10.0**-decimals * scale, digits))
+    return found
+
+
+def missing_numbers(certificate, text):
+    """The numbers of a certificate that a text does not show, to two significant digits or better."""
+    printed = numbers_of(text)
+    return [
+        (path, value)
+        for path, value in leaves(certificate)
+        if isinstance(value, int | float) and not isinstance(value, bool) and not _shown(path, value, printed)
+    ]
+
+
+def _shown(path, value, printed):
+    if path.endswith(".share"):  # in percent, with one decimal; below 0.05 % as "< 0.1"
+        return value < 0.0005 or any(abs(100 * value - shown) <= 0.0500001 for shown, _, _ in printed)
+    if path.endswith(".p"):
+        value *= 100
+    return any(
+        value == shown or (digits >= 2 and abs(value - shown) <= half) for shown, half, digits in printed
+    )
+
+
+def missing_texts(certificate, text):
+    """The texts of a certificate that a text does not show; spaces and line breaks do not matter."""
+    squashed = squash(text)
+    return [
+        (path, value)
+        for path, value in leaves(certificate)
+        if isinstance(value, str)
+        and path not in NOT_PRINTED
+        and not re.search(
+            r"(statements|further)\[\d+\]\.id$|deviations\[\d+\]\.source$|results\[\d+\]\.text$", path
+        )
+        and squash(_as_printed(value)) not in squashed
+    ]
+
+
+def _as_printed(value):
+    if re.fullmatch(r"\d{4}-\d\d-\d\dT[\d:.]+Z", value):
+        return f"{datetime.fromisoformat(value):%Y-%m-%d %H:%M:%S} UTC"
+    return {"run": "recorded by the run", "laboratory": "stated by the laboratory"}.get(value, value)
+
+
+def squash(text):
+    """A text without spaces, ligatures, case and kinds of minus."""
+    text = re.sub(r"\^(\d)", r"\1", text)
+    return "".join(unicodedata.normalize("NFKC", text).replace("\u2212", "-").split()).casefold()
+
+
+def texts_of(found):
+    """Each text of a document as the layout gets it."""
+    if isinstance(found, str):
+        yield found
+    elif isinstance(found, dict):
+        for value in found.values():
+            yield from texts_of(value)
+    elif isinstance(found, list | tuple):
+        for value in found:
+            yield from texts_of(value)

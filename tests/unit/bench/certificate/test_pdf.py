@@ -1,0 +1,237 @@
+"""The certificate as PDF: the same bytes, text as data, every number and text, characters that fonts do not have."""
+
+import dataclasses
+import os
+import re
+import subprocess
+import sys
+
+import pytest
+
+from bench.base.errors import BenchError, UsageError
+from bench.certificate import pdf, pdf_glyphs
+from bench.certificate.certificate_data import Conformity, Covariance, Deviation
+from bench.certificate.pdf import _document, render_pdf
+from bench.certificate.pdf_blocks import at_the_point
+from bench.certificate.pdf_plots import PLOTS, draw_plots, pictures
+from bench.certificate.pdf_results import covariance
+from bench.report.view_picture import ViewPicture
+from tests.support.certificate_sample import RESULTS, full_certificate, sample_results, small_certificate
+from tests.support.printed_numbers import missing_numbers, missing_texts, numbers_of, texts_of
+
+pytest.importorskip("typst", reason="typst is not installed (extra certificate)")
+
+ATTACHED = {"dcc.xml": b"<dcc/>\r\n", "results.json": RESULTS.read_bytes()}
+NO_PLOTS = {}
+HOSTILE = '#panic(1) <script>alert(1)</script> $x^2$ *b* _i_ `c` \\ "q" @ref <l> // c /* d */ #sys.version'
+
+
+def changed(certificate, **fields):
+    return dataclasses.replace(certificate, **fields)
+
+
+def customer_named(name):
+    full = full_certificate()
+    return changed(full, customer=changed(full.customer, name=name))
+
+
+def words(certificate):
+    """All text of the document."""
+    document = _document(certificate, [], ATTACHED)
+    return "\n".join(
+        texts_of([document["heading"], document["end_mark"], document["opening"], document["sections"]])
+    )
+
+
+class TestSameInputSameBytes:
+    def test_twice_in_one_process(self):
+        first = render_pdf(full_certificate(), sample_results(), ATTACHED)
+        assert first == render_pdf(full_certificate(), sample_results(), ATTACHED)
+        assert first.startswith(b"%PDF-1.7")
+
+    @pytest.mark.slow
+    def test_in_another_process_with_another_clock_place_and_language(self, tmp_path):
+        code = (
+            "import sys, hashlib; sys.path.insert(0, sys.argv[1])\n"
+            "from tests.unit.bench.certificate.test_pdf import *\n"
+            "print(hashlib.sha256(render_pdf(full_certificate(), sample_results(), ATTACHED)).hexdigest())"
+        )
+        root = str(RESULTS.parents[2])
+        other = os.environ | {"TZ": "Pacific/Chatham", "LANG": "tr_TR.UTF-8", "SOURCE_DATE_EPOCH": "1"}
+        other |= {"PYTHONHASHSEED": "7", "HOME": str(tmp_path), "MPLCONFIGDIR": str(tmp_path)}
+        shown = [
+            subprocess.run(
+                [sys.executable, "-c", code, root],
+                env=env,
+                cwd=tmp_path,
+                capture_output=True,
+                check=True,
+                text=True,
+            ).stdout
+            for env in (dict(os.environ), other)
+        ]
+        assert shown[0] == shown[1]
+
+    def test_another_time_of_issue_gives_other_bytes(self):
+        later = changed(small_certificate(), issued_utc="2026-11-21T08:30:01Z")
+        first, second = (render_pdf(one, {}, {}, NO_PLOTS) for one in (small_certificate(), later))
+        assert first != second
+
+
+class TestEveryValueIsPrinted:
+    @pytest.mark.parametrize("certificate", [full_certificate(), small_certificate()], ids=["full", "small"])
+    def test_numbers(self, certificate):
+        assert missing_numbers(certificate, words(certificate)) == []
+
+    @pytest.mark.parametrize("certificate", [full_certificate(), small_certificate()], ids=["full", "small"])
+    def test_texts(self, certificate):
+        assert missing_texts(certificate, words(certificate)) == []
+
+    def test_a_number_that_is_not_printed_is_noticed(self):
+        full = full_certificate()
+        other = changed(full, conditions=(changed(full.conditions[0], value=1234.5678), *full.conditions[1:]))
+        assert missing_numbers(other, words(full)) == [("conditions[0].value", 1234.5678)]
+
+    def test_a_text_that_is_not_printed_is_noticed(self):
+        assert missing_texts(customer_named("Nobody"), words(full_certificate())) == [
+            ("customer.name", "Nobody")
+        ]
+
+    def test_a_large_covariance_is_printed_in_parts(self):
+        names = tuple(f"k{number}" for number in range(19))
+        matrix = tuple(
+            tuple(1e-9 * (1 + min(i, j)) + 0.1234567 * (i == j) for j in range(19)) for i in range(19)
+        )
+        large = changed(full_certificate(), covariance=Covariance(names, ("1",) * 19, matrix))
+        tables = [
+            part for block in covariance(large) for part in block.get("blocks", []) if part["kind"] == "table"
+        ]
+        assert max(len(one["head"]) for one in tables) == 9
+        shown = numbers_of("\n".join(texts_of(tables)))
+        for row in matrix:
+            for value in row:
+                assert any(abs(value - printed) <= half for printed, half, _ in shown)
+
+
+class TestWhatAnAssessorLooksFor:
+    def test_simulated_and_amended_stand_before_the_results(self):
+        opening = " ".join(texts_of(_document(full_certificate(), [], {})["opening"]))
+        assert "SIMULATED" in opening
+        assert "replaces certificate SIMULATED-SB-2026-00016" in opening
+
+    def test_a_real_one_says_neither(self):
+        document = _document(small_certificate(), [], {})
+        assert not document["simulated"]
+        assert "SIMULATED" not in " ".join(texts_of(document["opening"]))
+        assert "replaces" not in words(small_certificate())
+
+    def test_state_with_the_person_and_the_key(self):
+        text = (
+            "SEALED; not a certificate until authorised by Dr. Grace Hopper, Head of laboratory (key SHA256:"
+        )
+        assert text in " ".join(texts_of(_document(small_certificate(), [], {})["opening"]))
+
+    def test_end_mark_and_number(self):
+        assert _document(small_certificate(), [], {})["end_mark"] == "END OF CERTIFICATE SB-2026-00018"
+
+    def test_order_of_the_sections(self):
+        titles = [one["title"] for one in _document(full_certificate(), [], {})["sections"]]
+        assert titles[:2] == ["Results", "Statement of conformity"]
+        assert titles.index("Metrological traceability") < titles.index("Uncertainty budgets")
+        assert titles.index("Authorisation") < titles.index("How to verify this certificate")
+
+    def test_no_recalibration_interval(self):
+        assert not re.search(r"\bdue\b|recalibrat|valid until", words(small_certificate()), re.IGNORECASE)
+
+    def test_the_rule_stands_once_if_it_is_the_same(self):
+        one = Conformity("fx", "Drawing", 3300.0, 3340.0, "px", 2.5, "Guard band w = U.", "fail")
+        two = changed(one, symbol="fy", verdict="conditionalFail")
+        text = words(changed(small_certificate(), conformity=(one, two)))
+        assert text.count("Guard band w = U.") == 1
+        assert {"fail", "conditionalFail"} <= set(text.split("\n"))
+
+    def test_decimal_points_stand_below_each_other(self):
+        cells = at_the_point(["3346.4", "\N{MINUS SIGN}0.68", "12"])
+        pads = [cell["pad"] if isinstance(cell, dict) else 0 for cell in cells]
+        assert pads == pytest.approx([0.636, 0, 2 * 0.636 + 0.318])
+
+
+class TestTextIsData:
+    def test_markup_of_typst_and_html(self):
+        hostile = changed(
+            customer_named(HOSTILE), opinions=(HOSTILE, "W" * 400, "line\nline", "", ']]#eval("1")')
+        )
+        assert render_pdf(hostile, {}, ATTACHED, NO_PLOTS)
+        assert HOSTILE in words(hostile)
+
+    def test_words_of_every_length_in_every_field(self):
+        full = full_certificate()
+        long = changed(full.item.camera, maker="M" * 200, model="1" * 200, serial="9" * 90)
+        item = changed(full.item, camera=long, condition="x" * 900)
+        assert render_pdf(changed(full, item=item, number="N" * 60), {}, {}, NO_PLOTS)
+
+
+class TestCharacters:
+    def test_scripts_that_are_printed(self):
+        text = "Łódź Ünïcode Ελλάδα Москва Հայաստան საქართველო עברית العربية Việt ½ ± µ °C ″ ∞ 😀"
+        assert pdf_glyphs.missing(text) == []
+        assert render_pdf(customer_named(text), {}, {}, NO_PLOTS)
+
+    @pytest.mark.parametrize(
+        "text", ["山田光学", "株式会社", "한국", "ไทย", "भारत", "\u202e001", "a\x07b", "\ue000", "\ufeff"]
+    )
+    def test_what_the_laboratory_wrote_is_refused(self, text):
+        with pytest.raises(UsageError) as caught:
+            render_pdf(customer_named(text), {}, {}, NO_PLOTS)
+        assert "customer.name" in str(caught.value)
+        assert all(f"U+{ord(one):04X}" in str(caught.value) for one in pdf_glyphs.missing(text))
+
+    def test_all_fields_are_named_at_once(self):
+        full = customer_named("山")
+        with pytest.raises(UsageError, match=r"(?s)customer\.name has 山.*opinions\[0\] has 田"):
+            render_pdf(changed(full, opinions=("田",)), {}, {}, NO_PLOTS)
+
+    def test_what_the_run_holds_is_printed_as_code_with_a_note(self):
+        noted = changed(full_certificate(), deviations=(Deviation("pose 山\u202e was skipped", "run"),))
+        assert render_pdf(noted, {}, {}, NO_PLOTS)
+        assert "pose [U+5C71][U+202E] was skipped" in words(noted)
+        assert pdf_glyphs.CODE_NOTE in words(noted)
+        assert pdf_glyphs.CODE_NOTE not in words(full_certificate())
+
+    def test_a_deviation_that_the_laboratory_states_is_refused(self):
+        stated = changed(full_certificate(), deviations=(Deviation("山", "laboratory"),))
+        with pytest.raises(UsageError, match=r"deviations\[0\]\.text"):
+            render_pdf(stated, {}, {}, NO_PLOTS)
+
+
+class TestPlots:
+    def test_what_follows_from_the_results_alone(self):
+        assert set(draw_plots(sample_results())) == {"uncertainty", "distortion"}
+
+    def test_with_the_stars_of_the_poses(self):
+        import numpy as np
+
+        points = np.random.default_rng(1).uniform((0, 0), (1279, 719), (80, 2))
+        views = [ViewPicture("pose", None, points, points + 0.1, np.arange(80))]
+        plots = draw_plots(sample_results(), views)
+        assert set(plots) == {"uncertainty", "coverage", "vectors", "radial", "regions", "distortion"}
+        shown = pictures(full_certificate(), plots)
+        assert [one.name for one in shown] == [name for name in PLOTS if name in plots]
+        assert all("0.61 px" in one.alt for one in shown)
+        assert render_pdf(full_certificate(), {}, {}, plots)
+
+    def test_without_a_covariance_there_are_none(self):
+        calibration = {**sample_results()["calibration"], "covariance": None}
+        assert draw_plots({"calibration": calibration}) == {}
+
+
+class TestFaults:
+    def test_without_typst_the_extra_is_named(self, monkeypatch):
+        monkeypatch.setitem(sys.modules, "typst", None)
+        with pytest.raises(UsageError, match=re.escape("pip install 'starbench[certificate]'")):
+            render_pdf(small_certificate(), {}, {}, NO_PLOTS)
+
+    def test_a_fault_of_the_layout_is_one_message(self, monkeypatch):
+        monkeypatch.setattr(pdf, "opening", lambda certificate: [{"kind": "unheard of"}])
+        with pytest.raises(BenchError, match="typst could not make the certificate"):
+            render_pdf(small_certificate(), {}, {}, NO_PLOTS)

@@ -1,0 +1,234 @@
+"""A certificate as PDF, read by programs that nobody here wrote: poppler, qpdf, pikepdf, OpenSSH.
+
+Each test is skipped where its program is missing; the reason names it.
+"""
+
+import hashlib
+import re
+import shutil
+import subprocess
+from xml.etree import ElementTree as ET
+
+import numpy as np
+import pytest
+
+from bench.certificate.certificate_data import Deviation
+from bench.certificate.pdf import render_pdf
+from bench.certificate.pdf_plots import draw_plots
+from bench.report.view_picture import ViewPicture
+from tests.support.certificate_sample import RESULTS, full_certificate, sample_results, small_certificate
+from tests.support.printed_numbers import missing_numbers, missing_texts, squash
+
+pytest.importorskip("typst", reason="typst is not installed (extra certificate)")
+
+ATTACHED = {
+    "dcc.xml": b"<?xml version='1.0'?>\r\n<dcc>\xc3\xa4</dcc>",
+    "results.json": RESULTS.read_bytes(),
+    "wire.bin": bytes(range(256)),
+}
+PDFAID = "{http://www.aiim.org/pdfa/ns/id/}"
+PDFUAID = "{http://www.aiim.org/pdfua/ns/id/}"
+
+
+def program(name):
+    if not (found := shutil.which(name)):
+        pytest.skip(f"{name} is not installed")
+    return found
+
+
+def said(*command, **more):
+    """What a program prints; it must end with status 0."""
+    done = subprocess.run(
+        [program(command[0]), *map(str, command[1:])], capture_output=True, check=False, timeout=60, **more
+    )
+    assert done.returncode == 0, done.stderr.decode()
+    return done.stdout.decode()
+
+
+@pytest.fixture(scope="module")
+def plots():
+    random = np.random.default_rng(1)
+    views = []
+    for number in range(25):
+        points = random.uniform((0, 0), (1279, 719), (200, 2))
+        shifted = points + random.normal(0, 0.06, points.shape)
+        views.append(ViewPicture(f"pose-{number:02d}", None, points, shifted, np.arange(len(points))))
+    return draw_plots(sample_results(), views)
+
+
+@pytest.fixture(scope="module")
+def full(tmp_path_factory, plots):
+    """The full certificate, simulated and amended, with plots of 25 poses."""
+    path = tmp_path_factory.mktemp("full") / "certificate.pdf"
+    path.write_bytes(render_pdf(full_certificate(), sample_results(), ATTACHED, plots))
+    return path
+
+
+@pytest.fixture(scope="module")
+def small(tmp_path_factory):
+    path = tmp_path_factory.mktemp("small") / "certificate.pdf"
+    path.write_bytes(render_pdf(small_certificate(), sample_results(), {"dcc.xml": ATTACHED["dcc.xml"]}))
+    return path
+
+
+def pages(path):
+    return said("pdftotext", "-raw", path, "-").removesuffix("\f").split("\f")
+
+
+class TestPoppler:
+    @pytest.mark.parametrize("name", ["full", "small"])
+    def test_every_number_and_text(self, name, request):
+        certificate = full_certificate() if name == "full" else small_certificate()
+        text = "\n".join(pages(request.getfixturevalue(name)))
+        assert missing_numbers(certificate, text) == []
+        assert missing_texts(certificate, text) == []
+
+    @pytest.mark.parametrize("name", ["full", "small"])
+    def test_each_page_has_number_and_page_of_pages(self, name, request):
+        found = pages(request.getfixturevalue(name))
+        number = (full_certificate() if name == "full" else small_certificate()).number
+        for at, page in enumerate(found, 1):
+            assert f"page {at} of {len(found)}" in page
+            assert f"Certificate {number}" in page
+            assert ("SIMULATED" in page) == (name == "full")
+            assert (f"END OF CERTIFICATE {number}" in page) == (at == len(found))
+
+    def test_attached_files_come_out_with_the_same_bytes(self, full, tmp_path):
+        said("pdfdetach", "-saveall", "-o", tmp_path, full)
+        assert {one.name: one.read_bytes() for one in tmp_path.iterdir()} == ATTACHED
+
+    def test_every_font_is_embedded(self, full):
+        rows = said("pdffonts", full).splitlines()[2:]
+        assert rows
+        for row in rows:
+            embedded, subset, unicode = row.split()[-5:-2]
+            assert (embedded, subset, unicode) == ("yes", "yes", "yes"), row
+            assert "DejaVuSans" in row
+
+    def test_title_language_dates_and_no_script(self, full):
+        shown = said("pdfinfo", full)
+        assert re.search(r"Title: +SIMULATED calibration certificate SIMULATED-SB-2026-00017\n", shown)
+        assert re.search(r"JavaScript: +no\n", shown)
+        assert re.search(r"Tagged: +yes\n", shown)
+        assert re.search(r"Encrypted: +no\n", shown)
+        assert "2026" in re.search(r"CreationDate: +(.*)\n", shown)[1]
+
+    def test_pictures_of_the_pages_differ_from_white(self, full, tmp_path):
+        said("pdftoppm", "-r", "20", "-gray", full, tmp_path / "page")
+        found = sorted(tmp_path.iterdir())
+        assert len(found) == len(pages(full))
+        assert all(np.frombuffer(one.read_bytes()[-20000:], np.uint8).std() > 5 for one in found[:-1])
+
+
+class TestQpdf:
+    @pytest.mark.parametrize("name", ["full", "small"])
+    def test_check(self, name, request):
+        assert "No syntax or stream encoding errors found" in said(
+            "qpdf", "--check", request.getfixturevalue(name)
+        )
+
+
+class TestPikepdf:
+    @pytest.fixture
+    def opened(self, full):
+        pikepdf = pytest.importorskip("pikepdf", reason="pikepdf is not installed")
+        with pikepdf.open(full) as found:
+            yield found
+
+    def test_claims_pdf_a_3a_and_pdf_ua_1(self, opened):
+        tree = ET.fromstring(opened.Root.Metadata.read_bytes())
+        assert [one.text for one in tree.iter(f"{PDFAID}part")] == ["3"]
+        assert [one.text for one in tree.iter(f"{PDFAID}conformance")] == ["A"]
+        assert [one.text for one in tree.iter(f"{PDFUAID}part")] == ["1"]
+
+    def test_output_intent_with_a_colour_profile(self, opened):
+        (intent,) = opened.Root.OutputIntents
+        assert intent.S == "/GTS_PDFA1"
+        assert intent.DestOutputProfile.read_bytes()[36:40] == b"acsp"
+
+    def test_tags_language_and_title_are_shown(self, opened):
+        assert opened.Root.MarkInfo.Marked
+        assert str(opened.Root.Lang).startswith("en")
+        assert opened.Root.ViewerPreferences.DisplayDocTitle
+        assert opened.Root.StructTreeRoot.K is not None
+
+    def test_every_figure_has_a_description(self, opened):
+        figures = [one for one in elements(opened.Root.StructTreeRoot) if one.get("/S") == "/Figure"]
+        assert len(figures) == 5
+        assert all(len(str(one.get("/Alt", ""))) > 40 for one in figures)
+
+    def test_tables_have_heads(self, opened):
+        kinds = [str(one.get("/S")) for one in elements(opened.Root.StructTreeRoot)]
+        assert kinds.count("/Table") >= 12
+        assert kinds.count("/TH") > 60
+
+    def test_attached_files_are_associated_with_the_document(self, opened):
+        found = {str(one.UF): str(one.AFRelationship) for one in opened.Root.AF}
+        assert found == {"dcc.xml": "/Alternative", "results.json": "/Source", "wire.bin": "/Supplement"}
+        assert {str(one.EF.F.Subtype) for one in opened.Root.AF} == {
+            "/application/xml",
+            "/application/json",
+            "/application/octet-stream",
+        }
+
+    def test_no_actions_no_forms_no_encryption(self, opened):
+        assert not {"/OpenAction", "/AA", "/AcroForm"} & set(opened.Root.keys())
+        assert "/JavaScript" not in opened.Root.Names
+        assert not opened.is_encrypted
+        for one in opened.objects:
+            assert not (hasattr(one, "keys") and {"/JS", "/Launch", "/URI"} & set(one.keys()))
+
+
+def elements(root):
+    """Each element of the tree of tags; numbers among the kids are content, not elements."""
+    import pikepdf
+
+    kids = root.get("/K", [])
+    for kid in [kids] if isinstance(kids, pikepdf.Dictionary | int) else kids:
+        if not isinstance(kid, int) and "/S" in kid:
+            yield kid
+            yield from elements(kid)
+
+
+class TestOpenSsh:
+    def test_the_printed_commands_verify_the_certificate(self, small, tmp_path):
+        program("ssh-keygen"), program("sha256sum")
+        (tmp_path / "certificate.pdf").write_bytes(small.read_bytes())
+        listed = f"{hashlib.sha256(small.read_bytes()).hexdigest()}  certificate.pdf\n"
+        (tmp_path / "SHA256SUMS").write_text(listed)
+        signers = []
+        for name, namespace, signed in (
+            ("bench@lab", "starbench-report@v1", "SHA256SUMS"),
+            ("grace.hopper", "starbench-authorisation@v1", "SHA256SUMS.sig"),
+        ):
+            said("ssh-keygen", "-q", "-t", "ed25519", "-N", "", "-C", name, "-f", tmp_path / name)
+            said("ssh-keygen", "-q", "-Y", "sign", "-f", tmp_path / name, "-n", namespace, tmp_path / signed)
+            signers.append(f'{name} namespaces="{namespace}" {(tmp_path / f"{name}.pub").read_text()}')
+        (tmp_path / "SHA256SUMS.sig.sig").rename(tmp_path / "SHA256SUMS.authorised.sig")
+        (tmp_path / "allowed_signers").write_text("".join(signers))
+        text = "\n".join(pages(small))
+        commands = re.findall(
+            r"^(?:ssh-keygen -Y verify|sha256sum --strict)[^<]*?(?:< [\w.]+|SHA256SUMS)$", text, re.MULTILINE
+        )
+        assert len(commands) == 3
+        answers = [said("sh", "-c", command, cwd=tmp_path) for command in commands]
+        assert answers[0].startswith('Good "starbench-report@v1" signature for bench@lab')
+        assert answers[1] == "certificate.pdf: OK\n"
+        assert answers[2].startswith('Good "starbench-authorisation@v1" signature for grace.hopper')
+
+
+class TestOtherScripts:
+    def test_right_to_left_letters_and_codes_are_found_in_the_text(self, tmp_path):
+        import dataclasses
+
+        certificate = small_certificate()
+        customer = dataclasses.replace(certificate.customer, name="שלום Ωμέγα Жуков")
+        noted = (Deviation("pose \N{CJK UNIFIED IDEOGRAPH-5C71} was skipped", "run"),)
+        path = tmp_path / "certificate.pdf"
+        path.write_bytes(
+            render_pdf(dataclasses.replace(certificate, customer=customer, deviations=noted), {}, {}, {})
+        )
+        text = squash("\n".join(pages(path)))
+        assert squash("Ωμέγα Жуков") in text
+        assert "שלום" in text or "םולש" in text
+        assert squash("pose [U+5C71] was skipped") in text
