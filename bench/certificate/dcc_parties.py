@@ -95,7 +95,7 @@ def add_items(parent: _Element, certificate: Certificate) -> None:
         ("calibrationLaboratory", camera.biases_sha256, "SHA-256 of the biases"),
     )
     one = add(items, "dcc:item", id=LENS_ID)
-    add_text(one, "dcc:name", " ".join(("Lens", lens.maker, lens.model)))
+    add_text(one, "dcc:name", f"Lens {lens.maker} {lens.model}")
     locks = {True: "locked", False: "not locked"}
     add_text(
         one,

@@ -1,0 +1,185 @@
+"""Check a digital calibration certificate and print what was found."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from bench.base.errors import EvidenceError, UsageError
+from bench.commands.output import print_json
+from bench.records.storage import storage_errors
+
+if TYPE_CHECKING:
+    from bench.certificate.dcc_signature import DccSignature
+
+DCC_FILE = "dcc.xml"
+
+
+@dataclass
+class _Found:
+    """What the checks of a DCC found.
+
+    Attributes
+    ----------
+    file
+        The file.
+    number, dcc_version, si_version
+        Number of the certificate, version of the DCC and of D-SI.
+    content, schema
+        Faults by our checks and by the schema; schema is None if there was none at hand.
+    signature
+        The valid signature; None if there is none or it is not valid.
+    signature_fault
+        Why the signature is not valid; empty if it is, or there is none.
+    """
+
+    file: Path
+    number: str
+    dcc_version: str
+    si_version: str
+    content: list[str]
+    schema: list[str] | None
+    signature: DccSignature | None
+    signature_fault: str
+
+    @property
+    def faults(self) -> list[str]:
+        """All faults, each with what found it."""
+        return [
+            *(f"content, {fault}" for fault in self.content),
+            *(f"schema, {fault}" for fault in self.schema or []),
+            *([f"signature: {self.signature_fault}"] if self.signature_fault else []),
+        ]
+
+
+def show_check(path: Path, *, schemas: Path | None, trusted: Path | None, as_json: bool) -> int:
+    """Check a digital calibration certificate and print the result.
+
+    Parameters
+    ----------
+    path
+        The XML file, or a folder with `dcc.xml`.
+    schemas
+        Folder of PTB's schemas; None for that of the environment.
+    trusted
+        Certificates that the reader trusts, PEM; None for none.
+    as_json
+        Whether to print JSON.
+
+    Returns
+    -------
+    int
+        Exit status: 0 if no fault was found.
+
+    Raises
+    ------
+    EvidenceError
+        When the file is no DCC that can be read.
+    UsageError
+        When the folder has no `dcc.xml`, or the folder of schemas cannot be used.
+    StorageError
+        When a file cannot be read.
+    """
+    found = _check(path, schemas, trusted)
+    if as_json:
+        print_json(_object(found))
+    elif found.faults:
+        count = len(found.faults)
+        click.echo(f"{found.file}: {count} fault{'s' if count > 1 else ''}:", err=True)
+        for fault in found.faults:
+            click.echo(f"  {fault}", err=True)
+        _show_not_checked(found)
+    else:
+        _show_valid(found, trusted)
+    return 1 if found.faults else 0
+
+
+def _check(path: Path, schemas: Path | None, trusted: Path | None) -> _Found:
+    from bench.certificate.dcc_checks import check_dcc
+    from bench.certificate.dcc_schema import schema_faults, schema_folder
+    from bench.certificate.dcc_signature import load_certificates, verify_signature
+    from bench.certificate.dcc_xml import MOST_BYTES, NAMESPACES, read_dcc, versions_of
+
+    file = path / DCC_FILE if path.is_dir() else path
+    if not file.is_file():
+        raise UsageError(f"The folder has no {DCC_FILE}.", where=str(path), remedy="Name the XML file.")
+    with storage_errors(file), file.open("rb") as stream:
+        data = stream.read(MOST_BYTES + 1)
+    where = str(file)
+    root = read_dcc(data, where)
+    versions = versions_of(root, where)
+    anchors = () if trusted is None else load_certificates(trusted)
+    folder = schema_folder(schemas)
+    signature, signature_fault = None, ""
+    try:
+        signature = verify_signature(data, where, trusted=anchors)
+        if signature is None and anchors:
+            signature_fault = "the file has none, but you named a certificate that you trust"
+    except EvidenceError as error:
+        signature_fault = error.what
+    number = root.findtext("dcc:administrativeData/dcc:coreData/dcc:uniqueIdentifier", "", NAMESPACES)
+    return _Found(
+        file=file,
+        number=number.strip(),
+        dcc_version=versions.dcc,
+        si_version=versions.si,
+        content=check_dcc(data, where),
+        schema=None if folder is None else schema_faults(data, folder, where),
+        signature=signature,
+        signature_fault=signature_fault,
+    )
+
+
+def _show_valid(found: _Found, trusted: Path | None) -> None:
+    click.echo(f"Certificate {found.number}: DCC {found.dcc_version} with D-SI {found.si_version}.")
+    click.echo("Content: no faults.")
+    if found.schema is not None:
+        click.echo("Schema: valid.")
+    if found.signature is not None:
+        one = found.signature
+        click.echo(
+            f"Signature: valid, by {one.signer} (issued by {one.issuer}), who states"
+            f" {one.stated_utc:%Y-%m-%d %H:%M:%S} UTC as its time."
+        )
+    else:
+        click.echo("Signature: none.")
+    _show_not_checked(found, trusted)
+
+
+def _show_not_checked(found: _Found, trusted: Path | None = None) -> None:
+    from bench.certificate.dcc_schema import SCHEMAS_VARIABLE
+
+    if found.schema is None:
+        click.echo(
+            "Not checked: the form. Name the folder of PTB's schemas with --schemas or in"
+            f" {SCHEMAS_VARIABLE} to check it."
+        )
+    if found.signature is not None and trusted is None:
+        click.echo("Not checked: who signed. Name certificates that you trust with --trusted.")
+
+
+def _object(found: _Found) -> dict[str, Any]:
+    one = found.signature
+    return {
+        "file": str(found.file),
+        "number": found.number,
+        "dcc_version": found.dcc_version,
+        "si_version": found.si_version,
+        "ok": not found.faults,
+        "content": found.content,
+        "schema": found.schema,
+        "signature": None
+        if one is None
+        else {
+            "signer": one.signer,
+            "issuer": one.issuer,
+            "serial": str(one.serial),
+            "fingerprint_sha256": one.fingerprint,
+            "stated_utc": f"{one.stated_utc:%Y-%m-%dT%H:%M:%SZ}",
+            "trusted": one.trusted,
+        },
+        "signature_fault": found.signature_fault or None,
+    }
