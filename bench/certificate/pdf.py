@@ -10,6 +10,7 @@ import json
 from collections.abc import Callable, Mapping
 from datetime import datetime
 from importlib import resources
+from tempfile import TemporaryDirectory
 from textwrap import shorten
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -157,8 +158,13 @@ def _compiled(document: Mapping[str, Any], svg: Mapping[str, str], attachments: 
     }
     try:
         make: Callable[..., typst.Compiler] = typst.Compiler
-        compiler = make(files, font_paths=[pdf_glyphs.font_folder()], ignore_system_fonts=True)
-        found = compiler.compile(format="pdf", pdf_standards=list(STANDARDS))
+        with (
+            TemporaryDirectory() as empty
+        ):  # without a root, a plot could name a file of the working directory
+            compiler = make(
+                files, root=empty, font_paths=[pdf_glyphs.font_folder()], ignore_system_fonts=True
+            )
+            found = compiler.compile(format="pdf", pdf_standards=list(STANDARDS))
     except RuntimeError as error:
         raise BenchError(
             f"typst could not make the certificate: {str(error).splitlines()[0]}",

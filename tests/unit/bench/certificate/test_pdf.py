@@ -224,6 +224,13 @@ class TestPlots:
         calibration = {**sample_results()["calibration"], "covariance": None}
         assert draw_plots({"calibration": calibration}) == {}
 
+    def test_a_plot_reads_no_file(self, tmp_path, monkeypatch):
+        monkeypatch.chdir(tmp_path)
+        (tmp_path / "other.svg").write_text('<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 1 1"/>')
+        svg = '<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 1 1"><image href="other.svg" width="1" height="1"/></svg>'
+        with pytest.raises(BenchError, match="typst could not make the certificate"):
+            render_pdf(small_certificate(), {}, {}, {"uncertainty": svg})
+
 
 class TestFaults:
     def test_without_typst_the_extra_is_named(self, monkeypatch):
