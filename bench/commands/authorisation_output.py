@@ -133,7 +133,7 @@ def _refuse_unverified(folder: Path, trust: Trust) -> None:
     from bench.commands.verify_command import derivations
     from bench.evidence.verify import verify_folder
 
-    found = verify_folder(folder, trust.signers, derivations=derivations(again=False))
+    found = verify_folder(folder, trust, derivations=derivations(again=False))
     if found.faults:
         faults = "; ".join(str(fault) for fault in found.faults[:5])
         raise EvidenceError(

@@ -101,6 +101,7 @@ EXAMPLES = {
         "starbench certificate authorise certificates/2026-0042 --key ~/.ssh/id_ed25519",
         "starbench certificate timestamp certificates/2026-0042 --tsa https://tsa.example/tsr",
     ),
+    "certificate check": ("starbench certificate check certificates/2026-0042",),
     "certificate authorise": (
         "starbench certificate authorise certificates/2026-0042 --key ~/.ssh/id_ed25519",
         "starbench certificate authorise certificates/2026-0042 --key SHA256:...",

@@ -46,12 +46,14 @@ __all__ = [
     "Signer",
     "create_key",
     "ensure_key",
+    "key_to_seal",
     "load_key",
     "locked_folder",
     "private_text",
     "read_signers",
     "require_usable",
     "trust",
+    "usable_key",
 ]
 
 KEY_FILE = "bench_key"
@@ -259,6 +261,70 @@ def require_usable(folder: Path, key: BenchKey, when: datetime) -> None:
             where=str(path),
             remedy="Make a new key with `starbench keys rotate`.",
         )
+
+
+def usable_key(
+    folder: Path, when: datetime, *, ask_passphrase: Callable[[Path], bytes] | None = None
+) -> BenchKey:
+    """Load the bench's key, or make one at first use, and check that its seals will be accepted.
+
+    Parameters
+    ----------
+    folder
+        The configuration folder.
+    when
+        The present time, with its time zone.
+    ask_passphrase
+        As for `ensure_key`.
+
+    Returns
+    -------
+    BenchKey
+        The key.
+
+    Raises
+    ------
+    EvidenceError, StorageError
+        As `ensure_key` and `require_usable`.
+    """
+    key = ensure_key(folder, ask_passphrase=ask_passphrase)
+    require_usable(folder, key, when)
+    return key
+
+
+def key_to_seal(
+    folder: Path, key: BenchKey, when: datetime, ask_passphrase: Callable[[Path], bytes] | None = None
+) -> BenchKey:
+    """Return the key to seal with at the end of a run: another one if it was replaced during the run.
+
+    Parameters
+    ----------
+    folder
+        The configuration folder.
+    key
+        The key that was loaded when the run began.
+    when
+        The present time, with its time zone.
+    ask_passphrase
+        As for `ensure_key`; called only if the key was replaced.
+
+    Returns
+    -------
+    BenchKey
+        The key.
+
+    Raises
+    ------
+    EvidenceError, StorageError
+        As `load_key` and `require_usable`; the run can be sealed later with ``starbench resume``.
+    """
+    public = folder / f"{KEY_FILE}.pub"
+    with storage_errors(public):
+        is_replaced = public.exists() and key.public_text not in public.read_text(encoding="utf-8")
+    if is_replaced:
+        key = load_key(folder, ask_passphrase=ask_passphrase)
+    require_usable(folder, key, when)
+    return key
 
 
 def load_key(folder: Path, *, ask_passphrase: Callable[[Path], bytes] | None = None) -> BenchKey:

@@ -18,7 +18,7 @@ from typing import Any, TextIO
 from bench.base.clock import BenchClock
 from bench.base.errors import BenchError, RunFolderError
 from bench.base.home import home_folder
-from bench.evidence.keys import ensure_key
+from bench.evidence.keys import BenchKey, key_to_seal, usable_key
 from bench.evidence.seal import seal
 from bench.messaging.messages import Courier
 from bench.messaging.outbox import Outbox
@@ -126,6 +126,7 @@ def start_run(
     plan = job.plan
     ledger = ledger_of(launch.clock)
     refuse_broken_ledger(ledger, job)
+    key = _key(launch)
     folder_path = output or default_folder(plan, launch.clock.utc_now())
     needed = plan.size_bytes + int(plan.station.value.disk.min_free_gb * 1e9)
     with RunFolder.create(folder_path, bytes_needed=needed) as folder:
@@ -156,7 +157,7 @@ def start_run(
                 software=software(),
                 ledger=place,
             )
-            return ending(_run_and_seal(job, folder, journal, launch, first_lines=ledger_lines(place)))
+            return ending(_run_and_seal(job, folder, journal, launch, key, ledger_lines(place)))
 
 
 def resume_run(folder_path: Path, launch: Launch) -> RunEnd:
@@ -194,19 +195,20 @@ def resume_run(folder_path: Path, launch: Launch) -> RunEnd:
     ):
         job, history = _job_of(folder.path, journal.entries)
         crash = read_crash(folder.path)
+        key = _key(launch)
         ledger = ledger_of(launch.clock)
         place = enter_in_ledger(ledger, job, folder.path, history.ledger)
         with ledger_entry(ledger, place, folder.path) as ending:
             if history.ended == "finished":
                 archive_crash(folder)
-                return ending(_seal_finished(folder, journal, launch))
+                return ending(_seal_finished(folder, journal, key))
             extra: dict[str, Any] = {"crash": crash} if crash else {}
             extra |= {"ledger": place} if place != history.ledger else {}
             journal.append(Event.RUN_RESUMED, torn_bytes=len(journal.torn), software=software(), **extra)
             # After the journal: a process that dies in between neither loses the crash nor counts it twice.
             archive_crash(folder)
             lines = [*ledger_lines(place), *intentions(job, history, crash)]
-            return ending(_run_and_seal(job, folder, journal, launch, first_lines=lines))
+            return ending(_run_and_seal(job, folder, journal, launch, key, lines))
 
 
 def read_intentions(folder_path: Path) -> list[str]:
@@ -271,10 +273,9 @@ def default_folder(plan: Plan, now: datetime) -> Path:
 
 
 def _run_and_seal(
-    job: Job, folder: RunFolder, journal: Journal, launch: Launch, *, first_lines: Iterable[str] = ()
+    job: Job, folder: RunFolder, journal: Journal, launch: Launch, key: BenchKey, first_lines: Iterable[str]
 ) -> RunEnd:
     clock = launch.clock
-    key = ensure_key(home_folder(), ask_passphrase=launch.ask_passphrase)
     wire_log = WireLogFile(folder.path / WIRE_LOG)
     progress = Progress(clock.monotonic, job.plan.duration_s, job.plan.most_poses, launch.stream)
 
@@ -295,7 +296,7 @@ def _run_and_seal(
             wire_log.close()
             if end.how == "finished":
                 journal.close()
-                seal(folder, key)
+                seal(folder, key_to_seal(home_folder(), key, clock.utc_now(), launch.ask_passphrase))
             what = f"{end.how}{': ' if end.why else ''}{end.why}"
             messages.write("failure" if end.how == "failed" else "end", what, journal.head)
         except BaseException as error:
@@ -306,9 +307,13 @@ def _run_and_seal(
     return end
 
 
-def _seal_finished(folder: RunFolder, journal: Journal, launch: Launch) -> RunEnd:
+def _key(launch: Launch) -> BenchKey:
+    """Return the bench's key: before the folder of a run is made, because without a key it could not be sealed."""
+    return usable_key(home_folder(), launch.clock.utc_now(), ask_passphrase=launch.ask_passphrase)
+
+
+def _seal_finished(folder: RunFolder, journal: Journal, key: BenchKey) -> RunEnd:
     """Seal a run that was interrupted between its last journal line and its seal."""
-    key = ensure_key(home_folder(), ask_passphrase=launch.ask_passphrase)
     journal.close()
     remove_inbox(folder.path)
     outcome = None

@@ -12,13 +12,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from bench.base.clock import BenchClock
 from bench.base.errors import EvidenceError, RunFolderError, StorageError
 from bench.evidence.seal import list_files, make_manifest, read_manifest, seal
 from bench.evidence.sshsig import encode_public_key, is_valid, read_signature, sign
 from bench.records.journal import Journal
 from bench.records.run_folder import RunFolder
-from bench.run.launch import Launch, _seal_finished
+from bench.run.launch import _seal_finished
 
 needs_ssh_keygen = pytest.mark.skipif(
     shutil.which("ssh-keygen") is None, reason="ssh-keygen is not installed"
@@ -279,14 +278,11 @@ def test_an_empty_list_is_empty():
     assert read_manifest(b"") == {}
 
 
-def test_a_finished_run_without_results_is_sealed_when_it_is_taken_up_again(
-    make_run, home, tmp_path, monkeypatch
-):
-    monkeypatch.setenv("STARBENCH_HOME", str(home))
+def test_a_finished_run_without_results_is_sealed_when_it_is_taken_up_again(make_run, key, tmp_path):
     clocks = {"utc_now": lambda: datetime(2026, 3, 1, tzinfo=UTC), "monotonic": lambda: 0.0}
     with make_run(tmp_path / "run") as folder:
         (folder.path / "results.json").unlink()
         with Journal.open(folder.journal_path, **clocks) as journal:
-            end = _seal_finished(folder, journal, Launch(BenchClock()))
+            end = _seal_finished(folder, journal, key)
     assert (end.how, end.outcome) == ("finished", None)
     assert (tmp_path / "run" / "SHA256SUMS.sig").exists()
