@@ -225,10 +225,13 @@ class TestPlots:
         assert draw_plots({"calibration": calibration}) == {}
 
     def test_a_plot_reads_no_file(self, tmp_path, monkeypatch):
+        import cv2
+        import numpy as np
+
         monkeypatch.chdir(tmp_path)
-        (tmp_path / "other.svg").write_text('<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 1 1"/>')
-        svg = '<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 1 1"><image href="other.svg" width="1" height="1"/></svg>'
-        with pytest.raises(BenchError, match="typst could not make the certificate"):
+        (tmp_path / "other.png").write_bytes(cv2.imencode(".png", np.zeros((4, 4), np.uint8))[1].tobytes())
+        svg = '<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 1 1"><image href="other.png" width="1" height="1"/></svg>'
+        with pytest.raises(BenchError, match=r"failed to load linked image other\.png"):
             render_pdf(small_certificate(), {}, {}, {"uncertainty": svg})
 
 
