@@ -1,0 +1,148 @@
+"""Amend a certificate: a new number that replaces the old one, names it by hash, and says what changed.
+
+The old certificate stays as it is. The results are those of the old certificate; results of another run are another
+certificate.
+"""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+from bench.base.errors import EvidenceError
+from bench.certificate.certificate_data import CERTIFICATE, Amends, Certificate, Change
+from bench.certificate.folder import PLOTS, refuse_occupied, require_libraries
+from bench.certificate.issue import Issued, Laboratory, make_certificate
+from bench.certificate.lab_config import read_lab
+from bench.certificate.sealed_run import Source
+from bench.evidence.findings import Verification
+from bench.records.run_folder import MANIFEST, RESULTS
+from bench.records.storage import sha256_of, storage_errors
+
+ABSENT = "absent"
+_OWN = frozenset({"number", "issued_utc", "amends"})
+"""Fields that differ in every amendment."""
+_MOST_CHARACTERS = 300
+
+
+def amend(old: Path, lab_file: Path, folder: Path, laboratory: Laboratory, *, reason: str) -> Issued:
+    """Issue a certificate that replaces another one.
+
+    Parameters
+    ----------
+    old
+        Folder of the certificate to be replaced.
+    lab_file
+        The corrected lab.yaml.
+    folder
+        New folder.
+    laboratory
+        Ledger, key, clock and verifier.
+    reason
+        Reason of the amendment; it is printed.
+
+    Returns
+    -------
+    Issued
+        The new certificate.
+
+    Raises
+    ------
+    DocumentFaults, UsageError, StorageError
+        As `bench.certificate.issue.issue`.
+    EvidenceError
+        When the old certificate does not verify, is not the newest one, or nothing would change.
+    """
+    require_libraries()
+    refuse_occupied(folder)
+    lab = read_lab(lab_file)
+    before, source = _read_certificate(old, laboratory.verify(old))
+    with storage_errors(old):
+        digest = sha256_of(old / MANIFEST)
+
+    def amended(trial: Certificate) -> Amends:
+        return Amends(before.number, digest, reason, changes_of(before, trial))
+
+    return make_certificate(
+        source, lab, folder, laboratory, also=_also(before), amended=amended, amends=before.number
+    )
+
+
+def changes_of(before: Certificate, after: Certificate) -> tuple[Change, ...]:
+    """Return the fields that differ between two certificates, except number, time of issue and what they amend.
+
+    Parameters
+    ----------
+    before, after
+        The certificates.
+
+    Returns
+    -------
+    tuple of Change
+        Each with its path, sorted as in certificate.json.
+
+    Raises
+    ------
+    EvidenceError
+        When nothing differs.
+    """
+    old, new = (_leaves(json.loads(one.to_json())) for one in (before, after))
+    paths = dict.fromkeys([*old, *new])
+    changes = tuple(
+        Change(path, old.get(path, ABSENT), new.get(path, ABSENT))
+        for path in paths
+        if old.get(path) != new.get(path)
+    )
+    if not changes:
+        raise EvidenceError(
+            f"Nothing would change: this lab.yaml gives the certificate {before.number} again.",
+            remedy="Correct lab.yaml first.",
+        )
+    return changes
+
+
+def _leaves(found: dict[str, Any]) -> dict[str, str]:
+    leaves: dict[str, str] = {}
+
+    def walk(value: Any, path: str) -> None:
+        if isinstance(value, dict) and value:
+            for name, inner in value.items():
+                walk(inner, f"{path}.{name}" if path else name)
+        elif isinstance(value, list) and value:
+            for at, inner in enumerate(value):
+                walk(inner, f"{path}[{at}]")
+        else:
+            text = value if isinstance(value, str) else json.dumps(value)
+            leaves[path] = text if len(text) <= _MOST_CHARACTERS else f"{text[:_MOST_CHARACTERS]}..."
+
+    walk({name: value for name, value in found.items() if name not in _OWN}, "")
+    return leaves
+
+
+def _also(before: Certificate) -> str:
+    """Return why the amended certificate was a further one of its run; the new one is it, too."""
+    return before.statement("also").partition("Reason: ")[2]
+
+
+def _read_certificate(folder: Path, verification: Verification) -> tuple[Certificate, Source]:
+    if verification.kind != "certificate":
+        raise EvidenceError(
+            f"This folder is a {verification.kind} folder, not a certificate.",
+            where=str(folder),
+            remedy="Name the folder of a certificate.",
+        )
+    if not verification.ok:
+        what = "; ".join(str(fault) for fault in verification.faults[:5])
+        raise EvidenceError(
+            f"The certificate does not verify: {what}.",
+            where=str(folder),
+            remedy="Check it with `starbench verify`. Amend the copy that the laboratory keeps.",
+        )
+    with storage_errors(folder):
+        certificate = Certificate.from_json((folder / CERTIFICATE).read_bytes(), str(folder / CERTIFICATE))
+        results = (folder / RESULTS).read_bytes()
+        plots = {path.stem: path.read_text("utf-8") for path in sorted((folder / PLOTS).glob("*.svg"))}
+    return certificate, Source(
+        json.loads(results), results, certificate.run, plots, certificate.statement("verification")
+    )

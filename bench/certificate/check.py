@@ -1,0 +1,213 @@
+"""Derive a certificate again from its own folder, and compare it with the laboratory's ledger. Nothing is written.
+
+certificate.json follows from results.json and lab.yaml; PDF and DCC follow from certificate.json. What only the sealed
+run can give is compared with the run, if it still lies where the ledger says.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from pathlib import Path
+
+from bench.base.errors import BenchError
+from bench.certificate.certificate_data import CERTIFICATE, Certificate, sha256
+from bench.certificate.compose import Identity, compose
+from bench.certificate.contradictions import faults_of_lab
+from bench.certificate.folder import DCC, LAB, PDF, PLOTS, certificate_files
+from bench.certificate.lab_config import LabConfig, lab_of
+from bench.certificate.number_format import SIMULATED, is_number_format, number_pattern
+from bench.certificate.sealed_run import run_of
+from bench.certificate.series_numbers import numbers
+from bench.evidence.findings import Findings
+from bench.records.ledger import Ledger
+from bench.records.run_folder import MANIFEST, RESULTS
+from bench.records.storage import sha256_of
+from sequences.errors import DocumentFaults
+from sequences.reader import Located
+
+_FILES = frozenset({CERTIFICATE, RESULTS, LAB, DCC, PDF, "VERIFY.txt"})
+_PLOT = re.compile(rf"{PLOTS}/[a-z]{{1,40}}\.svg")
+_KIND = "certificate"
+_UNREADABLE = (ValueError, LookupError, TypeError, AttributeError, ArithmeticError, RecursionError)
+
+
+def check_certificate(folder: Path, ledger: Ledger | None = None) -> Findings:
+    """Derive the files of a certificate again and compare every byte; compare number and run with the ledger.
+
+    Parameters
+    ----------
+    folder
+        The sealed folder of the certificate; its list of files is verified.
+    ledger
+        The laboratory's ledger; None, or one that does not have the number: nothing is compared with it.
+
+    Returns
+    -------
+    Findings
+        Faults, what could not be compared, and whether the certificate is superseded.
+
+    Raises
+    ------
+    OSError
+        When a file cannot be read.
+    """
+    found = Findings()
+    names = {path.relative_to(folder).as_posix() for path in folder.rglob("*") if path.is_file()}
+    for name in sorted(names):
+        if name not in _FILES and not _PLOT.fullmatch(name) and not name.startswith("SHA256SUMS"):
+            found.fault(_KIND, name, "no certificate has this file")
+    for name in sorted(_FILES - names):
+        found.fault("missing", name, "a certificate has this file")
+    if found.faults:
+        return found
+    try:
+        certificate = Certificate.from_json((folder / CERTIFICATE).read_bytes())
+        _derive(folder, certificate, found)
+    except BenchError as error:
+        found.fault(_KIND, error.where or CERTIFICATE, error.what.rstrip("."))
+        return found
+    except _UNREADABLE as error:
+        found.fault(_KIND, RESULTS, f"the certificate cannot be derived from it ({error!r})")
+        return found
+    if ledger is not None:
+        _compare_with_ledger(folder, certificate, ledger, found)
+    return found
+
+
+def _derive(folder: Path, certificate: Certificate, found: Findings) -> None:
+    """Compose the certificate again, and render PDF and DCC."""
+    results = (folder / RESULTS).read_bytes()
+    if sha256(results) != certificate.run.results_sha256:
+        found.fault(_KIND, RESULTS, "these are not the results that the certificate names")
+    stated = json.loads(results)
+    try:
+        lab = lab_of((folder / LAB).read_bytes(), LAB)
+    except DocumentFaults as error:
+        found.fault(_KIND, LAB, "; ".join(str(fault) for fault in error.faults[:5]))
+        return
+    for fault in faults_of_lab(lab, stated)[:5]:
+        found.fault(_KIND, LAB, str(fault))
+    _check_number(certificate, lab.value, found)
+    if found.faults:
+        return
+    run = run_of(
+        stated,
+        results,
+        journal_head=certificate.run.journal_head,
+        seal_sha256=certificate.run.seal_sha256,
+        signer=certificate.run.signer,
+        signer_fingerprint=certificate.run.signer_fingerprint,
+    )
+    also = certificate.statement("also").partition("Reason: ")[2]
+    identity = Identity(
+        certificate.number,
+        certificate.issued_utc,
+        run,
+        certificate.amends,
+        also,
+        certificate.statement("verification"),
+    )
+    again = compose(stated, lab.value, identity)
+    if again.to_json() != (folder / CERTIFICATE).read_bytes():
+        where = _first_difference(certificate, again)
+        found.fault(_KIND, CERTIFICATE, f"it does not follow from {RESULTS} and {LAB}: {where}")
+        return
+    _compare_documents(folder, again, lab, results, found)
+
+
+def _compare_documents(
+    folder: Path, certificate: Certificate, lab: Located[LabConfig], results: bytes, found: Findings
+) -> None:
+    try:
+        import typst
+    except ImportError:
+        found.not_compared.append(
+            f"{PDF} and {DCC} were not rendered again: pip install 'starbench[certificate]'"
+        )
+        return
+    del typst
+    plots = {path.stem: path.read_text("utf-8") for path in sorted((folder / PLOTS).glob("*.svg"))}
+    files = certificate_files(certificate, json.loads(results), results, lab.text, plots)
+    if files[DCC] != (folder / DCC).read_bytes():
+        found.fault(_KIND, DCC, f"it is not what follows from {CERTIFICATE}")
+    stored = (folder / PDF).read_bytes()
+    if files[PDF] == stored:
+        return
+    ours, theirs = (_renderer(data) for data in (files[PDF], stored))
+    if ours != theirs:
+        found.not_compared.append(
+            f"{PDF} was rendered by {theirs or 'an unknown program'}, and this is {ours or 'an unknown one'}"
+        )
+    else:
+        found.fault(_KIND, PDF, f"it is not what follows from {CERTIFICATE}")
+
+
+def _renderer(pdf: bytes) -> str:
+    """Return the name and version of the program that rendered a PDF, as its metadata state it."""
+    match = re.search(rb"<xmp:CreatorTool>([^<]{1,60})<", pdf)
+    return match[1].decode("ascii", "replace") if match else ""
+
+
+def _check_number(certificate: Certificate, lab: LabConfig, found: Findings) -> None:
+    wanted = (SIMULATED if certificate.simulated else "") + lab.numbers.format
+    if certificate.series != wanted or not is_number_format(wanted):
+        found.fault(_KIND, CERTIFICATE, f"its series is {certificate.series!r}, not that of {LAB}")
+    elif not number_pattern(wanted, certificate.issued_utc[:4]).fullmatch(certificate.number):
+        found.fault(_KIND, CERTIFICATE, f"{certificate.number} is not a number of its series {wanted}")
+
+
+def _first_difference(stated: Certificate, derived: Certificate) -> str:
+    """Name the first field that differs."""
+    from bench.certificate.amend import changes_of
+
+    try:
+        changes = changes_of(derived, stated)
+    except BenchError:
+        return "the same values are written in another form"
+    first = changes[0]
+    more = f" and {len(changes) - 1} more" if len(changes) > 1 else ""
+    return f"{first.field} is {first.after!r}, derived {first.before!r}{more}"
+
+
+def _compare_with_ledger(folder: Path, certificate: Certificate, ledger: Ledger, found: Findings) -> None:
+    try:
+        known = numbers(ledger.entries())
+        runs = ledger.runs()
+    except BenchError as error:
+        found.not_compared.append(f"the ledger of this bench cannot be read: {error.what.rstrip('.')}")
+        return
+    one = known.get(certificate.number)
+    if one is None:
+        found.remarks.append(
+            f"{certificate.number} is not in the ledger of this bench, so nothing here tells whether it was replaced"
+        )
+    elif one.how == "void":
+        found.fault(_KIND, CERTIFICATE, f"{one.number} was declared void: {one.reason}")
+    elif one.how == "issued" and one.seal != sha256_of(folder / MANIFEST):
+        found.fault(_KIND, MANIFEST, f"the ledger has another seal for {one.number}")
+    elif one.superseded_by:
+        found.remarks.append(f"SUPERSEDED: {one.superseded_by} replaces this certificate")
+    elif one.how != "issued":
+        found.remarks.append(f"{one.number} is {one.how} in the ledger of this bench, not issued")
+    for run in runs:
+        if run.seal == certificate.run.seal_sha256:
+            _compare_with_run(folder, Path(run.folder), certificate, found)
+
+
+def _compare_with_run(folder: Path, run: Path, certificate: Certificate, found: Findings) -> None:
+    """Compare with the sealed run, if it still lies where the ledger says."""
+    if not (run / MANIFEST).is_file() or sha256_of(run / MANIFEST) != certificate.run.seal_sha256:
+        found.remarks.append(f"the run {certificate.run.id} is not in {run}, so its plots were not compared")
+        return
+    if (run / RESULTS).read_bytes() != (folder / RESULTS).read_bytes():
+        found.fault(_KIND, RESULTS, f"the results are not those of the run {run}")
+        return
+    from bench.certificate.pdf_plots import plots_of_run
+
+    drawn = plots_of_run(run, json.loads((folder / RESULTS).read_bytes()))
+    stored = {path.stem: path.read_text("utf-8") for path in (folder / PLOTS).glob("*.svg")}
+    if drawn != stored:
+        found.not_compared.append(
+            "the plots are not drawn alike from the run here: another version of Matplotlib, or changed plots"
+        )

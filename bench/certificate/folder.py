@@ -1,0 +1,199 @@
+"""The folder of a certificate: its files from the data, written as a whole and sealed under its final name.
+
+The folder is made under a hidden name beside its final one, sealed there, and renamed last. So a process that is killed
+leaves no half certificate.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from bench.base.errors import EvidenceError, UsageError
+from bench.certificate.certificate_data import CERTIFICATE, Certificate
+from bench.evidence.keys import BenchKey
+from bench.evidence.seal import seal_folder
+from bench.records.run_folder import MANIFEST, RESULTS
+from bench.records.storage import make_folder, sha256_of, storage_errors, sync_folder, write_atomic
+
+PDF = "certificate.pdf"
+DCC = "dcc.xml"
+LAB = "lab.yaml"
+PLOTS = "plots"
+_UNFINISHED = ".tmp"
+
+
+def require_libraries() -> None:
+    """Refuse to begin without the libraries of PDF and DCC.
+
+    Raises
+    ------
+    UsageError
+        When one is missing.
+    """
+    try:
+        import lxml.etree
+        import typst
+    except ImportError as error:
+        raise UsageError(
+            f"The package {error.name} is missing; PDF and DCC need it.",
+            remedy="Install it: pip install 'starbench[certificate]'",
+        ) from error
+    del lxml, typst
+
+
+def certificate_files(
+    certificate: Certificate, found: Mapping[str, Any], results: bytes, lab: bytes, plots: Mapping[str, str]
+) -> dict[str, bytes]:
+    """Return the files of a certificate's folder, without those of its seal. Same input, same bytes.
+
+    Parameters
+    ----------
+    certificate
+        The certificate.
+    found
+        Content of results.json.
+    results, lab
+        Bytes of results.json and lab.yaml.
+    plots
+        SVG by name.
+
+    Returns
+    -------
+    dict
+        Content by name.
+
+    Raises
+    ------
+    EvidenceError
+        When the DCC does not pass its own checks.
+    UsageError
+        When a library is missing, or a text has characters that cannot be printed.
+    """
+    from bench.certificate.dcc import render_dcc
+    from bench.certificate.dcc_checks import check_dcc
+    from bench.certificate.pdf import render_pdf
+
+    dcc = render_dcc(certificate)
+    if faults := check_dcc(dcc):
+        raise EvidenceError(
+            f"The digital certificate would be wrong: {'; '.join(faults[:5])}.",
+            where=DCC,
+            remedy="Correct lab.yaml where it is named; otherwise report this.",
+        )
+    attachments = {DCC: dcc, RESULTS: results}
+    return {
+        CERTIFICATE: certificate.to_json(),
+        RESULTS: results,
+        LAB: lab,
+        DCC: dcc,
+        PDF: render_pdf(certificate, found, attachments, plots),
+        **{f"{PLOTS}/{name}.svg": svg.encode() for name, svg in sorted(plots.items())},
+    }
+
+
+def refuse_occupied(folder: Path) -> None:
+    """Refuse a name that is taken, before any number is.
+
+    Parameters
+    ----------
+    folder
+        Folder that the certificate is to have.
+
+    Raises
+    ------
+    UsageError
+        When something has this name.
+    """
+    if os.path.lexists(folder):
+        raise UsageError(
+            "A file or folder with this name already exists.",
+            where=str(folder),
+            remedy="Choose another --output. A certificate is never overwritten.",
+        )
+
+
+def write_sealed(folder: Path, files: Mapping[str, bytes], key: BenchKey) -> str:
+    """Write and seal a folder; it has its final name only when it is complete.
+
+    Parameters
+    ----------
+    folder
+        The new folder.
+    files
+        Content by name.
+    key
+        The bench's key.
+
+    Returns
+    -------
+    str
+        SHA-256 of its SHA256SUMS.
+
+    Raises
+    ------
+    UsageError
+        When the name is taken.
+    StorageError
+        When a file cannot be written.
+    """
+    part = unfinished(folder)
+    make_folder(folder.parent)
+    remove_unfinished(folder)
+    refuse_occupied(folder)
+    make_folder(part)
+    for name, data in files.items():
+        make_folder((part / name).parent)
+        write_atomic(part / name, data)
+    seal_folder(part, key)
+    with storage_errors(folder):
+        seal = sha256_of(part / MANIFEST)
+        part.rename(folder)
+        sync_folder(folder.parent)
+    return seal
+
+
+def unfinished(folder: Path) -> Path:
+    """Return the name of a folder while it is being made.
+
+    Parameters
+    ----------
+    folder
+        Its final name.
+
+    Returns
+    -------
+    Path
+        A hidden name beside it.
+    """
+    return folder.with_name(f".{folder.name}{_UNFINISHED}")
+
+
+def remove_unfinished(folder: Path) -> None:
+    """Remove what a process left behind that was killed while it made this folder.
+
+    Parameters
+    ----------
+    folder
+        The final name.
+
+    Raises
+    ------
+    StorageError
+        When it cannot be removed.
+    """
+    part = unfinished(folder)
+    if part.is_symlink() or not part.is_dir():
+        return
+    with storage_errors(part):
+        for name, folders, files in os.walk(part, topdown=True):
+            Path(name).chmod(0o755)
+            del folders, files
+        for name, folders, files in os.walk(part, topdown=False):
+            for file in files:
+                (Path(name) / file).unlink()
+            for inner in folders:
+                (Path(name) / inner).rmdir()
+        part.rmdir()

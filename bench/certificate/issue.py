@@ -1,0 +1,253 @@
+"""Issue a certificate: verify the run, take a number, render, seal, and enter it in the ledger.
+
+Nothing is asked and nothing is authorised here: the certificate is SEALED, and a person authorises it later. Everything
+that can be refused is refused before a number is taken.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from datetime import datetime
+from pathlib import Path
+
+from bench.certificate.certificate_data import CERTIFICATE, Amends, Certificate
+from bench.certificate.compose import Identity, compose
+from bench.certificate.contradictions import faults_of_lab
+from bench.certificate.folder import (
+    certificate_files,
+    refuse_occupied,
+    remove_unfinished,
+    require_libraries,
+    write_sealed,
+)
+from bench.certificate.lab_config import LabConfig, read_lab
+from bench.certificate.sealed_run import Source, Verify, read_sealed_run
+from bench.certificate.series import Wanted, enter_issued, one_at_a_time, reserve
+from bench.certificate.series_numbers import Numbered, numbers, open_numbers
+from bench.evidence.keys import BenchKey
+from bench.records.ledger import Ledger
+from bench.records.run_folder import MANIFEST, is_sealed
+from bench.records.storage import sha256_of, storage_errors
+from sequences.errors import DocumentFaults
+from sequences.reader import Located
+
+
+@dataclass(frozen=True)
+class Laboratory:
+    """What a laboratory needs to issue certificates.
+
+    Attributes
+    ----------
+    ledger
+        Its ledger, with the series of numbers.
+    key
+        Returns the bench's key; called only when nothing speaks against the certificate.
+    utc_now
+        Returns the present time, with its time zone.
+    verify
+        Verifies a sealed folder.
+    """
+
+    ledger: Ledger
+    key: Callable[[], BenchKey]
+    utc_now: Callable[[], datetime]
+    verify: Verify
+
+
+@dataclass(frozen=True)
+class Issued:
+    """A certificate that was issued.
+
+    Attributes
+    ----------
+    certificate
+        The certificate.
+    folder
+        Its folder.
+    seal
+        SHA-256 of its SHA256SUMS.
+    completed
+        Numbers whose certificates a killed process had finished, and that were entered now.
+    """
+
+    certificate: Certificate
+    folder: Path
+    seal: str
+    completed: tuple[str, ...] = ()
+
+
+def issue(run: Path, lab_file: Path, folder: Path, laboratory: Laboratory, *, also: str = "") -> Issued:
+    """Issue the certificate of a sealed run.
+
+    Parameters
+    ----------
+    run
+        The run folder.
+    lab_file
+        The file lab.yaml.
+    folder
+        New folder of the certificate.
+    laboratory
+        Ledger, key, clock and verifier.
+    also
+        Why a second certificate of the run is needed; empty: a second one is refused.
+
+    Returns
+    -------
+    Issued
+        The certificate.
+
+    Raises
+    ------
+    DocumentFaults
+        With all faults of lab.yaml: clauses without an answer, and contradictions to the run.
+    EvidenceError
+        When the run is refused, it has a certificate already, or the series of numbers is not in order.
+    UsageError
+        When the folder exists, or a library is missing.
+    StorageError
+        When a file cannot be read or written.
+    """
+    require_libraries()
+    refuse_occupied(folder)
+    lab = read_lab(lab_file)
+    source = read_sealed_run(run, laboratory.verify)
+    return make_certificate(source, lab, folder, laboratory, also=also)
+
+
+def make_certificate(
+    source: Source,
+    lab: Located[LabConfig],
+    folder: Path,
+    laboratory: Laboratory,
+    *,
+    also: str = "",
+    amended: Callable[[Certificate], Amends] | None = None,
+    amends: str = "",
+) -> Issued:
+    """Make, seal and enter a certificate of a run that was verified.
+
+    Parameters
+    ----------
+    source
+        The run.
+    lab
+        Content of lab.yaml.
+    folder
+        New folder of the certificate.
+    laboratory
+        Ledger, key and clock.
+    also
+        Why a second certificate of the run is needed; empty if it is the first one.
+    amended
+        Returns what the certificate amends, given the certificate without that; None if it amends none.
+    amends
+        Number of the certificate that it replaces; empty if none.
+
+    Returns
+    -------
+    Issued
+        The certificate.
+
+    Raises
+    ------
+    DocumentFaults, EvidenceError, UsageError, StorageError
+        As `issue`.
+    """
+    folder = folder.absolute()
+    if faults := faults_of_lab(lab, source.found):
+        raise DocumentFaults(faults, lab.tree)
+    with one_at_a_time(laboratory.ledger.home):
+        completed = complete_open(laboratory.ledger)
+        trial_identity = Identity("0", "1970-01-01T00:00:00Z", source.run, None, also, source.verified)
+        trial = compose(source.found, lab.value, trial_identity)
+        key = laboratory.key()
+        now = laboratory.utc_now()
+        replaced = None if amended is None else amended(trial)
+        number = reserve(laboratory.ledger, _wanted(source, lab.value, folder, amends, also), now)
+        identity = replace(
+            trial_identity, number=number.number, issued_utc=number.issued_utc, amends=replaced
+        )
+        certificate = compose(source.found, lab.value, identity)
+        files = certificate_files(certificate, source.found, source.results, lab.text, source.plots)
+        seal = write_sealed(folder, files, key)
+        _enter(laboratory.ledger, certificate, seal)
+    return Issued(certificate, folder, seal, tuple(completed))
+
+
+def complete_open(ledger: Ledger) -> list[str]:
+    """Settle open numbers: enter those whose folder is complete, and remove the half made folders of the others.
+
+    Parameters
+    ----------
+    ledger
+        The laboratory's ledger.
+
+    Returns
+    -------
+    list of str
+        The numbers that were entered.
+
+    Raises
+    ------
+    EvidenceError, JournalBroken, StorageError
+        When the ledger is not valid or cannot be written.
+    """
+    done = []
+    for one in open_numbers(numbers(ledger.entries())):
+        certificate = finished_certificate(one)
+        if certificate is not None:
+            with storage_errors(Path(one.folder)):
+                seal = sha256_of(Path(one.folder) / MANIFEST)
+            _enter(ledger, certificate, seal)
+            done.append(one.number)
+        elif one.folder:
+            remove_unfinished(Path(one.folder))
+    return done
+
+
+def finished_certificate(one: Numbered) -> Certificate | None:
+    """Return the certificate that lies in the folder of a number, sealed.
+
+    Parameters
+    ----------
+    one
+        The number.
+
+    Returns
+    -------
+    Certificate or None
+        None if there is none, or if it has another number.
+
+    Raises
+    ------
+    EvidenceError
+        When its certificate.json is not of the expected form.
+    StorageError
+        When it cannot be read.
+    """
+    folder = Path(one.folder)
+    if not one.folder or not is_sealed(folder) or not (folder / CERTIFICATE).is_file():
+        return None
+    with storage_errors(folder):
+        data = (folder / CERTIFICATE).read_bytes()
+    certificate = Certificate.from_json(data, str(folder / CERTIFICATE))
+    return certificate if certificate.number == one.number else None
+
+
+def _wanted(source: Source, lab: LabConfig, folder: Path, amends: str, also: str) -> Wanted:
+    return Wanted(
+        number_format=lab.numbers.format,
+        simulated=bool(source.found["run"]["simulated"]),
+        run_seal=source.run.seal_sha256,
+        run_id=source.run.id,
+        folder=str(folder),
+        amends=amends,
+        also=also,
+    )
+
+
+def _enter(ledger: Ledger, certificate: Certificate, seal: str) -> None:
+    serial, customer = certificate.item.camera.serial, certificate.customer.name
+    enter_issued(ledger, certificate.number, seal=seal, serial=serial, customer=customer)

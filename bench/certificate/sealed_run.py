@@ -1,0 +1,189 @@
+"""A sealed run as the source of a certificate: verified first, and refused if it is none. It reads the run's folder."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from bench.base.errors import EvidenceError
+from bench.certificate.certificate_data import Run, Software, sha256
+from bench.evidence.findings import Verification
+from bench.records.events import Event
+from bench.records.journal import read_journal
+from bench.records.run_folder import JOURNAL, MANIFEST, RESULTS, is_sealed
+from bench.records.storage import sha256_of, storage_errors
+
+Json = Mapping[str, Any]
+Verify = Callable[[Path], Verification]
+_MOST_NAMED = 5
+
+
+@dataclass(frozen=True)
+class Source:
+    """What a certificate is made from.
+
+    Attributes
+    ----------
+    found
+        Content of results.json.
+    results
+        Its bytes.
+    run
+        The run, as the certificate names it.
+    plots
+        SVG by name, for the PDF.
+    verified
+        What the verification covered, as the certificate states it.
+    """
+
+    found: Json
+    results: bytes
+    run: Run
+    plots: Mapping[str, str]
+    verified: str
+
+
+def read_sealed_run(folder: Path, verify: Verify) -> Source:
+    """Verify a run, and read what a certificate needs.
+
+    Parameters
+    ----------
+    folder
+        The run folder.
+    verify
+        Verifies a sealed folder, as the command `verify` does.
+
+    Returns
+    -------
+    Source
+        Results, identity and plots of the run.
+
+    Raises
+    ------
+    EvidenceError
+        When the run is not sealed, does not verify, was not finished, is a rehearsal, or has no converged result.
+    RunFolderError, StorageError
+        When it is no run folder, or cannot be read.
+    """
+    if not is_sealed(folder):
+        raise EvidenceError(
+            "This run is not sealed: a certificate is made from a sealed run only.",
+            where=str(folder),
+            remedy="Let the run end: `starbench resume`.",
+        )
+    verification = verify(folder)
+    _refuse_unverified(folder, verification)
+    with storage_errors(folder):
+        entries, _ = read_journal(folder / JOURNAL)
+        _refuse_other_than_finished(folder, [(entry.event, entry.data) for entry in entries])
+        if not (folder / RESULTS).is_file():
+            raise EvidenceError("This run has no results.", where=str(folder), remedy="Add a solve step.")
+        results = (folder / RESULTS).read_bytes()
+        seal = sha256_of(folder / MANIFEST)
+    found = json.loads(results)
+    if not found["calibration"]["converged"]:
+        raise EvidenceError(
+            "The calibration of this run did not converge.", where=str(folder), remedy="Run it again."
+        )
+    from bench.certificate.pdf_plots import plots_of_run
+
+    run = run_of(
+        found,
+        results,
+        journal_head=entries[-1].hash,
+        seal_sha256=seal,
+        signer=verification.signer or "",
+        signer_fingerprint=verification.fingerprint or "",
+    )
+    return Source(found, results, run, plots_of_run(folder, found), _covered(verification))
+
+
+def run_of(
+    found: Json,
+    results: bytes,
+    *,
+    journal_head: str,
+    seal_sha256: str,
+    signer: str,
+    signer_fingerprint: str,
+) -> Run:
+    """Return a run as a certificate names it: what results.json states, and what only the sealed folder can give.
+
+    Parameters
+    ----------
+    found
+        Content of results.json.
+    results
+        Its bytes.
+    journal_head, seal_sha256, signer, signer_fingerprint
+        As the attributes of `Run`.
+
+    Returns
+    -------
+    Run
+        The run.
+    """
+    run = found["run"]
+    place = run.get("ledger") or {}
+    return Run(
+        id=str(run["id"]),
+        sequence=str(run["sequence"]),
+        station=str(run["station"]),
+        ledger_number=int(place["number"]) if "number" in place else None,
+        ledger_head=str(place.get("head") or ""),
+        journal_head=journal_head,
+        seal_sha256=seal_sha256,
+        results_sha256=sha256(results),
+        signer=signer,
+        signer_fingerprint=signer_fingerprint,
+        software=tuple(Software(str(name), str(version)) for name, version in run["software"].items()),
+    )
+
+
+def _refuse_unverified(folder: Path, verification: Verification) -> None:
+    if verification.kind != "run":
+        raise EvidenceError(
+            f"This folder is a {verification.kind} folder, not a run.",
+            where=str(folder),
+            remedy="Name the folder of a sealed run; to correct a certificate: `starbench certificate amend`.",
+        )
+    what = [str(fault) for fault in verification.faults]
+    if what:
+        more = f"; and {len(what) - _MOST_NAMED} more" if len(what) > _MOST_NAMED else ""
+        raise EvidenceError(
+            f"The run does not verify: {'; '.join(what[:_MOST_NAMED])}{more}.",
+            where=str(folder),
+            remedy="Check it with `starbench verify`.",
+        )
+
+
+def _covered(verification: Verification) -> str:
+    """Return what was verified before the issue; a run of another version may not be derived again in all its parts."""
+    if verification.complete:
+        return (
+            "Before the issue the sealed run was verified: its seal, every file and its journal; results, exports and"
+            " report were derived again and are the same."
+        )
+    parts = "; ".join(verification.not_compared)
+    return (
+        "Before the issue the sealed run was verified: its seal, every file and its journal. Protected by the seal"
+        f" alone, not derived again: {parts}."
+    )
+
+
+def _refuse_other_than_finished(folder: Path, lines: list[tuple[str, Json]]) -> None:
+    started = lines[0][1] if lines else {}
+    if started.get("rehearsal"):
+        raise EvidenceError(
+            "This is a rehearsal: nothing was measured.", where=str(folder), remedy="Name a sealed run."
+        )
+    ended = next((data for event, data in reversed(lines) if event == Event.RUN_ENDED), {})
+    if ended.get("how") != "finished":
+        raise EvidenceError(
+            f"This run did not finish: it {ended.get('how') or 'has no end'}.",
+            where=str(folder),
+            remedy="Continue it with `starbench resume`, or run it again.",
+        )
