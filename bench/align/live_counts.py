@@ -27,7 +27,8 @@ class CountedSlice(NamedTuple):
     Attributes
     ----------
     counts
-        (2, H, W) uint16, number of OFF events, then of ON events, of each pixel in the whole periods.
+        (2, H, W) uint16, number of OFF events, then of ON events, of each pixel in the whole periods, or in a slice
+        that is shorter than one.
     periods
         Number of whole periods from the start of the slice on; 0 if it is shorter than one.
     triggers
@@ -58,7 +59,7 @@ def count_slice(raw: RawFile, period_us: float) -> CountedSlice:
     Returns
     -------
     CountedSlice
-        Without events if the slice is shorter than a period.
+        The counts.
 
     Raises
     ------
@@ -69,6 +70,7 @@ def count_slice(raw: RawFile, period_us: float) -> CountedSlice:
     words = pieces[0] if len(pieces) == 1 else np.concatenate([np.zeros(0, "<u2"), *pieces])
     end, periods = whole_periods(words, period_us)
     first_byte = raw.raw_header.size_bytes
+    end = end if periods else len(words)
     decoder = Evt3Decoder(raw.width, raw.height, first_byte=first_byte, where=str(raw.path))
     counts = np.zeros((2, raw.height, raw.width), np.uint16)
     triggers = join_triggers([decoder.count(words[:end], counts), decoder.tally(words[end:])])

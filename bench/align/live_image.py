@@ -144,8 +144,11 @@ def _by_counts(raw: RawFile, expected_hz: float) -> LiveImage | None:
     """Make the image of a slice from counts alone; None if the flicker is known by the times of events only."""
     counted = count_slice(raw, 1e6 / expected_hz)
     signal = signal_of_counts(counted.statistics, counted.triggers, counted.data_bytes, expected_hz)
-    if signal is None or signal.flicker is None or not counted.periods:
+    if signal is None or signal.flicker is None:
         return None
+    if not counted.periods:
+        values = counted.counts.sum(axis=0, dtype=np.float32)
+        return LiveImage(np.minimum(values, 1.0), "count", 0.5, signal, None, None)
     found = make_quick_image(counted.counts, counted.periods)
     return LiveImage(found.image, found.name, _LEAST_FIRED, signal, found.hot_pixels, None)
 

@@ -25,7 +25,7 @@ from bench.align.slice_folder import make_slice_folder
 from bench.base.clock import Aborted
 from bench.base.failure import Failure
 from bench.stations.devices import Camera
-from drivers.camera import EventCamera, RecordingFacts
+from drivers.camera import EventCamera, PreviewCamera, RecordingFacts
 from drivers.camera.frames import FrameCamera, FrameFacts
 from drivers.errors import DriverError
 
@@ -41,8 +41,15 @@ _OF_THE_FLICKER = ("sync", "flicker is")
 LONGEST_SLICE_S = 4.0
 """Longest slice, s. With a slower flicker, a slice holds no whole period."""
 _AFTER_FAULT_S = 1.0
-_AHEAD_S = 0.03
-"""How long a slice waits to be measured before the next one is recorded, which then takes its place, s."""
+MOVING_PERIODS = 0.6
+"""Length of a slice while the stage turns, periods: it holds one edge of the light at least."""
+_STALE_S = 0.4
+"""Age of a slice from which it is recorded again while it waits to be measured, s."""
+_SHORTEST_S = 0.1
+"""Shortest time from one slice to the next, s: more pictures show no more."""
+_EARLY_S = 0.02
+_LEARNT = 0.3
+"""Weight of the newest duration in the expected ones."""
 _RATE_OVER_S = 4.0
 
 T = TypeVar("T")
@@ -58,6 +65,7 @@ class _Slice:
     time_s: float
     record_ms: float
     shows_signal: bool
+    moving: bool
 
 
 class LiveLoop:
@@ -75,6 +83,8 @@ class LiveLoop:
         Called after each new picture or fault, by any thread.
     meter
         Measures the slices; the loop closes it.
+    moving
+        Returns whether the stage turns.
     """
 
     def __init__(
@@ -84,16 +94,20 @@ class LiveLoop:
         reading_deg: Callable[[], Mapping[str, float]],
         on_picture: Callable[[], None],
         meter: Meter,
+        moving: Callable[[], bool] = lambda: False,
     ) -> None:
         self._camera = camera
         self._setting = setting
         self._reading_deg = reading_deg
         self._on_picture = on_picture
+        self._moving = moving
         self._folder = make_slice_folder()
         self._meter = meter
         self._wake = threading.Condition()
         self._waiting: _Slice | None = None
         self._tasks: deque[tuple[Callable[[], Any], Future[Any]]] = deque()
+        self._began_s: float | None = None
+        self._record_s, self._measure_s = 0.0, 0.0
         self._closing = False
         self._forget_asked = False
         self._signal_s = -math.inf
@@ -200,15 +214,12 @@ class LiveLoop:
     # ------------------------------------------------------------------ recording
 
     def _record(self) -> None:
-        number = 0
+        number, last_s = 0, -math.inf
         while not self._closing:
             self._do_tasks()
-            with self._wake:
-                # Slices that nobody measures would take time from the one that is measured.
-                self._wake.wait_for(lambda: self._waiting is None or self._closing or self._tasks, _AHEAD_S)
-                if self._closing or self._tasks:
-                    continue
-            number += 1
+            if not self._wait_until_due(last_s):
+                continue
+            number, last_s = number + 1, time.monotonic()
             try:
                 made = self._record_one(number)
             except Aborted:
@@ -220,20 +231,41 @@ class LiveLoop:
                 continue
             if made is None:
                 continue
+            self._record_s = _learnt(self._record_s, made.record_ms / 1e3)
             with self._wake:
                 old, self._waiting = self._waiting, made
                 self._wake.notify_all()
             if old is not None:
                 old.path.unlink(missing_ok=True)
 
+    def _wait_until_due(self, last_s: float) -> bool:
+        """Wait until the next slice would be recorded just in time to be measured; False if there is a task.
+
+        Slices that nobody measures would take time from the one that is measured.
+        """
+        with self._wake:
+            while not (self._closing or self._tasks):
+                now_s = time.monotonic()
+                due_s = last_s + _SHORTEST_S
+                if self._waiting is not None:
+                    due_s = max(due_s, self._waiting.time_s + _STALE_S)
+                elif self._began_s is not None:
+                    due_s = max(due_s, self._began_s + self._measure_s - self._record_s - _EARLY_S)
+                if now_s >= due_s:
+                    return True
+                self._wake.wait(due_s - now_s)
+        return False
+
     def _record_one(self, number: int) -> _Slice | None:
         """Record a slice; None if it was ended early."""
         setting = self._setting()
         started_s = time.monotonic()
-        wanted = slice_periods(setting)
+        wanted: float = slice_periods(setting)
         shows_signal = wanted >= SIGNAL_PERIODS or wanted == 0
-        light = setting.light_on, setting.frequency_hz
-        if not shows_signal and (light != self._light or started_s - self._signal_s >= SIGNAL_EVERY_S):
+        light, moving = (setting.light_on, setting.frequency_hz), self._moving()
+        if moving and not shows_signal:
+            wanted = MOVING_PERIODS
+        elif not shows_signal and (light != self._light or started_s - self._signal_s >= SIGNAL_EVERY_S):
             wanted, shows_signal = SIGNAL_PERIODS, True
         self._light = light
         if shows_signal:
@@ -245,7 +277,9 @@ class LiveLoop:
         else:
             path = self._folder / f"slice-{number}.raw"
             try:
-                facts = cast("EventCamera", self._camera).record(path, _duration_s(setting, wanted))
+                camera = cast("EventCamera", self._camera)
+                take = camera.preview if isinstance(camera, PreviewCamera) else camera.record
+                facts = take(path, _duration_s(setting, wanted))
             except DriverError:
                 path.unlink(missing_ok=True)
                 raise
@@ -254,7 +288,8 @@ class LiveLoop:
             return None
         took_ms = (time.monotonic() - started_s) * 1e3
         self.last_facts = facts
-        return _Slice(path, setting, facts, dict(self._reading_deg()), started_s, took_ms, shows_signal)
+        reading_deg = dict(self._reading_deg())
+        return _Slice(path, setting, facts, reading_deg, started_s, took_ms, shows_signal, moving)
 
     def _do_tasks(self) -> None:
         while self._tasks:
@@ -276,6 +311,7 @@ class LiveLoop:
                 if self._closing:
                     return
                 part, self._waiting = self._waiting, None
+                self._began_s = began_s = time.monotonic()
                 self._wake.notify_all()
             assert part is not None
             try:
@@ -284,13 +320,17 @@ class LiveLoop:
                 self._fail(Failure.of(error))
             finally:
                 part.path.unlink(missing_ok=True)
+                with self._wake:
+                    self._measure_s = _learnt(self._measure_s, time.monotonic() - began_s)
+                    self._began_s = None
+                    self._wake.notify_all()
 
     def _publish(self, part: _Slice) -> None:
         started_s = time.monotonic()
         if self._forget_asked:
             self._forget_asked = False
             self._meter.forget()
-        live_slice = LiveSlice(part.path, part.time_s, part.facts, part.reading_deg)
+        live_slice = LiveSlice(part.path, part.time_s, part.facts, part.reading_deg, part.moving)
         image, jpeg, figures = self._meter.measure(live_slice, part.setting)
         if part.shows_signal:
             self._signal = figures
@@ -367,7 +407,12 @@ def with_signal_of(figures: LiveFigures, signal: LiveFigures) -> LiveFigures:
     )
 
 
-def _duration_s(setting: LiveSetting, periods: int) -> float:
+def _learnt(known_s: float, newest_s: float) -> float:
+    """Return the expected duration after the newest one."""
+    return newest_s if known_s == 0.0 else known_s + _LEARNT * (newest_s - known_s)
+
+
+def _duration_s(setting: LiveSetting, periods: float) -> float:
     if periods == 0 or not setting.frequency_hz:
         return SHORT_S
     return min(periods / setting.frequency_hz, LONGEST_SLICE_S)

@@ -132,9 +132,12 @@ class LiveSlice:
         What the driver states about the recording; None if unknown.
     reading_deg
         Present angles of the stage by axis, degrees; empty if unknown.
+    moving
+        Whether the stage turned meanwhile.
     """
 
     path: Path
     time_s: float = 0.0
     facts: RecordingFacts | FrameFacts | None = None
     reading_deg: Mapping[str, float] = field(default_factory=dict)
+    moving: bool = False

@@ -149,7 +149,7 @@ def open_bench(
     stage = StageControl(devices.stage, on_change, say)
     with suppress(DriverError):  # the watcher reads it again, and shows why it cannot
         stage.look()
-    loop = LiveLoop(devices.camera, setting, stage.known_deg, on_change, meter)
+    loop = LiveLoop(devices.camera, setting, stage.known_deg, on_change, meter, lambda: stage.moving)
     camera.use(loop)
     return Bench(devices, clock, stage, light, camera, loop, SimulatedHands(devices.simulation))
 

@@ -175,14 +175,15 @@ class StarWatch:
     ) -> Found | None:
         """Return what was found last, measured again if possible; None if stars must be searched at once.
 
-        Stars of an earlier picture are never shown where something has moved since.
+        Stars of an earlier picture are never shown where something has moved since. While the stage turns, the search
+        waits until it is due.
         """
         stars = last.stars
         if stars is not None and stars.tag is not None and not stars.blurred:
             stars = follow_stars(image.values, stars, setting.target)
             watch.lap("stars")
             if stars is None:
-                return None
+                return None if not part.moving else self._lost(last)
             # The middle, and one of the other regions in turn.
             self._turn = self._turn % (len(REGIONS) - 1) + 1
             again = [list(REGIONS)[number] for number in (0, self._turn)]
@@ -191,6 +192,10 @@ class StarWatch:
             self._found = last._replace(time_s=part.time_s, stars=stars, focus=focus, followed=True)
             return self._found
         if last.seen is not None and last.seen.differs(image.values, part.reading_deg):
-            self._found = last._replace(stars=None, square=None, focus=FocusFigures())
-            return self._found
+            return self._lost(last)
         return last
+
+    def _lost(self, last: Found) -> Found:
+        """Forget what was found: something has moved since."""
+        self._found = last._replace(stars=None, square=None, focus=FocusFigures(), followed=False)
+        return self._found

@@ -62,8 +62,7 @@ def make_quick_image(counts: NDArray[np.uint16], periods: int) -> QuickImage:
     limits = np.minimum(2.5 * levels + 4.0 + 4.0 * periods, 255.0).astype(np.uint8)
     hot = cv2.compare(total, cv2.LUT(cv2.medianBlur(total, 5), limits), cv2.CMP_GT)
     least = LIT_SHARE * periods
-    lit = cv2.bitwise_and(cv2.compare(on, least, cv2.CMP_GE), cv2.compare(off, least, cv2.CMP_GE))
-    lit = cv2.bitwise_and(lit, cv2.bitwise_not(hot))
+    lit = ((on >= least) & (off >= least) & (hot == 0)).view(np.uint8)
     per_edge = (cv2.mean(on, mask=lit)[0] + cv2.mean(off, mask=lit)[0]) / (2.0 * periods)
     name = "events-per-edge" if per_edge >= LOCK_IN_MIN_EVENTS else "fired-per-edge"
     if name == "fired-per-edge":

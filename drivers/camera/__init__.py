@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 
 @dataclass(frozen=True)
@@ -215,4 +215,31 @@ class EventCamera(Protocol):
 
     def close(self) -> None:
         """Release the camera."""
+        ...
+
+
+@runtime_checkable
+class PreviewCamera(Protocol):
+    """An `EventCamera` that has a cheaper way to record for a live picture."""
+
+    def preview(self, path: Path, duration_s: float) -> RecordingFacts:
+        """Record a slice for a live picture. It may take shortcuts that no measurement may take.
+
+        Parameters
+        ----------
+        path
+            The file to make; it must not exist.
+        duration_s
+            The file covers at least this time on the sensor's clock, s.
+
+        Returns
+        -------
+        RecordingFacts
+            What is known of the recording.
+
+        Raises
+        ------
+        RecordingFailed, CameraLost
+            As `EventCamera.record`.
+        """
         ...

@@ -205,13 +205,20 @@ class SimulatedEvk4Camera:
 
     def record(self, path: Path, duration_s: float) -> RecordingFacts:
         """See `EventCamera.record`."""
+        return self._record(path, duration_s, preview=False)
+
+    def preview(self, path: Path, duration_s: float) -> RecordingFacts:
+        """See `PreviewCamera.preview`."""
+        return self._record(path, duration_s, preview=True)
+
+    def _record(self, path: Path, duration_s: float, *, preview: bool) -> RecordingFacts:
         check_duration(duration_s, where=self._where)
         with self._in_use:
             self._stop_asked.clear()
             identity = self.identify()
             biases, filters, monitor = self._biases(), self.filters(), self._ask("monitor")
             recorded = record_words(
-                _Stream(self._line),
+                _Stream(self._line, preview=preview),
                 path,
                 render_header(identity, self._utc_now()),
                 (identity.width, identity.height),
@@ -290,13 +297,14 @@ class SimulatedEvk4Camera:
 class _Stream:
     """The camera's words between start and stop."""
 
-    def __init__(self, line: Evk4Line) -> None:
+    def __init__(self, line: Evk4Line, *, preview: bool) -> None:
         self._line = line
+        self._asked = {"preview": True} if preview else {}
         self._kept = 0
 
     def start(self) -> None:
         self._kept = 0
-        self._line.request("start")
+        self._line.request("start", **self._asked)
 
     def next_words(self) -> bytes | None:
         frame = self._line.receive()

@@ -172,6 +172,7 @@ class _Connection:
         self._stop = threading.Event()
         self._ended = threading.Event()
         self._streamer: threading.Thread | None = None
+        self._preview: SensorStream | None = None
         self._keep_alive = KeepAlive(self._send_computing)
         self._thread = threading.Thread(target=self._serve, name="simulated-evk4-host", daemon=True)
 
@@ -338,14 +339,17 @@ class _Connection:
         if self._is_streaming():
             raise Refusal("streaming", "Settings cannot change while the camera streams.")
 
-    def _start(self, _request: dict[str, Any]) -> dict[str, Any]:
+    def _start(self, request: dict[str, Any]) -> dict[str, Any]:
+        preview = request.get("preview", False)
+        if not isinstance(preview, bool):
+            raise Refusal("bad_value", f'"preview" is true or false, not {preview!r}.')
         if self._is_streaming():
             raise Refusal("streaming", "The camera streams already.")
         self._stop.clear()
         acting = {**self._filters, "erc": self._filters["erc"] or self._stream_faults.overflows}
         camera = CameraState(dict(self._biases), acting, self._trigger_in)
         self._streamer = threading.Thread(
-            target=self._stream, args=(camera,), name="simulated-evk4-stream", daemon=True
+            target=self._stream, args=(camera, preview), name="simulated-evk4-stream", daemon=True
         )
         self._streamer.start()
         return {}
@@ -361,11 +365,20 @@ class _Connection:
             raise Refusal("bad_value", f"It has stopped, but not sent {frames} frames.")
         return {}
 
-    def _stream(self, camera: CameraState) -> None:
+    def _begun(self, camera: CameraState, *, preview: bool) -> SensorStream:
+        """Return a new stream, or the last preview, if it can go on."""
+        clock_us = self._time_base.now_us
+        if not preview:
+            return SensorStream(self._world, camera, self._repeats, clock_us)
+        if self._preview is None or not self._preview.go_on(camera, clock_us):
+            self._preview = SensorStream(self._world, camera, {}, clock_us, preview=True)
+        return self._preview
+
+    def _stream(self, camera: CameraState, preview: bool) -> None:
         """Send frames of EVT3 words until the host stops the stream, each after the sensor has seen it."""
         try:
             with self._keep_alive.computing():
-                stream = SensorStream(self._world, camera, self._repeats, self._time_base.now_us)
+                stream = self._begun(camera, preview=preview)
             self._time_base.start(stream.clock_us)
             while not self._stop.is_set():
                 with self._keep_alive.computing():

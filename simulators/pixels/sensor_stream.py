@@ -11,6 +11,10 @@ clock.
 
 The sensor's clock continues from stream to stream. A stream begins at a multiple of 102.4 ms, so that its words are the
 same at any time, except for the upper part of the clock.
+
+A preview is a stream for a live picture, at a third of the computing time. It goes on with the sensor of the preview
+before it (`SensorStream.go_on`), so that its pixels need no time to settle, and while the camera turns, its picture is
+coarse and changes every 8 ms. Its content also depends on earlier previews. Recordings do not depend on previews.
 """
 
 from __future__ import annotations
@@ -61,6 +65,15 @@ class CameraState:
     trigger_in: bool = False
 
 
+PREVIEW_SUBSAMPLES: Final = 1
+PREVIEW_FRAMES: Final = 4
+"""The same of a preview, and the number of frames for which such a picture stays."""
+SILENT_FRAMES: Final = 2
+"""Frames after a change of the view that a preview does not show: pixels fire once where the brightness has changed."""
+VIEW_LASTS_S: Final = 5.0
+"""Time after which a preview follows the temperature of the lens, s."""
+
+
 class SensorStream:
     """A stream in progress.
 
@@ -74,9 +87,23 @@ class SensorStream:
         Number of earlier streams with the same pose and settings, by ``stream_key``; this stream is added to it.
     clock_us
         State of the sensor's clock, us, not wrapped.
+    preview
+        Whether the stream is for a live picture.
     """
 
-    def __init__(self, world: World, camera: CameraState, repeats: dict[str, int], clock_us: int = 0) -> None:
+    def __init__(
+        self,
+        world: World,
+        camera: CameraState,
+        repeats: dict[str, int],
+        clock_us: int = 0,
+        *,
+        preview: bool = False,
+    ) -> None:
+        self._preview = preview
+        self._frames = 0
+        self._moved = False
+        self._view_s = world.now_s()
         self._world = world
         self._camera = camera
         asked_s = world.now_s()
@@ -107,6 +134,46 @@ class SensorStream:
         self._filters = EventFilters(width, height, camera.filters)
         self._writer = Evt3Writer(self._begins_us, width=width, height=height)
         self._sensor.begin(self._picture(moving=False), self._light, phase)
+
+    def go_on(self, camera: CameraState, clock_us: int) -> bool:
+        """Begin the next preview with the sensor as it stands.
+
+        Parameters
+        ----------
+        camera
+            The camera's settings.
+        clock_us
+            State of the sensor's clock, us, not wrapped.
+
+        Returns
+        -------
+        bool
+            False if light, settings or clock are others than at the end of this stream: a new one is needed.
+        """
+        asked_s = self._world.now_s()
+        if camera != self._camera or self._world.light(asked_s) != self._light or clock_us > self.clock_us:
+            return False
+        self._look_again(asked_s)
+        phase = (self._now_us - self._period_starts_us) / self._light.period_us
+        wait = ((phase - self._light.phase_at(asked_s)) % 1.0) / self._light.frequency_hz
+        self.start_s = asked_s + wait - self._now_us * 1e-6
+        self._writer = Evt3Writer(self.clock_us, width=self._writer.width, height=self._writer.height)
+        return True
+
+    def _look_again(self, now_s: float) -> None:
+        """Show the sensor of a preview the present view, if it is another one than at the end of the last preview."""
+        self.start_s = now_s - self._now_us * 1e-6
+        angles, moving = self._angles_now(), not self._world.is_settled(now_s)
+        truth = with_setup(self._truth, self._world.camera_setup(now_s))
+        if now_s - self._view_s > VIEW_LASTS_S:
+            truth, self._view_s = self._world.truth_at(now_s), now_s
+        if angles == self._angles and truth == self._truth and moving == self._moved:
+            return
+        self._angles, self._truth, self._moved = angles, truth, moving
+        phase = (self._now_us - self._period_starts_us) / self._light.period_us % 1.0
+        self._sensor.change(self._picture(moving=moving), self._light, phase, FRAME_US)
+        self._now_us += SILENT_FRAMES * FRAME_US
+        self._sensor.run(self._now_us)
 
     @property
     def clock_us(self) -> int:
@@ -143,6 +210,9 @@ class SensorStream:
     def _follow_world(self) -> None:
         """Apply changes of pose or light since the last frame to the sensor."""
         now_s = self.covered_s
+        self._frames += 1
+        if self._preview and self._frames % PREVIEW_FRAMES:
+            return
         angles = self._angles_now()
         light = self._world.light(now_s)
         truth = with_setup(self._truth, self._world.camera_setup(now_s))
@@ -151,7 +221,7 @@ class SensorStream:
             return
         picture = None
         if moved:
-            self._angles, self._truth = angles, truth
+            self._angles, self._truth, self._moved = angles, truth, True
             picture = self._picture(moving=True)
         if light != self._light:
             self._light = light
@@ -171,7 +241,8 @@ class SensorStream:
     def _picture(self, *, moving: bool) -> NDArray[np.float32]:
         """Return the picture in the present pose."""
         if moving:
-            return scene.picture(self._truth, self._angles, subsamples=MOVING_SUBSAMPLES)
+            subsamples = PREVIEW_SUBSAMPLES if self._preview else MOVING_SUBSAMPLES
+            return scene.picture(self._truth, self._angles, subsamples=subsamples)
         return scene.still_picture(self._truth, self._angles)
 
     def _edges(self, first_us: int, end_us: int) -> tuple[NDArray[np.int64], NDArray[np.uint8]]:

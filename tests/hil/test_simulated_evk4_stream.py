@@ -201,3 +201,80 @@ def test_switching_the_light_off_ends_events_and_triggers():
     after = [np.frombuffer(stream.next_frame(), "<u2") for _ in range(17)]
     assert sum(2 * len(words) for words in after) < before / 4
     assert not any((words >> 12 == 0xA).any() for words in after)
+
+
+def fired_in(stream, frames=9):
+    """Return which pixels fired in a recording of some frames."""
+    taken = []
+    stream._filters.apply = lambda events: (taken.append(events), (events, events.t))[1]
+    for _ in range(frames):
+        stream.next_frame()
+    fired = np.zeros((180, 320))
+    for events in taken:
+        fired[events.y, events.x] = 1.0
+    return fired
+
+
+def test_previews_show_what_recordings_show_and_leave_these_unchanged():
+    world, camera = bench(), CameraState(trigger_in=True)
+    alone = SensorStream(bench(), camera, {})
+    plain = fired_in(alone)
+    preview = SensorStream(world, camera, {}, preview=True)
+    for number in range(3):
+        if number:
+            assert preview.go_on(camera, preview.clock_us)
+        begun_us = preview.clock_us
+        words = np.frombuffer(preview.next_frame(), "<u2")
+        assert began_us(words.tobytes()) == begun_us % (1 << 24)
+        assert np.corrcoef(fired_in(preview).ravel(), plain.ravel())[0, 1] > 0.9
+    np.testing.assert_array_equal(fired_in(SensorStream(world, camera, {})), plain)
+
+
+def test_a_preview_is_in_phase_with_the_light_and_sees_a_turn():
+    now = [10.0]
+    world = World(SMALL, clock=lambda: now[0])
+    world.set_light(FLICKER, since_s=0.0)
+    camera = CameraState()
+    preview = SensorStream(world, camera, {}, preview=True)
+    before = fired_in(preview)
+    now[0] = 12.345
+    world.set_axis("pan", AxisMotion.resting(0.5, 3200), since_s=0.0)
+    assert preview.go_on(camera, preview.clock_us)
+    assert 0.0 <= preview.covered_s - now[0] <= 1.0 / 60.0 + 1e-9
+    turns = world.light(now[0]).phase_at(preview.covered_s) - (
+        (preview._now_us - preview._period_starts_us) / FLICKER.period_us
+    )
+    assert math.isclose(turns, round(turns), abs_tol=1e-6)
+    after = fired_in(preview)
+    there = fired_in(SensorStream(world, camera, {}))
+    assert np.corrcoef(after.ravel(), there.ravel())[0, 1] > 0.9
+    assert np.corrcoef(after.ravel(), before.ravel())[0, 1] < 0.7
+
+
+def test_a_preview_cannot_go_on_under_another_light_or_with_other_settings():
+    world, camera = bench(), CameraState()
+    preview = SensorStream(world, camera, {}, preview=True)
+    preview.next_frame()
+    assert not preview.go_on(CameraState(trigger_in=True), preview.clock_us)
+    assert not preview.go_on(camera, preview.clock_us + 1)  # the clock has run on since
+    world.set_light(LightState(output=True, sync=True, frequency_hz=75.0))
+    assert not preview.go_on(camera, preview.clock_us)
+
+
+def test_previews_over_the_wire_go_on_with_the_same_sensor(camera):
+    def preview(host):
+        host.words = []
+        assert host.ask("start", preview=True)["ok"]
+        while len(host.words) < 9:
+            host.words.append(host.frame()[1])
+        assert host.ask("stop", frames=9)["ok"]
+        return began_us(host.words[0])
+
+    with Host(camera) as host:
+        host.record(4)
+        first = preview(host)
+        stream = camera._connection._preview
+        second = preview(host)
+        assert camera._connection._preview is stream
+        assert second >= first + 9 * FRAME_US
+        assert not host.ask("start", preview="yes")["ok"]
