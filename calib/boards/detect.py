@@ -1,0 +1,238 @@
+"""Points of a board in an image: OpenCV finds the board, symmetry locates its points.
+
+A corner of a checkerboard and a circle look the same after half a turn about their centre, as a star of the star target
+does. So `calib.stars.centring` locates them, with the curvature of perspective and distortion. The centre of a circle
+is then not biased by perspective (Heikkilä, 2000), and the images may be photographs or event images.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from calib.boards.board import Board
+from calib.errors import InputMismatch, TargetNotFound
+from calib.events.grey_image import to_uint8
+from calib.stars.centring import SYMMETRY_REACH, refine_by_symmetry, smooth, symmetry_samples
+from calib.stars.grid_map import fit_grid_map
+from calib.stars.noise import variance_factor
+from calib.view import View
+
+Array = NDArray[np.float64]
+
+#: Blur before the points are located, px: it lowers the noise of single pixels.
+_BLUR_PX = 0.7
+#: Distance of the places at which symmetry is compared, px: first coarse, then fine.
+_STEPS_PX = (2.0, 1.0)
+#: A point may move by this share of the pitch from where OpenCV found it.
+_MOST_MOVE_PITCHES = 0.3
+#: Variance over that of white noise, typical for images smoothed by `_BLUR_PX`.
+_TYPICAL_FACTOR = 4.0
+#: A point further than this number of standard deviations from the smooth map of the others is refused.
+_OUTLIER_SIGMAS = 6.0
+_OUTLIER_PX = 0.3
+#: At least this share of the points must be located.
+_LEAST_SHARE = 0.9
+#: A smaller board than this number of corners is not named: noise looks like one now and then.
+_FEWEST_NAMED = 12
+_SECTORS = cv2.CALIB_CB_EXHAUSTIVE | cv2.CALIB_CB_ACCURACY
+
+
+def detect_board(image: NDArray[np.generic], board: Board, *, name: str = "view") -> View:
+    """Detect the points of a board as a view.
+
+    Parameters
+    ----------
+    image
+        (H, W) of any integer or floating type; the board may be bright on dark or dark on bright.
+    board
+        The board.
+    name
+        Name of the view, for the view and for messages.
+
+    Returns
+    -------
+    View
+        The points in the order of their ids, row by row, with covariances. A board that looks the same after half a
+        turn may be numbered from either end.
+
+    Raises
+    ------
+    TargetNotFound
+        If the image does not show the whole board once; says what it shows instead.
+    InputMismatch
+        If the image does not have two axes, or is empty.
+    """
+    if image.ndim != 2 or image.size == 0:
+        raise InputMismatch(
+            f"The image has shape {image.shape}.", where=f"view {name}", remedy="Give one grey plane (H, W)."
+        )
+    plain = np.nan_to_num(np.asarray(image, np.float32))
+    grey = to_uint8(plain)
+    coarse = find_board(grey, board, name=name)
+    _refuse_second(grey, coarse, board, name)
+    points, covariances = _located(plain, coarse, board)
+    kept = np.asarray(np.isfinite(points).all(axis=1))
+    if kept.mean() < _LEAST_SHARE:
+        raise TargetNotFound(
+            f"Only {np.count_nonzero(kept)} of {len(kept)} points of the board could be located.",
+            where=f"view {name}",
+            remedy="Check focus, reflections and shadows; use a larger board, or come nearer.",
+        )
+    return View(
+        name=name,
+        image_size=(image.shape[1], image.shape[0]),
+        ids=np.flatnonzero(kept).astype(np.int64),
+        points_px=points[kept],
+        target_mm=board.points_mm[kept],
+        covariances_px2=covariances[kept],
+    )
+
+
+def find_board(grey: NDArray[np.uint8], board: Board, *, name: str = "view") -> Array:
+    """Find a board roughly, to about half a pixel.
+
+    Checkerboards: Duda and Frese (2018), as OpenCV has it. Circles: OpenCV's ``findCirclesGrid``.
+
+    Parameters
+    ----------
+    grey
+        (H, W) uint8.
+    board
+        The board.
+    name
+        Name of the view, for messages.
+
+    Returns
+    -------
+    Array
+        (N, 2) float64 image points, px, row by row.
+
+    Raises
+    ------
+    TargetNotFound
+        If the board was not found; says what was found instead.
+    """
+    found = _found(grey, board)
+    if found is None:
+        raise TargetNotFound(
+            f"No {_words(board)} was found.", where=f"view {name}", remedy=_remedy(grey, board)
+        )
+    return found
+
+
+def _found(grey: NDArray[np.uint8], board: Board) -> Array | None:
+    """Return (N, 2) points of the board, bright on dark or dark on bright, or None."""
+    size = (board.columns, board.rows)
+    for shown in (grey, np.asarray(255 - grey, np.uint8)):
+        if board.kind == "checkerboard":
+            ok, points = cv2.findChessboardCornersSB(shown, size, flags=_SECTORS)
+        else:
+            ok, points = cv2.findCirclesGrid(
+                shown, size, flags=_circle_flags(board), blobDetector=_blobs(grey.shape)
+            )
+        if ok:
+            return np.asarray(points, np.float64).reshape(-1, 2)
+        if board.kind == "checkerboard":
+            break  # the finder takes either contrast
+    return None
+
+
+def _circle_flags(board: Board) -> int:
+    """Return OpenCV's flags of a grid of circles."""
+    grid = cv2.CALIB_CB_SYMMETRIC_GRID if board.kind == "circles" else cv2.CALIB_CB_ASYMMETRIC_GRID
+    return int(grid | cv2.CALIB_CB_CLUSTERING)
+
+
+def _blobs(shape: tuple[int, ...]) -> Any:
+    """Return OpenCV's detector of dark blobs, for circles from 5 px to a sixth of the image."""
+    chosen = cv2.SimpleBlobDetector.Params()
+    chosen.minArea, chosen.maxArea = 20.0, min(shape) ** 2 / 36.0
+    chosen.minDistBetweenBlobs = 4.0
+    chosen.filterByColor, chosen.blobColor = True, 0
+    chosen.filterByConvexity, chosen.minConvexity = True, 0.8
+    chosen.filterByInertia, chosen.minInertiaRatio = True, 0.1
+    chosen.filterByCircularity = False
+    return cv2.SimpleBlobDetector.create(chosen)
+
+
+def _located(image: NDArray[np.float32], coarse: Array, board: Board) -> tuple[Array, Array]:
+    """Return the points located by symmetry, (N, 2) px with nan where it failed, and (N, 2, 2) px^2 covariances."""
+    smoothed = smooth(image, _BLUR_PX)
+    nodes = board.nodes
+    # An asymmetric grid leaves every second place of its lattice free: the cell of a circle is turned by 45 degrees.
+    reach = SYMMETRY_REACH * (1.0 if board.kind != "asymmetric-circles" else 1.4)
+    points, good = coarse, np.ones(len(coarse), np.bool_)
+    covariances = np.full((len(points), 2, 2), np.nan)
+    for step_px in _STEPS_PX:
+        grid_map, _ = fit_grid_map(nodes[good].astype(float), points[good])
+        local_map = grid_map.local_map(nodes.astype(float))
+        pitch = float(np.sqrt(np.median(np.abs(np.linalg.det(local_map.linear)))))
+        samples = symmetry_samples(pitch / step_px) * (reach / SYMMETRY_REACH)
+        used_to = np.full((len(points), 2), reach)
+        fit = refine_by_symmetry(smoothed, points, local_map, samples, used_to, _MOST_MOVE_PITCHES * pitch)
+        good = fit.converged.copy()
+        if np.count_nonzero(good) < _LEAST_SHARE * len(good):
+            return np.full_like(points, np.nan), covariances
+        fitted, residuals = fit_grid_map(nodes[good].astype(float), fit.centres[good])
+        limit = max(_OUTLIER_SIGMAS * fitted.sigma_px, _OUTLIER_PX)
+        good[np.flatnonzero(good)[np.linalg.norm(residuals, axis=1) > limit]] = False
+        points = np.where(good[:, None], fit.centres, coarse)
+        covariances = fit.mean_square[:, None, None] * np.linalg.inv(
+            np.where(good[:, None, None], fit.information, np.eye(2))
+        )
+    factor = variance_factor(nodes[good], points[good], covariances[good], typical=_TYPICAL_FACTOR)
+    return np.where(good[:, None], points, np.nan), covariances * factor
+
+
+def _refuse_second(grey: NDArray[np.uint8], points: Array, board: Board, name: str) -> None:
+    """Refuse an image that shows the board twice; the first one is painted over for the search."""
+    hull = cv2.convexHull(points.astype(np.float32)).reshape(-1, 2)
+    middle = hull.mean(axis=0)
+    share = 1.0 + 3.0 / min(board.columns, board.rows)
+    painted = grey.copy()
+    outline = np.asarray(np.round(middle + share * (hull - middle)), np.int32)
+    cv2.fillConvexPoly(painted, outline, int(np.median(grey)))
+    if _found(painted, board) is not None:
+        raise TargetNotFound(
+            f"The image shows two boards: a second {_words(board)} was found.",
+            where=f"view {name}",
+            remedy="Leave only one in view.",
+        )
+
+
+def _words(board: Board) -> str:
+    """Return the board in words."""
+    if board.kind == "checkerboard":
+        return f"checkerboard of {board.columns} x {board.rows} inner corners"
+    grid = "asymmetric grid" if board.kind == "asymmetric-circles" else "grid"
+    return f"{grid} of {board.columns} x {board.rows} circles"
+
+
+def _remedy(grey: NDArray[np.uint8], board: Board) -> str:
+    """Return what to do when the board was not found: what the image shows, if it shows another board."""
+    general = (
+        "The whole board must be in view, in focus, and evenly lit, with a margin of one square around it."
+    )
+    if board.kind != "checkerboard":
+        return f"{general} Count the circles of a row first, then the rows."
+    flags = _SECTORS | cv2.CALIB_CB_LARGER
+    ok, points, shown = cv2.findChessboardCornersSBWithMeta(grey, (3, 3), flags)
+    rows, columns = shown.shape[:2] if ok and shown is not None else (0, 0)
+    if rows * columns < _FEWEST_NAMED or sorted((rows, columns)) == sorted((board.rows, board.columns)):
+        return general
+    cut = _touches_frame(np.asarray(points, np.float64).reshape(-1, 2), grey.shape, rows, columns)
+    if cut and columns * rows < board.columns * board.rows:
+        return f"{columns} x {rows} inner corners are in view: the frame cuts the board. Show all of it."
+    return f"{columns} x {rows} inner corners are in view. Show all of the board, or correct its description."
+
+
+def _touches_frame(points: Array, shape: tuple[int, ...], rows: int, columns: int) -> bool:
+    """Return whether the square beyond the outermost corners would reach the border of the image."""
+    spread = np.ptp(points, axis=0)
+    square = float(max(spread) / max(rows, columns))
+    low, high = points.min(axis=0) - 1.5 * square, points.max(axis=0) + 1.5 * square
+    return bool((low < 0).any() or high[0] > shape[1] - 1 or high[1] > shape[0] - 1)

@@ -1,0 +1,146 @@
+"""Checkerboards and circles are found where they are, and what is wrong with an image is named."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from calib.boards.board import Board
+from calib.boards.detect import detect_board
+from calib.errors import InputMismatch, TargetNotFound
+from calib.model.homography import apply_homography
+
+SIZE = (480, 300)
+CHECKERBOARD = Board("checkerboard", 7, 5, 20.0)
+#: From mm on the board to px: scale, turn and perspective.
+PLACED = np.array([[1.9, 0.42, 88.0], [-0.25, 2.0, 60.0], [6e-4, 8e-4, 1.0]])
+
+
+def brightness(board, x, y):
+    """Brightness of places on the board's plane, mm; a bright margin lies around the board."""
+    pitch = board.pitch_mm
+    if board.kind == "checkerboard":
+        inside = (x > -pitch) & (x < board.columns * pitch) & (y > -pitch) & (y < board.rows * pitch)
+        dark = (np.floor(x / pitch) + np.floor(y / pitch)) % 2 == 0
+        return np.where(inside & dark, 0.0, 1.0)
+    image = np.ones_like(x)
+    for px, py in board.points_mm:
+        image[np.hypot(x - px, y - py) < 0.3 * pitch] = 0.0
+    return image
+
+
+def picture(board, h=PLACED, size=SIZE, cells=6):
+    """The board as a camera without noise sees it: each pixel the mean of its cells, 0 to 1."""
+    width, height = size
+    steps = (np.arange(cells) + 0.5) / cells - 0.5
+    v, u = np.meshgrid(np.arange(height), np.arange(width), indexing="ij")
+    total = np.zeros((height, width))
+    inverse = np.linalg.inv(h)
+    for dv in steps:
+        for du in steps:
+            at = apply_homography(inverse, np.column_stack([(u + du).ravel(), (v + dv).ravel()]))
+            total += brightness(board, at[:, 0], at[:, 1]).reshape(height, width)
+    return total / cells**2
+
+
+def error_px(view, board, h=PLACED):
+    """(N, 2) errors of the points; a board may be numbered from its other end."""
+    true = apply_homography(h, board.points_mm)
+    return min(
+        (view.points_px - order[view.ids] for order in (true, true[::-1])), key=lambda off: np.abs(off).max()
+    )
+
+
+@pytest.mark.parametrize("kind", ["checkerboard", "circles", "asymmetric-circles"])
+@pytest.mark.parametrize("inverted", [False, True])
+def test_points_lie_within_a_twentieth_of_a_pixel_of_the_truth(kind, inverted):
+    board = Board(kind, 4, 7, 10.0) if kind == "asymmetric-circles" else Board(kind, 7, 5, 20.0)
+    image = picture(board)
+    view = detect_board(1.0 - image if inverted else image, board)
+    error = error_px(view, board)
+    assert len(view) == board.columns * board.rows
+    assert np.abs(error).max() < 0.05
+    assert np.sqrt((error**2).mean()) < 0.02
+
+
+def test_the_centre_of_a_circle_is_its_own_image_not_that_of_the_ellipse():
+    board = Board("circles", 5, 4, 30.0)
+    steep = np.array([[3.0, 0.0, 60.0], [0.0, 3.0, 60.0], [3.5e-3, 2.5e-3, 1.0]])
+    image = picture(board, steep)
+    error = error_px(detect_board(image, board), board, steep)
+    assert np.abs(error).max() < 0.08
+    # The biggest ellipse's centre of gravity lies three times as far off as any located point.
+    at = apply_homography(steep, board.points_mm[:1])[0].round().astype(int)
+    dark = 1.0 - image[at[1] - 30 : at[1] + 31, at[0] - 30 : at[0] + 31]
+    v, u = np.indices(dark.shape)
+    centre = np.array([(u * dark).sum(), (v * dark).sum()]) / dark.sum() + at - 30
+    assert np.linalg.norm(centre - apply_homography(steep, board.points_mm[:1])[0]) > 0.25
+
+
+def test_stated_uncertainty_grows_with_the_noise_and_covers_the_errors():
+    rng = np.random.default_rng(4)
+    clean = picture(CHECKERBOARD)
+    stated = []
+    for sigma in (0.02, 0.1):
+        view = detect_board(clean + rng.normal(0.0, sigma, clean.shape), CHECKERBOARD)
+        own = np.sqrt(np.trace(view.covariances_px2, axis1=1, axis2=2).mean() / 2)
+        assert 0.5 < np.sqrt((error_px(view, CHECKERBOARD) ** 2).mean()) / own < 2.0
+        stated.append(own)
+    assert stated[1] > 3 * stated[0]
+
+
+def test_another_board_is_named_with_its_size():
+    with pytest.raises(
+        TargetNotFound, match=r"7 x 5 inner corners are in view|5 x 7 inner corners are in view"
+    ):
+        detect_board(picture(CHECKERBOARD), Board("checkerboard", 9, 6, 20.0))
+
+
+def test_a_board_cut_by_the_frame_is_named():
+    with pytest.raises(TargetNotFound, match="the frame cuts the board"):
+        detect_board(picture(CHECKERBOARD)[:, :270], CHECKERBOARD)
+
+
+def test_two_boards_are_refused():
+    one = picture(CHECKERBOARD)
+    with pytest.raises(TargetNotFound, match="two boards"):
+        detect_board(np.concatenate([one, one], axis=1), CHECKERBOARD)
+
+
+@pytest.mark.parametrize("kind", ["checkerboard", "circles"])
+def test_an_image_without_a_board_is_refused_with_a_remedy(kind):
+    board = Board(kind, 7, 5, 20.0)
+    for image in (np.zeros((200, 300)), np.random.default_rng(1).random((200, 300))):
+        with pytest.raises(TargetNotFound, match="was found") as error:
+            detect_board(image, board, name="third")
+        assert "view third" in str(error.value)
+        assert "in focus" in error.value.remedy
+
+
+def test_an_image_with_colours_is_refused():
+    with pytest.raises(InputMismatch, match="one grey plane"):
+        detect_board(np.zeros((20, 30, 3)), CHECKERBOARD)
+
+
+@pytest.mark.parametrize(
+    "text",
+    ["", "checkerboard", "checkerboard:7x5", "checkerboard:7x5:20", "board:7x5:20mm", "circles:2x5:20mm",
+     "circles:7x5:0mm", "circles:7x900:20mm", "checkerboard:7x5:1e9mm"],
+)  # fmt: skip
+def test_what_describes_no_board_is_refused_with_an_example(text):
+    with pytest.raises(InputMismatch) as error:
+        Board.parse(text)
+    assert error.value.remedy
+
+
+@given(
+    st.sampled_from(["checkerboard", "circles", "asymmetric-circles"]),
+    st.integers(3, 200),
+    st.integers(3, 200),
+    st.integers(1, 100_000),
+)
+def test_a_description_reads_back_as_itself(kind, columns, rows, tenths):
+    board = Board(kind, columns, rows, tenths / 10)
+    again = Board.parse(str(board))
+    assert (again.kind, again.columns, again.rows) == (kind, columns, rows)
+    assert again.pitch_mm == pytest.approx(board.pitch_mm, rel=1e-5)
