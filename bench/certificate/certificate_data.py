@@ -167,8 +167,9 @@ class Statement:
     Attributes
     ----------
     id
-        ``simulated``, ``items``, ``reproduction``, ``uncertainty``, ``traceability``, ``model``, ``adjustment``,
-        ``accreditation``, ``customer_data``, ``recalibration``, ``also`` or ``not_included``.
+        ``simulated``, ``authorisation``, ``accreditation``, ``items``, ``reproduction``, ``model``, ``uncertainty``,
+        ``notes``, ``not_included``, ``traceability``, ``verification``, ``adjustment``, ``customer_data``,
+        ``recalibration`` or ``also``.
     text
         The text.
     """

@@ -126,8 +126,8 @@ def _replay(event: str, data: Mapping[str, Any], found: dict[str, Numbered], cou
     if event == VOIDED:
         found[number] = replace(one, how="void", reason=str(data["reason"]))
         return
-    facts = {name: str(data[name]) for name in ("seal", "serial", "customer")}
-    found[number] = replace(one, how="issued", **facts)
+    seal, serial, customer = (str(data[name]) for name in ("seal", "serial", "customer"))
+    found[number] = replace(one, how="issued", seal=seal, serial=serial, customer=customer)
     if one.amends:
         found[one.amends] = replace(found[one.amends], superseded_by=number)
 

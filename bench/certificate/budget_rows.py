@@ -1,0 +1,324 @@
+"""The uncertainty budget of each result, from the engine's budget and the certificates behind its rows.
+
+results.json states one coverage factor for all results, and enlarges the standard uncertainty of a result that has
+fewer degrees of freedom than the focal length. A certificate states each result with its own degrees of freedom and its
+own k (JCGM 100, G.4): the standard uncertainty is then smaller, k is larger, and U = k u is the same. Numbers only: no
+file, no clock.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Literal
+
+from bench.base.errors import EvidenceError
+from bench.certificate.result_data import Budget, BudgetRow
+from bench.certificate.rounding import with_unit
+from calib.uncertainty.budget_parts import PASSPORT, PRIORS, READINGS, STARS
+from calib.uncertainty.covariance import INCONSISTENCY, coverage_factor
+
+Json = Mapping[str, Any]
+
+_CERTAIN = (PASSPORT, PRIORS)
+"""Sources of the adjustment whose variance is known: their degrees of freedom are infinite."""
+_TYPE_A = (STARS, INCONSISTENCY)
+_SAME = 1e-3
+"""Largest relative difference between the combined rows and the stated uncertainty: below its last printed digit."""
+_OVERLAP = (
+    "All sources act together in one joint adjustment. The engine splits the combined uncertainty by source, so that"
+    " the squares of the rows add up to u squared; a row without a stated value has no sensitivity of its own."
+)
+
+
+@dataclass(frozen=True)
+class RowSource:
+    """The certificate behind a row.
+
+    Attributes
+    ----------
+    number, date, sha256
+        Number and date of the certificate, and SHA-256 of it; empty where not stated.
+    """
+
+    number: str = ""
+    date: str = ""
+    sha256: str = ""
+
+
+@dataclass(frozen=True)
+class Expanded:
+    """The uncertainty of a result with its own degrees of freedom.
+
+    Attributes
+    ----------
+    u, nu_eff, k
+        Standard uncertainty, effective degrees of freedom (None for infinite), coverage factor.
+    growth
+        The factor by which results.json enlarges u; at least 1.
+    """
+
+    u: float
+    nu_eff: float | None
+    k: float
+    growth: float
+
+    @property
+    def U(self) -> float:  # noqa: N802 - the field's symbol
+        """Expanded uncertainty."""
+        return self.k * self.u
+
+
+def row_names(calibration: Json) -> list[str]:
+    """Return the names of the rows, to which certificates can be assigned.
+
+    Parameters
+    ----------
+    calibration
+        ``calibration`` of results.json.
+
+    Returns
+    -------
+    list of str
+        The names.
+    """
+    return [str(row["name"]) for row in calibration.get("budget_rows") or []]
+
+
+def expanded(calibration: Json, symbol: str) -> Expanded:
+    """Return the uncertainty of a result with its own degrees of freedom.
+
+    Formula of Welch and Satterthwaite (JCGM 100, G.4.1). The engine evaluates all sources of the adjustment that are
+    not known beforehand together; they count as one source.
+
+    Parameters
+    ----------
+    calibration
+        ``calibration`` of results.json.
+    symbol
+        Name of the parameter.
+
+    Returns
+    -------
+    Expanded
+        The uncertainty; never with more degrees of freedom, nor a smaller U, than results.json states.
+    """
+    k = float(calibration["coverage_factor"])
+    common = _common_freedom(calibration, k)
+    own = _welch_satterthwaite(calibration, symbol, _freedom_of_views(calibration, common))
+    nu = min(own, common)
+    k_own = k if nu >= common else coverage_factor(nu)
+    growth = max(k_own / k, 1.0)
+    sigma = float(calibration["sigma"][symbol])
+    return Expanded(sigma / growth, nu if math.isfinite(nu) else None, k * growth, growth)
+
+
+def budget_of(
+    calibration: Json, symbol: str, unit: str, sources: Mapping[str, RowSource], rounded: float
+) -> Budget:
+    """Return the uncertainty budget of a result.
+
+    Parameters
+    ----------
+    calibration
+        ``calibration`` of results.json.
+    symbol, unit
+        Symbol of the result, and its unit.
+    sources
+        Certificates, by name of the row.
+    rounded
+        Expanded uncertainty as printed.
+
+    Returns
+    -------
+    Budget
+        The rows and their combination.
+
+    Raises
+    ------
+    EvidenceError
+        When the results have no budget, or its rows do not add up to the stated uncertainty.
+    """
+    stated = expanded(calibration, symbol)
+    spread = _freedom_of_views(
+        calibration, _common_freedom(calibration, float(calibration["coverage_factor"]))
+    )
+    rows = []
+    for group, by_symbol in calibration["budget"].items():
+        variance = (float(by_symbol.get(symbol, 0.0)) / stated.growth) ** 2
+        nu = None if group in _CERTAIN or group in _terms(calibration) else spread
+        rows += _rows_of(calibration, group, symbol, unit, variance, nu, stated.u, sources)
+    combined = math.sqrt(sum(row.u**2 for row in rows))
+    if not abs(combined - stated.u) <= _SAME * stated.u:
+        raise EvidenceError(
+            f"The rows of the uncertainty budget of {symbol} give u = {combined:.4g} {unit}, but {stated.u:.4g} is"
+            " stated.",
+            where="results.json",
+            remedy="Calculate the results again with `starbench verify RUN --again`, and report this.",
+        )
+    remarks = [_OVERLAP]
+    if spread is not None and math.isfinite(spread):
+        remarks.append(
+            f"The rows with {spread:.3g} degrees of freedom rest on the same differences between views; the formula of"
+            " Welch and Satterthwaite counts them as one row."
+        )
+    if stated.growth > 1.0 + 1e-9:
+        sigma = float(calibration["sigma"][symbol])
+        remarks.append(
+            f"results.json states u = {with_unit(f'{sigma:.4g}', unit)} with the common coverage factor"
+            f" k = {float(calibration['coverage_factor']):.3g}; here u and k are those of this result's own degrees of"
+            " freedom. U is the same."
+        )
+    return Budget(
+        symbol,
+        unit,
+        tuple(row for row in rows if row.u > 0),
+        u=_digits(stated.u),
+        nu_eff=None if stated.nu_eff is None else _digits(stated.nu_eff),
+        k=_digits(stated.k),
+        U=rounded,
+        remarks=tuple(remarks),
+    )
+
+
+def _rows_of(
+    calibration: Json,
+    group: str,
+    symbol: str,
+    unit: str,
+    variance: float,
+    nu: float | None,
+    whole: float,
+    sources: Mapping[str, RowSource],
+) -> list[BudgetRow]:
+    """Return the rows of a source of the engine's budget; their squares add up to its variance."""
+    members = [row for row in calibration.get("budget_rows") or [] if _group(row, calibration) == group]
+    weights = [float(row["contribution"].get(symbol, 0.0)) ** 2 for row in members]
+    if not sum(weights) > 0:  # the engine splits distortion coefficients by groups only
+        name = ", ".join(str(row["name"]) for row in members) or group
+        alone = members[0] if len(members) == 1 else {}
+        return [_row(alone, name, group, symbol, unit, math.sqrt(variance), nu, whole, sources)]
+    scale = variance / sum(weights)
+    return [
+        _row(row, str(row["name"]), group, symbol, unit, math.sqrt(weight * scale), nu, whole, sources)
+        for row, weight in zip(members, weights, strict=True)
+    ]
+
+
+def _row(
+    row: Json,
+    name: str,
+    group: str,
+    symbol: str,
+    unit: str,
+    u: float,
+    nu: float | None,
+    whole: float,
+    sources: Mapping[str, RowSource],
+) -> BudgetRow:
+    kind: Literal["A", "B"] = "A" if row.get("type", "") == "A" or (not row and group in _TYPE_A) else "B"
+    value, divisor = row.get("value"), row.get("divisor")
+    base = str(row.get("unit") or "").partition(" ")[0]
+    sensitivity = (row.get("sensitivity") or {}).get(symbol)
+    if value and divisor and sensitivity is None:
+        sensitivity = u * float(divisor) / float(value)
+    has_value = value is not None and divisor is not None and sensitivity is not None
+    freedom = row.get("degrees_of_freedom") if group in _terms({"budget_rows": [row]}) else nu
+    source = sources.get(name, RowSource())
+    return BudgetRow(
+        name=name,
+        type=kind,
+        value=float(value) if has_value and value is not None else None,
+        unit=str(row.get("unit") or "") if has_value else "",
+        distribution=str(row.get("distribution") or "normal"),
+        divisor=_digits(float(divisor)) if has_value and divisor is not None else None,
+        sensitivity=_digits(float(sensitivity)) if has_value and sensitivity is not None else None,
+        sensitivity_unit=(unit if base == "1" else f"{unit}/{base}") if has_value else "",
+        u=_digits(u),
+        share=_digits((u / whole) ** 2) if whole > 0 else 0.0,
+        nu=None if freedom is None or not math.isfinite(freedom) else _digits(float(freedom)),
+        source=str(row.get("source") or _SOURCES.get(group, "joint adjustment")),
+        number=source.number,
+        date=source.date,
+        sha256=source.sha256,
+    )
+
+
+_SOURCES = {
+    STARS: "residuals of the stars, with the gimbal's readings if there are any",
+    INCONSISTENCY: "differences between the views",
+    PRIORS: "station, and expected sizes",
+}
+
+
+def _group(row: Json, calibration: Json) -> str:
+    """Return the source of the engine's budget that a row is a part of."""
+    name = str(row["name"])
+    if name in calibration["budget"]:
+        return name
+    return STARS if name == READINGS else PRIORS
+
+
+def _terms(calibration: Json) -> dict[str, float]:
+    """Return the degrees of freedom of the stated terms, by name: rows with a value, other than the adjustment's."""
+    return {
+        str(row["name"]): float(row["degrees_of_freedom"] or math.inf)
+        for row in calibration.get("budget_rows") or []
+        if row and row.get("divisor") is not None and row["name"] != PASSPORT
+    }
+
+
+def _variances(calibration: Json, symbol: str) -> tuple[float, float, float]:
+    """Return of a parameter the whole variance, that of the views, and the sum of squared variances over freedom."""
+    budget, terms = calibration.get("budget") or {}, _terms(calibration)
+    if not budget:
+        raise EvidenceError(
+            "The results have no uncertainty budget.",
+            where="results.json",
+            remedy="Calibrate with this version of Starbench.",
+        )
+    parts = {source: float(by_symbol.get(symbol, 0.0)) ** 2 for source, by_symbol in budget.items()}
+    views = sum(v for source, v in parts.items() if source not in _CERTAIN and source not in terms)
+    stated = sum(parts.get(name, 0.0) ** 2 / freedom for name, freedom in terms.items())
+    return sum(parts.values()), views, stated
+
+
+def _common_freedom(calibration: Json, k: float) -> float:
+    """Return the degrees of freedom that belong to the common coverage factor; infinite for k = 2."""
+    stated = [
+        row.get("degrees_of_freedom") for row in calibration.get("budget_rows") or [] if row["type"] == "A"
+    ]
+    found = float(stated[0]) if stated and stated[0] else math.inf
+    if abs(coverage_factor(found) - k) < _SAME:
+        return found
+    low, high = 0.0, 20.0  # k falls with the degrees of freedom: bisection on their logarithm
+    for _ in range(60):
+        middle = (low + high) / 2
+        low, high = (middle, high) if coverage_factor(math.exp(middle)) > k else (low, middle)
+    return math.exp(low)
+
+
+def _freedom_of_views(calibration: Json, common: float) -> float:
+    """Return the degrees of freedom of what the views give: those that explain the common ones of the focal lengths."""
+    if not math.isfinite(common):
+        return math.inf
+    found = []
+    for symbol in ("fx", "fy"):
+        whole, views, stated = _variances(calibration, symbol)
+        rest = whole**2 / common - stated
+        if rest > 0 and views > 0:
+            found.append(views**2 / rest)
+    return max(found, default=common)
+
+
+def _welch_satterthwaite(calibration: Json, symbol: str, nu_views: float) -> float:
+    """Return the effective degrees of freedom of a parameter."""
+    whole, views, stated = _variances(calibration, symbol)
+    spread = views**2 / nu_views + stated
+    return whole**2 / spread if spread > 0 else math.inf
+
+
+def _digits(number: float) -> float:
+    """Return a calculated number with nine digits, so that another processor calculates the same text."""
+    return float(f"{number:.9g}")

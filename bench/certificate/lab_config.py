@@ -1,0 +1,345 @@
+"""The file ``lab.yaml``: what a certificate says that a run cannot know. One file for each calibrated item.
+
+What the run itself proves (serial number, dates, software, settings, the collimator's certificate) is not in it. Nearly
+every key may be left out here; `bench.certificate.clauses` then refuses the certificate and names the clause. Where a
+laboratory has nothing to state, it writes ``none``. docs/certificates.md describes every key.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import AfterValidator, BeforeValidator, Discriminator, Field, Tag, model_validator
+from pydantic_core import PydanticCustomError
+
+from bench.certificate.number_format import is_number_format
+from bench.certificate.party_data import PlaceKind
+from bench.stations.station_collimator import Date
+from bench.stations.station_fields import Serial
+from sequences.reader import Located, check_document, read_document
+from sequences.strict_model import StrictModel
+
+EXAMPLE = Path(__file__).with_name("example_lab.yaml")
+NONE = "none"
+PLACEHOLDER = "REPLACE"
+"""Stands in the example for every value that only the laboratory knows."""
+
+
+def _plain(text: str) -> str:
+    """Refuse blank texts and characters that cannot be printed."""
+    if not text.strip():
+        raise PydanticCustomError("blank", "must not be empty.")
+    if PLACEHOLDER in text:
+        raise PydanticCustomError("placeholder", "replace this placeholder by your own value.")
+    if any(not char.isprintable() and char != "\n" for char in text) or re.search("[\ud800-\udfff]", text):
+        raise PydanticCustomError("unprintable", "must contain no control characters.")
+    return text.strip()
+
+
+Text = Annotated[str, Field(min_length=1, max_length=300), AfterValidator(_plain)]
+LongText = Annotated[str, Field(min_length=1, max_length=3000), AfterValidator(_plain)]
+Sha256 = Annotated[str, Field(pattern=r"^[0-9a-f]{64}$", description="SHA-256 of the certificate's file.")]
+Number = Annotated[float, Field(ge=-1e12, le=1e12)]
+NotNegative = Annotated[float, Field(ge=0, le=1e12)]
+Factor = Annotated[float, Field(ge=1, le=10, description="Coverage factor of the uncertainty.")]
+
+
+def _none_or_values(value: Any) -> str:
+    return "values" if isinstance(value, Mapping | StrictModel) else NONE
+
+
+def _nothing(value: Any) -> Any:
+    """Read ``none`` as an empty list."""
+    return () if value == NONE else value
+
+
+class AddressConfig(StrictModel):
+    """A postal address."""
+
+    street: Text | None = None
+    post_code: Text | None = None
+    city: Text
+    country: Annotated[str, Field(pattern=r"^[A-Z]{2}$", description="Two letters, ISO 3166-1.")]
+
+
+class ContactConfig(StrictModel):
+    """How to reach somebody: at least one of mail and telephone."""
+
+    name: Text | None = None
+    email: Annotated[str | None, Field(pattern=r"^[^@\s]+@[^@\s]+$", max_length=254)] = None
+    phone: Text | None = None
+
+    @model_validator(mode="after")
+    def _reachable(self) -> ContactConfig:
+        if self.email is None and self.phone is None:
+            raise PydanticCustomError("unreachable", "needs email or phone.")
+        return self
+
+
+class AccreditationConfig(StrictModel):
+    """An accreditation that covers this calibration."""
+
+    body: Text
+    number: Text
+    scope: Text
+
+
+class LaboratoryConfig(StrictModel):
+    """The laboratory."""
+
+    name: Text | None = None
+    address: AddressConfig | None = None
+    contact: ContactConfig | None = None
+    accreditation: (
+        Annotated[
+            Annotated[Literal["none"], Tag(NONE)] | Annotated[AccreditationConfig, Tag("values")],
+            Discriminator(_none_or_values),
+        ]
+        | None
+    ) = None
+
+
+class PlaceConfig(StrictModel):
+    """Where the calibration was performed."""
+
+    kind: PlaceKind
+    name: Text
+
+
+class NumbersConfig(StrictModel):
+    """The series of numbers of certificates."""
+
+    format: Annotated[
+        str,
+        Field(max_length=60, description="Number of a certificate; {year} and {number:05d} are replaced."),
+    ] = "SB-{year}-{number:05d}"
+
+    @model_validator(mode="after")
+    def _is_a_series(self) -> NumbersConfig:
+        if not is_number_format(self.format):
+            raise PydanticCustomError(
+                "no_series",
+                "format must contain {what} once and otherwise letters, digits, '-', '_', '.', '/' and {year}.",
+                {"what": "{number:05d}", "year": "{year}"},
+            )
+        return self
+
+
+class CustomerConfig(StrictModel):
+    """The customer."""
+
+    name: Text | None = None
+    contact: ContactConfig | None = None
+    address: AddressConfig | None = None
+
+
+class LensConfig(StrictModel):
+    """The lens, with the settings that were calibrated."""
+
+    maker: Text | None = None
+    model: Text | None = None
+    serial: Annotated[Text | None, Field(description="`none` if the lens has no serial number.")] = None
+    focus: Text | None = None
+    focus_locked: bool | None = None
+    aperture: Text | None = None
+    aperture_locked: bool | None = None
+
+
+class ItemConfig(StrictModel):
+    """The calibrated item."""
+
+    serial: Annotated[
+        Annotated[Serial, AfterValidator(_plain)] | None,
+        Field(description="Serial number of the camera; must be that of the run."),
+    ] = None
+    lens: LensConfig = LensConfig()
+    customer_id: Text | None = None
+    received: Annotated[Date | None, Field(description="Date of receipt.")] = None
+    condition: LongText | None = None
+
+
+class MethodConfig(StrictModel):
+    """The calibration procedure of the laboratory."""
+
+    id: Text
+    version: Text
+    text: LongText
+
+
+class ConditionConfig(StrictModel):
+    """A condition that influences the result: a value with its instrument, or words."""
+
+    name: Text
+    value: Number | None = None
+    unit: Text | None = None
+    uncertainty: Annotated[NotNegative | None, Field(description="Expanded uncertainty.")] = None
+    k: Factor = 2.0
+    instrument: Text | None = None
+    certificate: Annotated[Text | None, Field(description="Number of the instrument's certificate.")] = None
+    text: Text | None = None
+
+    @model_validator(mode="after")
+    def _value_or_text(self) -> ConditionConfig:
+        if (self.value is None) == (self.text is None):
+            raise PydanticCustomError("value_or_text", "needs either value or text.")
+        if self.value is not None and (self.unit is None or self.instrument is None):
+            raise PydanticCustomError("value_alone", "a value needs unit and instrument.")
+        return self
+
+
+class RuleConfig(StrictModel):
+    """Limits of one result, for a statement of conformity. The guard band is the expanded uncertainty."""
+
+    result: Annotated[Text, Field(description="Symbol of the result, such as fx.")]
+    specification: Text
+    lower: Number | None = None
+    upper: Number | None = None
+
+    @model_validator(mode="after")
+    def _limits(self) -> RuleConfig:
+        if self.lower is None and self.upper is None:
+            raise PydanticCustomError("no_limit", "needs lower, upper or both.")
+        if self.lower is not None and self.upper is not None and self.lower >= self.upper:
+            raise PydanticCustomError("limits", "lower must be less than upper.")
+        return self
+
+
+class PreviousConfig(StrictModel):
+    """The last certificate of this item."""
+
+    number: Text
+    date: Date
+    issuer: Text | None = None
+    sha256: Sha256 | None = None
+
+
+class SuppliedConfig(StrictModel):
+    """Data that the customer supplied, and the results that depend on them."""
+
+    text: LongText
+    results: Annotated[tuple[Text, ...], Field(max_length=40)] = ()
+
+
+class SourceConfig(StrictModel):
+    """A certificate behind a row of the uncertainty budget."""
+
+    row: Annotated[Text, Field(description="Name of the row, as `certificate issue` lists them.")]
+    what: Annotated[
+        Text | None, Field(description="The reference, in words; without it, the row's name.")
+    ] = None
+    number: Text | None = None
+    issuer: Text | None = None
+    date: Date | None = None
+    sha256: Sha256 | None = None
+    statement: Annotated[LongText | None, Field(description="To what the reference is traceable.")] = None
+
+
+class AuthorConfig(StrictModel):
+    """The person who is to authorise the certificate."""
+
+    name: Text
+    role: Text
+    key: Annotated[
+        str,
+        Field(
+            pattern=r"^SHA256:[A-Za-z0-9+/]{43}$",
+            description="Fingerprint of the person's key, as `ssh-keygen -l` prints it.",
+        ),
+    ]
+
+
+_Texts = Annotated[tuple[LongText, ...], BeforeValidator(_nothing), Field(max_length=100)]
+
+
+class LabConfig(StrictModel):
+    """A file lab.yaml."""
+
+    format: Literal["starbench/lab/1"]
+    title: Text = "Calibration certificate"
+    numbers: NumbersConfig = NumbersConfig()
+    laboratory: LaboratoryConfig = LaboratoryConfig()
+    place: PlaceConfig | None = None
+    customer: CustomerConfig = CustomerConfig()
+    item: ItemConfig = ItemConfig()
+    method: MethodConfig | None = None
+    deviations: _Texts | None = None
+    conditions: Annotated[tuple[ConditionConfig, ...], Field(max_length=100)] | None = None
+    sources: Annotated[tuple[SourceConfig, ...], Field(max_length=100)] = ()
+    traceability: LongText | None = None
+    decision_rules: (
+        Annotated[tuple[RuleConfig, ...], BeforeValidator(_nothing), Field(max_length=100)] | None
+    ) = None
+    previous_certificate: (
+        Annotated[
+            Annotated[Literal["none"], Tag(NONE)] | Annotated[PreviousConfig, Tag("values")],
+            Discriminator(_none_or_values),
+        ]
+        | None
+    ) = None
+    customer_supplied: (
+        Annotated[tuple[SuppliedConfig, ...], BeforeValidator(_nothing), Field(max_length=100)] | None
+    ) = None
+    external: _Texts | None = None
+    opinions: _Texts = ()
+    recalibration: Annotated[
+        LongText | None,
+        Field(description="Only if it was agreed with the customer; begins with 'agreed with'."),
+    ] = None
+    authorised_by: AuthorConfig | None = None
+
+    @model_validator(mode="after")
+    def _interval_was_agreed(self) -> LabConfig:
+        if self.recalibration is not None and not self.recalibration.startswith("agreed with the customer"):
+            raise PydanticCustomError(
+                "not_agreed",
+                "recalibration is printed only if it was agreed: begin it with 'agreed with the customer'"
+                " (ISO/IEC 17025, 7.8.4.3), or leave it out.",
+            )
+        return self
+
+
+def read_lab(path: Path | str) -> Located[LabConfig]:
+    """Read a file lab.yaml.
+
+    Parameters
+    ----------
+    path
+        The file.
+
+    Returns
+    -------
+    Located of LabConfig
+        The configuration, with the place of each value.
+
+    Raises
+    ------
+    DocumentFaults
+        With all faults of the file.
+    """
+    return read_document(path, LabConfig)
+
+
+def lab_of(data: bytes, file: str = "lab.yaml") -> Located[LabConfig]:
+    """Read the bytes of a lab.yaml, such as those in the folder of a certificate.
+
+    Parameters
+    ----------
+    data
+        The bytes.
+    file
+        The name that faults carry.
+
+    Returns
+    -------
+    Located of LabConfig
+        As `read_lab`.
+
+    Raises
+    ------
+    DocumentFaults
+        With all faults.
+    """
+    return check_document(data, file, LabConfig)

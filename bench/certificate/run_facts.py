@@ -1,0 +1,335 @@
+"""What a certificate takes from results.json: results, covariance, further numbers, item, conditions, deviations.
+
+Nothing of this is typed by hand. Numbers and texts only: no file, no clock. Calculated numbers have nine digits, so
+that they are the same on another computer.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from datetime import datetime
+from typing import Any
+
+from bench.certificate.budget_rows import expanded
+from bench.certificate.certificate_data import (
+    Camera,
+    Condition,
+    Covariance,
+    Deviation,
+    FurtherResult,
+    Result,
+    sha256,
+)
+from bench.certificate.rounding import print_plain, print_result, with_unit
+from bench.report.camera_values import camera_covariance, camera_of
+from calib.uncertainty.projection_uncertainty import projection_uncertainty
+
+Json = Mapping[str, Any]
+
+PROBABILITY = 0.9545
+_URAD_PER_ARCSEC = 4.84813681109536
+_NAMES = {
+    "fx": "focal length along x",
+    "fy": "focal length along y",
+    "cx": "principal point, x",
+    "cy": "principal point, y",
+    "p1": "decentring distortion, first",
+    "p2": "decentring distortion, second",
+}
+_DEGREE = "\N{DEGREE SIGN}C"
+
+
+def results_of(found: Json, customer_supplied: frozenset[str] = frozenset()) -> tuple[Result, ...]:
+    """Return the results: the camera's values, each with its expanded uncertainty.
+
+    Parameters
+    ----------
+    found
+        Content of results.json.
+    customer_supplied
+        Symbols of results that depend on data of the customer.
+
+    Returns
+    -------
+    tuple of Result
+        In the order of results.json.
+    """
+    calibration = found["calibration"]
+    return tuple(
+        _result(calibration, symbol, float(value), supplied=symbol in customer_supplied)
+        for symbol, value in calibration["camera"].items()
+    )
+
+
+def unit_of(symbol: str) -> str:
+    """Return the unit of a result.
+
+    Parameters
+    ----------
+    symbol
+        Its symbol.
+
+    Returns
+    -------
+    str
+        ``px`` or ``1``.
+    """
+    return "px" if symbol in ("fx", "fy", "cx", "cy") else "1"
+
+
+def _result(calibration: Json, symbol: str, value: float, *, supplied: bool) -> Result:
+    own, unit = expanded(calibration, symbol), unit_of(symbol)
+    shown, uncertainty = print_result(value, own.U)
+    return Result(
+        symbol=symbol,
+        name=_NAMES.get(symbol, f"coefficient {symbol} of the distortion"),
+        value=value,
+        unit=unit,
+        u=_digits(own.u),
+        U=float(uncertainty),
+        k=_digits(own.k),
+        p=PROBABILITY,
+        nu_eff=None if own.nu_eff is None else _digits(own.nu_eff),
+        printed_value=shown,
+        printed_uncertainty=uncertainty,
+        text=f"{with_unit(shown, unit)} \N{PLUS-MINUS SIGN} {with_unit(uncertainty, unit)}",
+        customer_supplied=supplied,
+    )
+
+
+def covariance_of(found: Json) -> Covariance:
+    """Return the joint covariance of the results; its diagonal holds their standard uncertainties squared.
+
+    Parameters
+    ----------
+    found
+        Content of results.json.
+
+    Returns
+    -------
+    Covariance
+        That of results.json, without its enlargement of results with few degrees of freedom.
+    """
+    calibration = found["calibration"]
+    symbols = tuple(calibration["camera"])
+    names, matrix = calibration["covariance"]["names"], calibration["covariance"]["matrix"]
+    growth = {symbol: expanded(calibration, symbol).growth for symbol in symbols}
+    at = {symbol: names.index(symbol) for symbol in symbols}
+    return Covariance(
+        symbols,
+        tuple(unit_of(symbol) for symbol in symbols),
+        tuple(
+            tuple(_digits(float(matrix[at[i]][at[j]]) / (growth[i] * growth[j])) for j in symbols)
+            for i in symbols
+        ),
+    )
+
+
+def further_of(found: Json) -> tuple[FurtherResult, ...]:
+    """Return the numbers about the calibration: uncertainty of the projection, residuals, number of views.
+
+    Parameters
+    ----------
+    found
+        Content of results.json.
+
+    Returns
+    -------
+    tuple of FurtherResult
+        In the order of the certificate.
+    """
+    calibration, projection = found["calibration"], found.get("projection") or {}
+    rows = _at_centre(calibration)
+    if "median" in projection:
+        rows += _projection(
+            "projection_median",
+            "expanded uncertainty of the projection, median over the image",
+            projection["median"],
+        )
+    if "worst_corner" in projection:
+        worst = projection["worst_corner"]
+        name = f"expanded uncertainty of the projection in the worst corner ({worst['corner']})"
+        rows += _projection("projection_worst_corner", name, worst)
+    for id_, name, key in (
+        ("rms", "RMS of the residuals (no accuracy)", "rms_px"),
+        ("mean", "mean of the residuals (no accuracy)", "mean_px"),
+    ):
+        rows.append(_further(id_, name, float(calibration[key]), "px"))
+    rows.append(
+        FurtherResult(
+            "views", "number of views", float(len(calibration["views"])), "1", str(len(calibration["views"]))
+        )
+    )
+    return tuple(rows)
+
+
+def _at_centre(calibration: Json) -> list[FurtherResult]:
+    """Return the expanded uncertainty of the projection in the centre of the image."""
+    covariance = camera_covariance(calibration)
+    if covariance is None:
+        return []
+    found = projection_uncertainty(camera_of(calibration["camera"], calibration["image_size"]), covariance)
+    row, column = (size // 2 for size in found.sigma_px.shape)
+    k = float(calibration["coverage_factor"])
+    centre = {
+        "expanded_px": k * float(found.sigma_px[row, column]),
+        "expanded_urad": k * float(found.sigma_arcsec[row, column]) * _URAD_PER_ARCSEC,
+    }
+    return _projection(
+        "projection_centre", "expanded uncertainty of the projection in the centre of the image", centre
+    )
+
+
+def _projection(id_: str, name: str, one: Json) -> list[FurtherResult]:
+    return [
+        _further(id_, name, float(one["expanded_px"]), "px"),
+        _further(id_, name, float(one["expanded_urad"]) / _URAD_PER_ARCSEC, "arcsec"),
+    ]
+
+
+def _further(id_: str, name: str, value: float, unit: str) -> FurtherResult:
+    return FurtherResult(id_, name, _digits(value), unit, with_unit(print_plain(value), unit))
+
+
+def camera_identity(found: Json) -> Camera:
+    """Return the camera as it identified itself in the run.
+
+    Parameters
+    ----------
+    found
+        Content of results.json.
+
+    Returns
+    -------
+    Camera
+        The camera.
+    """
+    camera = found["devices"]["camera"]
+    conditions = (found.get("conditions") or {}).get("camera") or {}
+    biases = conditions.get("biases") or {}
+    stated = json.dumps(biases, sort_keys=True, separators=(",", ":")).encode()
+    return Camera(
+        maker=str(camera.get("maker") or ""),
+        model=str(camera.get("model") or ""),
+        sensor=str(camera.get("sensor") or ""),
+        serial=str(camera["serial"]),
+        firmware=str(camera.get("firmware") or ""),
+        image_size=tuple(int(size) for size in found["calibration"]["image_size"]),
+        biases=tuple(f"{name} = {biases[name]}" for name in sorted(biases)),
+        biases_sha256=sha256(stated) if biases else "",
+    )
+
+
+def conditions_of(found: Json) -> tuple[Condition, ...]:
+    """Return the conditions that the run recorded.
+
+    Parameters
+    ----------
+    found
+        Content of results.json.
+
+    Returns
+    -------
+    tuple of Condition
+        Temperatures, light, event rate and settings of the camera.
+    """
+    light = (found.get("conditions") or {}).get("light") or {}
+    camera = (found.get("conditions") or {}).get("camera") or {}
+    attempts = [one for pose in found["poses"] for one in pose["attempts"] if one["accepted"]]
+    rows = [
+        _range("camera temperature", [one.get("temperature_c") for one in attempts], _DEGREE),
+        _value(
+            "collimator temperature (station)",
+            (found["run"].get("collimator") or {}).get("temperature_c"),
+            _DEGREE,
+        ),
+        _range("measured frequency of the light", [pose.get("flicker_hz") for pose in found["poses"]], "Hz"),
+        _text("light", [f"{name} = {light[name]}" for name in sorted(light)]),
+        _range("event rate", [one.get("event_rate_mev_s") for one in attempts], "Mev/s"),
+        _value("illumination", camera.get("illumination_lux"), "lx"),
+        _text(
+            "settings of the camera",
+            [
+                f"{name} = {json.dumps(camera[name], sort_keys=True)}"
+                for name in sorted(camera)
+                if name not in ("biases", "temperature_c", "illumination_lux")
+            ],
+        ),
+    ]
+    return tuple(row for row in rows if row is not None)
+
+
+def _value(name: str, value: float | None, unit: str) -> Condition | None:
+    return None if value is None else Condition(name, _digits(float(value)), unit, None, None, "", "run")
+
+
+def _text(name: str, parts: list[str]) -> Condition | None:
+    return Condition(name, None, "1", None, None, "; ".join(parts), "run") if parts else None
+
+
+def _range(name: str, values: list[float | None], unit: str) -> Condition | None:
+    """Return one value if all are printed alike, else the range in words."""
+    known = sorted(float(one) for one in values if one is not None)
+    if not known:
+        return None
+    low, high = (f"{one:.6g}" for one in (known[0], known[-1]))
+    if low == high:
+        return Condition(name, float(low), unit, None, None, "", "run")
+    return Condition(name, None, unit, None, None, f"{low} to {high} {unit}", "run")
+
+
+def deviations_of(found: Json) -> tuple[Deviation, ...]:
+    """Return what in the run differed from its sequence: deviations, failures, poses without result, failed gates.
+
+    Parameters
+    ----------
+    found
+        Content of results.json.
+
+    Returns
+    -------
+    tuple of Deviation
+        In the order of the run.
+    """
+    texts = [str(one) for one in found.get("deviations") or []]
+    texts += [f"The run was interrupted: {one.get('what') or one}" for one in found.get("failures") or []]
+    if resumed := int(found["run"].get("resumed") or 0):
+        texts.append(f"The run was resumed {resumed} time{'s' if resumed > 1 else ''}.")
+    texts += [
+        f"Pose {pose['index']} ({pose['name']}) has no accepted recording and does not enter the result."
+        for pose in found["poses"]
+        if not any(one["accepted"] for one in pose["attempts"])
+    ]
+    texts += [
+        f"Limit not met: {gate['name']} is {gate['value']} {gate['unit']}".rstrip()
+        + f", limit {gate['limit']}."
+        for gate in found.get("gates") or []
+        if gate["verdict"] == "fail"
+    ]
+    return tuple(Deviation(text, "run") for text in dict.fromkeys(texts))
+
+
+def utc_seconds(moment: str) -> str:
+    """Return a time in UTC to whole seconds.
+
+    Parameters
+    ----------
+    moment
+        A time in ISO 8601, with its zone.
+
+    Returns
+    -------
+    str
+        ``2026-03-31T09:15:00Z``.
+
+    Examples
+    --------
+    >>> utc_seconds("2026-11-21T01:06:35.918509Z")
+    '2026-11-21T01:06:35Z'
+    """
+    return datetime.fromisoformat(moment).strftime("%Y-%m-%dT%H:%M:%SZ")
+
+
+def _digits(number: float) -> float:
+    return float(f"{number:.9g}")
