@@ -103,7 +103,7 @@ def print_schema(document: str) -> int:
     Parameters
     ----------
     document
-        Kind of file: sequence, station, queue or job.
+        Kind of file: sequence, station, queue, job or lab.
 
     Returns
     -------
@@ -112,6 +112,7 @@ def print_schema(document: str) -> int:
     """
     from pydantic import BaseModel
 
+    from bench.certificate.lab_config import LabConfig
     from bench.stations.station import Station
     from sequences.queue import JobFile, Queue
     from sequences.schema import Sequence
@@ -121,6 +122,7 @@ def print_schema(document: str) -> int:
         "station": Station,
         "queue": Queue,
         "job": JobFile,
+        "lab": LabConfig,
     }
     print_json(models[document].model_json_schema())
     return 0

@@ -107,8 +107,13 @@ def run(
 @cli.command()
 @RUN
 @click.option("--dry-run", is_flag=True, help="Only print what would be done.")
+@click.option(
+    "--secrets-revoked",
+    is_flag=True,
+    help="Seal a finished run though secrets were found in it: you have made them worthless.",
+)
 @JSON
-def resume(run_folder: Path, dry_run: bool, as_json: bool) -> int:
+def resume(run_folder: Path, dry_run: bool, secrets_revoked: bool, as_json: bool) -> int:
     """Continue a RUN that was stopped, failed or was interrupted. It first prints what it will do."""
     from bench.base.clock import BenchClock
     from bench.commands.calibration_output import show_run
@@ -118,7 +123,7 @@ def resume(run_folder: Path, dry_run: bool, as_json: bool) -> int:
 
     if dry_run:
         return show_intentions(read_intentions(run_folder), as_json=as_json)
-    launch = Launch(BenchClock(), ask_passphrase=ask_passphrase)
+    launch = Launch(BenchClock(), ask_passphrase=ask_passphrase, secrets_revoked=secrets_revoked)
     return show_run(resume_run(run_folder, launch), as_json=as_json)
 
 
@@ -225,9 +230,9 @@ def station_new(path: Path, name: str, stage: str, light: str, camera: str | Non
 
 
 @cli.command()
-@click.argument("document", type=click.Choice(["sequence", "station", "queue", "job"]))
+@click.argument("document", type=click.Choice(["sequence", "station", "queue", "job", "lab"]))
 def schema(document: str) -> int:
-    """Print the JSON Schema of sequence, station, queue or job files, for use by text editors."""
+    """Print the JSON Schema of sequence, station, queue, job or lab files, for use by text editors."""
     from bench.commands.bench_output import print_schema
 
     return print_schema(document)

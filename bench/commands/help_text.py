@@ -98,9 +98,20 @@ EXAMPLES = {
     "keys rotate": ("starbench keys rotate --old-key delete",),
     "keys revoke": ("starbench keys revoke SHA256:... --reason 'laptop stolen'",),
     "certificate": (
+        "starbench certificate new -o lab.yaml",
+        "starbench certificate issue runs/cam7 --config lab.yaml -o certificates/2026-0042",
         "starbench certificate authorise certificates/2026-0042 --key ~/.ssh/id_ed25519",
-        "starbench certificate timestamp certificates/2026-0042 --tsa https://tsa.example/tsr",
     ),
+    "certificate new": ("starbench certificate new -o lab.yaml",),
+    "certificate issue": (
+        "starbench certificate issue runs/cam7 --config lab.yaml -o certificates/2026-0042",
+    ),
+    "certificate amend": (
+        "starbench certificate amend certificates/2026-0042 -c lab.yaml -o new --reason 'wrong address'",
+    ),
+    "certificate void": ("starbench certificate void SB-2026-00042 --reason 'the disk broke'",),
+    "certificate list": ("starbench certificate list",),
+    "certificate show": ("starbench certificate show certificates/2026-0042",),
     "certificate check": ("starbench certificate check certificates/2026-0042",),
     "certificate authorise": (
         "starbench certificate authorise certificates/2026-0042 --key ~/.ssh/id_ed25519",
@@ -143,7 +154,7 @@ _SHORT = {
     "resume": "Continue a run that was stopped, failed or was interrupted.",
     "plan": "Check a sequence or a queue; show time, disk space and expected uncertainty.",
     "verify": "Check a sealed run, certificate or recalculated results.",
-    "certificate": "Authorise a sealed folder with a person's key; add a time stamp.",
+    "certificate": "Issue, amend, authorise and list calibration certificates.",
     "status": "Show the status of a run or a batch.",
     "panel": "Watch and steer runs and batches in a browser.",
     "hold": "Hold a run at its next safe point.",

@@ -97,7 +97,16 @@ def derivations(*, again: bool) -> dict[str, list[Derivation]]:
     return {
         "run": [_check_ledger, check_run, *([check_recordings] if again else [])],
         "results": [check_results_folder],
+        "certificate": [_check_certificate],
     }
+
+
+def _check_certificate(folder: Path) -> Findings:
+    """Derive a certificate again, and compare it with the ledger of this bench."""
+    from bench.certificate.check import check_certificate
+    from bench.results.previous_calibration import bench_ledger
+
+    return check_certificate(folder, bench_ledger())
 
 
 def _check_ledger(folder: Path) -> Findings:

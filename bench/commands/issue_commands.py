@@ -1,0 +1,100 @@
+"""Commands of the group `certificate` that make and list certificates. Arguments, options and exit statuses only."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from bench.commands.options import JSON, ExistingFile, ExistingFolder, NewFile, OutputFolder
+
+_CONFIG = click.option(
+    "--config",
+    "-c",
+    "lab_file",
+    required=True,
+    type=ExistingFile(),
+    metavar="LAB.YAML",
+    help="What the certificate says besides the run; `starbench certificate new` writes an example.",
+)
+_OUTPUT = click.option(
+    "--output", "-o", required=True, type=OutputFolder(), help="New folder for the certificate."
+)
+
+
+@click.command("new")
+@click.option("--output", "-o", required=True, type=NewFile(), help="New file, such as lab.yaml.")
+def new(output: Path) -> int:
+    """Write an example of lab.yaml, with comments. Replace every REPLACE in it."""
+    from bench.commands.issue_output import write_example
+
+    return write_example(output)
+
+
+@click.command("issue")
+@click.argument("run_folder", metavar="RUN", type=ExistingFolder())
+@_CONFIG
+@_OUTPUT
+@click.option("--also", metavar="REASON", default="", help="Issue a further certificate of the same run.")
+@JSON
+def issue(run_folder: Path, lab_file: Path, output: Path, also: str, as_json: bool) -> int:
+    """Issue the calibration certificate of a sealed RUN, by ISO/IEC 17025.
+
+    The run is verified first. A clause of the standard that neither the run nor LAB.YAML answers is named, with the key
+    that would answer it. The certificate is SEALED; a person authorises it with `starbench certificate authorise`.
+    """
+    from bench.commands.issue_output import issue_certificate
+
+    return issue_certificate(run_folder, lab_file, output, also=also, as_json=as_json)
+
+
+@click.command("amend")
+@click.argument("folder", metavar="FOLDER", type=ExistingFolder())
+@_CONFIG
+@click.option("--reason", required=True, help="Reason of the amendment; it is printed.")
+@_OUTPUT
+@JSON
+def amend(folder: Path, lab_file: Path, reason: str, output: Path, as_json: bool) -> int:
+    """Replace the certificate in FOLDER by a new one with a number of its own.
+
+    The new certificate names the old one by number and hash, and lists every field that changed. The old one stays as
+    it is; `starbench verify` says that it is superseded.
+    """
+    from bench.commands.issue_output import amend_certificate
+
+    return amend_certificate(folder, lab_file, output, reason=reason, as_json=as_json)
+
+
+@click.command("void")
+@click.argument("number")
+@click.option("--reason", required=True, help="Why the number is not used; it is kept in the ledger.")
+@click.option("--by", metavar="NAME", help="Your name.  [default: user@host]")
+@JSON
+def void(number: str, reason: str, by: str | None, as_json: bool) -> int:
+    """Declare void a NUMBER that was reserved by a command that was stopped or failed."""
+    from bench.commands.issue_output import void_number
+
+    return void_number(number, reason=reason, by=by, as_json=as_json)
+
+
+@click.command("list")
+@JSON
+def list_(as_json: bool) -> int:
+    """List all numbers of certificates in the ledger of this bench: state, camera, customer, date."""
+    from bench.commands.issue_output import list_certificates
+
+    return list_certificates(as_json=as_json)
+
+
+@click.command("show")
+@click.argument("folder", metavar="FOLDER", type=ExistingFolder())
+@JSON
+def show(folder: Path, as_json: bool) -> int:
+    """Show the certificate in FOLDER: its state, item, results and statements of conformity."""
+    from bench.commands.issue_output import show_certificate
+
+    return show_certificate(folder, as_json=as_json)
+
+
+ISSUE_COMMANDS = (new, issue, amend, void, list_, show)
+"""Commands of this module, for the group `certificate`."""
