@@ -96,12 +96,13 @@ class ExistingFile(_Path):
         Raises
         ------
         UsageError
-            If there is no such file, or it is a folder.
+            If there is no such file, or it is a folder, a pipe or a device.
         """
         if not path.exists():
             raise UsageError("There is no such file.", where=str(path), remedy="Check the path.")
         if path.is_dir():
             raise UsageError("This is a folder, not a file.", where=str(path), remedy="Name a file.")
+        _require_no_device(path)
 
 
 class ExistingFolder(_Path):
@@ -142,10 +143,11 @@ class ExistingPath(_Path):
         Raises
         ------
         UsageError
-            If there is no such file or folder.
+            If there is no such file or folder, or it is a pipe or a device.
         """
         if not path.exists():
             raise UsageError("There is no such file or folder.", where=str(path), remedy="Check the path.")
+        _require_no_device(path)
 
 
 class NewFile(_Path):
@@ -257,6 +259,14 @@ class RunFolder(_Path):
             raise UsageError(
                 "This is not a run folder: it has no journal.jsonl.", where=where, remedy=_inside(path)
             )
+
+
+def _require_no_device(path: Path) -> None:
+    """Refuse a pipe, a socket or a device: reading it may never end. Raises UsageError."""
+    if not path.is_file() and not path.is_dir():
+        raise UsageError(
+            "This is a pipe, a socket or a device, not a file.", where=str(path), remedy="Name a file."
+        )
 
 
 def _batch_remedy(path: Path) -> str:
