@@ -1,0 +1,198 @@
+import dataclasses
+import json
+import re
+
+import certificate_sample
+import dcc_mutations
+import pytest
+from lxml import etree
+
+from bench.certificate.certificate_data import Certificate
+from bench.certificate.dcc import render_dcc
+from bench.certificate.dcc_checks import check_dcc
+from bench.certificate.dcc_results import ellipsoid_factor
+from bench.certificate.dcc_words import number_text, plain_number
+from bench.certificate.dcc_xml import NAMESPACES, VERSIONS, Versions
+
+
+def dcc_of(certificate):
+    return etree.fromstring(render_dcc(certificate))
+
+
+def texts(root, path):
+    return [one.text for one in root.xpath(path, namespaces=NAMESPACES)]
+
+
+def test_the_same_certificate_gives_the_same_bytes():
+    first = certificate_sample.full_certificate()
+    again = Certificate.from_json(first.to_json())
+    assert render_dcc(first) == render_dcc(again)
+    assert render_dcc(first).startswith(b'<?xml version="1.0" encoding="UTF-8"?>\n<dcc:digital')
+
+
+def test_versions_are_pairs():
+    assert list(VERSIONS) == [Versions("3.2.1", "2.1.0")]
+    with pytest.raises(ValueError, match=r"DCC 3\.2\.1 with D-SI 2\.2\.0"):
+        render_dcc(certificate_sample.full_certificate(), Versions("3.2.1", "2.2.0"))
+
+
+def test_results_are_stated_as_printed_with_k_p_and_degrees_of_freedom():
+    root = dcc_of(certificate_sample.full_certificate())
+    fx = "//dcc:quantity[@id='result-fx']"
+    assert texts(root, f"{fx}/si:real/*[not(*)]") == ["fx", "3346.4", r"\one"]
+    assert texts(root, f"{fx}/si:real/si:expandedUnc/*") == [
+        "2.5",
+        "2.2215",
+        "0.9545",
+        "Student's t with the effective degrees of freedom",
+    ]
+    assert texts(root, f"{fx}//dcc:metaData//si:value") == ["12.48"]
+    assert texts(root, "//dcc:nonSIUnit") == ["pixel"]
+
+
+def test_the_joint_list_has_all_digits_and_the_whole_covariance():
+    certificate = certificate_sample.full_certificate()
+    root = dcc_of(certificate)
+    (values,) = texts(root, "//si:realListXMLList/si:valueXMLList")
+    assert [float(one) for one in values.split()] == [one.value for one in certificate.results]
+    stated = [
+        [float(value) for value in texts(column, "si:covariance/si:value")]
+        for column in root.xpath("//si:column", namespaces=NAMESPACES)
+    ]
+    assert stated == [list(column) for column in zip(*certificate.covariance.matrix, strict=True)]
+
+
+def test_every_number_of_the_certificate_is_in_the_dcc():
+    certificate = certificate_sample.full_certificate()
+    data = render_dcc(certificate).decode()
+    for result in certificate.results:
+        assert f">{result.printed_value}<" in data
+        assert f">{result.printed_uncertainty}<" in data
+    for further in certificate.further:
+        assert f">{number_text(further.value)}<" in data
+    for budget in certificate.budgets:
+        for row in budget.rows:
+            assert f">{number_text(row.u)}<" in data
+            assert row.sha256 in data
+    for reference in certificate.traceability:
+        assert reference.sha256 in data
+        assert reference.number in data
+
+
+def strings(value):
+    if isinstance(value, dict):
+        for one in value.values():
+            yield from strings(one)
+    elif isinstance(value, list):
+        for one in value:
+            yield from strings(one)
+    elif isinstance(value, str):
+        yield value
+
+
+def test_every_text_of_the_certificate_is_in_the_dcc():
+    certificate = certificate_sample.full_certificate()
+    said = " ".join(" ".join(etree.fromstring(render_dcc(certificate)).itertext()).split())
+    not_said = {certificate.format, certificate.series}
+    not_said |= {one.id for one in certificate.further} | {one.id for one in certificate.statements}
+    not_said |= {one.text for one in certificate.further}  # the numbers behind them are stated
+    not_said |= {certificate.run.sequence, certificate.run.station}
+    units = {"px", "mm", "1", "%", "°C", "Hz", "arcsec", "", "starbench"}
+    for text in strings(json.loads(certificate.to_json())):
+        if text in not_said or text in units or "/ (" in text:
+            continue
+        dated = re.fullmatch(r"\d{4}-\d\d-\d\dT.*Z", text)
+        assert " ".join(text.split()) in said or (dated and text[:10] in said), text
+
+
+def test_text_of_a_customer_stays_text():
+    full = certificate_sample.full_certificate()
+    evil = "</dcc:content><dcc:x/>]]>&amp; \x00\x1b[31m \ud800 <!-- x -->"
+    root = dcc_of(dataclasses.replace(full, customer=dataclasses.replace(full.customer, name=evil)))
+    (name,) = texts(root, "//dcc:customer/dcc:name/dcc:content")
+    assert name == evil.replace("\x00", "\ufffd").replace("\x1b", "\ufffd").replace("\ud800", "\ufffd")
+    assert not root.xpath("//dcc:x", namespaces=NAMESPACES)
+
+
+def test_an_amendment_names_what_it_replaces():
+    root = dcc_of(certificate_sample.full_certificate())
+    assert texts(root, "//dcc:replacedUniqueIdentifier") == ["SIMULATED-SB-2026-00016"]
+    assert texts(root, "//dcc:previousReport/dcc:value") == ["ef" * 32]
+    assert not texts(etree.fromstring(dcc_mutations.small_dcc()), "//dcc:reportAmendedSubstituted")
+
+
+def test_simulated_is_said_in_four_places():
+    root = dcc_of(certificate_sample.full_certificate())
+    for path in (
+        "//dcc:uniqueIdentifier",
+        "//dcc:measurementResult/dcc:name/dcc:content",
+        "(//dcc:item/dcc:name/dcc:content)[1]",
+        "(//dcc:statement)[1]/dcc:declaration/dcc:content",
+    ):
+        assert "SIMULATED" in texts(root, path)[0], path
+    assert b"SIMULATED" not in dcc_mutations.small_dcc()
+
+
+def test_a_certificate_with_hardly_anything_is_still_whole():
+    small = certificate_sample.small_certificate()
+    item = dataclasses.replace(
+        small.item,
+        camera=dataclasses.replace(small.item.camera, model="EVK4", firmware="", sensor="", biases=()),
+        lens=dataclasses.replace(small.item.lens, maker="", model="", serial=""),
+    )
+    bare = dataclasses.replace(
+        small, item=item, received="", traceability=(), conditions=(), further=(), budgets=()
+    )
+    assert check_dcc(render_dcc(bare)) == []
+
+
+def test_units_that_d_si_lacks_are_stated_in_words():
+    full = certificate_sample.full_certificate()
+    odd = dataclasses.replace(full.conditions[0], value=3.5, unit="furlong", U=0.5, k=2.0)
+    data = render_dcc(dataclasses.replace(full, conditions=(odd,)))
+    assert b"3.5 furlong, U = 0.5" in data
+    assert check_dcc(data) == []
+
+
+def test_results_of_hundreds_of_pixels_are_compared_with_the_covariance():
+    full = certificate_sample.full_certificate()
+    scale = 50.0
+    fx = dataclasses.replace(full.results[0], printed_value="3350", printed_uncertainty="130", U=130.0)
+    matrix = [list(row) for row in full.covariance.matrix]
+    for at in range(6):
+        matrix[0][at] *= scale
+        matrix[at][0] *= scale
+    covariance = dataclasses.replace(full.covariance, matrix=tuple(map(tuple, matrix)))
+    data = render_dcc(
+        dataclasses.replace(full, results=(fx, *full.results[1:]), covariance=covariance, conformity=())
+    )
+    assert check_dcc(data) == []
+
+
+@pytest.mark.parametrize(
+    ("n", "nu", "expected"), [(1, None, 2.0), (6, None, 3.585), (1, 12.48, 2.2214), (6, 12.48, 4.276)]
+)
+def test_ellipsoid_factor(n, nu, expected):
+    """Those of six dimensions: 2 million draws gave 3.587 and 4.276. Those of one are the factors of results."""
+    assert ellipsoid_factor(n, 0.9545, nu) == pytest.approx(expected, rel=2e-3)
+
+
+@pytest.mark.parametrize("value", [float("nan"), float("inf"), -float("inf")])
+def test_numbers_that_are_none_are_refused(value):
+    with pytest.raises(ValueError, match="is not a number"):
+        number_text(value)
+
+
+def test_coverage_factors_have_no_exponent():
+    assert [plain_number(one, 4) for one in (2, 2.22151, 100.0, 0.00012)] == ["2", "2.2215", "100", "0.0001"]
+
+
+def test_the_run_is_named_for_programs():
+    certificate = certificate_sample.full_certificate()
+    root = dcc_of(certificate)
+    said = {
+        one.tag.rpartition("}")[2]: one.text for one in root.find("dcc:comment/starbench:run", NAMESPACES)
+    }
+    assert said["sealSHA256"] == certificate.run.seal_sha256
+    assert said["resultsSHA256"] == certificate.run.results_sha256
+    assert said["ledgerNumber"] == "1"

@@ -1,0 +1,95 @@
+import json
+
+import dcc_mutations
+import lab_pki
+import pytest
+from click.testing import CliRunner
+
+from bench.base.errors import EvidenceError, UsageError
+from bench.certificate.dcc_signature import sign_dcc
+from bench.commands.dcc_commands import check
+
+
+SIGNED = (
+    "Signature: valid, by CN=Lab seal P-256,O=Lab (issued by CN=Lab authority,O=Lab), who states"
+    " 2026-07-20 00:00:00 UTC as its time."
+)
+
+
+@pytest.fixture(autouse=True)
+def no_schemas(monkeypatch):
+    monkeypatch.delenv("STARBENCH_DCC_SCHEMAS", raising=False)
+
+
+@pytest.fixture
+def signed(tmp_path):
+    key, certificate = lab_pki.seal()
+    path = tmp_path / "dcc.xml"
+    path.write_bytes(sign_dcc(dcc_mutations.full_dcc(), key, [certificate], signed_utc=lab_pki.signed_at()))
+    (tmp_path / "trusted.pem").write_bytes(lab_pki.pem(lab_pki.authority()[1]))
+    (tmp_path / "other.pem").write_bytes(lab_pki.pem(lab_pki.authority("Other")[1]))
+    return path
+
+
+def run(*arguments):
+    done = CliRunner().invoke(check, [str(one) for one in arguments], standalone_mode=False)
+    if done.exception is not None:
+        raise done.exception
+    return done.return_value, done.output
+
+
+def test_a_valid_certificate(signed):
+    status, said = run(signed, "--trusted", signed.parent / "trusted.pem")
+    assert status == 0
+    assert said.splitlines() == [
+        "Certificate SIMULATED-SB-2026-00017: DCC 3.2.1 with D-SI 2.1.0.",
+        "Content: no faults.",
+        SIGNED,
+        "Not checked: the form. Name the folder of PTB's schemas with --schemas or in STARBENCH_DCC_SCHEMAS to check it.",
+    ]
+
+
+def test_what_was_not_checked_is_said(signed):
+    assert "Not checked: who signed" in run(signed)[1]
+    assert run(signed.parent)[0] == 0  # the folder of a certificate
+
+
+def test_faults(signed):
+    signed.write_bytes(signed.read_bytes().replace(b">3346.4<", b">3346.5<", 1))
+    status, said = run(signed)
+    assert status == 1
+    assert "2 faults:\n  content, line " in said
+    assert "signature: The signature is not valid" in said
+    found = json.loads(run(signed, "--json")[1])
+    assert (found["ok"], found["signature"], found["schema"]) == (False, None, None)
+    assert found["signature_fault"].startswith("The signature is not valid")
+
+
+def test_a_signature_of_others_is_a_fault(signed):
+    status, said = run(signed, "--trusted", signed.parent / "other.pem")
+    assert (status, "leads to no trusted certificate" in said) == (1, True)
+    signed.write_bytes(dcc_mutations.full_dcc())
+    status, said = run(signed, "--trusted", signed.parent / "trusted.pem")
+    assert (status, "you named a certificate that you trust" in said) == (1, True)
+
+
+def test_json_of_a_valid_certificate(signed):
+    found = json.loads(run(signed, "--json", "--trusted", signed.parent / "trusted.pem")[1])
+    assert found["ok"] is True
+    assert found["signature"]["trusted"] is True
+    assert found["signature"]["stated_utc"] == "2026-07-20T00:00:00Z"
+
+
+def test_wrong_input(signed, tmp_path):
+    with pytest.raises(UsageError, match="no such file or folder"):
+        run(tmp_path / "none.xml")
+    (tmp_path / "empty").mkdir()
+    with pytest.raises(UsageError, match=r"has no dcc\.xml"):
+        run(tmp_path / "empty")
+    with pytest.raises(UsageError, match="no such folder of schemas"):
+        run(signed, "--schemas", tmp_path / "none")
+    with pytest.raises(EvidenceError, match="no certificates in PEM"):
+        run(signed, "--trusted", signed)
+    (tmp_path / "other.xml").write_text("<a/>")
+    with pytest.raises(EvidenceError, match="not a digital calibration certificate"):
+        run(tmp_path / "other.xml")

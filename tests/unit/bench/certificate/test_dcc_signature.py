@@ -1,0 +1,261 @@
+import dcc_mutations
+import lab_pki
+import pytest
+from lxml import etree
+
+from bench.base.errors import EvidenceError
+from bench.certificate.dcc_checks import check_dcc
+from bench.certificate.dcc_signature import (
+    load_certificates,
+    load_signing_key,
+    sign_dcc,
+    verify_signature,
+    without_signature,
+)
+
+DS = "{http://www.w3.org/2000/09/xmldsig#}"
+WHEN = lab_pki.signed_at()
+
+
+@pytest.fixture(scope="module")
+def signed():
+    key, certificate = lab_pki.seal()
+    return sign_dcc(dcc_mutations.full_dcc(), key, [certificate], signed_utc=WHEN)
+
+
+@pytest.mark.parametrize("kind", ["rsa", "P-256", "P-384", "P-521"])
+def test_signed_twice_gives_the_same_bytes(kind):
+    key, certificate = lab_pki.seal(kind)
+    signed = sign_dcc(dcc_mutations.full_dcc(), key, [certificate], signed_utc=WHEN)
+    assert signed == sign_dcc(dcc_mutations.full_dcc(), key, [certificate], signed_utc=WHEN)
+    assert without_signature(signed) == dcc_mutations.full_dcc()
+    found = verify_signature(signed, "dcc.xml", trusted=[lab_pki.authority()[1]])
+    assert (found.signer, found.stated_utc, found.trusted) == (f"CN=Lab seal {kind},O=Lab", WHEN, True)
+    assert check_dcc(signed) == []
+
+
+def test_without_signature_of_an_unsigned_dcc_is_the_dcc():
+    assert without_signature(dcc_mutations.small_dcc()) == dcc_mutations.small_dcc()
+    assert verify_signature(dcc_mutations.small_dcc(), "dcc.xml") is None
+
+
+def test_a_chain_is_put_in_order_and_leads_to_the_authority():
+    key, chain = lab_pki.long_chain()
+    signed = sign_dcc(dcc_mutations.small_dcc(), key, chain[1::-1], signed_utc=WHEN)
+    assert verify_signature(signed, "x", trusted=[chain[2]]).trusted
+    assert verify_signature(signed, "x", trusted=[chain[1]]).trusted
+    assert verify_signature(signed, "x", trusted=[chain[0]]).trusted
+    assert not verify_signature(signed, "x").trusted
+    with pytest.raises(EvidenceError, match="leads to no trusted certificate"):
+        verify_signature(signed, "x", trusted=[lab_pki.authority("Other")[1]])
+    alone = sign_dcc(dcc_mutations.small_dcc(), key, chain[:1], signed_utc=WHEN)
+    with pytest.raises(EvidenceError, match="leads to no trusted certificate"):
+        verify_signature(alone, "x", trusted=[chain[2]])
+
+
+def test_a_seal_cannot_issue_certificates():
+    seal_key, seal = lab_pki.seal("P-384")
+    key = lab_pki.new_key("P-256")
+    forged = lab_pki.issue("Lab seal", key, "Lab seal P-384", seal_key)
+    signed = sign_dcc(dcc_mutations.small_dcc(), key, [forged, seal], signed_utc=WHEN)
+    with pytest.raises(EvidenceError, match="leads to no trusted certificate"):
+        verify_signature(signed, "x", trusted=[lab_pki.authority()[1]])
+
+
+def edited(data, change):
+    root = etree.fromstring(data)
+    change(root)
+    return etree.tostring(root)
+
+
+def signature_of(root):
+    return root.find(f"{DS}Signature")
+
+
+def move_first(root):
+    root.insert(0, signature_of(root))
+
+
+def twice(root):
+    root.append(etree.fromstring(etree.tostring(signature_of(root))))
+
+
+def wrap_original(root):
+    """The classic attack: the signed document moves away, another stands in its place, the signature stays valid."""
+    comment = root.find("{https://ptb.de/dcc}comment")
+    copy = etree.fromstring(etree.tostring(root))
+    comment.append(copy)
+    root.remove(signature_of(root))
+
+
+def add_comment(root):
+    value = next(one for one in root.iter("{https://ptb.de/si}value") if one.text == "3346.4")
+    value.text = "33"
+    hidden = etree.Comment("")
+    hidden.tail = "46.4"
+    value.append(hidden)
+
+
+def drop_reference(root):
+    reference = next(root.iter(f"{DS}Reference"))
+    reference.getparent().remove(reference)
+
+
+def only_a_part(root):
+    """Let the first reference name the key information instead of the document."""
+    reference = next(root.iter(f"{DS}Reference"))
+    reference.set("URI", f"#{next(root.iter(f'{DS}KeyInfo')).get('Id')}")
+
+
+def other_certificate(root):
+    _, certificate = lab_pki.seal("P-384")
+    text = "".join(lab_pki.pem(certificate).decode().splitlines()[1:-1])
+    next(root.iter(f"{DS}X509Certificate")).text = text
+
+
+def no_certificate(root):
+    next(root.iter(f"{DS}X509Certificate")).text = "AAAA"
+
+
+def weak(root):
+    next(root.iter(f"{DS}SignatureMethod")).set("Algorithm", "http://www.w3.org/2000/09/xmldsig#rsa-sha1")
+
+
+def hmac(root):
+    method = "http://www.w3.org/2001/04/xmldsig-more#hmac-sha256"
+    next(root.iter(f"{DS}SignatureMethod")).set("Algorithm", method)
+
+
+def no_time(root):
+    time = next(root.iter("{*}SigningTime"))
+    time.text = "yesterday"
+
+
+def other_time(root):
+    next(root.iter("{*}SigningTime")).text = "2026-09-01T00:00:00Z"
+
+
+def text_of(path, new):
+    def change(root):
+        next(root.iter(f"{{https://ptb.de/{path}")).text = new
+
+    return change
+
+
+ATTACKS = {
+    "value": text_of("si}value", "3346.5"),
+    "customer": text_of("dcc}street", "Elsewhere 1"),
+    "attribute": lambda root: root.set("schemaVersion", "3.2.1 "),
+    "added element": lambda root: etree.SubElement(root[0], "{https://ptb.de/dcc}statements"),
+    "text behind the signature": lambda root: setattr(signature_of(root), "tail", "\n\n"),
+    "comment in a value": add_comment,
+    "signature first": move_first,
+    "signature twice": twice,
+    "signed document moved": wrap_original,
+    "reference dropped": drop_reference,
+    "only a part signed": only_a_part,
+    "another certificate": other_certificate,
+    "no certificate": no_certificate,
+    "SHA-1": weak,
+    "HMAC": hmac,
+    "no time": no_time,
+    "another time": other_time,
+    "empty signature": lambda root: signature_of(root).clear(),
+    "signature value": lambda root: setattr(next(root.iter(f"{DS}SignatureValue")), "text", "AAAA"),
+}
+
+
+@pytest.mark.parametrize("attack", ATTACKS)
+def test_attacks(signed, attack):
+    assert verify_signature(signed, "dcc.xml") is not None
+    changed = edited(signed, ATTACKS[attack])
+    with pytest.raises(EvidenceError) as caught:
+        verify_signature(changed, "dcc.xml")
+    assert caught.value.remedy
+    assert len(str(caught.value)) < 500
+
+
+def test_a_signature_cut_off_leaves_the_dcc_without_one(signed):
+    bare = edited(signed, lambda root: root.remove(signature_of(root)))
+    assert verify_signature(bare, "dcc.xml") is None
+
+
+def test_text_hidden_behind_a_signature_is_not_lost(signed):
+    changed = signed.replace(b"</ds:Signature>\n", b"</ds:Signature>more\n")
+    assert b"more" in without_signature(changed)
+
+
+@pytest.mark.parametrize(
+    ("options", "when", "said"),
+    [
+        ({}, lab_pki.signed_at(-1), "not at 2025-12-31"),
+        ({}, lab_pki.signed_at(3 * 365), "is valid from 2026-01-01 to 2028-01-01"),
+        ({"signs": False}, WHEN, "not meant for signatures"),
+    ],
+)
+def test_unfit_certificates_sign_nothing(options, when, said):
+    key, certificate = lab_pki.seal(**options)
+    with pytest.raises(EvidenceError, match=said):
+        sign_dcc(dcc_mutations.small_dcc(), key, [certificate], signed_utc=when)
+
+
+def test_what_cannot_be_signed(signed):
+    key, certificate = lab_pki.seal()
+    with pytest.raises(EvidenceError, match="signed already"):
+        sign_dcc(signed, key, [certificate], signed_utc=WHEN)
+    with pytest.raises(EvidenceError, match="not written by Starbench"):
+        sign_dcc(dcc_mutations.small_dcc() + b"\n", key, [certificate], signed_utc=WHEN)
+    with pytest.raises(EvidenceError, match="No certificate of the chain belongs to the key"):
+        sign_dcc(dcc_mutations.small_dcc(), lab_pki.new_key("P-384"), [certificate], signed_utc=WHEN)
+    stranger = lab_pki.authority("Other")[1]
+    with pytest.raises(EvidenceError, match="CN=Other,O=Lab is no part of the chain"):
+        sign_dcc(dcc_mutations.small_dcc(), key, [certificate, stranger], signed_utc=WHEN)
+
+
+def test_a_signature_is_valid_at_its_own_time_and_not_at_another(signed):
+    assert verify_signature(signed, "x", when=lab_pki.signed_at(300)).trusted is False
+    with pytest.raises(EvidenceError, match="is valid from 2026-01-01"):
+        verify_signature(signed, "x", when=lab_pki.signed_at(3000))
+
+
+def write(path, content, mode=0o600):
+    path.write_bytes(content)
+    path.chmod(mode)
+    return path
+
+
+def test_keys_are_loaded(tmp_path):
+    path = write(tmp_path / "key.pem", lab_pki.key_pem(lab_pki.new_key("P-256")))
+    assert load_signing_key(path).curve.name == "secp256r1"
+    locked = write(tmp_path / "locked.pem", lab_pki.key_pem(lab_pki.new_key("rsa"), b"open"))
+    assert load_signing_key(locked, ask_passphrase=lambda _: b"open").key_size == 2048
+    with pytest.raises(EvidenceError, match="no terminal to ask"):
+        load_signing_key(locked)
+    with pytest.raises(EvidenceError, match="wrong passphrase"):
+        load_signing_key(locked, ask_passphrase=lambda _: b"shut")
+
+
+@pytest.mark.parametrize(
+    ("content", "mode", "said"),
+    [
+        (lambda: lab_pki.key_pem(lab_pki.new_key("P-256")), 0o644, "Other users can read the key"),
+        (lambda: lab_pki.key_pem(lab_pki.new_key("ed25519")), 0o600, "cannot sign XML"),
+        (lambda: lab_pki.key_pem(lab_pki.new_key("rsa-1024")), 0o600, "cannot sign XML"),
+        (lambda: b"-----BEGIN PRIVATE KEY-----\nAAAA\n-----END PRIVATE KEY-----\n", 0o600, "cannot be read"),
+        (lambda: b"", 0o600, "cannot be read"),
+        (lambda: lab_pki.pem(lab_pki.authority()[1]), 0o600, "cannot be read"),
+    ],
+)
+def test_unfit_keys_are_refused(tmp_path, content, mode, said):
+    with pytest.raises(EvidenceError, match=said) as caught:
+        load_signing_key(write(tmp_path / "key.pem", content(), mode))
+    assert caught.value.where.endswith("key.pem")
+
+
+def test_certificates_are_loaded(tmp_path):
+    _, chain = lab_pki.long_chain()
+    assert load_certificates(write(tmp_path / "chain.pem", lab_pki.pem(*chain))) == chain
+    with pytest.raises(EvidenceError, match="no certificates in PEM"):
+        load_certificates(write(tmp_path / "none.pem", b"nothing"))
+    with pytest.raises(EvidenceError, match="has 12 certificates"):
+        load_certificates(write(tmp_path / "many.pem", lab_pki.pem(*chain * 4)))

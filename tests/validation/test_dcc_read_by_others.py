@@ -1,0 +1,190 @@
+"""Digital calibration certificates judged by programs and rules that nobody here wrote.
+
+PTB's schemas are not in the repository (LGPL-3.0): STARBENCH_DCC_SCHEMAS names a folder with ``dcc.xsd`` (3.2.1) and
+``SI_Format.xsd`` (D-SI 2.1.0). The network is not used.
+"""
+
+import os
+import shutil
+import socket
+import subprocess
+import warnings
+from pathlib import Path
+
+import dcc_mutations
+import lab_pki
+import pytest
+from dcc_mutations import MUTATIONS
+
+from bench.certificate.dcc_schema import schema_faults, schema_folder
+from bench.certificate.dcc_signature import sign_dcc
+from bench.certificate.dcc_units import OUR_UNITS
+
+SCHEMAS = schema_folder(None)
+needs_schemas = pytest.mark.skipif(
+    SCHEMAS is None, reason="STARBENCH_DCC_SCHEMAS does not name the folder of PTB's schemas"
+)
+
+
+def signed_dcc():
+    key, certificate = lab_pki.seal()
+    return sign_dcc(dcc_mutations.full_dcc(), key, [certificate], signed_utc=lab_pki.signed_at())
+
+
+DCCS = {"full": dcc_mutations.full_dcc, "small": dcc_mutations.small_dcc, "signed": signed_dcc}
+
+
+@pytest.fixture(autouse=True)
+def no_network(monkeypatch):
+    def refuse(*_):
+        raise OSError("a test asked for the network")
+
+    monkeypatch.setattr(socket.socket, "connect", refuse)
+    monkeypatch.setattr(socket, "getaddrinfo", refuse)
+
+
+def program(name):
+    return shutil.which(name) or pytest.skip(f"{name} is not installed")
+
+
+@needs_schemas
+@pytest.mark.parametrize("name", DCCS)
+def test_valid_by_lxml(name):
+    assert schema_faults(DCCS[name](), SCHEMAS, name) == []
+
+
+@pytest.fixture
+def catalog(tmp_path):
+    """A catalog that maps the imports of the schemas to files, as an environment for xmllint."""
+    import signxml
+
+    files = {
+        "https://ptb.de/si/v2.1.0/SI_Format.xsd": SCHEMAS / "SI_Format.xsd",
+        "https://www.ptb.de/dcc/d-sig/xmldsig-core-schema.xsd": Path(signxml.__file__).parent
+        / "schemas/xmldsig-core-schema.xsd",
+    }
+    lines = [
+        f'<{kind} {key}="{url}" uri="{file.resolve().as_uri()}"/>'
+        for url, file in files.items()
+        for kind, key in (("system", "systemId"), ("uri", "name"))
+    ]
+    path = tmp_path / "catalog.xml"
+    path.write_text(
+        f'<catalog xmlns="urn:oasis:names:tc:entity:xmlns:xml:catalog">{"".join(lines)}</catalog>'
+    )
+    return {**os.environ, "XML_CATALOG_FILES": str(path)}
+
+
+@needs_schemas
+@pytest.mark.parametrize("name", DCCS)
+def test_valid_by_xmllint(name, tmp_path, catalog):
+    path = tmp_path / "dcc.xml"
+    path.write_bytes(DCCS[name]())
+    command = [program("xmllint"), "--nonet", "--noout", "--schema", str(SCHEMAS / "dcc.xsd"), str(path)]
+    done = subprocess.run(command, capture_output=True, text=True, env=catalog, check=False)
+    assert (done.returncode, done.stderr.strip()) == (0, f"{path} validates")
+
+
+@pytest.fixture(scope="module")
+def other_schema():
+    """The schema compiled by the package xmlschema, an implementation in Python of its own."""
+    xmlschema = pytest.importorskip("xmlschema", reason="xmlschema, the second opinion, is not installed")
+    import signxml
+
+    return xmlschema.XMLSchema(
+        str(SCHEMAS / "dcc.xsd"),
+        locations={
+            "https://ptb.de/si": str(SCHEMAS / "SI_Format.xsd"),
+            "http://www.w3.org/2000/09/xmldsig#": str(
+                Path(signxml.__file__).parent / "schemas/xmldsig-core-schema.xsd"
+            ),
+        },
+        uri_mapper={
+            "https://ptb.de/si/v2.1.0/SI_Format.xsd": str(SCHEMAS / "SI_Format.xsd"),
+            "https://www.ptb.de/dcc/d-sig/xmldsig-core-schema.xsd": str(
+                Path(xmlschema.__file__).parent / "schemas/DSIG/xmldsig-core-schema.xsd"
+            ),
+        },
+    )
+
+
+@needs_schemas
+@pytest.mark.parametrize("name", DCCS)
+def test_valid_by_xmlschema(name, other_schema):
+    faults = [str(one) for one in other_schema.iter_errors(DCCS[name]().decode(), use_location_hints=False)]
+    assert faults == []
+
+
+@needs_schemas
+@pytest.mark.parametrize("mutation", MUTATIONS, ids=lambda one: one.name)
+def test_what_the_schema_finds_of_the_mutations(mutation):
+    """The table says what the schema lets pass; these are the reason for our own checks."""
+    assert bool(schema_faults(mutation.apply(), SCHEMAS, mutation.name)) == mutation.schema
+
+
+@needs_schemas
+def test_the_schema_lets_most_mutations_pass():
+    assert sum(not one.schema for one in MUTATIONS) >= 45
+
+
+@pytest.fixture(scope="module")
+def schematron():
+    """The rules that dcclib has beside the schema, compiled from its own Schematron file."""
+    dcclib = pytest.importorskip("dcclib", reason="dcclib, the second opinion, is not installed")
+    from dcclib.validation.schematron import SchematronValidator
+
+    rules = Path(dcclib.__file__).parent / "validation/schema/dcc.sch"
+    return SchematronValidator.from_file(str(rules))
+
+
+def remarks(schematron, data):
+    found = schematron.validate_str(data.decode())
+    stated = [
+        *found.failed_assertions,
+        *(one for one in found.successful_reports if one.role != "information"),
+    ]
+    return [" ".join(one.text.split()) for one in stated]
+
+
+@pytest.mark.parametrize("name", DCCS)
+def test_the_rules_of_dcclib_find_the_version_only(name, schematron):
+    (remark,) = remarks(schematron, DCCS[name]())
+    assert remark.startswith("Schema version outdated: You are using schema version '3.2.1'.")
+
+
+@pytest.mark.parametrize(
+    "name", ["reference to nothing", "id without reference", "end before begin", "release without a letter", "undeclared language"]
+)  # fmt: skip
+def test_dcclib_finds_mutations_too(name, schematron):
+    (mutation,) = [one for one in MUTATIONS if one.name == name]
+    assert len(remarks(schematron, mutation.apply())) >= 2
+
+
+@pytest.mark.parametrize("kind", ["rsa", "P-256", "P-384", "P-521"])
+def test_signatures_are_accepted_by_xmlsec1(kind, tmp_path):
+    key, certificate = lab_pki.seal(kind)
+    data = sign_dcc(dcc_mutations.full_dcc(), key, [certificate], signed_utc=lab_pki.signed_at())
+    trusted = tmp_path / "trusted.pem"
+    trusted.write_bytes(lab_pki.pem(lab_pki.authority()[1]))
+    path = tmp_path / "dcc.xml"
+    path.write_bytes(data)
+    command = [
+        program("xmlsec1"), "--verify", "--trusted-pem", str(trusted), "--enabled-key-data", "x509,rsa,ec",
+        "--verification-gmt-time", f"{lab_pki.signed_at():%Y-%m-%d %H:%M:%S}",
+        "--id-attr:Id", "http://uri.etsi.org/01903/v1.3.2#:SignedProperties", str(path),
+    ]  # fmt: skip
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    assert "(ok/all): 3/3" in done.stdout + done.stderr
+    path.write_bytes(data.replace(b">3346.4<", b">3346.5<", 1))
+    assert subprocess.run(command, capture_output=True, check=False).returncode != 0
+
+
+def test_units_are_known_to_dsiunits():
+    dsi_unit = pytest.importorskip("dsi_unit", reason="dsiunits, the second opinion, is not installed")
+    for unit in sorted(set(OUR_UNITS.values())):
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            found = dsi_unit.DsiUnit(unit)
+        assert found.valid, unit
+        assert not found.non_dsi_unit, unit
