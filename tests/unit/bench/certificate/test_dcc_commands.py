@@ -9,7 +9,6 @@ from bench.base.errors import EvidenceError, UsageError
 from bench.certificate.dcc_signature import sign_dcc
 from bench.commands.dcc_commands import check
 
-
 SIGNED = (
     "Signature: valid, by CN=Lab seal P-256,O=Lab (issued by CN=Lab authority,O=Lab), who states"
     " 2026-07-20 00:00:00 UTC as its time."
