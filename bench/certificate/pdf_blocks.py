@@ -76,7 +76,7 @@ def notice(title: str, lines: Sequence[str], *, warning: bool = False) -> Block:
     return {"kind": "notice", "title": title, "lines": list(lines), "tone": "warning" if warning else "plain"}
 
 
-def pairs(rows: Iterable[tuple[Cell, Cell]], label_mm: float = 42.0) -> Block:
+def pairs(rows: Iterable[tuple[Cell, Cell]], label_mm: float = 42.0, **layout: Any) -> Block:
     """Return names with their values; a row without a value is left out.
 
     Parameters
@@ -85,13 +85,15 @@ def pairs(rows: Iterable[tuple[Cell, Cell]], label_mm: float = 42.0) -> Block:
         Name and value.
     label_mm
         Width of the names, mm.
+    **layout
+        ``columns`` and ``size`` (points).
 
     Returns
     -------
     dict
         The block.
     """
-    return {"kind": "pairs", "rows": filled(rows), "label_mm": label_mm}
+    return {"kind": "pairs", "rows": filled(rows), "label_mm": label_mm, **layout}
 
 
 def filled(rows: Iterable[tuple[Cell, Cell]]) -> list[tuple[Cell, Cell]]:

@@ -1,4 +1,4 @@
-"""The sections of the certificate that hold numbers: results, conformity, projection, budgets, covariance, changes.
+"""The sections of the certificate that hold numbers: results, conformity, projection, covariance, changes.
 
 Turns the certificate into blocks; touches no files and computes nothing but correlations.
 """
@@ -7,11 +7,8 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Sequence
 
 from bench.certificate.certificate_data import (
-    Budget,
-    BudgetRow,
     Certificate,
     Conformity,
     Covariance,
@@ -24,14 +21,12 @@ from bench.certificate.pdf_blocks import (
     Block,
     Cell,
     at_the_point,
-    bullets,
     compact,
     freedom,
     heading,
     mono,
     pairs,
     paragraph,
-    percent,
     printed,
     stated,
     table,
@@ -47,13 +42,11 @@ _RIGHT: Align = "right"
 _MOST_COLUMNS = 8
 _FEW = 3
 """Statements of conformity, if no more, stay on one page with their rule and their words."""
-_ONE_PAGE = 30
-"""A budget with no more rows stays on one page."""
 _VERDICTS = {
     "pass": "the value is inside the limits by the guard band or more",
-    "conditionalPass": "the value is inside the limits, but closer to one than the guard band",
-    "conditionalFail": "the value is outside the limits, but closer to one than the guard band",
-    "fail": "the value is outside the limits by the guard band or more",
+    "conditionalPass": "the value is inside the limits, but by less than the guard band",
+    "conditionalFail": "the value is outside the limits, but by the guard band at most",
+    "fail": "the value is outside the limits by more than the guard band",
 }
 _POWER = re.compile(r"\^(\d+)")
 
@@ -140,7 +133,7 @@ def conformity(certificate: Certificate) -> list[Block]:
                 {"text": one.verdict, "verdict": one.verdict},
             ]
         )
-    used = {one.verdict for one in found}
+    unexplained = {one.verdict for one in found if f"{one.verdict}:" not in one.rule}
     said = f"Specification{'' if len(rules) == 1 else ' and decision rule'}"
     shown = table(
         ["Result", said, "Limits", "Value \N{PLUS-MINUS SIGN} U", "Guard band w", "Statement"],
@@ -149,10 +142,15 @@ def conformity(certificate: Certificate) -> list[Block]:
         size=8.2,
         pad=1.4,
     )
-    words = [f"{word}: {meaning}" for word, meaning in _VERDICTS.items() if word in used]
-    rule = [paragraph(f"Decision rule: {found[0].rule}", sticky=True)] if len(rules) == 1 else []
-    blocks = [*rule, shown, paragraph("; ".join(words) + ".", "note")]
+    words = [f"{word}: {meaning}" for word, meaning in _VERDICTS.items() if word in unexplained]
+    legend = [paragraph("; ".join(words) + ".", "note")] if words else []
+    blocks = [*([_rule(found[0].rule)] if len(rules) == 1 else []), shown, *legend]
     return [together(*blocks)] if len(rows) <= _FEW else blocks
+
+
+def _rule(text: str) -> Block:
+    named = text if text.casefold().startswith("decision rule") else f"Decision rule: {text}"
+    return paragraph(named, sticky=True)
 
 
 def _with_uncertainty(one: Result) -> str:
@@ -186,93 +184,6 @@ def projection(certificate: Certificate) -> list[Block]:
         return []
     rows = [[one.name[:1].upper() + one.name[1:], printed(one.text)] for one in certificate.further]
     return [table(["Quantity", "Value"], rows, [1, "auto"], ["left", "right"], size=8.2)]
-
-
-def budgets(certificate: Certificate) -> list[Block]:
-    """Return one table for each result, and the list of the sources that they refer to.
-
-    Parameters
-    ----------
-    certificate
-        The certificate.
-
-    Returns
-    -------
-    list of dict
-        The blocks.
-    """
-    sources = _sources(certificate.budgets)
-    blocks: list[Block] = []
-    remarks: list[str] = []
-    for one in certificate.budgets:
-        title = f"{one.symbol}, in {one.unit}" if one.unit != "1" else f"{one.symbol}, a pure number"
-        parts = heading(title), _budget(one, sources)
-        blocks += [together(*parts)] if len(one.rows) <= _ONE_PAGE else parts
-        remarks += [text for text in one.remarks if text not in remarks]
-    legend = (
-        "uᵢ is the contribution to the standard uncertainty of the result, in the unit of the result. Share is its part"
-        " of the variance. A dash stands where the joint adjustment itself gives the contribution. [S1] and so on refer"
-        " to the list of sources after the last budget."
-    )
-    return [
-        paragraph(legend, "note", sticky=True),
-        *blocks,
-        *([bullets(remarks)] if remarks else []),
-        *_source_list(sources),
-    ]
-
-
-def _sources(found: Sequence[Budget]) -> dict[tuple[str, str, str, str], str]:
-    """Number the sources of all budgets in the order of their first use."""
-    keys = dict.fromkeys(_key(row) for one in found for row in one.rows)
-    return {key: f"S{number}" for number, key in enumerate(keys, 1)}
-
-
-def _key(row: BudgetRow) -> tuple[str, str, str, str]:
-    return row.source, row.number, row.date, row.sha256
-
-
-def _budget(one: Budget, sources: dict[tuple[str, str, str, str], str]) -> Block:
-    rows: list[list[Cell]] = [
-        [
-            f"{row.name} [{sources[_key(row)]}]",
-            row.type,
-            with_unit(stated(row.value, 5), row.unit),
-            row.distribution,
-            compact(row.divisor, 4),
-            with_unit(compact(row.sensitivity), row.sensitivity_unit),
-            compact(row.u),
-            percent(row.share),
-            freedom(row.nu),
-        ]
-        for row in one.rows
-    ]
-    total = (
-        f"Combined standard uncertainty {with_unit(compact(one.u, 4), one.unit)};"
-        f" effective degrees of freedom {freedom(one.nu_eff)};"
-        f" k = {compact(one.k, 4)}; U = {with_unit(compact(one.U, 2), one.unit)}"
-    )
-    return table(
-        [
-            "Source of uncertainty", "Type", "Value", "Distribution", "Divisor", "Sensitivity",
-            with_index("u", "i"), "Share, %", NU,
-        ],
-        rows,
-        [2.35, "auto", 1.15, "auto", "auto", 1.4, "auto", "auto", "auto"],
-        ["left", "left", "right", "left", "right", "right", "right", "right", "right"],
-        size=6.6, pad=0.75, gap=0.8, foot=total,
-    )  # fmt: skip
-
-
-def _source_list(sources: dict[tuple[str, str, str, str], str]) -> list[Block]:
-    if not sources:
-        return []
-    rows: list[list[Cell]] = []
-    for (source, number, date, sha256), label in sources.items():
-        certificate = ", ".join(filter(None, (number, date)))
-        rows.append([label, source or NOTHING, certificate or NOTHING, mono(sha256) or NOTHING])
-    head: list[Cell] = ["", "Source", "Certificate", "SHA-256 of the certificate's file"]
-    return [heading("Sources of the budgets"), table(head, rows, ["auto", 1.1, 0.9, 1.2], size=7.0, pad=0.9)]
 
 
 def covariance(certificate: Certificate) -> list[Block]:

@@ -25,6 +25,7 @@ from bench.certificate.pdf_blocks import (
     with_note,
     with_unit,
 )
+from bench.certificate.pdf_budgets import budgets
 from bench.certificate.pdf_evidence import authorisation, verification
 from bench.certificate.pdf_plots import Picture
 
@@ -36,10 +37,10 @@ _MEASURED = {"run": "recorded by the run", "laboratory": "stated by the laborato
 _SHORT = 8
 """A table with no more rows stays on one page."""
 _SYMBOLS: tuple[tuple[Cell, Cell], ...] = (
-    ("fx, fy", "focal length in pixels, along rows (x) and along columns (y) of the image"),
+    ("fx, fy", "focal length in pixels, along rows and along columns of the image"),
     (
         "cx, cy",
-        "principal point: where the optical axis meets the image; pixel centres are at whole numbers, from 0",
+        "principal point in the image; pixel centres are at whole numbers, from 0",
     ),
     ("k1 to k6, p1, p2", "coefficients of the lens: radial and tangential distortion"),
     ("u", "standard uncertainty (JCGM 100, 2.3.1)"),
@@ -86,7 +87,7 @@ def sections(
         ("Conditions", _conditions(certificate.conditions)),
         ("Method and deviations", _method(certificate)),
         ("Metrological traceability", _traceability(certificate)),
-        ("Uncertainty budgets", pdf_results.budgets(certificate)),
+        ("Uncertainty budgets", budgets(certificate)),
         ("Covariance and correlation of the results", pdf_results.covariance(certificate)),
         ("Results before adjustment", _before(certificate)),
         ("Amendments", _amendments(certificate)),
@@ -95,7 +96,7 @@ def sections(
         ("Statements", _statements(certificate)),
         ("Authorisation", authorisation(certificate)),
         ("How to verify this certificate", verification(certificate, attachments)),
-        ("Symbols", [pairs(_SYMBOLS, label_mm=32)]),
+        ("Symbols", [pairs(_SYMBOLS, label_mm=22, columns=2, size=7.2)]),
     ]
     return [{"title": title, "blocks": blocks} for title, blocks in found if blocks]
 
@@ -134,7 +135,9 @@ def _conditions(found: Sequence[Condition]) -> list[Block]:
 def _method(certificate: Certificate) -> list[Block]:
     method = certificate.method
     blocks: list[Block] = [
-        pairs([("Procedure", f"{method.id}, version {method.version}"), ("Principle", method.text)]),
+        together(
+            pairs([("Procedure", f"{method.id}, version {method.version}"), ("Principle", method.text)])
+        ),
         heading("Deviations, additions and exclusions"),
     ]
     if certificate.deviations:

@@ -3,6 +3,7 @@
 Each test is skipped where its program is missing; the reason names it.
 """
 
+import dataclasses
 import hashlib
 import re
 import shutil
@@ -217,10 +218,41 @@ class TestOpenSsh:
         assert answers[2].startswith('Good "starbench-authorisation@v1" signature for grace.hopper')
 
 
+class TestLongTexts:
+    def test_no_word_is_lost_and_none_leaves_the_paper(self, tmp_path):
+        """Texts longer than a page, in places that otherwise stay on one page."""
+        full, said_words = full_certificate(), []
+
+        def long(tag):
+            said_words.extend(f"{tag}{number}" for number in range(900))
+            return " ".join(said_words[-900:])
+
+        certificate = dataclasses.replace(
+            full,
+            item=dataclasses.replace(full.item, condition=long("condition")),
+            customer=dataclasses.replace(full.customer, name="N" * 2000),
+            amends=dataclasses.replace(full.amends, reason=long("reason")),
+            method=dataclasses.replace(full.method, text=long("method")),
+            conformity=(dataclasses.replace(full.conformity[0], specification=long("specification")),),
+            authorised_by=dataclasses.replace(full.authorised_by, role=long("role")),
+            opinions=(long("opinion"),),
+            conditions=full.conditions * 30,
+        )
+        path = tmp_path / "certificate.pdf"
+        path.write_bytes(render_pdf(certificate, {}, {}, {}))
+        assert set(said_words) <= set(re.split(r"[\s,]+", "\n".join(pages(path))))
+        boxes = re.findall(
+            r'xMin="(\S+)" yMin="(\S+)" xMax="(\S+)" yMax="(\S+)"', said("pdftotext", "-bbox", path, "-")
+        )
+        at = np.array(boxes, float)
+        assert len(at) > len(said_words)
+        assert (at[:, :2] >= 0).all()
+        assert (at[:, 2] <= 595.3).all()
+        assert (at[:, 3] <= 841.9).all()
+
+
 class TestOtherScripts:
     def test_right_to_left_letters_and_codes_are_found_in_the_text(self, tmp_path):
-        import dataclasses
-
         certificate = small_certificate()
         customer = dataclasses.replace(certificate.customer, name="שלום Ωμέγα Жуков")
         noted = (Deviation("pose \N{CJK UNIFIED IDEOGRAPH-5C71} was skipped", "run"),)
