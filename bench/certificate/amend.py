@@ -16,6 +16,8 @@ from bench.certificate.folder import PLOTS, refuse_occupied, require_libraries
 from bench.certificate.issue import Issued, Laboratory, make_certificate
 from bench.certificate.lab_config import read_lab
 from bench.certificate.sealed_run import Source
+from bench.certificate.series import refuse_old
+from bench.certificate.series_numbers import numbers
 from bench.evidence.findings import Verification
 from bench.records.run_folder import MANIFEST, RESULTS
 from bench.records.storage import sha256_of, storage_errors
@@ -58,6 +60,7 @@ def amend(old: Path, lab_file: Path, folder: Path, laboratory: Laboratory, *, re
     refuse_occupied(folder)
     lab = read_lab(lab_file)
     before, source = _read_certificate(old, laboratory.verify(old))
+    refuse_old(numbers(laboratory.ledger.entries()), before.number)
     with storage_errors(old):
         digest = sha256_of(old / MANIFEST)
 

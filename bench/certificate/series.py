@@ -199,7 +199,7 @@ def _own_open_number(found: Mapping[str, Numbered], wanted: Wanted) -> Numbered 
 
 
 def refuse_second(found: Mapping[str, Numbered], wanted: Wanted) -> None:
-    """Refuse a second certificate of a run, and an amendment of anything but the newest certificate.
+    """Refuse a second certificate of a run without a reason, and an amendment of anything but the newest certificate.
 
     Parameters
     ----------
@@ -211,20 +211,10 @@ def refuse_second(found: Mapping[str, Numbered], wanted: Wanted) -> None:
     Raises
     ------
     EvidenceError
-        When the run has a certificate already and there is no reason for another one, or when what is to be amended is
-        unknown, void, or superseded.
+        When it is refused.
     """
     if wanted.amends:
-        old = found.get(wanted.amends)
-        if old is None or not old.is_newest:
-            state = "is not in this ledger" if old is None else f"is {old.how}"
-            if old is not None and old.superseded_by:
-                state = f"was replaced by {old.superseded_by}"
-            newest = f" Amend {_newest(found, old).number}." if old is not None and old.superseded_by else ""
-            raise EvidenceError(
-                f"Certificate {wanted.amends} cannot be amended: it {state}.",
-                remedy=f"Only the newest certificate can be amended.{newest}",
-            )
+        refuse_old(found, wanted.amends)
         return
     first = next((one for one in found.values() if one.run_seal == wanted.run_seal and one.is_newest), None)
     if first is not None and not wanted.also:
@@ -234,6 +224,31 @@ def refuse_second(found: Mapping[str, Numbered], wanted: Wanted) -> None:
             remedy="To correct it: `starbench certificate amend`. If a second one is needed, give its reason, which"
             " is printed: --also TEXT.",
         )
+
+
+def refuse_old(found: Mapping[str, Numbered], number: str) -> None:
+    """Refuse to amend a certificate that is not the newest one, or is not in this ledger.
+
+    Parameters
+    ----------
+    found
+        All numbers.
+    number
+        Number of the certificate that is to be amended.
+
+    Raises
+    ------
+    EvidenceError
+        When it is unknown, void or superseded.
+    """
+    old = found.get(number)
+    if old is not None and old.is_newest:
+        return
+    what = "it is not in the ledger of this bench" if old is None else f"it is {old.how}"
+    remedy = "Only the newest certificate can be amended, on the bench that issued it."
+    if old is not None and old.superseded_by:
+        what, remedy = f"{old.superseded_by} replaced it", f"Amend {_newest(found, old).number}."
+    raise EvidenceError(f"Certificate {number} cannot be amended: {what}.", remedy=remedy)
 
 
 def _newest(found: Mapping[str, Numbered], one: Numbered) -> Numbered:

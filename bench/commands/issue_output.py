@@ -259,7 +259,8 @@ def _summary(certificate: Certificate, state: str) -> list[str]:
     camera = f"{item.camera.maker} {item.camera.model}, {item.camera.serial}"
     lens = f"{item.lens.maker} {item.lens.model}, {item.lens.serial or 'without number'}"
     lines = [
-        f"{certificate.title} {certificate.number}: {state} by its signatures (`starbench verify` checks all files)",
+        f"{certificate.title} {certificate.number}",
+        f"State:      {state}",
         f"Laboratory: {certificate.laboratory.name}",
         f"Customer:   {certificate.customer.name}",
         f"Item:       {camera}; lens {lens}",
