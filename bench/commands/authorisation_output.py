@@ -16,6 +16,8 @@ from bench.base.errors import EvidenceError, UsageError
 from bench.base.home import home_folder
 from bench.commands.evidence_output import ask_passphrase
 from bench.commands.output import STOPPED, print_json
+from bench.records.run_folder import MANIFEST, RESULTS, SIGNATURE
+from bench.records.storage import storage_errors
 
 if TYPE_CHECKING:
     from bench.evidence.key_trust import Trust
@@ -63,6 +65,8 @@ def authorise_folder(
     if as_json and not yes:
         raise UsageError("--json cannot ask for confirmation.", remedy="Add --yes.")
     require_unauthorised(folder)
+    with storage_errors(folder):
+        seal = (folder / SIGNATURE).read_bytes()
     trust = read_trust(home_folder(), allowed_signers=allowed_signers)
     _refuse_unverified(folder, trust)
     key = find_key(key_name, agent_socket(), _passphrase)
@@ -74,7 +78,7 @@ def authorise_folder(
     if not yes and not click.confirm("Do you authorise this?", err=True):
         click.echo("Not authorised.", err=True)
         return STOPPED
-    authorise(folder, key, trust, now)
+    authorise(folder, key, trust, now, seal)
     if as_json:
         shown = {
             "schema": "starbench/authorised/1",
@@ -104,7 +108,6 @@ def facts_of(folder: Path) -> dict[str, str]:
         Text by name, in the order in which it is shown.
     """
     from bench.evidence.instructions import kind_of
-    from bench.records.run_folder import MANIFEST, RESULTS
 
     kind = kind_of(folder)
     certificate = _read_json(folder / "certificate.json")

@@ -15,6 +15,7 @@ from bench.commands.evidence_output import ask_passphrase
 from bench.commands.output import print_json
 
 if TYPE_CHECKING:
+    from bench.evidence.keys import BenchKey
     from bench.evidence.revocation import RevokedKey
     from bench.evidence.signers import Signer
 
@@ -264,6 +265,27 @@ def revoke_key(text: str, *, reason: str, since: datetime | None) -> int:
     if own.exists() and _public_key(_text_of(str(own))) == public_key:
         click.echo("This is this bench's own key. Replace it now: starbench keys rotate --old-key delete")
     return 0
+
+
+def key_or_draft() -> BenchKey | None:
+    """Return the bench's key for results that may stay a draft; say on standard error why, if there is none.
+
+    Returns
+    -------
+    BenchKey or None
+        The key; None if there is no key on this computer, or it cannot be used.
+    """
+    from bench.base.errors import BenchError
+    from bench.evidence.keys import load_key, require_usable
+
+    home = home_folder()
+    try:
+        key = load_key(home, ask_passphrase=ask_passphrase)
+        require_usable(home, key, datetime.now(UTC))
+    except BenchError as error:
+        click.echo(f"DRAFT: the results will not be sealed. {error}", err=True)
+        return None
+    return key
 
 
 def _read_lists(home: Path) -> tuple[list[Signer], list[RevokedKey]]:

@@ -113,7 +113,7 @@ def _not_signed(signature: SshSignature, signed: bytes | None) -> str:
     return "" if is_valid(signature, signed) else f"the signature does not match this {SIGNATURE}"
 
 
-def authorise(folder: Path, key: SigningKey, trust: Trust, now: datetime) -> str:
+def authorise(folder: Path, key: SigningKey, trust: Trust, now: datetime, seal: bytes | None = None) -> str:
     """Authorise a sealed folder with a person's key.
 
     Parameters
@@ -126,6 +126,8 @@ def authorise(folder: Path, key: SigningKey, trust: Trust, now: datetime) -> str
         Whom the bench trusts; the person's key must be among them.
     now
         The present time, with its time zone.
+    seal
+        The bytes of ``SHA256SUMS.sig`` that were verified and shown; None if nobody can have changed them since.
 
     Returns
     -------
@@ -142,6 +144,12 @@ def authorise(folder: Path, key: SigningKey, trust: Trust, now: datetime) -> str
     person = require_authorisable(folder, key.public_key, trust, now)
     with storage_errors(folder):
         signed = (folder / SIGNATURE).read_bytes()
+    if seal is not None and seal != signed:
+        raise EvidenceError(
+            "The seal was replaced while the folder was checked; nothing was signed.",
+            where=str(folder),
+            remedy="Find out who writes to this folder, and begin again.",
+        )
     armoured = sign_with(key, signed, AUTHORISATION_NAMESPACE)
     if not is_valid(read_signature(armoured), signed):
         raise EvidenceError(

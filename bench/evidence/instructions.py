@@ -19,9 +19,25 @@ _WHAT = {
     "files": "a set of files made by Starbench",
 }
 
+_MORE = {
+    "run": "",
+    "certificate": """
+certificate.json names the person who is to authorise it (authorised_by), with the fingerprint of the
+person's key. ssh-keygen must print the same fingerprint.
+""",
+    "results": """
+sources.json names the files that these results were calculated from, with their SHA-256. To check one:
+sha256sum FILE.
+""",
+    "files": "",
+}
+
 _TEXT = """\
 This folder is {what}, sealed by the bench that made it.
-To check it you need OpenSSH (8.1 or newer) and sha256sum, nothing else. In this folder:
+To check it you need OpenSSH (8.9 or newer), sha256sum, and for time stamps openssl, nothing else.
+Run the commands in this folder.
+
+1. THE SEAL: which bench made these files, and that none was changed
 
     ssh-keygen -Y verify -f allowed_signers -I {principal} -n starbench-report@v1 -s SHA256SUMS.sig < SHA256SUMS
     sha256sum --strict --quiet -c SHA256SUMS
@@ -39,6 +55,31 @@ can change the folder could change the list too. Get the list from the laborator
 key that signed here has the fingerprint
 
     {fingerprint}
+
+2. THE AUTHORISATION: which person approved it
+
+Without a file SHA256SUMS.authorised.sig, no person has authorised this folder. Otherwise find the name
+of the person, and verify with it in the place of PERSON:
+
+    ssh-keygen -Y find-principals -f allowed_signers -s SHA256SUMS.authorised.sig
+    ssh-keygen -Y verify -f allowed_signers -I PERSON -n starbench-authorisation@v1 \\
+        -s SHA256SUMS.authorised.sig < SHA256SUMS.sig
+{more}
+3. THE TIME: that it is not younger than a time stamp says
+
+Without a file SHA256SUMS.tsr or SHA256SUMS.authorised.tsr, only the bench's own clock states a time.
+tsa_certificates.pem holds the root certificates of time stamping authorities that you trust:
+
+    openssl ts -verify -in SHA256SUMS.tsr -data SHA256SUMS.sig -CAfile tsa_certificates.pem
+    openssl ts -reply -in SHA256SUMS.tsr -text
+
+    openssl ts -verify -in SHA256SUMS.authorised.tsr -data SHA256SUMS.authorised.sig -CAfile tsa_certificates.pem
+    openssl ts -reply -in SHA256SUMS.authorised.tsr -text
+
+4. KEYS that have expired or were revoked
+
+ssh-keygen judges a key for today. To judge it for the time of a time stamp, add to its commands:
+-O verify-time=YYYYMMDDHHMMSSZ. To refuse revoked keys, add: -r revoked_keys (a list from the laboratory).
 
 With Starbench at hand, `starbench verify` makes these checks and more. The folder is read-only; to
 delete it: chmod -R u+w, then rm -r.
@@ -78,4 +119,4 @@ def instructions(kind: str, *, principal: str, fingerprint: str) -> str:
     str
         The text.
     """
-    return _TEXT.format(what=_WHAT[kind], principal=principal, fingerprint=fingerprint)
+    return _TEXT.format(what=_WHAT[kind], more=_MORE[kind], principal=principal, fingerprint=fingerprint)

@@ -351,7 +351,9 @@ def load_key(folder: Path, *, ask_passphrase: Callable[[Path], bytes] | None = N
     """
     path = folder / KEY_FILE
     if not path.exists():
-        raise EvidenceError("There is no key.", where=str(path), remedy="Make one with `starbench keys`.")
+        raise EvidenceError(
+            "There is no key.", where=str(path), remedy="Make one with `starbench keys create`."
+        )
     with storage_errors(path):
         refuse_readable_by_others(path)
         refuse_writable_by_others(path, "the bench's key")

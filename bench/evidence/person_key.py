@@ -100,19 +100,22 @@ def load_file_key(path: Path, ask_passphrase: Callable[[Path], bytes]) -> FileKe
         with path.open("rb") as stream:
             data = stream.read(_MOST_BYTES)
     load = serialization.load_ssh_private_key if b"OPENSSH" in data else serialization.load_pem_private_key
+    is_protected = False
     try:
         try:
             private = load(data, password=None)
         except TypeError:  # cryptography raises it if the key is protected
+            is_protected = True
             private = load(data, password=ask_passphrase(path))
         if not isinstance(private, Ed25519PrivateKey | ec.EllipticCurvePrivateKey | rsa.RSAPrivateKey):
             raise ValueError("its type of key is not supported")  # noqa: TRY301, TRY004 - told below
         PublicKey.parse(encode_public_key(private.public_key()))
     except (ValueError, UnsupportedAlgorithm) as error:
+        why = "the passphrase is wrong, or the file is damaged" if is_protected else _reason(error)
         raise EvidenceError(
-            f"The key cannot be used: {_reason(error)}.",
+            f"The key cannot be used: {why}.",
             where=str(path),
-            remedy="Check the passphrase. A key in a token is used by ssh-agent: name its file .pub.",
+            remedy="Try again. A key in a token is used by ssh-agent: name its file .pub.",
         ) from error
     return FileKey(private)
 

@@ -1,6 +1,8 @@
-"""Writes an offline calibration to a folder: results.json, report, exports, and the hashes of its input files.
+"""Writes an offline calibration to a folder: results.json, report, exports, the hashes of its input files, and a seal.
 
-The results have the schema of a run's, as far as files without devices can give it. The run is marked ``offline``.
+The results have the schema of a run's, as far as files without devices can give it. The run is marked ``offline``, and
+a sentence says that it is a recalculation. The seal covers the hashes of the input files and of the seals of the runs
+that they are from. Without a key the folder is a draft.
 """
 
 from __future__ import annotations
@@ -12,10 +14,12 @@ from pathlib import Path
 from typing import Any
 
 from bench.base.errors import UsageError
+from bench.evidence.keys import BenchKey
+from bench.evidence.seal import seal_folder
 from bench.plan.job import Job
 from bench.records.history import replay
 from bench.records.journal import read_journal
-from bench.records.run_folder import JOURNAL, PASSPORT_COPY, REPORT, RESULTS
+from bench.records.run_folder import JOURNAL, MANIFEST, PASSPORT_COPY, REPORT, RESULTS, is_sealed
 from bench.records.storage import make_folder, sha256_of, storage_errors, write_atomic
 from bench.report.html import ReportData, render_report
 from bench.report.view_picture import ViewPicture
@@ -27,6 +31,11 @@ from bench.results.view_sources import PHOTOGRAPHS, ViewSource
 
 SOURCES = "sources.json"
 SCHEMA = "starbench/sources/1"
+RECALCULATION = (
+    "These results are a recalculation: they were calculated from existing files, without devices, and are not the"
+    " record of a run."
+)
+"""What results.json states about results that were not calculated by a run."""
 
 
 def require_new(folder: Path) -> None:
@@ -54,28 +63,33 @@ def require_new(folder: Path) -> None:
         )
 
 
-def write_offline_results(result: OfflineResult, folder: Path) -> None:
-    """Write an offline calibration to a new folder.
+def write_offline_results(result: OfflineResult, folder: Path, key: BenchKey | None = None) -> None:
+    """Write an offline calibration to a new folder, and seal it.
 
     Parameters
     ----------
     result
         The calibration and its views.
     folder
-        The folder; it is made if it does not exist. ``results.json`` is written last.
+        The folder; it is made if it does not exist. ``results.json`` is written last, before the seal.
+    key
+        The bench's key; None leaves the folder a draft.
 
     Raises
     ------
     UsageError
         If the folder is not empty.
+    EvidenceError
+        If the folder cannot be sealed.
     StorageError
         If a file cannot be read or written.
     """
     require_new(folder)
     sources = [_source(source, view.name) for source, view in zip(result.sources, result.views, strict=True)]
-    results = offline_results(result, folder.resolve().name, sources)
+    results = offline_results(result, folder.resolve().name, sources, key)
+    runs = results["run"]["of_runs"]
     make_folder(folder / "exports")
-    write_atomic(folder / SOURCES, _json_bytes({"schema": SCHEMA, "sources": sources}))
+    write_atomic(folder / SOURCES, _json_bytes({"schema": SCHEMA, "runs": runs, "sources": sources}))
     if result.passport is not None:
         write_atomic(folder / PASSPORT_COPY, result.passport.data)
     written = exports(result.calibration, camera_name=_camera_name(result), target=result.target)
@@ -84,9 +98,13 @@ def write_offline_results(result: OfflineResult, folder: Path) -> None:
     html = render_report(ReportData(results, _pictures(result)))
     write_atomic(folder / REPORT, html.encode())
     write_atomic(folder / RESULTS, _json_bytes(results))
+    if key is not None:
+        seal_folder(folder, key)
 
 
-def offline_results(result: OfflineResult, name: str, sources: Sequence[dict[str, Any]]) -> dict[str, Any]:
+def offline_results(
+    result: OfflineResult, name: str, sources: Sequence[dict[str, Any]], key: BenchKey | None = None
+) -> dict[str, Any]:
     """Return the content of results.json of an offline calibration.
 
     Parameters
@@ -97,6 +115,8 @@ def offline_results(result: OfflineResult, name: str, sources: Sequence[dict[str
         Name of the calibration, as the report prints it.
     sources
         Path, size and hash of each input file.
+    key
+        The bench's key that will seal the folder; None if it stays a draft.
 
     Returns
     -------
@@ -117,6 +137,9 @@ def offline_results(result: OfflineResult, name: str, sources: Sequence[dict[str
         "run": {
             "id": name,
             "offline": True,
+            "statement": RECALCULATION,
+            "sealed_by": {"principal": key.principal, "fingerprint": key.fingerprint} if key else None,
+            "of_runs": _runs(result),
             "calibrated_utc": now,
             "of_run": started.get("id"),
             "sequence": started.get("sequence"),
@@ -179,6 +202,18 @@ def _source(source: ViewSource, view: str) -> dict[str, Any]:
             "size_bytes": size,
             "sha256": sha256_of(source.path),
         }
+
+
+def _runs(result: OfflineResult) -> list[dict[str, Any]]:
+    """Return id and SHA-256 of the seal of each run that recordings are from; None for a run that is not sealed."""
+    runs = []
+    folders = {source.path.resolve().parent.parent: source for source in result.sources if source.job}
+    for folder, source in folders.items():
+        manifest = folder / MANIFEST
+        with storage_errors(manifest):
+            sealed = sha256_of(manifest) if is_sealed(folder) and manifest.is_file() else None
+        runs.append({"id": _started(source).get("id"), "folder": str(folder), "seal_sha256": sealed})
+    return runs
 
 
 def _camera_name(result: OfflineResult) -> str:
