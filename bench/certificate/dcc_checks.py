@@ -1,7 +1,7 @@
 """Checks of a digital calibration certificate that its schema does not make: is it complete, does it contradict itself.
 
 `check_dcc` needs neither schema nor network. It is meant for DCCs of Starbench; most checks hold for others too.
-Numbers and covariances are checked in `dcc_numbers` and `dcc_covariance`, signatures in `dcc_signature`.
+Numbers are checked in `dcc_numbers`, `dcc_covariance` and `dcc_budgets`, signatures in `dcc_signature`.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ from datetime import date
 from decimal import Decimal
 from typing import TYPE_CHECKING
 
+from bench.certificate.dcc_budgets import budget_faults
 from bench.certificate.dcc_covariance import covariance_faults
 from bench.certificate.dcc_numbers import (
     StatedResult,
@@ -302,6 +303,7 @@ CHECKS = (
     coverage_faults,
     digit_faults,
     covariance_faults,
+    budget_faults,
     _conformity_faults,
 )
 """The checks that `check_dcc` makes, in this order."""

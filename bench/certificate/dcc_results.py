@@ -12,6 +12,8 @@ from bench.certificate.dcc_parties import CAMERA_ID, LENS_ID, PIXEL_ID, SUPPLIED
 from bench.certificate.dcc_units import d_si_unit, product
 from bench.certificate.dcc_words import (
     BUDGET,
+    COMBINED,
+    CONTRIBUTION,
     DEGREES_OF_FREEDOM,
     EARLIER,
     JOINT,
@@ -283,7 +285,7 @@ def _add_budget(parent: _Element, budget: Budget) -> None:
         _add_budget_row(add(data, "dcc:list"), row, budget.unit)
     total = add(data, "dcc:list")
     add_text(total, "dcc:name", "Combined")
-    add_number(total, "combined standard uncertainty", budget.u, budget.unit, BUDGET)
+    add_number(total, COMBINED, budget.u, budget.unit, BUDGET)
     if budget.nu_eff is not None:
         add_number(total, "effective degrees of freedom", budget.nu_eff, "1", BUDGET)
     add_number(total, "coverage factor k", budget.k, "1", BUDGET)
@@ -305,7 +307,7 @@ def _add_budget_row(parent: _Element, row: BudgetRow, unit: str) -> None:
         ("stated value", row.value, row.unit),
         ("divisor", row.divisor, "1"),
         ("sensitivity", row.sensitivity, row.sensitivity_unit),
-        ("contribution to the standard uncertainty", row.u, unit),
+        (CONTRIBUTION, row.u, unit),
         ("share of the variance", row.share, "1"),
         ("degrees of freedom", row.nu, "1"),
     ):

@@ -8,33 +8,33 @@ padding of PKCS#1 v1.5, or ECDSA with the nonces of RFC 6979. signxml makes and 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from cryptography import x509
 from cryptography.exceptions import InvalidSignature, UnsupportedAlgorithm
-from cryptography.hazmat.primitives import hashes, serialization
+from cryptography.hazmat.primitives import hashes
 from cryptography.hazmat.primitives.asymmetric import ec, rsa
 
 from bench.base.errors import EvidenceError
+from bench.certificate.dcc_keys import (
+    EC_METHODS,
+    MOST_CERTIFICATES,
+    PrivateKey,
+    in_order,
+    leads_to,
+    name_of,
+    refuse_unfit,
+)
 from bench.certificate.dcc_xml import DS, NAMESPACES, ROOT, SIGNATURE, library, read_dcc, short, to_bytes
-from bench.evidence.safe_files import refuse_readable_by_others
-from bench.records.storage import storage_errors
 
 if TYPE_CHECKING:
     from lxml.etree import _Element
 
-PrivateKey = rsa.RSAPrivateKey | ec.EllipticCurvePrivateKey
-
-_LEAST_RSA_BITS = 2048
-_EC_METHODS = {"secp256r1": "ecdsa-sha256", "secp384r1": "ecdsa-sha384", "secp521r1": "ecdsa-sha512"}
 _METHODS = ("RSA_SHA256", "RSA_SHA384", "RSA_SHA512", "ECDSA_SHA256", "ECDSA_SHA384", "ECDSA_SHA512")
 _DIGESTS = ("SHA256", "SHA384", "SHA512")
-_MOST_CERTIFICATES = 10
-_KEY_FORM = "Use a key in PEM: RSA of 2048 bits or more, or ECDSA on P-256, P-384 or P-521."
 _TAMPERED = "The document was changed after it was signed, or the signature is not one of XAdES."
 
 
@@ -62,97 +62,6 @@ class DccSignature:
     fingerprint: str
     stated_utc: datetime
     trusted: bool
-
-
-def load_signing_key(path: Path, *, ask_passphrase: Callable[[Path], bytes] | None = None) -> PrivateKey:
-    """Load the laboratory's key for signatures in XML.
-
-    Parameters
-    ----------
-    path
-        Its file, PEM, which only its owner can read.
-    ask_passphrase
-        Returns the passphrase of a protected key; None if nobody can be asked.
-
-    Returns
-    -------
-    RSAPrivateKey or EllipticCurvePrivateKey
-        The key.
-
-    Raises
-    ------
-    EvidenceError
-        When others can read the file, it is protected and nobody can be asked, or it is not a key that can sign.
-    StorageError
-        When it cannot be read.
-    """
-    with storage_errors(path):
-        refuse_readable_by_others(path)
-        secret = path.read_bytes()
-    try:
-        key = _load_pem_key(secret, path, ask_passphrase)
-    except (ValueError, TypeError, UnsupportedAlgorithm) as error:
-        raise EvidenceError(
-            "The key cannot be read: wrong passphrase, or not a private key in PEM.",
-            where=str(path),
-            remedy=_KEY_FORM,
-        ) from error
-    if isinstance(key, rsa.RSAPrivateKey) and key.key_size >= _LEAST_RSA_BITS:
-        return key
-    if isinstance(key, ec.EllipticCurvePrivateKey) and key.curve.name in _EC_METHODS:
-        return key
-    raise EvidenceError("This key cannot sign XML.", where=str(path), remedy=_KEY_FORM)
-
-
-def _load_pem_key(secret: bytes, path: Path, ask_passphrase: Callable[[Path], bytes] | None) -> object:
-    if b"ENCRYPTED" not in secret:
-        return serialization.load_pem_private_key(secret, password=None)
-    if ask_passphrase is None:
-        raise EvidenceError(
-            "The key is protected by a passphrase, and there is no terminal to ask for it.",
-            where=str(path),
-            remedy="Run in a terminal.",
-        )
-    return serialization.load_pem_private_key(secret, password=ask_passphrase(path))
-
-
-def load_certificates(path: Path) -> tuple[x509.Certificate, ...]:
-    """Load certificates in PEM: the laboratory's chain, or certificates that a reader trusts.
-
-    Parameters
-    ----------
-    path
-        The file.
-
-    Returns
-    -------
-    tuple of Certificate
-        The certificates, in the order of the file.
-
-    Raises
-    ------
-    EvidenceError
-        When the file has none, more than ten, or one that cannot be read.
-    StorageError
-        When it cannot be read.
-    """
-    with storage_errors(path):
-        data = path.read_bytes()
-    try:
-        found = tuple(x509.load_pem_x509_certificates(data))
-    except ValueError as error:
-        raise EvidenceError(
-            "The file has no certificates in PEM.",
-            where=str(path),
-            remedy="Name a file with `-----BEGIN CERTIFICATE-----`.",
-        ) from error
-    if len(found) > _MOST_CERTIFICATES:
-        raise EvidenceError(
-            f"The file has {len(found)} certificates; a chain has at most {_MOST_CERTIFICATES}.",
-            where=str(path),
-            remedy="Name a file with the chain alone.",
-        )
-    return found
 
 
 def sign_dcc(
@@ -191,12 +100,12 @@ def sign_dcc(
         )
     if to_bytes(root) != data:
         raise EvidenceError("The DCC was not written by Starbench.", remedy="Sign it with another program.")
-    ordered = _ordered(chain, key)
-    _refuse_unfit(ordered[0], signed_utc)
+    ordered = in_order(chain, key)
+    refuse_unfit(ordered[0], signed_utc)
     placeholder = root.makeelement(SIGNATURE, {"Id": "placeholder"}, nsmap={"ds": DS})
     placeholder.tail = "\n"
     root.append(placeholder)
-    method = "rsa-sha256" if isinstance(key, rsa.RSAPrivateKey) else _EC_METHODS[key.curve.name]
+    method = "rsa-sha256" if isinstance(key, rsa.RSAPrivateKey) else EC_METHODS[key.curve.name]
     signer = _signer(method, signed_utc)
     signed = signer.sign(root, key=_repeatable(key), cert=list(ordered), always_add_key_value=False)
     written = to_bytes(signed)
@@ -329,19 +238,19 @@ def verify_signature(
     certificates = _embedded(signatures[0], where)
     stated = _stated_time(signatures[0], where)
     moment = when or stated
-    _refuse_unfit(certificates[0], moment, where)
+    refuse_unfit(certificates[0], moment, where)
     _check_xades(data, root, certificates[0], where, moment)
-    reached = _reaches(certificates, trusted, moment)
+    reached = leads_to(certificates, trusted, moment)
     if trusted and not reached:
         raise EvidenceError(
-            f"The signature is of {_name(certificates[0].subject)}, which leads to no trusted certificate.",
+            f"The signature is of {name_of(certificates[0].subject)}, which leads to no trusted certificate.",
             where=where,
             remedy="Get the laboratory's certificate from the laboratory itself and name that file.",
         )
     leaf = certificates[0]
     return DccSignature(
-        signer=_name(leaf.subject),
-        issuer=_name(leaf.issuer),
+        signer=name_of(leaf.subject),
+        issuer=name_of(leaf.issuer),
         serial=leaf.serial_number,
         fingerprint=leaf.fingerprint(hashes.SHA256()).hex(),
         stated_utc=stated,
@@ -405,13 +314,13 @@ def _embedded(signature: _Element, where: str) -> tuple[x509.Certificate, ...]:
     ]
     pem = "".join(
         f"-----BEGIN CERTIFICATE-----\n{''.join(text.split())}\n-----END CERTIFICATE-----\n"
-        for text in texts[: _MOST_CERTIFICATES + 1]
+        for text in texts[: MOST_CERTIFICATES + 1]
     )
     try:
         found = tuple(x509.load_pem_x509_certificates(pem.encode())) if texts else ()
     except ValueError:
         found = ()
-    if not found or len(found) > _MOST_CERTIFICATES:
+    if not found or len(found) > MOST_CERTIFICATES:
         raise EvidenceError(
             "The signature has no certificate that can be read.", where=where, remedy=_TAMPERED
         )
@@ -427,89 +336,3 @@ def _stated_time(signature: _Element, where: str) -> datetime:
     if found is None or found.tzinfo is None:
         raise EvidenceError("The signature states no time of signing.", where=where, remedy=_TAMPERED)
     return found.astimezone(UTC)
-
-
-def _ordered(chain: Sequence[x509.Certificate], key: PrivateKey) -> list[x509.Certificate]:
-    """Return a chain with the certificate of the key first, each followed by that of its issuer."""
-    public = key.public_key()
-    left = list(chain)
-    leaf = next((one for one in left if one.public_key() == public), None)
-    if leaf is None:
-        raise EvidenceError(
-            "No certificate of the chain belongs to the key.",
-            remedy="Name the certificate that was issued for this key.",
-        )
-    ordered = [leaf]
-    left.remove(leaf)
-    while left and (issuer := next((one for one in left if _issued(ordered[-1], one)), None)) is not None:
-        ordered.append(issuer)
-        left.remove(issuer)
-    if left:
-        raise EvidenceError(
-            f"{_name(left[0].subject)} is no part of the chain of the key's certificate.",
-            remedy="Leave this certificate out of the file.",
-        )
-    return ordered
-
-
-def _issued(certificate: x509.Certificate, issuer: x509.Certificate) -> bool:
-    try:
-        certificate.verify_directly_issued_by(issuer)
-    except (ValueError, TypeError, InvalidSignature, UnsupportedAlgorithm):
-        return False
-    return True
-
-
-def _refuse_unfit(certificate: x509.Certificate, when: datetime, where: str = "") -> None:
-    """Refuse a signer's certificate that is not valid at a time or not meant for signatures (RFC 5280, 4.2.1.3)."""
-    name = _name(certificate.subject)
-    if not certificate.not_valid_before_utc <= when <= certificate.not_valid_after_utc:
-        raise EvidenceError(
-            f"The certificate of {name} is valid from {certificate.not_valid_before_utc:%Y-%m-%d} to"
-            f" {certificate.not_valid_after_utc:%Y-%m-%d}, not at {when:%Y-%m-%d %H:%M} UTC.",
-            where=where,
-            remedy="Use a certificate that is valid at the time of signing.",
-        )
-    try:
-        usage = certificate.extensions.get_extension_for_class(x509.KeyUsage).value
-    except x509.ExtensionNotFound:
-        return
-    if not (usage.digital_signature or usage.content_commitment):
-        raise EvidenceError(
-            f"The certificate of {name} is not meant for signatures.",
-            where=where,
-            remedy="Ask the issuer for one with the key usage digitalSignature or nonRepudiation.",
-        )
-
-
-def _reaches(
-    certificates: Sequence[x509.Certificate], trusted: Sequence[x509.Certificate], when: datetime
-) -> bool:
-    """Return whether a chain leads to a trusted certificate (RFC 5280, 6.1, without names and policies)."""
-    current, left = certificates[0], list(certificates[1:])
-    for _ in range(_MOST_CERTIFICATES):
-        if current in trusted:
-            return True
-        anchor = next((one for one in trusted if _may_issue(one, when) and _issued(current, one)), None)
-        if anchor is not None:
-            return True
-        issuer = next((one for one in left if _may_issue(one, when) and _issued(current, one)), None)
-        if issuer is None:
-            return False
-        left.remove(issuer)
-        current = issuer
-    return False
-
-
-def _may_issue(certificate: x509.Certificate, when: datetime) -> bool:
-    """Return whether a certificate is one of an authority, and valid."""
-    if not certificate.not_valid_before_utc <= when <= certificate.not_valid_after_utc:
-        return False
-    try:
-        return certificate.extensions.get_extension_for_class(x509.BasicConstraints).value.ca
-    except x509.ExtensionNotFound:
-        return False
-
-
-def _name(name: x509.Name) -> str:
-    return short(name.rfc4514_string()) or "nobody"

@@ -22,6 +22,8 @@ DEGREES_OF_FREEDOM = "starbench_effectiveDegreesOfFreedom"
 JOINT = "starbench_jointCovariance"
 SIMULATED_TYPE = "starbench_simulated"
 LIMIT = "starbench_limit"
+CONTRIBUTION = "contribution to the standard uncertainty"
+COMBINED = "combined standard uncertainty"
 
 REF_TYPES = {
     STATISTIC: "A number that is itself an uncertainty or a residual; it has no uncertainty of its own.",

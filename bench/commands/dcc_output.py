@@ -99,8 +99,9 @@ def show_check(path: Path, *, schemas: Path | None, trusted: Path | None, as_jso
 
 def _check(path: Path, schemas: Path | None, trusted: Path | None) -> _Found:
     from bench.certificate.dcc_checks import check_dcc
+    from bench.certificate.dcc_keys import load_certificates
     from bench.certificate.dcc_schema import schema_faults, schema_folder
-    from bench.certificate.dcc_signature import load_certificates, verify_signature
+    from bench.certificate.dcc_signature import verify_signature
     from bench.certificate.dcc_xml import MOST_BYTES, NAMESPACES, read_dcc, versions_of
 
     file = path / DCC_FILE if path.is_dir() else path

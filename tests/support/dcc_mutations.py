@@ -134,6 +134,8 @@ def not_semi_definite(root):
 
 
 UNC = f"{FX}/si:real/si:expandedUnc"
+BUDGET_ROW = "(//dcc:quantity[dcc:name/dcc:content='contribution to the standard uncertainty'])[1]//si:value"
+BUDGET_SUM = "(//dcc:quantity[dcc:name/dcc:content='combined standard uncertainty'])[1]//si:value"
 CONFORMITY = "(//dcc:statement[dcc:conformity])[1]"
 
 MUTATIONS = (
@@ -226,6 +228,11 @@ MUTATIONS = (
     ),
     Mutation(
         "small ellipsoid", text(f"{JOINT}//si:coverageFactor", "2"), "is too small for 6 results", False
+    ),
+    Mutation("row of a budget", text(BUDGET_ROW, "0.9"), "rows of the budget of fx add up", False),
+    Mutation("row of a budget missing", drop("(//dcc:result[@refId]//dcc:list)[1]"), "add up to", False),
+    Mutation(
+        "sum of a budget", text(BUDGET_SUM, "1.2"), "combined standard uncertainty of its budget", False
     ),
     Mutation("number replaced by a dash", text(f"{CORE}/dcc:uniqueIdentifier", "-"), "has no number", False),
     Mutation("no number", text(f"{CORE}/dcc:uniqueIdentifier", ""), "has no number", True),

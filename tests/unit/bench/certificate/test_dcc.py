@@ -164,7 +164,9 @@ def test_results_of_hundreds_of_pixels_are_compared_with_the_covariance():
         matrix[at][0] *= scale
     covariance = dataclasses.replace(full.covariance, matrix=tuple(map(tuple, matrix)))
     data = render_dcc(
-        dataclasses.replace(full, results=(fx, *full.results[1:]), covariance=covariance, conformity=())
+        dataclasses.replace(
+            full, results=(fx, *full.results[1:]), covariance=covariance, conformity=(), budgets=()
+        )
     )
     assert check_dcc(data) == []
 
