@@ -8,9 +8,10 @@ padding of PKCS#1 v1.5, or ECDSA with the nonces of RFC 6979. signxml makes and 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from cryptography import x509
@@ -25,6 +26,8 @@ from bench.certificate.dcc_keys import (
     PrivateKey,
     in_order,
     leads_to,
+    load_certificates,
+    load_signing_key,
     name_of,
     refuse_unfit,
 )
@@ -62,6 +65,40 @@ class DccSignature:
     fingerprint: str
     stated_utc: datetime
     trusted: bool
+
+
+def signer_of_files(
+    key_file: Path, certificate_file: Path, *, ask_passphrase: Callable[[Path], bytes] | None = None
+) -> Callable[[bytes, datetime], bytes]:
+    """Load the laboratory's key and certificates, and return what signs a DCC with them.
+
+    Parameters
+    ----------
+    key_file
+        The key, PEM.
+    certificate_file
+        The certificate of the key and its chain, PEM.
+    ask_passphrase
+        Returns the passphrase of a protected key; None if nobody can be asked.
+
+    Returns
+    -------
+    callable
+        Takes a DCC and the time of signing; returns the signed DCC (see `sign_dcc`).
+
+    Raises
+    ------
+    EvidenceError
+        When key or certificates cannot be used, or do not belong together.
+    StorageError
+        When a file cannot be read.
+    UsageError
+        When signxml is not installed.
+    """
+    library("signxml")
+    key = load_signing_key(key_file, ask_passphrase=ask_passphrase)
+    chain = in_order(load_certificates(certificate_file), key)
+    return lambda data, when: sign_dcc(data, key, chain, signed_utc=when)
 
 
 def sign_dcc(

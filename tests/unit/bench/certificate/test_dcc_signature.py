@@ -6,7 +6,7 @@ from lxml import etree
 from bench.base.errors import EvidenceError
 from bench.certificate.dcc_checks import check_dcc
 from bench.certificate.dcc_keys import load_certificates, load_signing_key
-from bench.certificate.dcc_signature import sign_dcc, verify_signature, without_signature
+from bench.certificate.dcc_signature import sign_dcc, signer_of_files, verify_signature, without_signature
 
 DS = "{http://www.w3.org/2000/09/xmldsig#}"
 WHEN = lab_pki.signed_at()
@@ -211,6 +211,18 @@ def test_a_signature_is_valid_at_its_own_time_and_not_at_another(signed):
     assert verify_signature(signed, "x", when=lab_pki.signed_at(300)).trusted is False
     with pytest.raises(EvidenceError, match="is valid from 2026-01-01"):
         verify_signature(signed, "x", when=lab_pki.signed_at(3000))
+
+
+def test_key_and_certificate_of_two_files_sign(tmp_path):
+    key, certificate = lab_pki.seal()
+    key_file = write(tmp_path / "key.pem", lab_pki.key_pem(key, b"open"))
+    chain_file = write(tmp_path / "chain.pem", lab_pki.pem(certificate))
+    sign = signer_of_files(key_file, chain_file, ask_passphrase=lambda _: b"open")
+    expected = sign_dcc(dcc_mutations.small_dcc(), key, [certificate], signed_utc=WHEN)
+    assert sign(dcc_mutations.small_dcc(), WHEN) == expected
+    other_file = write(tmp_path / "other.pem", lab_pki.pem(lab_pki.authority()[1]))
+    with pytest.raises(EvidenceError, match="No certificate of the chain belongs to the key"):
+        signer_of_files(key_file, other_file, ask_passphrase=lambda _: b"open")
 
 
 def write(path, content, mode=0o600):
