@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Sequence
 from dataclasses import asdict
-from datetime import datetime
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +17,7 @@ from bench.base.errors import JournalBroken, UsageError
 from bench.base.home import home_folder
 from bench.commands.ledger_output import bench_ledger, ledger_findings
 from bench.commands.output import print_json
+from bench.evidence.shown_state import home_trust, shown_state
 from bench.records.ledger import Ledger
 from bench.records.run_folder import JOURNAL
 from bench.records.run_index import IndexedRun, RunIndex, run_folders
@@ -138,7 +139,9 @@ def show_runs(
     solved = [run for run in found if run.parameters]
     compared = compare_runs(solved) if compare else None
     if as_json:
-        facts: dict[str, Any] = {"schema": "starbench/runs/1", "runs": [run.to_dict() for run in found]}
+        states = _states(found)
+        rows = [{**run.to_dict(), "state": states[run.folder]} for run in found]
+        facts: dict[str, Any] = {"schema": "starbench/runs/1", "runs": rows}
         if compared is not None:
             facts |= {"compared": [a.to_dict() for a in compared], "of": [run.folder for run in solved]}
         print_json({**facts, "faults": faults, **({"notes": notes} if notes else {})})
@@ -173,17 +176,24 @@ def _ledger_folders(ledger: Ledger, index: RunIndex) -> tuple[list[Path], list[s
 def _runs_text(runs: Sequence[IndexedRun]) -> str:
     if not runs:
         return "No runs."
+    states = _states(runs)
     lines = [f"{'begun (UTC)':<17} {'camera':<10} {'how':<9} {'poses':>5}  {'rms px':>7}  run"]
     for run in runs:
         rms = "" if run.rms_px is None else f"{run.rms_px:.4f}"
         marks = "  REHEARSAL" if run.rehearsal else "  SIMULATED" if run.simulated else ""
-        marks += "" if run.sealed else "  not sealed"
+        marks += f"  {states[run.folder]}"
         marks += f"  {counted(run.deviations, 'deviation')}" if run.deviations else ""
         begun = run.begun_utc[:16].replace("T", " ")
         lines.append(
             f"{begun:<17} {run.camera:<10} {run.how:<9} {run.accepted:>5}  {rms:>7}  {run.folder}{marks}"
         )
     return "\n".join(lines)
+
+
+def _states(runs: Sequence[IndexedRun]) -> dict[str, str]:
+    """Return DRAFT, SEALED or AUTHORISED by folder, from the signatures beside each run."""
+    trust, now = home_trust(home_folder()), datetime.now(UTC)
+    return {run.folder: str(shown_state(Path(run.folder), trust, now).state) for run in runs}
 
 
 def _signed(number: float) -> str:

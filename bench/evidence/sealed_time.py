@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import json
+import os
 from datetime import UTC, datetime
 from pathlib import Path
 
-from bench.base.errors import RunFolderError
-from bench.records.journal import read_journal
 from bench.records.run_folder import JOURNAL, RESULTS
 
 _PLACES = (("certificate.json", ("issued_utc",)), (RESULTS, ("run", "calibrated_utc")))
+_LAST_BYTES = 1 << 20
+"""The last line of a journal is shorter than this."""
 _MOST_BYTES = 256 << 20
 """A larger file is not read for its time."""
 
@@ -34,11 +35,7 @@ def stated_time(folder: Path) -> datetime | None:
         When a file cannot be read.
     """
     if (folder / JOURNAL).is_file():
-        try:
-            entries, _ = read_journal(folder / JOURNAL)
-        except RunFolderError:
-            return None
-        return _moment(entries[-1].utc) if entries else None
+        return _last_time(folder / JOURNAL)
     for name, keys in _PLACES:
         path = folder / name
         if path.is_file() and path.stat().st_size <= _MOST_BYTES:
@@ -51,6 +48,18 @@ def stated_time(folder: Path) -> datetime | None:
             if moment := _moment(found):
                 return moment
     return None
+
+
+def _last_time(journal: Path) -> datetime | None:
+    """Return the time of the last line of a journal. Its hash chain is checked elsewhere."""
+    with journal.open("rb") as stream:
+        size = stream.seek(0, os.SEEK_END)
+        stream.seek(max(0, size - _LAST_BYTES))
+        lines = stream.read().splitlines()
+    try:
+        return _moment(json.loads(lines[-1])["utc"])
+    except (ValueError, LookupError, TypeError, RecursionError):
+        return None
 
 
 def _moment(text: object) -> datetime | None:

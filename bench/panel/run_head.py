@@ -6,6 +6,8 @@ from collections.abc import Mapping
 from datetime import datetime, timedelta
 from typing import Any
 
+from bench.base.home import home_folder
+from bench.evidence.shown_state import home_trust, shown_state
 from bench.panel.leave import may_leave
 from bench.panel.process_state import ProcessState
 from bench.panel.run_model import RunModel
@@ -80,6 +82,7 @@ def head_of(model: RunModel, process: ProcessState, now: datetime) -> Json:
         "tone": tone,
         "running": process.running,
         "sealed": process.sealed,
+        "evidence": shown_state(model.folder, home_trust(home_folder()), now).text if process.sealed else "",
         "ended": history.ended,
         "why": history.why,
         "remedy": history.failures[-1]["remedy"] if history.ended == "failed" and history.failures else "",

@@ -15,6 +15,8 @@ from pathlib import Path
 from typing import Any, NotRequired, TypedDict
 
 from bench.base.errors import RunFolderError, StorageError
+from bench.base.home import home_folder
+from bench.evidence.shown_state import home_trust, shown_state
 from bench.records.folder_lock import is_locked
 from bench.records.history import History, replay
 from bench.records.journal import read_journal
@@ -47,6 +49,8 @@ class Status:
         Name and folder of the run, and whether any device is simulated.
     running, sealed
         Whether a process works on the run, and whether it is finished and sealed.
+    evidence
+        ``DRAFT``, ``SEALED`` or ``AUTHORISED``, and who signed, as one line.
     state
         Last state that was entered; if no process works on the run, the state in which it was left.
     ended, why
@@ -83,6 +87,7 @@ class Status:
     simulated: bool
     running: bool
     sealed: bool
+    evidence: str
     state: str
     ended: str
     why: str
@@ -271,6 +276,7 @@ def _status(folder: Path, entries: Sequence[Entry], now: datetime, *, running: b
         simulated=bool(history.started.get("simulated", plan["simulated"])),
         running=running,
         sealed=sealed,
+        evidence=shown_state(folder, home_trust(home_folder()), now).text,
         state=history.states[-1]["state"] if history.states else "idle",
         ended=history.ended,
         why=history.why,
@@ -419,6 +425,7 @@ def head_lines(status: Status) -> list[str]:
     lines = [f"Run {status.run_id}{'  SIMULATED' if status.simulated else ''}", _state(status, poses), counts]
     lines += [f"Uncertainty after {status.uncertainty}"] if status.uncertainty else []
     lines += [f"Result: {status.result}"] if status.result else []
+    lines += [f"Evidence: {status.evidence}"] if status.ended and not status.running else []
     return [*lines, *(f"Deviation: {what}" for what in status.deviations)]
 
 

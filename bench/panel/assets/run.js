@@ -353,6 +353,7 @@ function drawUncertainty() {
   if (solved) parts.push(el("div", { class: "scroll" }, el("table", {}, el("thead", {}, el("tr", {}, el("th", {}, `Result (${solved.model}, RMS ${number(solved.rms_px)} px)`), el("th", { class: "n" }, "value ± U"))),
     el("tbody", {}, solved.parameters.slice(0, 12).map((one) => el("tr", {}, el("td", {}, one.name), el("td", { class: "n" }, withUncertainty(one.value, one.sigma, k))))))));
   if (head.ended === "finished" && head.sealed) parts.push(el("p", { class: "screen" }, el("a", { class: "button", href: `/report/${key}` }, "Open the report")));
+  if (head.evidence) parts.push(el("p", { class: "note" }, head.evidence));
   const why = head.decisions.length ? head.decisions[head.decisions.length - 1].why : "";
   if (why) parts.push(el("p", { class: "note" }, why));
   if (!parts.length) parts.push(el("p", { class: "note" }, "Nothing is known before the calibration: the station file states nothing to expect, or the forecast is not made yet."));

@@ -1,0 +1,84 @@
+"""The state of a folder as one line, for lists and pages. Signatures are checked; files are not hashed."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from datetime import datetime
+from pathlib import Path
+
+from bench.base.errors import EvidenceError, StorageError
+from bench.evidence.key_trust import Trust, read_trust
+from bench.evidence.states import Standing, State, standing_of
+from bench.records.run_folder import is_sealed
+
+
+@dataclass(frozen=True)
+class ShownState:
+    """The state of a folder, to be shown.
+
+    Attributes
+    ----------
+    state
+        ``DRAFT``, ``SEALED`` or ``AUTHORISED``.
+    text
+        The state and who signed, as one line.
+    """
+
+    state: State = State.DRAFT
+    text: str = "DRAFT: not sealed"
+
+
+def home_trust(home: Path) -> Trust:
+    """Return whom this bench trusts; nobody, if its lists cannot be used.
+
+    Parameters
+    ----------
+    home
+        The configuration folder.
+
+    Returns
+    -------
+    Trust
+        The lists.
+    """
+    try:
+        return read_trust(home)
+    except (EvidenceError, StorageError):
+        return Trust()
+
+
+def shown_state(folder: Path, trust: Trust, now: datetime) -> ShownState:
+    """Return the state of a folder as one line.
+
+    Parameters
+    ----------
+    folder
+        A run folder, a certificate folder, or a folder of results.
+    trust
+        Whom the reader trusts.
+    now
+        The present time, with its time zone.
+
+    Returns
+    -------
+    ShownState
+        The state.
+    """
+    if not is_sealed(folder):
+        return ShownState()
+    try:
+        standing = standing_of(folder, trust, now)
+    except StorageError as error:
+        return ShownState(State.DRAFT, f"DRAFT: the seal cannot be read: {error.what}")
+    return ShownState(standing.state, _text(standing))
+
+
+def _text(standing: Standing) -> str:
+    if standing.state is State.DRAFT:
+        return "DRAFT: the seal does not hold; see `starbench verify`"
+    bench = standing.signer or f"a key that is not accepted here ({standing.fingerprint})"
+    text = f"SEALED by {bench}"
+    if standing.state is State.AUTHORISED:
+        text = f"AUTHORISED by {standing.person}, sealed by {bench}"
+    beside = [fault for fault in standing.faults if fault.kind in {"authorisation", "timestamp"}]
+    return f"{text}. FAULT: {beside[0]}" if beside else text
