@@ -84,6 +84,12 @@ _OPTIONS = (
         type=_Station(),
         help="Station file that describes the target, if it is not the standard target.",
     ),
+    click.option(
+        "--board",
+        metavar="KIND:CxR:PITCHmm",
+        help="A board at finite distance in place of the star target: checkerboard:11x7:20mm (inner corners), "
+        "circles:9x6:25mm, asymmetric-circles:4x11:10mm. The planar model is used.",
+    ),
 )
 
 
@@ -108,11 +114,17 @@ def _views_and_options(command: _Command) -> _Command:
     "--output",
     "-o",
     type=OutputFolder(),
-    help="New folder for results, report, exports and the hashes of the input files.",
+    help="New folder for results, report, exports and hashes of the input files; sealed with the bench's key.",
 )
+@click.option("--no-seal", is_flag=True, help="Leave the folder a DRAFT, without a seal.")
 @JSON
 def calibrate(
-    paths: tuple[Path, ...], compare: bool, output: Path | None, as_json: bool, **options: Any
+    paths: tuple[Path, ...],
+    compare: bool,
+    output: Path | None,
+    no_seal: bool,
+    as_json: bool,
+    **options: Any,
 ) -> int:
     """Calibrate without devices, from existing data in one or more PATHs.
 
@@ -121,6 +133,7 @@ def calibrate(
     options are given here.
     """
     from bench.commands.calibration_output import print_calibration
+    from bench.commands.keys_output import key_or_draft
     from bench.records.run_folder import REPORT
     from bench.results.offline import calibrate_paths, compare_methods
     from bench.results.offline_folder import require_new, write_offline_results
@@ -128,10 +141,11 @@ def calibrate(
 
     if output is not None:
         require_new(output)
+    key = None if output is None or no_seal else key_or_draft()
     choices = OfflineOptions.from_command_line(**options)
     result = calibrate_paths(paths, choices)
     if output is not None:
-        write_offline_results(result, output)
+        write_offline_results(result, output, key)
     print_calibration(result, compare_methods(result) if compare else None, as_json=as_json)
     if output is not None and not as_json:
         click.echo(f"Report: {output / REPORT}")

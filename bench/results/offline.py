@@ -236,9 +236,15 @@ def _read_views(sources: Sequence[ViewSource]) -> tuple[list[View], list[ViewSou
     if not views:
         raise BenchError(
             "There is no usable view.",
-            remedy=" ".join(skipped) or "Give run folders, captures, images or point files.",
+            remedy=_first(skipped) or "Give run folders, captures, images or point files.",
         )
     return _distinct(_one_size(views, [source.sized for source in used])), used, skipped
+
+
+def _first(skipped: Sequence[str]) -> str:
+    """Return the first reasons why files were left out, and the number of the others."""
+    more = len(skipped) - _MOST_NAMES
+    return " ".join(skipped[:_MOST_NAMES]) + (f" And {more} more files." if more > 0 else "")
 
 
 def _one_size(views: Sequence[View], sized: Sequence[bool]) -> list[View]:

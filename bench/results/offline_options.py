@@ -16,6 +16,7 @@ from bench.plan.plan import DEFAULT_MODEL
 from bench.results.point_files import Origin
 from bench.results.solve_options import solve_options
 from bench.stations.station import load_station
+from calib.boards.board import Board
 from calib.calibration import LossName, ModelName
 from calib.engine import CalibrationOptions
 from calib.errors import CalibrationError
@@ -49,6 +50,8 @@ class OfflineOptions:
         Pixel origin of point files.
     target
         The printed target.
+    board
+        The board at finite distance that the views show in place of the star target; None for the star target.
     """
 
     model: ModelName | None = None
@@ -63,6 +66,7 @@ class OfflineOptions:
     image: str = "auto"
     origin: Origin = "corner"
     target: StarTarget = field(default_factory=StarTarget)
+    board: Board | None = None
 
     @classmethod
     def from_command_line(
@@ -79,6 +83,7 @@ class OfflineOptions:
         passport: str | None = None,
         guard_band: float | None = None,
         readings: str | None = None,
+        board: str | None = None,
     ) -> Self:
         """Parse the options of the command line.
 
@@ -102,6 +107,8 @@ class OfflineOptions:
             Fraction of the visible disc's radius beyond which stars are left out, see `CalibrationOptions`.
         readings
             ``auto`` or ``witness``: whether the readings of the run's gimbal may enter the adjustment.
+        board
+            Description of a board at finite distance, as `calib.boards.board.Board.parse` reads it.
 
         Returns
         -------
@@ -117,6 +124,8 @@ class OfflineOptions:
             raise UsageError(
                 f"Unknown event image {image!r}.", remedy=f"Known are {', '.join(get_args(ImageKind))}."
             )
+        shown = _parse_board(board, model, passport)
+        model = "planar" if shown else model
         named = passport if passport != NO_PASSPORT else None
         made = cls(
             cast("ModelName | None", model),
@@ -131,6 +140,7 @@ class OfflineOptions:
             image,
             "centre" if origin == "centre" else "corner",
             load_station(station).value.target.pattern() if station else StarTarget(),
+            shown,
         )
         try:
             made.without_run()
@@ -223,6 +233,22 @@ def _passport_of_file(path: Path) -> PassportInUse:
     """Read the passport that the command line names; raise UsageError or StorageError."""
     passport, data = read_passport_file(path)
     return PassportInUse(passport, data, "command line", path.name)
+
+
+def _parse_board(text: str | None, model: str | None, passport: str | None) -> Board | None:
+    """Read a board, which needs the planar model and takes no passport."""
+    if text is None:
+        return None
+    if model not in (None, "planar") or passport not in (None, NO_PASSPORT):
+        raise UsageError(
+            "A board at finite distance has no collimator before it.",
+            where="--board",
+            remedy="Leave out --passport and --model; the planar model is used.",
+        )
+    try:
+        return Board.parse(text)
+    except CalibrationError as error:
+        raise UsageError(error.what, where="--board", remedy=error.remedy) from error
 
 
 def _parse_image_size(text: str | None) -> tuple[int, int] | None:

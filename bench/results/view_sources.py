@@ -10,7 +10,9 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import cast
+from typing import Any, cast
+
+from numpy.typing import NDArray
 
 from bench.base.errors import BenchError, StorageError, UsageError
 from bench.plan.job import Job
@@ -21,7 +23,8 @@ from bench.records.run_folder import JOURNAL
 from bench.results.offline_options import OfflineOptions
 from bench.results.point_files import read_point_file
 from bench.views.expected_grid import grid_from_journal
-from bench.views.measure import ExpectedGrid, Measurement, measure
+from bench.views.measure import ExpectedGrid, Measurement, measure, recorded_image
+from calib.boards.board import Board
 from calib.errors import TooFewStars
 from calib.stars.detect import detect_view
 from calib.stars.vignetting import downweight_vignetted
@@ -126,6 +129,9 @@ def _run_sources(folder: Path, choices: OfflineOptions) -> Iterator[ViewSource]:
         step = step if choices.image == "auto" else replace(step, image=cast("ImageKind", choices.image))
         path = folder / str(attempt.stored["capture"])
         read = partial(_view_of_run, job, path, step, grid_from_journal(attempt))
+        if choices.board is not None:
+            yield ViewSource(path, partial(_view_of_recording, path, choices))
+            continue
         yield ViewSource(path, read, job=job, attempt=attempt)
 
 
@@ -178,6 +184,9 @@ def _file_source(path: Path, choices: OfflineOptions) -> ViewSource:
 
 def _view_of_recording(path: Path, choices: OfflineOptions) -> View:
     _refuse_truncated(path)
+    if choices.board is not None:
+        image = recorded_image(path, choices.image).image
+        return _detected_board(image, choices.board, path)
     found = measure(
         path, name=path.stem, target=choices.target, image=choices.image, periods=None, expected_hz=None
     )
@@ -197,7 +206,16 @@ def _view_of_photograph(path: Path, choices: OfflineOptions) -> View:
         picture = mean_frame(path)
     except RecordingFileError as error:
         raise BenchError(error.what, where=str(path), remedy="Give PNG, TIFF, JPEG or BMP.") from error
+    if choices.board is not None:
+        return _detected_board(picture, choices.board, path)
     return downweight_vignetted(detect_view(picture, choices.target, name=path.stem), choices.target)
+
+
+def _detected_board(image: NDArray[Any], board: Board, path: Path) -> View:
+    """Find a board in an image."""
+    from calib.boards.detect import detect_board
+
+    return detect_board(image, board, name=path.stem)
 
 
 def _refuse_truncated_jpeg(path: Path) -> None:

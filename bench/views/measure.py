@@ -135,6 +135,37 @@ def measure(
     return Measurement(view, stored, _without_nan(facts))
 
 
+def recorded_image(path: Path, image: str = "auto") -> ChosenImage:
+    """Return the event image of a recording, of whole flicker periods.
+
+    Parameters
+    ----------
+    path
+        RAW file.
+    image
+        Kind of event image, or ``auto``.
+
+    Returns
+    -------
+    ChosenImage
+        The image that `measure` would use.
+
+    Raises
+    ------
+    calib.errors.CalibrationError
+        If the events show no flicker, or are too few.
+    drivers.errors.RecordingFileError
+        If the file cannot be read.
+    """
+    raw = RawFile.open(path)
+    events, triggers = raw.read()
+    _subtract_origin(events.t, triggers)
+    flicker = _flicker(triggers, (events.t, events.p), None)
+    span_us = _span_us(events.t, triggers)
+    images = make_images(*_event_arrays(events), (raw.width, raw.height), flicker, window_us=span_us)
+    return _choose(images, image)
+
+
 def find_stars(
     image: NDArray[Any],
     target: StarTarget,

@@ -100,7 +100,8 @@ def uncertainty_budget(
     applied = apply_budget(bundle, parameters, loss, estimate, terms)
     parts = covariance_parts(bundle, parameters, loss, estimate)
     rows = budget_rows(parameters.camera, applied, parts, sources)
-    return UncertaintyBudget(applied, rows, not_included(parameters.camera, applied))
+    planar = bundle.free_centres and not bundle.has_drift_prior
+    return UncertaintyBudget(applied, rows, not_included(parameters.camera, applied, planar=planar))
 
 
 def budget_rows(
@@ -247,7 +248,7 @@ class _Quantities:
         return float(np.sqrt(np.maximum(np.linalg.eigvalsh(variances)[:, 1], 0.0)).max())
 
 
-def not_included(camera: CameraModel, applied: AppliedBudget) -> tuple[str, ...]:
+def not_included(camera: CameraModel, applied: AppliedBudget, *, planar: bool = False) -> tuple[str, ...]:
     """Name the sources of uncertainty that nobody stated, with what each could do to this calibration.
 
     The amounts are examples. Their effects are computed for these views, this model and this passport.
@@ -258,6 +259,8 @@ def not_included(camera: CameraModel, applied: AppliedBudget) -> tuple[str, ...]
         The calibrated camera.
     applied
         Uncertainty with the type B terms that were stated.
+    planar
+        Whether the target stands at finite distance, without a collimator.
 
     Returns
     -------
@@ -268,7 +271,7 @@ def not_included(camera: CameraModel, applied: AppliedBudget) -> tuple[str, ...]
     stated = {each.term.kind for each in applied.contributions}
     sentences = []
     for amount, term in _examples(applied.response):
-        if term.kind in stated:
+        if term.kind in stated or (planar and term.kind == "wavefront"):
             continue
         sentences.append(f"{term.name}: {amount} would {_effect(term, applied.response, quantities)}")
     idle = (each.term.name for each in applied.contributions if not each.applies)
