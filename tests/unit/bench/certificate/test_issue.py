@@ -1,0 +1,435 @@
+"""Certificates issued from sealed runs: complete or refused, whatever is wrong and whenever the process dies."""
+
+import dataclasses
+import json
+import re
+import shutil
+from datetime import timedelta
+from unittest import mock
+
+import pytest
+from certificate_sample import LAB, NOW, sample_results, verified, write_sealed_run
+
+from bench.base.errors import BenchError, EvidenceError, UsageError
+from bench.certificate import folder as folder_module
+from bench.certificate import issue as issue_module
+from bench.certificate.amend import amend
+from bench.certificate.certificate_data import Certificate
+from bench.certificate.check import check_certificate
+from bench.certificate.issue import Laboratory, issue
+from bench.certificate.series import declare_void
+from bench.certificate.series_numbers import numbers
+from bench.evidence.faults import SealFault
+from bench.evidence.keys import ensure_key
+from bench.records.ledger import Ledger
+from bench.records.storage import sha256_of
+from sequences.errors import DocumentFaults
+
+
+class Killed(BaseException):
+    """Stands for a process that ends at once."""
+
+
+class Lab:
+    """A laboratory with one sealed run, whose clock is set by hand."""
+
+    def __init__(self, path):
+        self.path, self.now, self.says = path, NOW, {}
+        self.home = path / "home"
+        self.run = write_sealed_run(path / "run", self.home)
+        self.lab = path / "lab.yaml"
+        self.lab.write_text(LAB, encoding="utf-8")
+        self.ledger = Ledger(self.home, utc_now=lambda: self.now, monotonic=lambda: 0.0)
+        place = self.ledger.begin(run_id="run", folder=self.run, camera="00050423", simulated=True)
+        self.ledger.end(place["number"], how="finished", folder=self.run)
+
+    def laboratory(self):
+        return Laboratory(
+            self.ledger, lambda: ensure_key(self.home), lambda: self.now, lambda f: verified(f, **self.says)
+        )
+
+    def issue(self, name="certificate", **facts):
+        return issue(self.run, self.lab, self.path / name, self.laboratory(), **facts)
+
+    def amend(self, old, name, reason="wrong address", old_text="Mill Lane 3", new_text="Mill Lane 4"):
+        self.lab.write_text(LAB.replace(old_text, new_text), encoding="utf-8")
+        return amend(self.path / old, self.lab, self.path / name, self.laboratory(), reason=reason)
+
+    def numbers(self):
+        return {one.number: one.how for one in numbers(self.ledger.entries()).values()}
+
+    def faults(self, text):
+        self.lab.write_text(text, encoding="utf-8")
+        with pytest.raises(DocumentFaults) as found:
+            self.issue()
+        assert self.numbers() == {}, "a number was taken for a refused certificate"
+        return [str(fault) for fault in found.value.faults]
+
+
+def quick_files(certificate, found, results, lab, plots):
+    """The files without PDF, DCC and plots, which take half a second."""
+    return {"certificate.json": certificate.to_json(), "results.json": results, "lab.yaml": lab}
+
+
+@pytest.fixture
+def lab(tmp_path):
+    with (
+        mock.patch.object(issue_module, "certificate_files", quick_files),
+        mock.patch("bench.certificate.pdf_plots.plots_of_run", return_value={}),
+    ):
+        yield Lab(tmp_path)
+
+
+FIRST = "SIMULATED-SB-2026-00001"
+
+
+@pytest.fixture(scope="module")
+def real(tmp_path_factory):
+    """A certificate with PDF, DCC and plots, and its laboratory."""
+    bench = Lab(tmp_path_factory.mktemp("real"))
+    bench.issued = bench.issue()
+    return bench
+
+
+@pytest.fixture
+def copied(real, tmp_path):
+    """A copy of the real certificate that a test may change."""
+    folder = tmp_path / "copy"
+    shutil.copytree(real.issued.folder, folder)
+    for path in (folder, *folder.rglob("*")):
+        path.chmod(0o755)
+    return folder
+
+
+def test_the_folder_has_every_file_and_its_data_come_back(real):
+    folder = real.issued.folder
+    names = {path.relative_to(folder).as_posix() for path in folder.rglob("*") if path.is_file()}
+    assert {"certificate.json", "certificate.pdf", "dcc.xml", "results.json", "lab.yaml"} < names
+    assert {"SHA256SUMS", "SHA256SUMS.sig", "VERIFY.txt", "plots/uncertainty.svg"} < names
+    assert Certificate.from_json((folder / "certificate.json").read_bytes()) == real.issued.certificate
+    assert (folder / "results.json").read_bytes() == (real.run / "results.json").read_bytes()
+    assert real.issued.seal == sha256_of(folder / "SHA256SUMS")
+    assert real.issued.certificate.run.seal_sha256 == sha256_of(real.run / "SHA256SUMS")
+
+
+def test_simulated_devices_stay_named_in_number_title_and_texts(real):
+    certificate = real.issued.certificate
+    assert certificate.number == FIRST
+    assert certificate.title == "SIMULATED calibration certificate"
+    assert "SIMULATED" in certificate.statement("simulated")
+    assert b"SIMULATED" in (real.issued.folder / "dcc.xml").read_bytes()
+
+
+def test_what_was_issued_is_derived_again_to_the_byte(real):
+    found = check_certificate(real.issued.folder, real.ledger)
+    assert (found.faults, found.not_compared) == ([], [])
+
+
+def test_the_same_input_gives_the_same_bytes(real, tmp_path):
+    other = Lab(tmp_path)
+    for name in ("bench_key", "bench_key.pub"):
+        shutil.copy(real.home / name, other.home / name)
+    shutil.rmtree(other.run, onerror=lambda *_: None)
+    other.run = real.run
+    second = other.issue("another name")
+    assert second.seal == real.issued.seal
+
+
+MUTATIONS = {
+    "a value": ("certificate.json", b'"U": 2.4,', b'"U": 2.3,'),
+    "a verdict": ("certificate.json", b'"verdict": "conditionalPass"', b'"verdict": "pass"'),
+    "the customer": ("certificate.json", b"Mill Lane 3", b"Mill Lane 9"),
+    "the number": ("certificate.json", b'"number": "SIMULATED-SB-2026-00001"', b'"number": "SB-2026-00001"'),
+    "simulated": ("certificate.json", b'"simulated": true', b'"simulated": false'),
+    "the rule": ("certificate.json", b'"guard_band": 2.4', b'"guard_band": 0.4'),
+    "a budget row": ("certificate.json", b'"distribution": "rectangular"', b'"distribution": "triangular"'),
+    "spaces": ("certificate.json", b'"number":', b'"number" :'),
+    "lab.yaml": ("lab.yaml", b"Mill Lane 3", b"Mill Lane 9"),
+    "limits": ("lab.yaml", b"upper: 3350", b"upper: 4350"),
+    "a clause taken out": ("lab.yaml", b"external: [Humidity", b"# external: [Humidity"),
+    "results.json": ("results.json", b'"fx":3346.4', b'"fx":3347.4'),
+    "the DCC": ("dcc.xml", b"3346.4", b"3346.5"),
+    "the PDF": ("certificate.pdf", b"\n%%EOF", b"\n%%EOG"),
+    "a plot": ("plots/uncertainty.svg", b"</svg>", b'<rect width="99" height="99"/></svg>'),
+}
+
+
+@pytest.mark.parametrize("name", MUTATIONS)
+def test_a_change_by_whoever_holds_the_key_is_found(real, copied, name):
+    file, old, new = MUTATIONS[name]
+    data = (copied / file).read_bytes()
+    assert old in data
+    (copied / file).write_bytes(data.replace(old, new, 1))
+    found = check_certificate(copied)
+    assert found.faults, f"{name} was overlooked"
+
+
+def test_added_and_removed_files_are_found(copied):
+    (copied / "notes.txt").write_text("x")
+    (copied / "dcc.xml").unlink()
+    assert [(fault.where, fault.kind) for fault in check_certificate(copied).faults] == [
+        ("notes.txt", "certificate"),
+        ("dcc.xml", "missing"),
+    ]
+
+
+def test_another_version_of_the_renderer_is_no_fault_but_named(copied):
+    pdf = copied / "certificate.pdf"
+    tool = folder_renderer(pdf.read_bytes())
+    pdf.write_bytes(pdf.read_bytes().replace(tool, tool[:-1] + b"9"))
+    found = check_certificate(copied)
+    assert found.faults == []
+    assert [one for one in found.not_compared if "certificate.pdf was rendered by" in one]
+
+
+def folder_renderer(pdf):
+    begin = pdf.index(b"<xmp:CreatorTool>") + len(b"<xmp:CreatorTool>")
+    return pdf[begin : pdf.index(b"<", begin)]
+
+
+def test_the_ledger_tells_of_another_seal_and_of_a_void_number(real, copied):
+    (copied / "SHA256SUMS").write_bytes(b"")
+    assert "another seal" in str(check_certificate(copied, real.ledger).faults[0])
+    unknown = check_certificate(copied, Ledger(copied, utc_now=lambda: NOW, monotonic=lambda: 0.0))
+    assert "is not in the ledger of this bench" in unknown.remarks[0]
+
+
+@pytest.mark.parametrize(
+    ("say", "named"),
+    [
+        (
+            {"faults": (SealFault("changed", "views.h5", "it was changed"),)},
+            "does not verify: views.h5: it was changed",
+        ),
+        ({"kind": "results"}, "is a results folder, not a run"),
+        ({"kind": "certificate"}, "is a certificate folder, not a run.*amend"),
+    ],
+)
+def test_a_run_that_does_not_verify_is_refused(lab, say, named):
+    lab.says = say
+    with pytest.raises(EvidenceError, match=named):
+        lab.issue()
+    assert lab.numbers() == {}
+
+
+def test_parts_that_were_not_derived_again_are_stated_in_the_certificate(lab):
+    lab.says = {"not_compared": ("report.html: it was made by another version",)}
+    text = lab.issue().certificate.statement("verification")
+    assert "not derived again: report.html: it was made by another version." in text
+
+
+@pytest.mark.parametrize(
+    ("facts", "named"),
+    [
+        ({"how": "failed"}, "did not finish: it failed"),
+        ({"how": "aborted"}, "did not finish: it aborted"),
+        ({"rehearsal": True}, "is a rehearsal: nothing was measured"),
+        ({"results": {"calibration": {"converged": False}}}, "did not converge"),
+    ],
+)
+def test_a_run_without_a_result_is_refused(lab, facts, named):
+    lab.run = write_sealed_run(lab.path / "other", lab.home, **facts)
+    with pytest.raises(EvidenceError, match=named):
+        lab.issue()
+
+
+def test_a_run_that_is_not_sealed_is_refused(lab):
+    lab.run.chmod(0o755)
+    (lab.run / "SHA256SUMS.sig").unlink()
+    with pytest.raises(EvidenceError, match="is not sealed"):
+        lab.issue()
+
+
+def test_a_folder_that_exists_is_refused_before_anything_else(lab):
+    (lab.path / "certificate").mkdir()
+    with pytest.raises(UsageError, match="already exists"):
+        lab.issue()
+    assert lab.numbers() == {}
+
+
+def test_missing_clauses_are_named_all_at_once_with_their_key(lab):
+    lines = lab.faults("format: starbench/lab/1\n")
+    assert len(lines) > 20
+    assert any(
+        line.endswith(
+            "lab.yaml:1:1: customer.name: is missing. ISO/IEC 17025, 7.8.2.1 e: name and contact of the customer. Add it."
+        )
+        for line in lines
+    )
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "named"),
+    [
+        ("serial: 00050423", "serial: 50423", "item.serial: the run calibrated camera 00050423, not 50423"),
+        (
+            "received: 2026-11-18",
+            "received: 2026-11-22",
+            "item.received: the calibration began on 2026-11-21, before",
+        ),
+        (
+            "result: fx",
+            "result: fz",
+            r"decision_rules\[0\].result: the run has no result 'fz'. Known here: fx, fy",
+        ),
+        (
+            "scale of the print",
+            "scale of print",
+            r"sources\[1\].row: the uncertainty budget has no row 'scale of print'. Did",
+        ),
+        (
+            "collimator, issuer",
+            "collimator, number: X-1, issuer",
+            r"number: the run used 'SIM-2026-01', not 'X-1'",
+        ),
+        ("name: warm-up", "name: camera temperature", "the run itself recorded this condition"),
+        (
+            "previous_certificate: {number: SB-2025-00104, date: 2025",
+            "previous_certificate: {number: X, date: 2027",
+            "before",
+        ),
+        ("issuer: PTB, ", "", "sources.issuer: is missing. ISO/IEC 17025, 7.8.4.1 c"),
+        (
+            "name: relative humidity",
+            "name: dew point",
+            "conditions.humidity: is missing. ISO/IEC 17025, 7.8.4.1 b",
+        ),
+        (
+            "external: [Humidity sensor calibrated by Klimalabor GmbH.]\n",
+            "",
+            "external: is missing. ISO/IEC 17025, 7.8.2.1 p",
+        ),
+    ],
+)
+def test_contradictions_and_gaps_are_refused_with_their_place(lab, old, new, named):
+    assert old in LAB
+    (line,) = lab.faults(LAB.replace(old, new))
+    assert re.search(named, line), line
+
+
+def test_no_interval_is_printed_unless_the_customer_agreed(lab):
+    assert "agreed with the customer" in lab.faults(LAB + "recalibration: every 12 months\n")[0]
+    lab.lab.write_text(LAB + "recalibration: agreed with the customer, 12 months\n", encoding="utf-8")
+    text = lab.issue().certificate.to_json().decode()
+    assert "Recalibration: agreed with the customer, 12 months" in text
+    lab.lab.write_text(LAB, encoding="utf-8")
+    plain = lab.issue("second", also="without interval").certificate.to_json().decode()
+    assert "ecalibration" not in plain
+    assert " due" not in plain
+
+
+@pytest.mark.parametrize("at", ["certificate_files", "write_sealed", "seal_folder", "_enter"])
+def test_killed_at_any_point_the_next_command_ends_it_with_the_same_number(lab, at):
+    module = folder_module if at == "seal_folder" else issue_module
+    with mock.patch.object(module, at, side_effect=Killed), pytest.raises(Killed):
+        lab.issue()
+    assert lab.numbers() == {FIRST: "reserved"}
+    whole = at == "_enter"
+    assert (lab.path / "certificate").exists() == whole
+    if whole:
+        second = write_sealed_run(lab.path / "run2", lab.home, results={**sample_results(), "states": []})
+        lab.run = second
+        issued = lab.issue("second")
+        assert issued.completed == (FIRST,)
+        assert lab.numbers() == {FIRST: "issued", issued.certificate.number: "issued"}
+    else:
+        assert lab.issue().certificate.number == FIRST
+        assert lab.numbers() == {FIRST: "issued"}
+    assert [path.name for path in lab.path.iterdir() if path.name.endswith(".tmp")] == []
+
+
+def test_a_killed_command_for_another_folder_leaves_nothing_behind(lab):
+    with mock.patch.object(folder_module, "seal_folder", side_effect=Killed), pytest.raises(Killed):
+        lab.issue("first name")
+    assert (lab.path / ".first name.tmp").exists()
+    assert lab.issue("second name").certificate.number == FIRST
+    assert not (lab.path / ".first name.tmp").exists()
+
+
+def test_an_amendment_names_the_old_one_by_hash_and_what_changed(lab):
+    first = lab.issue("first")
+    second = lab.amend("first", "second")
+    amends = second.certificate.amends
+    assert (amends.number, amends.sha256, amends.reason) == (FIRST, first.seal, "wrong address")
+    assert [(c.field, c.before, c.after) for c in amends.changes] == [
+        ("customer.address.street", "Mill Lane 3", "Mill Lane 4")
+    ]
+    assert numbers(lab.ledger.entries())[FIRST].superseded_by == second.certificate.number
+    assert lab.path.joinpath("first", "certificate.json").exists()
+
+
+def test_an_old_certificate_cannot_be_amended_again(lab):
+    lab.issue("first")
+    second = lab.amend("first", "second").certificate.number
+    with pytest.raises(
+        EvidenceError, match=f"{FIRST} cannot be amended: {second} replaced it. Amend {second}"
+    ):
+        lab.amend("first", "third", new_text="Mill Lane 5")
+    assert lab.amend("second", "third", new_text="Mill Lane 5").certificate.amends.number == second
+
+
+def test_an_amendment_without_a_change_takes_no_number(lab):
+    lab.issue("first")
+    with pytest.raises(EvidenceError, match="Nothing would change"):
+        lab.amend("first", "second", new_text="Mill Lane 3")
+    assert lab.numbers() == {FIRST: "issued"}
+
+
+def test_only_a_certificate_that_verifies_is_amended(lab):
+    lab.issue("first")
+    lab.says = {"faults": (SealFault("changed", "dcc.xml", "it was changed"),)}
+    with pytest.raises(EvidenceError, match=r"does not verify: dcc\.xml"):
+        lab.amend("first", "second")
+    lab.says = {"kind": "run"}
+    with pytest.raises(EvidenceError, match="is a run folder, not a certificate"):
+        lab.amend("first", "second")
+
+
+def test_a_superseded_certificate_says_so(real, lab):
+    shutil.copytree(real.home, lab.home, dirs_exist_ok=True)
+    lab.lab.write_text(LAB.replace("Mill Lane 3", "Mill Lane 4"), encoding="utf-8")
+    folder = real.issued.folder
+    second = amend(folder, lab.lab, lab.path / "second", lab.laboratory(), reason="x").certificate.number
+    found = check_certificate(folder, lab.ledger)
+    assert (found.faults, found.remarks) == ([], [f"SUPERSEDED: {second} replaces this certificate"])
+
+
+def test_the_clock_and_other_open_numbers_stop_the_issue(lab):
+    lab.issue("first")
+    lab.now = NOW - timedelta(days=1)
+    with pytest.raises(EvidenceError, match="clock was set back"):
+        lab.issue("second", also="x")
+    lab.now = NOW
+    with (
+        mock.patch.object(issue_module, "write_sealed", side_effect=BenchError("disk full")),
+        pytest.raises(BenchError),
+    ):
+        lab.issue("second", also="x")
+    lab.run = write_sealed_run(lab.path / "run2", lab.home, results={**sample_results(), "states": []})
+    with pytest.raises(EvidenceError, match="was reserved for the run"):
+        lab.issue("third")
+    declare_void(lab.ledger, "SIMULATED-SB-2026-00002", reason="disk full", by="Ada")
+    assert lab.issue("third").certificate.number == "SIMULATED-SB-2026-00003"
+
+
+def test_deviations_of_the_run_enter_by_themselves(lab):
+    results = json.loads(json.dumps(sample_results()))
+    results["deviations"] = ["Pose 2 (right) was skipped by ada."]
+    results["run"]["resumed"] = 2
+    results["gates"][0] |= {"verdict": "fail"}
+    lab.run = write_sealed_run(lab.path / "run2", lab.home, results=results)
+    found = [(one.text, one.source) for one in lab.issue().certificate.deviations]
+    assert found == [
+        ("Pose 2 (right) was skipped by ada.", "run"),
+        ("The run was resumed 2 times.", "run"),
+        ("Limit not met: pose 1: stars is 200, limit >= 40.", "run"),
+        ("Warm-up of 20 min instead of 30 min.", "laboratory"),
+    ]
+
+
+def test_a_real_bench_has_a_series_of_its_own(lab):
+    results = {**sample_results(), "run": {**sample_results()["run"], "simulated": False}}
+    lab.run = write_sealed_run(lab.path / "run2", lab.home, results=results)
+    certificate = lab.issue().certificate
+    assert (certificate.number, certificate.title) == ("SB-2026-00001", "Calibration certificate")
+    assert "SIMULATED" not in json.dumps(dataclasses.asdict(certificate.statements[0]))
