@@ -16,6 +16,7 @@ from typing import Any
 from bench.base.errors import ScriptError
 from bench.batch.schedule import Bounds, Item, Slot, bounds_of, items_of, look_ahead
 from bench.plan.plan import Plan, load_documents, make_plan
+from bench.plan.url_secrets import find_url_secrets
 from sequences.errors import DocumentFaults
 from sequences.queue import JobConfig, JobFile, Queue
 from sequences.reader import Located, read_document
@@ -39,6 +40,8 @@ def is_queue(name: str) -> bool:
         False also if the file cannot be read.
     """
     try:
+        if not Path(name).is_file():  # a pipe would never answer
+            return False
         with Path(name).open("rb") as stream:
             head = stream.read(_HEAD_BYTES)
     except (OSError, ValueError):
@@ -68,6 +71,7 @@ def read_queue(path: Path) -> Located[Queue]:
         read = read_document(path, Queue)
     except DocumentFaults as error:
         raise ScriptError([str(fault) for fault in error.faults]) from error
+    _refuse_secrets(read)
     jobs = [_resolve_files(job, path.parent) for job in read.value.jobs]
     queue = dataclasses.replace(read, value=read.value.model_copy(update={"jobs": jobs}))
     pairs = {_key(job): job for job in queue.value.jobs}
@@ -96,12 +100,20 @@ def read_job(path: Path) -> JobConfig:
         With every fault.
     """
     try:
-        job = _resolve_files(read_document(path, JobFile).value.job(), path.parent)
+        read = read_document(path, JobFile)
     except DocumentFaults as error:
         raise ScriptError([str(fault) for fault in error.faults]) from error
+    _refuse_secrets(read)
+    job = _resolve_files(read.value.job(), path.parent)
     if faults := job_faults(job):
         raise ScriptError(faults)
     return job
+
+
+def _refuse_secrets(document: Located[Any]) -> None:
+    """Refuse credentials in a queue or job: it is copied into the folder of the batch. Raises ScriptError."""
+    if faults := find_url_secrets(document):
+        raise ScriptError([str(fault) for fault in faults])
 
 
 def _resolve_files(job: JobConfig, base: Path) -> JobConfig:

@@ -17,6 +17,7 @@ from bench.base.errors import ScriptError
 from bench.plan.estimate import Estimate
 from bench.plan.passports import PassportChoice, choose_passport
 from bench.plan.script_check import angle_faults, check_script
+from bench.plan.url_secrets import find_url_secrets
 from bench.stations.placeholders import find_placeholders
 from bench.stations.station import Station, load_station
 from calib.model.passport import Passport
@@ -287,6 +288,9 @@ def make_plan(
     solving = [step.solve if isinstance(step, ChooseStep) else step for step in script]
     passport = choose_passport(sequence, station, tuple(solving), copy=passport_copy, today=today)
     findings = check_script(sequence, script, station.value, passport.steps_for_one_pose)
+    missing = find_placeholders(station.tree)
+    is_new = passport_copy is None  # a run that has begun holds its files already
+    secrets = [*find_url_secrets(sequence), *find_url_secrets(station)] if is_new else []
     estimate = Estimate(station.value)
     last = next((step for step in reversed(script) if isinstance(step, SEQUENCE_DEVICE_STEPS)), None)
     elapsed_s = estimate.preparation_s() if last is not None else 0.0
@@ -301,7 +305,7 @@ def make_plan(
         sequence=sequence,
         station=station,
         steps=tuple(steps),
-        faults=tuple(sorted({*faults, *findings.faults, *passport.faults, *find_placeholders(station.tree)})),
+        faults=tuple(sorted({*faults, *findings.faults, *passport.faults, *missing, *secrets})),
         remarks=tuple(sorted({*findings.remarks, *passport.remarks})),
         duration_s=elapsed_s,
         size_bytes=estimate.size_bytes,

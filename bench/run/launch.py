@@ -45,6 +45,7 @@ from bench.run.ledger_entry import (
     ledger_entry,
     ledger_lines,
     ledger_of,
+    record_revoked_secrets,
     refuse_broken_ledger,
 )
 from bench.run.resumption import intentions
@@ -72,11 +73,14 @@ class Launch:
         Stream for progress; standard error by default.
     ask_passphrase
         Asks for the passphrase of a protected signing key.
+    secrets_revoked
+        Whether the operator says that the secrets found in a finished run are worthless by now, so that it is sealed.
     """
 
     clock: BenchClock
     stream: TextIO | None = None
     ask_passphrase: AskPassphrase | None = None
+    secrets_revoked: bool = False
 
 
 def start_run(
@@ -201,7 +205,9 @@ def resume_run(folder_path: Path, launch: Launch) -> RunEnd:
         with ledger_entry(ledger, place, folder.path) as ending:
             if history.ended == "finished":
                 archive_crash(folder)
-                return ending(_seal_finished(folder, journal, key))
+                if launch.secrets_revoked:
+                    record_revoked_secrets(ledger, place, folder.path)
+                return ending(_seal_finished(folder, journal, key, secrets_revoked=launch.secrets_revoked))
             extra: dict[str, Any] = {"crash": crash} if crash else {}
             extra |= {"ledger": place} if place != history.ledger else {}
             journal.append(Event.RUN_RESUMED, torn_bytes=len(journal.torn), software=software(), **extra)
@@ -312,7 +318,9 @@ def _key(launch: Launch) -> BenchKey:
     return usable_key(home_folder(), launch.clock.utc_now(), ask_passphrase=launch.ask_passphrase)
 
 
-def _seal_finished(folder: RunFolder, journal: Journal, key: BenchKey) -> RunEnd:
+def _seal_finished(
+    folder: RunFolder, journal: Journal, key: BenchKey, *, secrets_revoked: bool = False
+) -> RunEnd:
     """Seal a run that was interrupted between its last journal line and its seal."""
     journal.close()
     remove_inbox(folder.path)
@@ -320,7 +328,7 @@ def _seal_finished(folder: RunFolder, journal: Journal, key: BenchKey) -> RunEnd
     if (folder.path / RESULTS).is_file():  # a sequence may end without a report
         results: dict[str, Any] = json.loads((folder.path / RESULTS).read_text(encoding="utf-8"))
         outcome = Outcome(results, folder.path / REPORT)
-    seal(folder, key)
+    seal(folder, key, secrets_revoked=secrets_revoked)
     return RunEnd("finished", "", folder.path, outcome)
 
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from contextlib import ExitStack
+from types import MappingProxyType
 from typing import Any
 
 from bench.base.clock import BenchClock
@@ -58,6 +59,8 @@ class Devices:
     ----------
     stage, light, camera
         The open devices.
+    late
+        Devices that may still be opening, by name; empty here (see `bench.stations.separate_devices`).
 
     Raises
     ------
@@ -67,6 +70,11 @@ class Devices:
         When the simulated bench does not start.
     """
 
+    late: Mapping[str, Any] = MappingProxyType({})
+    stage: Stage
+    light: Light
+    camera: Camera
+
     def __init__(self, station: Station, *, seed: int, clock: BenchClock, wire_log: WireLog | None) -> None:
         self._clock = clock
         self._simulation: SimulatedBench | None = None
@@ -74,11 +82,11 @@ class Devices:
             if station.needs_simulated_bench:
                 self._simulation = opened.enter_context(SimulatedBench(station.simulated_world, seed))
             opened.enter_context(hold_serial_devices(station))
-            self.stage: Stage = _open_stage(station, self._port, clock, wire_log)
+            self.stage = open_stage(station, self._port, clock, wire_log)
             opened.callback(self.stage.close)
-            self.light: Light = _open_light(station, self._port, clock, wire_log)
+            self.light = open_light(station, self._port, clock, wire_log)
             opened.callback(self.light.close)
-            self.camera: Camera = _open_camera(station, self._port, clock)
+            self.camera = open_camera(station, self._port, clock)
             opened.callback(self.camera.close)
             self._opened = opened.pop_all()
 
@@ -167,7 +175,7 @@ def make_orphans_safe(station: Station, clock: BenchClock) -> list[str]:
 
 
 def _stop_stage(station: Station, clock: BenchClock) -> None:
-    stage = _open_stage(station, str, clock, None)
+    stage = open_stage(station, str, clock, None)
     try:
         stage.stop()
     finally:
@@ -175,7 +183,7 @@ def _stop_stage(station: Station, clock: BenchClock) -> None:
 
 
 def _switch_off(station: Station, clock: BenchClock) -> None:
-    light = _open_light(station, str, clock, None)
+    light = open_light(station, str, clock, None)
     try:
         light.off()
     finally:
@@ -185,7 +193,30 @@ def _switch_off(station: Station, clock: BenchClock) -> None:
 PortName = Callable[[str], str]
 
 
-def _open_stage(station: Station, port: PortName, clock: BenchClock, wire_log: WireLog | None) -> Stage:
+def open_stage(station: Station, port: PortName, clock: BenchClock, wire_log: WireLog | None) -> Stage:
+    """Open the stage of a station. Nothing moves, and nothing is switched on.
+
+    Parameters
+    ----------
+    station
+        The station file.
+    port
+        Returns the system's name of a port.
+    clock
+        Every wait of the driver goes through it.
+    wire_log
+        Records the bytes on serial lines; None to record nothing.
+
+    Returns
+    -------
+    Stage
+        The open device.
+
+    Raises
+    ------
+    drivers.errors.DriverError
+        If it cannot be opened, or is not the one that the station file names.
+    """
     match station.stage:
         case station_stages.ZaberStageConfig() as config:
             zaber = [ZaberAxis(name=n, limits=a.limits, **a.driver_options()) for n, a in config.axes.items()]
@@ -215,7 +246,30 @@ def _open_stage(station: Station, port: PortName, clock: BenchClock, wire_log: W
             )
 
 
-def _open_light(station: Station, port: PortName, clock: BenchClock, wire_log: WireLog | None) -> Light:
+def open_light(station: Station, port: PortName, clock: BenchClock, wire_log: WireLog | None) -> Light:
+    """Open the light of a station. Nothing moves, and nothing is switched on.
+
+    Parameters
+    ----------
+    station
+        The station file.
+    port
+        Returns the system's name of a port.
+    clock
+        Every wait of the driver goes through it.
+    wire_log
+        Records the bytes on serial lines; None to record nothing.
+
+    Returns
+    -------
+    Light
+        The open device.
+
+    Raises
+    ------
+    drivers.errors.DriverError
+        If it cannot be opened, or is not the one that the station file names.
+    """
     match station.light:
         case station_lights.ScpiLightConfig() as config:
             return ScpiLight.open(
@@ -241,7 +295,28 @@ def _open_light(station: Station, port: PortName, clock: BenchClock, wire_log: W
             )
 
 
-def _open_camera(station: Station, port: PortName, clock: BenchClock) -> Camera:
+def open_camera(station: Station, port: PortName, clock: BenchClock) -> Camera:
+    """Open the camera of a station. Nothing moves, and nothing is switched on.
+
+    Parameters
+    ----------
+    station
+        The station file.
+    port
+        Returns the system's name of a port.
+    clock
+        Every wait of the driver goes through it.
+
+    Returns
+    -------
+    Camera
+        The open device.
+
+    Raises
+    ------
+    drivers.errors.DriverError
+        If it cannot be opened, or is not the one that the station file names.
+    """
     match station.camera:
         case station_cameras.SimulatedEvk4Config() as config:
             return SimulatedEvk4Camera.open(
@@ -254,6 +329,8 @@ def _open_camera(station: Station, port: PortName, clock: BenchClock) -> Camera:
         case station_cameras.RecordedCameraConfig() as config:
             return RecordedCamera.open(config.path, serial=config.serial, clock=clock)
         case station_cameras.OpenCvCameraConfig() as config:
-            return OpenCvFrameCamera.open(port(config.source), serial=config.serial, clock=clock)
+            source = port(config.source_in_use())
+            hidden = f"${config.source_env}" if config.source_env else ""
+            return OpenCvFrameCamera.open(source, serial=config.serial, clock=clock, shown_as=hidden)
         case station_cameras.PictureFolderConfig() as config:
             return FolderFrameCamera.open(config.path, serial=config.serial, clock=clock)

@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+import os
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Literal
 
-from pydantic import Field
+from pydantic import Field, model_validator
+from pydantic_core import PydanticCustomError
 
-from bench.stations.station_fields import Port, Serial, Text, VideoSource
+from bench.base.errors import UsageError
+from bench.stations.station_fields import Port, Serial, Text, Variable, VideoSource
 from drivers.camera.frames import FrameSettings
+from drivers.port_address import SOURCE_REMEDY, refused_source
 from sequences.strict_model import StrictModel
 
 NotNegative = Annotated[int, Field(ge=0, le=8191)]
@@ -107,15 +112,55 @@ class OpenCvCameraConfig(FrameCameraConfig):
 
     driver: Literal["opencv"]
     source: Annotated[
-        VideoSource, Field(description="/dev/v4l/by-id/..., a number, or a URL (rtsp://, http://, tcp://).")
-    ]
+        VideoSource | None,
+        Field(description="/dev/v4l/by-id/..., a number, or a URL (rtsp://, http://, tcp://)."),
+    ] = None
+    source_env: Annotated[
+        Variable | None,
+        Field(description="Environment variable that holds the source, for a URL with a password."),
+    ] = None
     exposure: Annotated[float | None, Field(description="In the units of the camera's driver.")] = None
     gain: Annotated[float | None, Field(description="In the units of the camera's driver.")] = None
 
     @property
     def ports(self) -> tuple[str, ...]:
-        """Source of the pictures."""
-        return (self.source,)
+        """Source of the pictures; that of an environment variable is not known here."""
+        return () if self.source is None else (self.source,)
+
+    @model_validator(mode="after")
+    def _one_source(self) -> OpenCvCameraConfig:
+        if (self.source is None) == (self.source_env is None):
+            raise PydanticCustomError("one_source", "give either source or source_env.")
+        return self
+
+    def source_in_use(self, environ: Mapping[str, str] = os.environ) -> str:
+        """Return the source to open.
+
+        Parameters
+        ----------
+        environ
+            Environment variables of the process.
+
+        Returns
+        -------
+        str
+            The source; it is secret if an environment variable holds it.
+
+        Raises
+        ------
+        UsageError
+            When the environment variable is not set, or holds something that is not a source.
+        """
+        if self.source is not None:
+            return self.source
+        name = str(self.source_env)
+        found = environ.get(name, "")
+        if not found:
+            what = f"The environment variable {name} is not set; the station's camera needs it (source_env)."
+            raise UsageError(what, remedy=f"Set it to the address of the camera: export {name}=...")
+        if refused_source(found) is not None:
+            raise UsageError(f"The environment variable {name} is not a source.", remedy=SOURCE_REMEDY)
+        return found
 
     def settings(self) -> FrameSettings:
         """See `FrameCameraConfig.settings`."""

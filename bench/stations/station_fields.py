@@ -41,6 +41,9 @@ def _simulated_or_real(port: str, info: ValidationInfo) -> str:
 
 Text = Annotated[str, Field(min_length=1, max_length=200)]
 
+Variable = Annotated[str, Field(max_length=100, pattern=r"^[A-Za-z_][A-Za-z0-9_]*$")]
+"""Name of an environment variable, which holds a secret in place of the station file."""
+
 
 def _not_another_url(port: str) -> str:
     """Accept the kinds of URL that reach a device; others write files or search for a device."""

@@ -11,12 +11,11 @@ from typing import Annotated, Literal
 from pydantic import Field, model_validator
 from pydantic_core import PydanticCustomError
 
-from bench.stations.station_fields import Text
+from bench.stations.station_fields import Text, Variable
 from sequences.strict_model import StrictModel
 
 Occasion = Literal["failure", "hold", "end"]
 Address = Annotated[str, Field(max_length=254, pattern=r"^[^\s@<>\"]+@[^\s@<>\"]+$")]
-Variable = Annotated[str, Field(max_length=100, pattern=r"^[A-Za-z_][A-Za-z0-9_]*$")]
 Url = Annotated[str, Field(max_length=2000, pattern=r"^https?://[^\s]+$")]
 
 

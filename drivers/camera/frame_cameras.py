@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import os
 import sys
 import threading
@@ -50,10 +51,15 @@ class OpenCvFrameCamera:
         Its ``sleep`` is called before each frame.
     system
         Folder in which Linux lists its video devices.
+    shown_as
+        What messages and the camera's identity say in place of ``name``, where that is secret; empty for the name.
     """
 
-    def __init__(self, name: str, *, serial: str = "", clock: Clock, system: Path = SYSTEM) -> None:
+    def __init__(
+        self, name: str, *, serial: str = "", clock: Clock, system: Path = SYSTEM, shown_as: str = ""
+    ) -> None:
         self._name = name
+        self._shown_as = shown_as or name
         self._serial = serial
         self._clock = clock
         self._system = system
@@ -64,7 +70,8 @@ class OpenCvFrameCamera:
         self._last: Frame | None = None
         self._lock: CameraLock | None = None
         if self._is_live:
-            self._lock = CameraLock(str(self._device.resolve() if self._device else name))
+            secret = f"video source {hashlib.sha256(name.encode()).hexdigest()[:16]}" if shown_as else name
+            self._lock = CameraLock(str(self._device.resolve() if self._device else secret))
         try:
             self._check_serial()
             self._source = self._opened(START_S)
@@ -73,7 +80,9 @@ class OpenCvFrameCamera:
             raise
 
     @classmethod
-    def open(cls, source: str, *, serial: str = "", clock: Clock, system: Path = SYSTEM) -> OpenCvFrameCamera:
+    def open(
+        cls, source: str, *, serial: str = "", clock: Clock, system: Path = SYSTEM, shown_as: str = ""
+    ) -> OpenCvFrameCamera:
         """Open a video source.
 
         Parameters
@@ -86,6 +95,8 @@ class OpenCvFrameCamera:
             Its ``sleep`` is called before each frame.
         system
             Folder in which Linux lists its video devices.
+        shown_as
+            What is printed in place of a source that is secret.
 
         Returns
         -------
@@ -101,7 +112,7 @@ class OpenCvFrameCamera:
         WrongDevice
             If a serial number is given and the camera has another one, or none.
         """
-        return cls(source, serial=serial, clock=clock, system=system)
+        return cls(source, serial=serial, clock=clock, system=system, shown_as=shown_as)
 
     def identify(self) -> CameraIdentity:
         """Return the source's name, serial number and frame size.
@@ -121,7 +132,7 @@ class OpenCvFrameCamera:
         serial = self._check_serial()
         width = int(self._source.get(cv2.CAP_PROP_FRAME_WIDTH))
         height = int(self._source.get(cv2.CAP_PROP_FRAME_HEIGHT))
-        return CameraIdentity("", f"OpenCV {self._name}", "", serial, "", width, height)
+        return CameraIdentity("", f"OpenCV {self._shown_as}", "", serial, "", width, height)
 
     def apply(self, settings: FrameSettings) -> FrameSettings:
         """Set exposure and gain in the driver's own units, read them back, and switch autofocus off.
@@ -222,7 +233,7 @@ class OpenCvFrameCamera:
 
     @property
     def _where(self) -> str:
-        return f"video source {self._name}"
+        return f"video source {self._shown_as}"
 
     def _opened(self, within_s: float) -> Any:
         """Open the source. Raises CameraNotFound."""
@@ -231,7 +242,7 @@ class OpenCvFrameCamera:
         if not opened.isOpened():
             opened.release()
             raise CameraNotFound(
-                f"OpenCV cannot open the video source {self._name!r}.",
+                f"OpenCV cannot open the video source {self._shown_as!r}.",
                 remedy="Check the number, path or URL, the cable, and that no other program uses the camera.",
             )
         return opened
