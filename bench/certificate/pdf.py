@@ -7,13 +7,17 @@ document is the date of issue, and the clock and the fonts of the computer are n
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Mapping
+import re
+from collections.abc import Mapping
 from datetime import datetime
 from importlib import resources
+from importlib.metadata import version
 from tempfile import TemporaryDirectory
 from textwrap import shorten
+from types import ModuleType
 from typing import TYPE_CHECKING, Any, Literal
 
+from bench import __version__
 from bench.base.errors import BenchError, UsageError
 from bench.certificate import pdf_glyphs
 from bench.certificate.pdf_opening import opening, subject
@@ -37,6 +41,7 @@ _KINDS = {
 }
 _HEADER = 120
 """Most characters of the laboratory's name in the head of a page."""
+_RENDERED = re.compile(rb"<pdf:Keywords>[^<]{0,2000}?rendered by ([ -~]{1,100})</pdf:Keywords>")
 _OTHER = ("application/octet-stream", "supplement", "Supplement to this certificate")
 
 
@@ -71,11 +76,39 @@ def render_pdf(
     BenchError
         When typst refuses the document.
     """
+    _typst()
     content = json.loads(certificate.to_json())
     pdf_glyphs.refuse_missing(content)
     shown = pictures(certificate, draw_plots(results) if plots is None else plots)
     files = {one.file: one.svg for one in shown}
     return _compiled(_document(certificate, shown, attachments), files, attachments)
+
+
+def rendered_by(data: bytes) -> str:
+    """Return the programs that rendered a PDF, as its metadata state them. Only the same ones give the same bytes.
+
+    Parameters
+    ----------
+    data
+        The PDF.
+
+    Returns
+    -------
+    str
+        Names and versions; empty if the file does not state them.
+    """
+    found = _RENDERED.search(data)
+    return found[1].decode("ascii", "replace") if found else ""
+
+
+def _keywords(certificate: Certificate) -> list[str]:
+    return [certificate.number, certificate.item.camera.serial, "calibration", "ISO/IEC 17025"]
+
+
+def _programs() -> str:
+    return "; ".join(
+        [f"Starbench {__version__}", *(f"{name} {version(name)}" for name in ("typst", "matplotlib"))]
+    )
 
 
 def _document(
@@ -88,7 +121,7 @@ def _document(
         "heading": certificate.title,
         "subject": subject(certificate),
         "author": certificate.laboratory.name,
-        "keywords": [certificate.number, certificate.item.camera.serial, "calibration", "ISO/IEC 17025"],
+        "keywords": [*_keywords(certificate), f"rendered by {_programs()}"],
         "language": certificate.language,
         "number": certificate.number,
         "simulated": certificate.simulated,
@@ -139,7 +172,7 @@ def _with_codes(found: Any) -> Any:
     return found
 
 
-def _compiled(document: Mapping[str, Any], svg: Mapping[str, str], attachments: Mapping[str, bytes]) -> bytes:
+def _typst() -> ModuleType:
     try:
         import typst
     except ImportError as error:
@@ -147,6 +180,10 @@ def _compiled(document: Mapping[str, Any], svg: Mapping[str, str], attachments: 
             "A certificate as PDF needs typst, which is not installed.",
             remedy="Install it: pip install 'starbench[certificate]'.",
         ) from error
+    return typst
+
+
+def _compiled(document: Mapping[str, Any], svg: Mapping[str, str], attachments: Mapping[str, bytes]) -> bytes:
     files: dict[str, bytes] = {
         "main.typ": resources.files("bench.certificate").joinpath("certificate.typ").read_bytes(),
         "document.json": json.dumps(document, ensure_ascii=False).encode(),
@@ -157,7 +194,7 @@ def _compiled(document: Mapping[str, Any], svg: Mapping[str, str], attachments: 
         },
     }
     try:
-        make: Callable[..., typst.Compiler] = typst.Compiler
+        make = _typst().Compiler
         with (
             TemporaryDirectory() as empty
         ):  # without a root, a plot could name a file of the working directory

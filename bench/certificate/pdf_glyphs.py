@@ -23,10 +23,10 @@ _FONTS = ("DejaVuSans.ttf", "DejaVuSans-Bold.ttf")
 _JOINERS = frozenset("\N{ZERO WIDTH NON-JOINER}\N{ZERO WIDTH JOINER}")
 _UNPRINTABLE = frozenset({"Cc", "Cf", "Cs", "Co", "Cn", "Zl", "Zp"})
 """Control, format (which can turn the order of digits round), private and unassigned characters."""
-_FROM_RUN = re.compile(
-    r"run\.|results\[|covariance\.|further\[|budgets\[|item\.camera\.|before_adjustment\.|amends\.changes\[|statements\["
-)
-_ENTRY = re.compile(r"(deviations|conditions)\[(\d+)\]")
+_FROM_RUN = re.compile(r"run\.|results\[|covariance\.|further\[|budgets\[|item\.camera\.|amends\.changes\[")
+_ENTRY = re.compile(r"(deviations|conditions|statements)\[(\d+)\]")
+_OF_LABORATORY = frozenset({"traceability", "recalibration", "also"})
+"""Statements that the laboratory words."""
 _MOST_SHOWN = 8
 CODE_NOTE = (
     "A code in square brackets, such as [U+5C71], stands for a character that the fonts of this document do not have."
@@ -127,7 +127,8 @@ def faults(certificate: Mapping[str, Any]) -> list[str]:
 
 def _is_from_run(certificate: Mapping[str, Any], path: str) -> bool:
     if entry := _ENTRY.match(path):  # both the run and the laboratory write these
-        return bool(certificate[entry[1]][int(entry[2])]["source"] == "run")
+        found = certificate[entry[1]][int(entry[2])]
+        return bool(found["id"] not in _OF_LABORATORY if "id" in found else found["source"] == "run")
     return bool(_FROM_RUN.match(path))
 
 

@@ -10,7 +10,7 @@ import pytest
 
 from bench.base.errors import BenchError, UsageError
 from bench.certificate import pdf, pdf_glyphs
-from bench.certificate.certificate_data import Conformity, Covariance, Deviation
+from bench.certificate.certificate_data import Conformity, Covariance, Deviation, Statement
 from bench.certificate.pdf import _document, render_pdf
 from bench.certificate.pdf_blocks import at_the_point
 from bench.certificate.pdf_plots import PLOTS, draw_plots, pictures
@@ -71,6 +71,11 @@ class TestSameInputSameBytes:
             for env in (dict(os.environ), other)
         ]
         assert shown[0] == shown[1]
+
+    def test_the_programs_are_stated(self):
+        shown = pdf.rendered_by(render_pdf(small_certificate(), {}, {}, NO_PLOTS))
+        assert re.fullmatch(r"Starbench [\d.]+; typst [\d.]+; matplotlib [\w.+-]+", shown)
+        assert pdf.rendered_by(b"%PDF-1.7 of somebody") == ""
 
     def test_another_time_of_issue_gives_other_bytes(self):
         later = changed(small_certificate(), issued_utc="2026-11-21T08:30:01Z")
@@ -202,6 +207,13 @@ class TestCharacters:
         stated = changed(full_certificate(), deviations=(Deviation("山", "laboratory"),))
         with pytest.raises(UsageError, match=r"deviations\[0\]\.text"):
             render_pdf(stated, {}, {}, NO_PLOTS)
+
+    @pytest.mark.parametrize(
+        ("kind", "refused"), [("traceability", True), ("also", True), ("not_included", False)]
+    )
+    def test_a_statement_is_refused_if_the_laboratory_words_it(self, kind, refused):
+        stated = changed(full_certificate(), statements=(Statement(kind, "山"),))
+        assert bool(pdf_glyphs.faults(dataclasses.asdict(stated))) == refused
 
 
 class TestPlots:
