@@ -100,6 +100,11 @@ class StageControl:
         """Whether the stage moves, or is about to."""
         return self._state.work is not None
 
+    @property
+    def failure(self) -> Failure | None:
+        """Why the stage does not answer, or why its last motion failed; None if nothing is wrong."""
+        return self._silent or self._state.failure
+
     def known_deg(self) -> Mapping[str, float]:
         """Return the present angles where they are known.
 
@@ -119,7 +124,7 @@ class StageControl:
             Plain values; an entry an axis in ``axes``.
         """
         state, limits = self._state, self._stage.limits
-        failure = self._silent or state.failure
+        failure = self.failure
         axes = [
             {
                 "name": name,
@@ -281,8 +286,8 @@ class StageControl:
             self.look(thoroughly=thoroughly)
         except DriverError as error:
             with self._lock:
-                changed = self._silent is None
-                self._silent = Failure.of(error)
+                before, self._silent = self._silent, Failure.of(error)
+                changed = before != self._silent
         else:
             changed = self._silent is not None
             self._silent = None

@@ -7,7 +7,6 @@ Each of these is done even if another one fails, and says what the device confir
 from __future__ import annotations
 
 from collections.abc import Callable
-from contextlib import suppress
 from dataclasses import dataclass
 
 from bench.align.camera_control import CameraControl
@@ -20,9 +19,9 @@ from bench.align.simulated_hands import SimulatedHands
 from bench.base.clock import BenchClock
 from bench.base.failure import FORESEEN, Failure
 from bench.stations.devices import Devices
+from bench.stations.separate_devices import SeparateDevices
 from bench.stations.station import Station
 from bench.views.camera_kinds import camera_kind
-from drivers.errors import DriverError
 
 OpenDevices = Callable[[Station, int, BenchClock], Devices]
 
@@ -74,7 +73,7 @@ class Bench:
 
 
 def open_devices(station: Station, seed: int, clock: BenchClock) -> Devices:
-    """Open a station's devices. Nothing moves.
+    """Open a station's camera; stage and light open meanwhile. Nothing moves.
 
     Parameters
     ----------
@@ -88,9 +87,9 @@ def open_devices(station: Station, seed: int, clock: BenchClock) -> Devices:
     Returns
     -------
     Devices
-        The open devices.
+        With an open camera.
     """
-    return Devices(station, seed=seed, clock=clock, wire_log=None)
+    return SeparateDevices(station, seed=seed, clock=clock, wire_log=None)
 
 
 def open_bench(
@@ -147,8 +146,7 @@ def open_bench(
         meter.close()
         raise
     stage = StageControl(devices.stage, on_change, say)
-    with suppress(DriverError):  # the watcher reads it again, and shows why it cannot
-        stage.look()
+    stage.look_safely(thoroughly=True)
     loop = LiveLoop(devices.camera, setting, stage.known_deg, on_change, meter, lambda: stage.moving)
     camera.use(loop)
     return Bench(devices, clock, stage, light, camera, loop, SimulatedHands(devices.simulation))

@@ -28,7 +28,7 @@ from sequences.script import Flicker, Gates, LightStep, Pose, RecordStep
 Verdict = Literal["good", "bad", "open"]
 """``good`` and ``bad`` as checked; ``open`` if it could not be checked yet."""
 _NO_REMEDY = "Correct this; nothing has moved."
-_SILENT = ("It did not answer in time.", "Check again. If this stays, press Open again.")
+_SILENT = ("It did not answer in time.", "Check again. If this stays, press Try again.")
 
 
 @dataclass(frozen=True)

@@ -83,7 +83,7 @@ class SimulatedHands:
                 found = json.loads(answer)
             except ValueError as error:
                 raise ControlRefused(
-                    "The simulated bench did not answer.", remedy="Press Open again."
+                    "The simulated bench did not answer.", remedy="Press Try again."
                 ) from error
             if not isinstance(found, dict) or "error" in found:
                 what = found.get("error") if isinstance(found, dict) else answer

@@ -23,7 +23,7 @@ STEPS_DEG: Final = (0.01, 0.1, 0.5, 1.0, 5.0)
 LEVELS_PERCENT: Final = (1.0, 2.0, 5.0, 10.0, 20.0, 30.0, 50.0, 70.0, 100.0)
 HELP: Final = (
     "Keys: L light on or off; + and - its level; arrows turn pan and tilt by the step; , and . change the step; "
-    "H twice homes; space stops; Q ends."
+    "H twice homes; O opens again what is not open; space stops; Q ends."
 )
 _ARROWS: Final[Mapping[bytes, tuple[str, int]]] = {
     b"\x1b[C": ("pan", 1),
@@ -96,6 +96,8 @@ class TerminalKeys:
         elif key in (b",", b"."):
             self._step = min(max(self._step + (1 if key == b"." else -1), 0), len(STEPS_DEG) - 1)
             self._say(f"The step is {STEPS_DEG[self._step]:g} degrees.")
+        elif key.lower() == b"o":
+            self._work.submit(self._do, self._open_again)
         elif key.lower() == b"q":
             self._end()
 
@@ -132,6 +134,10 @@ class TerminalKeys:
         """Wait until the devices are open. A motion does not wait: it is refused until then."""
         while not self._session.is_open and not self._closed.wait(_LOOK_S):
             pass
+
+    def _open_again(self) -> str:
+        failure = self._session.reopen()
+        return failure.message if failure is not None else "What was not open is being opened."
 
     def _start_homing(self) -> str:
         self._session.home()

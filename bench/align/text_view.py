@@ -10,6 +10,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import replace
 from typing import Final, TextIO
 
 import cv2
@@ -59,8 +60,12 @@ def show_in_terminal(
     while not ended.wait(REDRAWN_EVERY_S):
         number, image, figures = session.latest()
         failure = session.bench.loop.failure
+        lines = [one.message for one in session.failures()]
         view.show(
-            number, image, figures, trouble=notice() or (failure.message if failure is not None else "")
+            number,
+            image,
+            replace(figures, advice=(*lines, *figures.advice)) if lines else figures,
+            trouble=notice() or (failure.message if failure is not None else ""),
         )
 
 

@@ -6,7 +6,7 @@ The lock on a port does not cover that.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import ExitStack, contextmanager
 
 from bench.stations import station_lights, station_stages
@@ -69,7 +69,30 @@ def hold_serial_devices(station: Station) -> Iterator[None]:
     drivers.errors.PortBusy
         When another process uses one of the devices, through any port.
     """
+    with hold_devices(serial_devices(station)):
+        yield
+
+
+@contextmanager
+def hold_devices(devices: Iterable[str]) -> Iterator[None]:
+    """Lock devices against other processes of this computer, for the duration of the block.
+
+    Parameters
+    ----------
+    devices
+        Family and serial number of each, from `serial_devices`.
+
+    Yields
+    ------
+    None
+        While the devices are locked.
+
+    Raises
+    ------
+    drivers.errors.PortBusy
+        When another process uses one of the devices, through any port.
+    """
     with ExitStack() as holds:
-        for device in serial_devices(station):
+        for device in devices:
             holds.callback(DeviceHold(device).release)
         yield

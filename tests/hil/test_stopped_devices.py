@@ -16,7 +16,7 @@ from running import PATIENCE_S, end_when, entering, journal, starbench, start
 
 from bench.base.clock import BenchClock
 from bench.simulated import SimulatedBench
-from bench.stations.devices import _open_light, _open_stage
+from bench.stations.devices import open_light, open_stage
 from bench.stations.station import load_station
 from drivers.device_hold import FOLDER_VARIABLE
 from simulators.config import bench_config
@@ -48,12 +48,12 @@ def bench(tmp_path, monkeypatch):
 def see_that_it_is_safe(station):
     """Ask the devices themselves: the light is off, the stage stands."""
     words, clock = load_station(str(station)).value, BenchClock()
-    light = _open_light(words, str, clock, None)
+    light = open_light(words, str, clock, None)
     try:
         assert not light.is_on()
     finally:
         light.close()
-    stage = _open_stage(words, str, clock, None)
+    stage = open_stage(words, str, clock, None)
     try:
         first = stage.position_deg()
         time.sleep(0.3)

@@ -19,7 +19,7 @@ from bench.base.linux_process import out_of_memory_kills
 from bench.batch.supervisor import OUT_OF_MEMORY, adopt, supervise
 from bench.run.crash_log import read_crash
 from bench.simulated import SimulatedBench
-from bench.stations.devices import _open_light, make_orphans_safe
+from bench.stations.devices import open_light, make_orphans_safe
 from bench.stations.station import load_station
 from drivers.light import LightSettings
 
@@ -194,13 +194,13 @@ def test_the_light_that_a_dead_process_left_on_is_switched_off(tmp_path):
             text = text.replace(f"sim:{name}", world.endpoints[name])
         (tmp_path / "station.yaml").write_text(text)
         station, clock = load_station(str(tmp_path / "station.yaml")).value, BenchClock()
-        light = _open_light(station, str, clock, None)
+        light = open_light(station, str, clock, None)
         light.apply(LightSettings("square", 60.0, 50.0, 0.0, 5.0))
         light.on()
         assert light.is_on()
         light.close()
         assert make_orphans_safe(station, clock) == []
-        light = _open_light(station, str, clock, None)
+        light = open_light(station, str, clock, None)
         assert not light.is_on()
         light.close()
 

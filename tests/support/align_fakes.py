@@ -176,6 +176,7 @@ class FakeDevices:
     simulation = None
 
     def __init__(self):
+        self.late = {}
         self.stage, self.light, self.camera = FakeStage(), FakeLight(), FakeCamera()
         self.closed = False
 

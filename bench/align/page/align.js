@@ -94,7 +94,7 @@ function showTrouble() {
   const { failure } = state.devices;
   if (failure) lines.push(["The devices could not be opened", failure]);
   for (const name of ["stage", "light", "camera"]) {
-    if (state[name] && state[name].failure) lines.push([name[0].toUpperCase() + name.slice(1), state[name].failure]);
+    if (state[name] && state[name].failure && state[name].failure.kind !== "StillOpening") lines.push([name[0].toUpperCase() + name.slice(1), state[name].failure]);
   }
   const box = at("trouble");
   box.hidden = lines.length === 0;
@@ -102,7 +102,7 @@ function showTrouble() {
   if (box.dataset.key === key) return;
   box.dataset.key = key;
   fill(box, ...lines.map(([name, f]) => el("p", {}, el("b", {}, `${name}: `), `${f.where ? f.where + ": " : ""}${f.what} ${f.remedy}`)),
-    lines.length ? el("button", { id: "reopen", onclick: () => ask("open") }, "Open again") : null);
+    lines.length ? el("button", { id: "reopen", onclick: () => ask("open") }, "Try again") : null);
 }
 
 function showStage() {
@@ -110,8 +110,9 @@ function showStage() {
   at("stop").classList.toggle("moving", moving);
   if (!stage) { fill(at("axes")); setText(at("stage-state"), ""); return; }
   const pill = at("stage-state");
-  setText(pill, !stage.answers ? "does not answer" : stage.work === "home" ? "homing" : moving ? "turning" : stage.homed === false ? "not homed" : "at rest");
-  pill.className = `pill ${!stage.answers ? "bad" : moving ? "busy" : stage.homed === false ? "warn" : "good"}`;
+  const opening = Boolean(stage.failure && stage.failure.kind === "StillOpening");
+  setText(pill, opening ? "opening" : !stage.answers ? "does not answer" : stage.work === "home" ? "homing" : moving ? "turning" : stage.homed === false ? "not homed" : "at rest");
+  pill.className = `pill ${opening ? "busy" : !stage.answers ? "bad" : moving ? "busy" : stage.homed === false ? "warn" : "good"}`;
   const holder = at("axes");
   if (holder.childElementCount !== stage.axes.length) fill(holder, ...stage.axes.map(axisRow));
   stage.axes.forEach((axis, i) => {
@@ -143,8 +144,9 @@ function axisRow(axis) {
 function showLight() {
   const light = state.light, pill = at("light-state");
   if (!light) { setText(pill, ""); return; }
-  setText(pill, light.on === null ? "unknown" : light.on ? "on" : "off");
-  pill.className = `pill ${light.on === null ? "bad" : light.on ? "warn" : ""}`;
+  const opening = Boolean(light.failure && light.failure.kind === "StillOpening");
+  setText(pill, opening ? "opening" : light.on === null ? "unknown" : light.on ? "on" : "off");
+  pill.className = `pill ${opening ? "busy" : light.on === null ? "bad" : light.on ? "warn" : ""}`;
   keep(at("frequency"), light.frequency_hz);
   keep(at("level"), light.level_percent);
   keep(at("duty"), light.duty_percent);

@@ -11,7 +11,7 @@ from bench.align import live_loop
 from bench.align.live_figures import LiveFigures
 from bench.align.live_loop import with_signal_of
 from bench.base.errors import ControlRefused
-from drivers.errors import CameraBusy, CameraLost, DriverError, PortLost
+from drivers.errors import CameraBusy, CameraLost, DriverError, PortLost, StillOpening
 
 
 @pytest.fixture
@@ -355,6 +355,7 @@ def test_nothing_is_left_in_the_temporary_folder_after_a_fault(opened, tmp_path)
 
 def test_most_slices_are_short_and_some_show_the_flicker(opened, monkeypatch):
     monkeypatch.setattr(live_loop, "SIGNAL_EVERY_S", 0.5)
+    monkeypatch.setattr(live_loop, "_SHORTEST_S", 0.02)
     session, devices = opened
     lengths = []
     record = devices.camera.record
@@ -379,3 +380,60 @@ def test_a_short_slice_keeps_the_flicker_and_the_advice_about_it_of_the_last_lon
     shown = with_signal_of(short, longer)
     assert (shown.time_s, shown.trigger_hz, shown.jitter_us, shown.on_share) == (2.0, 50.0, 0.5, 0.4)
     assert shown.advice == (wrong, "Turn the focus ring.")
+
+
+class LateStage:
+    """A stage that is not open until it is tried again."""
+
+    def __init__(self):
+        self.stage, self.state, self.on_end = FakeDevices().stage, "opening", None
+        self.error = StillOpening("The stage is still being opened.", where="stage")
+
+    def listen(self, on_end):
+        self.on_end = on_end
+
+    def end(self, error=None):
+        self.error, self.state = error, "failed" if error else "open"
+        self.on_end()
+
+    def start(self):
+        self.error, self.state = StillOpening("again.", where="stage"), "opening"
+
+    def __getattr__(self, name):
+        if name in ("axes", "limits") or self.error is None:
+            return getattr(self.stage, name)
+        raise self.error
+
+
+def test_pictures_come_while_the_stage_opens_and_after_it_has_failed():
+    devices = FakeDevices()
+    devices.stage = late = LateStage()
+    devices.late = {"stage": late}
+    session, _ = fake_session(devices)
+    assert session.open() is None
+    try:
+        wait_until(lambda: session.picture().number >= 2)
+        assert session.state()["stage"]["failure"]["kind"] == "StillOpening"
+        assert session.failures() == []
+        late.end(PortLost("no such port.", where="gimbal", remedy="Plug it in."))
+        assert session.state()["stage"]["failure"]["remedy"] == "Plug it in."
+        assert [one.kind for one in session.failures()] == ["PortLost"]
+        assert "The stage could not be opened. gimbal: no such port." in said(session)
+        session.light(on=True)
+        with pytest.raises(PortLost):
+            session.jog("pan", 0.5)
+        before = session.picture().number
+        assert session.reopen() is None
+        assert late.state == "opening"
+        wait_until(lambda: session.picture().number > before)
+        assert not devices.closed
+        late.end()
+        assert session.state()["stage"]["failure"] is None
+        assert "All devices are open." in said(session)
+        session.jog("pan", 0.5)
+    finally:
+        session.close()
+
+
+def said(session):
+    return " ".join(one["text"] for one in session.state()["messages"])

@@ -155,6 +155,7 @@ def test_it_shows_until_it_shall_end(monkeypatch):
     session = SimpleNamespace(
         station=SimpleNamespace(value=SimpleNamespace(name="Bench")),
         latest=latest,
+        failures=list,
         bench=SimpleNamespace(loop=SimpleNamespace(failure=None)),
     )
     show_in_terminal(session, ended, stream=stream)

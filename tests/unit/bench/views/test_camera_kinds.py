@@ -96,7 +96,7 @@ def test_each_frame_camera_s_driver_gets_what_the_file_says(monkeypatch, camera,
     double = create_autospec(driver.open)
     monkeypatch.setattr(driver, "open", double)
     clock = BenchClock()
-    assert devices._open_camera(station_of(camera), str, clock) is double.return_value
+    assert devices.open_camera(station_of(camera), str, clock) is double.return_value
     double.assert_called_once_with(*given, serial="A7", clock=clock)
 
 

@@ -1,0 +1,214 @@
+"""Devices of a station opened one by one: the camera first, then stage and light, each on its own thread.
+
+A run needs all devices or none. A person who aligns a camera needs a picture, and wants to see which device fails. A
+stage or light that is not open raises an error from every call: `StillOpening`, or why it could not be opened. Nothing
+moves by opening, and nothing is switched on.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import ExitStack
+from typing import Any, Final, Literal, cast
+
+from bench.base.clock import Aborted, BenchClock
+from bench.simulated import SimulatedBench
+from bench.stations.device_identities import hold_devices, serial_devices
+from bench.stations.devices import Devices, open_camera, open_light, open_stage
+from bench.stations.station import Station
+from drivers.errors import DriverError, StillOpening
+from drivers.light import Light
+from drivers.stage import AxisLimits, Stage
+from drivers.wire_log import WireLog
+
+_CLOSE_S: Final = 15.0
+"""Longest wait for a device that is still being opened, s."""
+_LIGHT_FAMILY: Final = "generator "
+
+
+class LateDevice:
+    """A device that is opened on its own thread.
+
+    Parameters
+    ----------
+    name
+        ``stage`` or ``light``.
+    opener
+        Opens the device, and leaves on the stack how it is closed.
+    """
+
+    def __init__(self, name: str, opener: Callable[[ExitStack], Any]) -> None:
+        self.name = name
+        self._opener = opener
+        self._lock = threading.Lock()
+        self._device: Any = None
+        self._error: DriverError | None = None
+        self._stack = ExitStack()
+        self._thread: threading.Thread | None = None
+        self._closed = False
+        self._on_end: Callable[[], None] = lambda: None
+
+    @property
+    def state(self) -> Literal["opening", "open", "failed"]:
+        """Whether it is open."""
+        return "open" if self._device is not None else "failed" if self._error is not None else "opening"
+
+    def listen(self, on_end: Callable[[], None]) -> None:
+        """Have a function called after each attempt to open it, by the opening thread.
+
+        Parameters
+        ----------
+        on_end
+            Called without arguments; at once if an attempt has ended already.
+        """
+        with self._lock:
+            self._on_end = on_end
+            ended = self.state != "opening"
+        if ended:
+            on_end()
+
+    def start(self) -> None:
+        """Begin to open it, unless it is open or being opened."""
+        with self._lock:
+            if self._closed or (self._thread is not None and self.state != "failed"):
+                return
+            self._error = None
+            self._thread = threading.Thread(target=self._open, name=f"open-{self.name}", daemon=True)
+            self._thread.start()
+
+    def get(self) -> Any:
+        """Return the open device.
+
+        Returns
+        -------
+        object
+            The device.
+
+        Raises
+        ------
+        StillOpening
+            If it is being opened.
+        DriverError
+            Why it could not be opened.
+        """
+        device, error = self._device, self._error
+        if device is not None:
+            return device
+        if error is not None:
+            raise error
+        raise StillOpening(
+            f"The {self.name} is still being opened.", where=self.name, remedy="Wait some seconds."
+        )
+
+    def close(self) -> None:
+        """Close it; wait for an attempt to open it."""
+        with self._lock:
+            self._closed = True
+            thread = self._thread
+        if thread is not None:
+            thread.join(timeout=_CLOSE_S)
+        self._device = None
+        self._error = self._error or DriverError("It is closed.", where=self.name)
+        self._stack.close()
+
+    def _open(self) -> None:
+        with ExitStack() as opened:
+            try:
+                device = self._opener(opened)
+            except DriverError as error:
+                self._error = error
+            except Aborted as error:
+                self._error = DriverError(f"Opening was ended: {error}", where=self.name)
+            else:
+                self._stack = opened.pop_all()
+                self._device = device
+        with self._lock:
+            on_end = self._on_end
+        on_end()
+
+
+class SeparateDevices(Devices):
+    """A camera that is open, and a stage and a light that open meanwhile.
+
+    Parameters
+    ----------
+    station
+        The station file.
+    seed
+        Random seed of the simulated bench, if the station uses it.
+    clock
+        Every wait of a driver goes through it.
+    wire_log
+        Records the bytes on serial lines; None to record nothing.
+
+    Raises
+    ------
+    drivers.errors.DriverError
+        When the camera cannot be opened, or is not the one that the station file names.
+    SimulationError
+        When the simulated bench does not start.
+    """
+
+    def __init__(self, station: Station, *, seed: int, clock: BenchClock, wire_log: WireLog | None) -> None:
+        self._clock = clock
+        self._simulation: SimulatedBench | None = None
+        held = {name: _serials(station, name) for name in ("stage", "light")}
+
+        def stage(stack: ExitStack) -> Stage:
+            stack.enter_context(hold_devices(held["stage"]))
+            device = open_stage(station, self._port, clock, wire_log)
+            stack.callback(device.close)
+            return device
+
+        def light(stack: ExitStack) -> Light:
+            stack.enter_context(hold_devices(held["light"]))
+            device = open_light(station, self._port, clock, wire_log)
+            stack.callback(device.close)
+            return device
+
+        late = {"stage": LateDevice("stage", stage), "light": LateDevice("light", light)}
+        with ExitStack() as opened:
+            if station.needs_simulated_bench:
+                self._simulation = opened.enter_context(SimulatedBench(station.simulated_world, seed))
+            self.camera = open_camera(station, self._port, clock)
+            opened.callback(self.camera.close)
+            for device in late.values():
+                opened.callback(device.close)
+                device.start()
+            self._opened = opened.pop_all()
+        self.late = late
+        self.stage = cast("Stage", _LateStage(late["stage"], station))
+        self.light = cast("Light", _Late(late["light"]))
+
+
+class _Late:
+    """Passes every call to a late device."""
+
+    def __init__(self, late: LateDevice) -> None:
+        self._late = late
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._late.get(), name)
+
+
+class _LateStage(_Late):
+    """A late stage, whose axes and limits are known from the station file before it is open."""
+
+    def __init__(self, late: LateDevice, station: Station) -> None:
+        super().__init__(late)
+        self._station = station
+
+    @property
+    def axes(self) -> Sequence[str]:
+        return tuple(self._station.axes)
+
+    @property
+    def limits(self) -> Mapping[str, AxisLimits]:
+        return {name: axis.limits for name, axis in self._station.axes.items()}
+
+
+def _serials(station: Station, name: str) -> tuple[str, ...]:
+    """Return the serial devices of a station that belong to its stage or to its light."""
+    wanted = name == "light"
+    return tuple(one for one in serial_devices(station) if one.startswith(_LIGHT_FAMILY) == wanted)
