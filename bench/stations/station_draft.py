@@ -134,6 +134,9 @@ interlocks:
 # messages:                               # what is sent when a run holds, fails or ends
 #   webhooks: [{url_env: BENCH_CHAT}]
 
+# ledger:                                 # the newest line of the ledger, kept on another disk or share as well
+#   anchor: /mnt/office/bench.heads
+
 disk: {min_free_gb: 5}
 """
 """Sections that do not depend on the drivers."""
