@@ -183,7 +183,8 @@ def projection(certificate: Certificate) -> list[Block]:
     if not certificate.further:
         return []
     rows = [[one.name[:1].upper() + one.name[1:], printed(one.text)] for one in certificate.further]
-    return [table(["Quantity", "Value"], rows, [1, "auto"], ["left", "right"], size=8.2)]
+    shown = table(["Quantity", "Value"], rows, [1, "auto"], ["left", "right"], size=8.2)
+    return [together(shown)]
 
 
 def covariance(certificate: Certificate) -> list[Block]:
