@@ -34,6 +34,8 @@ EXPORTS = "exports/"
 _WRITTEN_LAST = (RESULTS, REPORT, "views.h5")
 """Files that the report step writes, besides the exports."""
 _CLOCK_SLACK_S = 0.05
+_PROGRAM = "program"
+"""Key of the software that every version states which journals the hashes of the results."""
 
 
 def check_journal(folder: Path, manifest: Mapping[str, str], found: Findings) -> Mapping[str, Capture]:
@@ -180,11 +182,19 @@ def _written(folder: Path, manifest: Mapping[str, str], entries: Sequence[Entry]
     for name in _WRITTEN_LAST:
         if name not in manifest:
             found.fault("results", name, "the journal's report step wrote this file; it is missing")
+    _written_line(folder, manifest, entries, found)
+
+
+def _written_line(
+    folder: Path, manifest: Mapping[str, str], entries: Sequence[Entry], found: Findings
+) -> None:
     line = next((entry for entry in reversed(entries) if entry.event == Event.WRITTEN), None)
     if line is None:
-        found.remarks.append(
-            f"{JOURNAL} does not hold the hashes of results, report, views and exports: an earlier version wrote it"
-        )
+        what = "does not hold the hashes of results, report, views and exports"
+        if any(_PROGRAM in (entry.data.get("software") or {}) for entry in entries):
+            found.fault("journal", JOURNAL, f"it {what}, though this version of the program writes them")
+        else:
+            found.remarks.append(f"{JOURNAL} {what}: an earlier version wrote it")
         return
     files = line.data.get("files")
     where = f"{JOURNAL}:{line.seq + 1}"

@@ -9,14 +9,19 @@ recordings instead. Both read only.
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
 from typing import Any
 
-from bench.base.errors import BenchError
+from bench.base.errors import BenchError, EvidenceError
 from bench.evidence.findings import Findings
+from bench.evidence.instructions import instructions
+from bench.evidence.seal import INSTRUCTIONS
+from bench.evidence.ssh_keys import fingerprint
+from bench.evidence.sshsig import read_signature
 from bench.plan.job import Job
 from bench.plan.plan import load_documents, make_plan
 from bench.records.events import Event
@@ -30,6 +35,7 @@ from bench.records.run_folder import (
     REPORT,
     RESULTS,
     SEQUENCE_COPY,
+    SIGNATURE,
     STATION_COPY,
 )
 from bench.results.compare_json import Difference, differences, within
@@ -38,7 +44,9 @@ from bench.results.derive_devices import check_recorded_with, check_wire_log
 from bench.results.derive_report import EXPORTS, UNREADABLE, check_exports, check_report, other_software
 from bench.results.derive_views import check_views
 from bench.results.results_content import journal_content, software
+from bench.results.solve_options import limited_numbers
 from bench.results.stored_calibration import stored_calibration
+from bench.views.gates import solution_gates
 from calib.calibration import Calibration
 from calib.errors import CalibrationError
 from drivers.errors import DriverError
@@ -107,6 +115,8 @@ def check_run(folder: Path) -> Findings:
     evidence = read_evidence(folder, found)
     if evidence is None:
         return found
+    _check_instructions(evidence, found)
+    _check_first_line(evidence, found)
     _check_plan(evidence, found)
     _check_steps(evidence, found)
     check_wire_log(folder, evidence.entries, evidence.job, found)
@@ -181,6 +191,41 @@ def _head(folder: Path, entries: Sequence[Entry]) -> str:
     return next((entry.hash for entry in entries if entry.hash in report), "")
 
 
+def _check_instructions(evidence: RunEvidence, found: Findings) -> None:
+    """Compare VERIFY.txt with the instructions for the key that sealed: a reader types these commands."""
+    try:
+        had = (evidence.folder / INSTRUCTIONS).read_text(encoding="utf-8", errors="replace")
+        signature = read_signature((evidence.folder / SIGNATURE).read_bytes())
+    except (OSError, EvidenceError) as error:
+        found.fault("results", INSTRUCTIONS, f"the file cannot be compared: {error}")
+        return
+    named = re.search(r" -I (\S+) -n ", had)
+    due = instructions(
+        "run", principal=named[1] if named else "", fingerprint=fingerprint(signature.public_key)
+    )
+    if had == due:
+        return
+    if other := other_program(evidence.history.started.get("software", {})):
+        found.not_compared.append(f"{INSTRUCTIONS}: it was written with {other}")
+    else:
+        found.fault(
+            "results", INSTRUCTIONS, "these are not the instructions for the key that sealed this folder"
+        )
+
+
+def _check_first_line(evidence: RunEvidence, found: Findings) -> None:
+    """Compare what the journal's first line repeats of the documents."""
+    job, started = evidence.job, evidence.history.started
+    plan = job.plan
+    due = {
+        "sequence": plan.sequence.value.name,
+        "station": plan.station.value.name,
+        "simulated": job.simulated,
+    }
+    for one in differences({name: started.get(name) for name in due}, due):
+        found.fault("journal", f"{JOURNAL}:1", f"{one}, by the run's documents")
+
+
 def _check_plan(evidence: RunEvidence, found: Findings) -> None:
     """Compare plan.json with the plan of the run's documents, except the names of files."""
     try:
@@ -222,16 +267,17 @@ def _check_results(evidence: RunEvidence, results: Mapping[str, Any], found: Fin
     folder, job = evidence.folder, evidence.job
     _check_software(evidence, results, found)
     calibration = stored_calibration(results["calibration"])
-    _check_journal_content(evidence, results, calibration, found)
     step = evidence.solve_step
     if step is None:
         found.fault("results", RESULTS, "the journal tells of no solve step")
         return
+    judged = [gate.as_data() for gate in solution_gates(step.limits, limited_numbers(calibration))]
+    _check_journal_content(evidence, results, calibration, len(judged), found)
     held = check_views(folder, results, found, all_stars=step.guard_band >= 1)
     if held is None:
         return
     views = [stored.view for stored in held.views]
-    check_calculated(evidence.history, job, step, results, calibration, views, found)
+    check_calculated(evidence.history, job, step, results, calibration, views, judged, found)
     names = sorted(path.name for path in (folder / EXPORTS).glob("*"))
     check_exports(folder, names, results, calibration, job.camera_name, job.target, found)
     check_report(folder, results, held.shown(results), evidence.head, found)
@@ -252,14 +298,17 @@ def _check_software(evidence: RunEvidence, results: Mapping[str, Any], found: Fi
 
 
 def _check_journal_content(
-    evidence: RunEvidence, results: Mapping[str, Any], calibration: Calibration, found: Findings
+    evidence: RunEvidence,
+    results: Mapping[str, Any],
+    calibration: Calibration,
+    judged: int,
+    found: Findings,
 ) -> None:
-    """Compare what results.json repeats of the journal, the station and the sequence."""
+    """Compare what results.json repeats of journal, station and sequence; its first ``judged`` gates are calculated."""
     due = journal_content(evidence.job, evidence.history, calibration.views)
     had = {name: results.get(name) for name in due}
     had["run"] = {name: value for name, value in results["run"].items() if name != "software"}
-    number = len(due["gates"])
-    had["gates"] = results["gates"][len(results["gates"]) - number :]
+    had["gates"] = results["gates"][judged:]
     seen = list(differences(had, due))
     add_differences("results", RESULTS, seen, found, other=other_program(results["run"]["software"]))
     solved = evidence.history.solved

@@ -14,8 +14,7 @@ from bench.results.comparison import compare_with_truth
 from bench.results.derive_report import other_software
 from bench.results.previous_calibration import change_since
 from bench.results.results_content import SCHEMA, projection, software
-from bench.results.solve_options import limited_numbers, readings_result, solve_options
-from bench.views.gates import solution_gates
+from bench.results.solve_options import readings_result, solve_options
 from calib.calibration import Calibration
 from calib.view import View
 from sequences.script import SolveStep
@@ -34,9 +33,10 @@ def check_calculated(
     results: Mapping[str, Any],
     calibration: Calibration,
     views: Sequence[View],
+    judged: Sequence[Mapping[str, Any]],
     found: Findings,
 ) -> None:
-    """Compare gates, projection, passport, readings, truth, comparison and change with what the calibration gives.
+    """Compare gates, projection, passport, readings, comparison and change with what the calibration gives.
 
     Parameters
     ----------
@@ -52,17 +52,18 @@ def check_calculated(
         The calibration that it states.
     views
         The calibrated views.
+    judged
+        The gates of the solve step, as the calibration is judged by them.
     found
         Findings; they are added.
     """
     readings = [attempt.stored["measured_deg"] for _, attempt in sorted(history.accepted().items())]
     options = solve_options(job, step, readings)
-    judged = [gate.as_data() for gate in solution_gates(step.limits, limited_numbers(calibration))]
     in_use = job.plan.passport.in_use if options.passport is not None else None
-    truth = job.read_truth()
+    truth = results.get("truth")  # --again asks the simulated world for it
     due: dict[str, Any] = {
         "schema": SCHEMA,
-        "gates": judged,
+        "gates": list(judged),
         "projection": projection(calibration, views),
         "passport": in_use.to_dict() if in_use else None,
         "gimbal_readings": readings_result(
@@ -71,7 +72,6 @@ def check_calculated(
             witness=step.readings == "witness",
             stated=job.station.gimbal is not None,
         ),
-        "truth": truth,
         "comparison": compare_with_truth(calibration, truth) if truth is not None else [],
         "sigma": dict(calibration.sigma),
     }
@@ -81,6 +81,8 @@ def check_calculated(
     if isinstance(previous := results.get("previous"), Mapping) and previous.get("run") is not None:
         due["change"] = change_since(previous["calibration"], results["calibration"])
         had["change"] = previous["change"]
+    if (truth is not None) != job.station.needs_simulated_bench:
+        found.fault("results", RESULTS, "it has a truth if, and only if, the station has a simulated bench")
     seen = list(differences(had, due, _SAME))
     known = {
         "run",
@@ -93,7 +95,7 @@ def check_calculated(
         "failures",
         "states",
     }
-    known |= {*due, *_WITH_AGAIN, "previous"}
+    known |= {*due, *_WITH_AGAIN, "previous", "truth"}
     further = [name for name in results if name not in known]
     other = other_software(results, tuple(software()))
     if other and (seen or further):

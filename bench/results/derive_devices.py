@@ -44,7 +44,7 @@ def check_wire_log(folder: Path, entries: Sequence[Entry], job: Job, found: Find
     """
     moves = list(_moves(entries))
     try:
-        times, replies = _read_logs(folder)
+        times, replies, ports = _read_logs(folder)
     except (ValueError, LookupError, TypeError) as error:
         found.fault("wire", WIRE_LOG, f"the wire log cannot be read ({error!r})")
         return
@@ -59,6 +59,11 @@ def check_wire_log(folder: Path, entries: Sequence[Entry], job: Job, found: Find
             what = f"it holds no bytes of the time in which the journal tells of {entry.data['state']}"
             found.fault("wire", WIRE_LOG, f"{what} ({JOURNAL}:{entry.seq + 1})")
             return
+    station = job.station
+    stated = {*station.stage.ports, *station.light.ports}
+    if times and not station.needs_simulated_bench and not ports & stated:
+        what = f"its ports {sorted(ports)} are not those of the station, {sorted(stated)}"
+        found.fault("wire", WIRE_LOG, what)
     _check_serials(entries, job, replies, found)
 
 
@@ -74,18 +79,20 @@ def _moves(entries: Sequence[Entry]) -> Iterator[tuple[float, float, Entry]]:
             begun = None
 
 
-def _read_logs(folder: Path) -> tuple[list[float], str]:
-    """Return the sorted times of all bytes, s, and everything that devices sent. Raises ValueError, KeyError."""
+def _read_logs(folder: Path) -> tuple[list[float], str, set[str]]:
+    """Return the sorted times of all bytes, s, all bytes of devices, and the ports. Raises ValueError, KeyError."""
     times: list[float] = []
     replies: list[str] = []
+    ports: set[str] = set()
     for path in sorted(folder.glob(f"{WIRE_LOG}*")):
         with path.open(encoding="ascii", errors="replace") as lines:
             for line in lines:
                 record: dict[str, Any] = json.loads(line)
                 times.append(float(record["t"]))
+                ports.add(str(record["port"]))
                 if record["dir"] == "<":
                     replies.append(str(record["bytes"]))
-    return sorted(times), "".join(replies)
+    return sorted(times), "".join(replies), ports
 
 
 def _check_serials(entries: Sequence[Entry], job: Job, replies: str, found: Findings) -> None:

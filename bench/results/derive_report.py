@@ -64,6 +64,8 @@ def check_report(
 ) -> None:
     """Compare the report with one that is made of the results.
 
+    If there is a fault already, plots and images are not drawn again, and only the words are compared.
+
     Parameters
     ----------
     folder
@@ -78,7 +80,7 @@ def check_report(
         Findings; they are added.
     """
     try:
-        due = render_report(ReportData(results, views, head))
+        due = render_report(ReportData(results, views, head), draw=not found.faults)
     except (*UNREADABLE, jinja2.TemplateError) as error:
         found.fault("results", RESULTS, f"no report can be made of these results ({error!r})")
         return
@@ -88,6 +90,10 @@ def check_report(
     had = data.decode("utf-8", errors="replace")
     if other := other_software(results, _WORDS_BY):
         found.not_compared.append(f"{REPORT} with {RESULTS}: it was made with {other}")
+        return
+    if found.faults:
+        if printed_text(had) != printed_text(due):
+            found.fault("report", REPORT, _words_differ(had, due))
         return
     if what := _words_differ(had, due):
         found.fault("report", REPORT, what)

@@ -56,6 +56,19 @@ class RunViews:
     views: Sequence[StoredView]
     pictures: Sequence[NDArray[np.uint8]]
 
+    def as_file(self) -> bytes:
+        """Return the bytes of a views.h5 with this content.
+
+        Returns
+        -------
+        bytes
+            The file, as a run writes it.
+        """
+        return views_file(
+            [_Found(s.view, _Picture(p)) for s, p in zip(self.views, self.pictures, strict=True)],
+            [stored.residuals_px for stored in self.views],
+        )
+
     def shown(self, results: Mapping[str, Any]) -> list[ViewPicture]:
         """Return the poses as the report shows them.
 
@@ -138,11 +151,7 @@ def _check_residuals(stored: StoredView, view: Mapping[str, Any], found: Finding
 
 def _check_bytes(path: Path, held: RunViews, results: Mapping[str, Any], found: Findings) -> None:
     """Write the content again: a file with the same bytes holds nothing besides it."""
-    again = views_file(
-        [_Found(s.view, _Picture(p)) for s, p in zip(held.views, held.pictures, strict=True)],
-        [stored.residuals_px for stored in held.views],
-    )
-    if path.read_bytes() == again:
+    if path.read_bytes() == held.as_file():
         return
     if other := other_software(results, ("starbench", "h5py", "numpy", "program")):
         found.not_compared.append(f"bytes of {VIEWS} with its content: it was made with {other}")

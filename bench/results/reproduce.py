@@ -137,7 +137,8 @@ def _judged(kind: CameraKind, evidence: RunEvidence, attempt: Attempt, again: Me
 def _check_numbers(stored: Mapping[str, Any], again: Mapping[str, Any], found: Findings) -> None:
     """Compare all of results.json, except the comparison with an earlier run, whose folder may be gone."""
     had = {name: value for name, value in stored.items() if name != "previous"}
-    if list(had) and not list(differences(had, again)):
+    rounded = list(differences(had, again))
+    if not rounded:
         found.remarks.append("calculated again from the recordings: every number is equal to the last bit")
         return
     sigma = again["calibration"]["sigma"]
@@ -149,7 +150,9 @@ def _check_numbers(stored: Mapping[str, Any], again: Mapping[str, Any], found: F
     if len(seen) > _MOST_SHOWN:
         found.fault("results", RESULTS, f"{len(seen) - _MOST_SHOWN} further values differ{made}")
     if not seen:
-        found.remarks.append("calculated again from the recordings: every number is equal but for rounding")
+        found.remarks.append(
+            f"calculated again from the recordings: {len(rounded)} numbers differ, by rounding only: {rounded[0]}"
+        )
 
 
 def _tolerance(sigma: Mapping[str, float]) -> Tolerance:

@@ -1,8 +1,21 @@
-"""What a verification found, and a folder sealed again by whoever holds a key."""
+"""What a verification found; and folders sealed again by whoever holds the bench's key and the program."""
+
+import hashlib
+import json
+from datetime import datetime
 
 from bench.evidence.keys import NAMESPACE
 from bench.evidence.seal import make_manifest
 from bench.evidence.sshsig import sign
+from bench.records.journal import read_journal
+from bench.records.journal_entry import FIRST_PREV, encode_line
+from bench.records.written import written_files
+from bench.report.html import ReportData, render_report
+from bench.results.derive_views import RunViews
+from bench.results.exports import exports
+from bench.results.result import json_bytes
+from bench.results.stored_calibration import stored_calibration
+from bench.views.views_file import read_picture, read_views
 
 
 def kinds(verification):
@@ -12,3 +25,110 @@ def kinds(verification):
 def reseal(folder, key, namespace=NAMESPACE):
     (folder / "SHA256SUMS").write_bytes(manifest := make_manifest(folder))
     (folder / "SHA256SUMS.sig").write_bytes(sign(key.private, manifest, namespace))
+
+
+class Forger:
+    """Somebody with the bench's key and the program, who changes a sealed run and puts the rest right again."""
+
+    def __init__(self, folder, key):
+        self.folder, self.key = folder, key
+        self.head = ""
+
+    def __truediv__(self, name):
+        return self.folder / name
+
+    # ------------------------------------------------------------------ files
+
+    def replace(self, name, old, new, count=1):
+        path = self.folder / name
+        data = path.read_bytes()
+        old, new = (part.encode() if isinstance(part, str) else part for part in (old, new))
+        assert old in data, f"{old!r} is not in {name}"
+        path.write_bytes(data.replace(old, new, count))
+
+    @property
+    def results(self):
+        return json.loads((self.folder / "results.json").read_bytes())
+
+    def edit_results(self, change):
+        results = self.results
+        change(results)
+        (self.folder / "results.json").write_bytes(json_bytes(results))
+
+    # ------------------------------------------------------------------ journal
+
+    @property
+    def lines(self):
+        """The journal's lines, as [event, utc, mono_s, data]."""
+        return [
+            [entry.event, entry.utc, entry.mono_s, dict(entry.data)]
+            for entry in read_journal(self.folder / "journal.jsonl")[0]
+        ]
+
+    def chain(self, lines):
+        """Write a journal of these lines, chained. The report prints the hash of the line before `written`."""
+        head = next(
+            (str(data["head"]) for event, _, _, data in lines if event == "written" and "head" in data), None
+        )
+        prev, written = FIRST_PREV, []
+        for seq, (event, utc, mono_s, data) in enumerate(lines):
+            if event == "written":
+                data["head"] = self.head = prev
+            line = encode_line(seq, datetime.fromisoformat(utc), mono_s, event, data, prev)
+            prev = json.loads(line)["hash"]
+            written.append(line + b"\n")
+        (self.folder / "journal.jsonl").write_bytes(b"".join(written))
+        if head is not None and self.head != head and (self.folder / "report.html").exists():
+            self.replace("report.html", head, self.head, -1)
+
+    def edit_journal(self, change):
+        """Change lines: `change` gets [event, utc, mono_s, data] of each, and returns it, another one or None."""
+        kept = [changed for line in self.lines if (changed := change(line)) is not None]
+        self.chain(kept)
+
+    def edit_line(self, event, change, *, nth=0):
+        """Change the data of the nth line of an event."""
+        lines = self.lines
+        found = [line for line in lines if line[0] == event]
+        change(found[nth][3])
+        self.chain(lines)
+
+    # ------------------------------------------------------------------ what follows
+
+    def tell_of_files(self):
+        """Put the hashes of documents, recordings and results into the journal's lines, and chain it again."""
+        sums = {
+            path.relative_to(self.folder).as_posix(): hashlib.sha256(path.read_bytes()).hexdigest()
+            for path in self.folder.rglob("*")
+            if path.is_file()
+        }
+        lines = self.lines
+        for event, _, _, data in lines:
+            if event == "run_started":
+                data["sha256"] = {name: sums[name] for name in data["sha256"] if name in sums}
+            elif event == "capture_stored" and data["capture"] in sums:
+                data["sha256"] = sums[data["capture"]]
+                data["size"] = (self.folder / data["capture"]).stat().st_size
+        self.chain(lines)
+        for line in lines:
+            if line[0] == "written":
+                line[3].update(written_files(self.folder))
+        self.chain(lines)
+
+    def render(self, job):
+        """Make exports and report again of the results, as the program does."""
+        results = self.results
+        self.chain(self.lines)
+        calibration = stored_calibration(results["calibration"])
+        for name, data in exports(calibration, camera_name=job.camera_name, target=job.target).items():
+            (self.folder / "exports" / name).write_bytes(data)
+        views = read_views(self.folder / "views.h5")
+        held = RunViews(views, [read_picture(self.folder / "views.h5", n + 1) for n in range(len(views))])
+        html = render_report(ReportData(results, held.shown(results), self.head))
+        (self.folder / "report.html").write_text(html, encoding="utf-8")
+
+    def write_views(self, held):
+        (self.folder / "views.h5").write_bytes(held.as_file())
+
+    def seal(self):
+        reseal(self.folder, self.key)
