@@ -115,7 +115,8 @@ def verification(certificate: Certificate, attachments: Mapping[str, bytes]) -> 
         {"kind": "steps", "steps": steps},
         paragraph(
             "allowed_signers is the list of keys that you trust. Get it from the laboratory in another way than this"
-            " certificate, and compare the fingerprints:"
+            " certificate, and compare the fingerprints:",
+            sticky=True,
         ),
         pairs(sealed, label_mm=40),
         together(heading("The sealed run that this certificate is made from"), pairs(made_from)),
