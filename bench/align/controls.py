@@ -14,7 +14,7 @@ from typing import Any, Literal
 
 from bench.base.errors import ControlRefused
 from bench.base.failure import Failure
-from drivers.errors import DriverError, ReplyError
+from drivers.errors import DriverError, ReplyError, StillOpening
 from drivers.stage import Stage
 
 LARGEST_STEP_DEG = 5.0
@@ -203,9 +203,15 @@ class StageControl:
         Raises
         ------
         ControlRefused
-            If the stage moves. Nothing is moved then.
+            If the stage moves, or is not open. Nothing is moved then.
         """
         with self._lock:
+            if self._silent is not None and self._silent.kind == StillOpening.__name__:
+                raise ControlRefused(
+                    "The stage is still being opened. Nothing was moved.",
+                    where="stage",
+                    remedy="Wait some seconds.",
+                )
             if self._state.work is not None or self._closing:
                 raise ControlRefused(
                     "The stage moves. Homing was not started.", where="stage", remedy="Wait, or press STOP."

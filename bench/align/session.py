@@ -11,13 +11,13 @@ import threading
 import time
 from collections.abc import Callable, Mapping
 from contextlib import suppress
-from functools import partial
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bench.align.happened import Happened
+from bench.align.late import failures_of, follow, is_opening, try_again
 from bench.align.live_figures import LiveFigures, LiveSetting
 from bench.align.live_picture import LivePicture
 from bench.align.meter import Meter, MeterProcess
@@ -27,7 +27,7 @@ from bench.base.errors import ControlRefused
 from bench.base.failure import FORESEEN, Failure
 from bench.stations.station import Station
 from bench.web.stream import Changes
-from drivers.errors import DriverError, StillOpening
+from drivers.errors import DriverError
 from sequences.reader import Located
 
 _WATCH_S = 0.05
@@ -131,33 +131,9 @@ class Session:
             self._opening = False
             self.changes.tell()
         if self._bench is not None:
-            self._follow_late(self._bench)
+            follow(self._bench, self.say)
             self._watch()
         return self._failure
-
-    def _follow_late(self, bench: Bench) -> None:
-        """Say when stage and light are open too, or why they are not."""
-        late = bench.devices.late
-        if not late:
-            self.say("All devices are open. Nothing was moved, and the light was not switched.")
-        for name, device in late.items():
-            device.listen(partial(self._late_ended, bench, name))
-
-    def _late_ended(self, bench: Bench, name: str) -> None:
-        """Read a device that has just been opened, or show why it could not be."""
-        if bench is not self._bench:
-            return
-        if name == "light":
-            bench.light.look()
-            failure = bench.light.reading.failure
-        else:
-            bench.stage.look_safely(thoroughly=True)
-            failure = bench.stage.failure
-        late = bench.devices.late
-        if late[name].state == "failed" and failure is not None:
-            self.say(f"The {name} could not be opened. {failure.message}")
-        elif all(one.state == "open" for one in late.values()):
-            self.say("All devices are open. Nothing was moved, and the light was not switched.")
 
     def reopen(self) -> Failure | None:
         """Open again what is not open; if that is not all, close the devices safely and open all of them again.
@@ -168,15 +144,31 @@ class Session:
             Why they cannot be opened; None if they are open.
         """
         bench = self._bench
-        if bench is not None and bench.loop.failure is None:
-            failed = [device for device in bench.devices.late.values() if device.state == "failed"]
-            for device in failed:
-                device.start()
-            if failed:
-                self.changes.tell()
-                return None
+        if bench is not None and bench.loop.failure is None and try_again(bench):
+            self.changes.tell()
+            return None
         self._close_bench()
         return self.open()
+
+    def wait_for_devices(self, timeout_s: float = 60.0) -> bool:
+        """Wait until stage and light are open, or could not be opened.
+
+        Parameters
+        ----------
+        timeout_s
+            Longest wait, s.
+
+        Returns
+        -------
+        bool
+            Whether all devices are open and answer.
+        """
+        end_s = time.monotonic() + timeout_s
+        while time.monotonic() < end_s and not self._ended.wait(_WATCH_S):
+            bench = self._bench
+            if bench is not None and not is_opening(bench):
+                return not self.failures()
+        return False
 
     def failures(self) -> list[Failure]:
         """Return why stage or light cannot be used now, the camera's pictures apart.
@@ -187,8 +179,7 @@ class Session:
             Empty if both answer, or are still being opened.
         """
         bench = self._bench
-        found = [] if bench is None else [bench.stage.failure, bench.light.reading.failure]
-        return [one for one in found if one is not None and one.kind != StillOpening.__name__]
+        return [] if bench is None else failures_of(bench)
 
     def close(self) -> list[Confirmation]:
         """Leave the bench safe: stage stopped, light off, camera closed. A second call does nothing.

@@ -25,6 +25,8 @@ HELP: Final = (
     "Keys: L light on or off; + and - its level; arrows turn pan and tilt by the step; , and . change the step; "
     "H twice homes; O opens again what is not open; space stops; Q ends."
 )
+_LATE_S: Final = 10.0
+"""Longest wait of a key for a light that is being opened, s."""
 _ARROWS: Final[Mapping[bytes, tuple[str, int]]] = {
     b"\x1b[C": ("pan", 1),
     b"\x1b[D": ("pan", -1),
@@ -134,6 +136,7 @@ class TerminalKeys:
         """Wait until the devices are open. A motion does not wait: it is refused until then."""
         while not self._session.is_open and not self._closed.wait(_LOOK_S):
             pass
+        self._session.wait_for_devices(_LATE_S)
 
     def _open_again(self) -> str:
         failure = self._session.reopen()

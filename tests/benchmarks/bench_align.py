@@ -111,6 +111,7 @@ def main() -> None:
     if failure is not None:
         sys.exit(failure.message)
     print(f"devices open after {time.monotonic() - began_s:.2f} s; load {os.getloadavg()[0]:.1f}")
+    session.wait_for_devices()
     session.home()
     while session.bench.stage.moving:
         time.sleep(0.05)

@@ -24,6 +24,7 @@ def aligned_by_advice(settings, seed, patience_s):
     of_station = {f"station.{path}": text for path, text in settings.items()}
     session = Session(load_station(STATION, settings), seed=seed)
     assert session.open() is None
+    assert session.wait_for_devices()
     try:
         person = Obedient(session, patience_s=patience_s)
         left = person.align()

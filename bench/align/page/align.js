@@ -126,7 +126,7 @@ function showStage() {
     row.querySelector("b").style.left = `${100 * -axis.lowest_deg / span}%`;
   });
   setText(at("stage-fault"), stage.faults.join("; "));
-  at("home").dataset.off = moving ? "1" : "";
+  at("home").dataset.off = moving || opening ? "1" : "";
 }
 
 function axisRow(axis) {
