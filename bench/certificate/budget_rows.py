@@ -28,7 +28,8 @@ _SAME = 1e-3
 """Largest relative difference between the combined rows and the stated uncertainty: below its last printed digit."""
 _OVERLAP = (
     "All sources act together in one joint adjustment. The engine splits the combined uncertainty by source, so that"
-    " the squares of the rows add up to u squared; a row without a stated value has no sensitivity of its own."
+    " the squares of the rows add up to u squared. A sensitivity is the contribution over the standard uncertainty of"
+    " the stated value; a row without a stated value has none."
 )
 
 
@@ -40,11 +41,16 @@ class RowSource:
     ----------
     number, date, sha256
         Number and date of the certificate, and SHA-256 of it; empty where not stated.
+    value, divisor, unit
+        Uncertainty as the certificate states it, its divisor (coverage factor) and unit; None to take the engine's.
     """
 
     number: str = ""
     date: str = ""
     sha256: str = ""
+    value: float | None = None
+    divisor: float | None = None
+    unit: str = ""
 
 
 @dataclass(frozen=True)
@@ -218,22 +224,22 @@ def _row(
     sources: Mapping[str, RowSource],
 ) -> BudgetRow:
     kind: Literal["A", "B"] = "A" if row.get("type", "") == "A" or (not row and group in _TYPE_A) else "B"
-    value, divisor = row.get("value"), row.get("divisor")
-    base = str(row.get("unit") or "").partition(" ")[0]
-    sensitivity = (row.get("sensitivity") or {}).get(symbol)
-    if value and divisor and sensitivity is None:
-        sensitivity = u * float(divisor) / float(value)
-    has_value = value is not None and divisor is not None and sensitivity is not None
-    freedom = row.get("degrees_of_freedom") if group in _terms({"budget_rows": [row]}) else nu
     source = sources.get(name, RowSource())
+    value, divisor, value_unit = _stated_value(row, source)
+    has_value = bool(value) and bool(divisor)
+    sensitivity = u * divisor / value if has_value and value and divisor else None
+    if sensitivity is not None and (row.get("sensitivity") or {}).get(symbol, 0.0) < 0:
+        sensitivity = -sensitivity
+    base = value_unit.partition(" ")[0]
+    freedom = row.get("degrees_of_freedom") if group in _terms({"budget_rows": [row]}) else nu
     return BudgetRow(
         name=name,
         type=kind,
-        value=float(value) if has_value and value is not None else None,
-        unit=str(row.get("unit") or "") if has_value else "",
+        value=value if has_value else None,
+        unit=value_unit if has_value else "",
         distribution=str(row.get("distribution") or "normal"),
-        divisor=_digits(float(divisor)) if has_value and divisor is not None else None,
-        sensitivity=_digits(float(sensitivity)) if has_value and sensitivity is not None else None,
+        divisor=_digits(divisor) if has_value and divisor else None,
+        sensitivity=None if sensitivity is None else _digits(sensitivity),
         sensitivity_unit=(unit if base == "1" else f"{unit}/{base}") if has_value else "",
         u=_digits(u),
         share=_digits((u / whole) ** 2) if whole > 0 else 0.0,
@@ -243,6 +249,15 @@ def _row(
         date=source.date,
         sha256=source.sha256,
     )
+
+
+def _stated_value(row: Json, source: RowSource) -> tuple[float | None, float | None, str]:
+    """Return the stated value of a row with divisor and unit. A passport's is not the engine's."""
+    if source.value is not None:
+        return source.value, source.divisor, source.unit
+    if row.get("name") == PASSPORT or row.get("value") is None or row.get("divisor") is None:
+        return None, None, ""
+    return float(row["value"]), float(row["divisor"]), str(row.get("unit") or "")
 
 
 _SOURCES = {

@@ -6,7 +6,7 @@ So a verifier can compose the certificate again from the two files in its folder
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 from bench.certificate import run_facts
@@ -168,15 +168,22 @@ def row_sources(found: Json, lab: LabConfig) -> dict[str, RowSource]:
     """
     sources = {}
     if in_run := found.get("passport"):
+        value, divisor = _radius_uncertainty(found, in_run)
         sources[PASSPORT] = RowSource(
-            str(in_run.get("number") or ""), str(in_run.get("date") or ""), str(in_run.get("sha256") or "")
+            str(in_run.get("number") or ""),
+            str(in_run.get("date") or ""),
+            str(in_run.get("sha256") or ""),
+            value if set(in_run.get("values") or {}) == {"r"} else None,
+            divisor,
+            "mm",
         )
     for one in lab.sources:
         known = sources.get(one.row, RowSource())
-        sources[one.row] = RowSource(
-            one.number or known.number,
-            one.date.isoformat() if one.date else known.date,
-            one.sha256 or known.sha256,
+        sources[one.row] = replace(
+            known,
+            number=one.number or known.number,
+            date=one.date.isoformat() if one.date else known.date,
+            sha256=one.sha256 or known.sha256,
         )
     return sources
 
@@ -266,12 +273,8 @@ def _traceability(found: Json, lab: LabConfig) -> tuple[Traceability, ...]:
 
 
 def _collimator(found: Json, in_run: Json, stated: SourceConfig | None) -> Traceability:
-    certificate = (found["run"].get("collimator") or {}).get("certificate")
-    values = certificate if isinstance(certificate, Mapping) else {}
     radius = (in_run.get("values") or {}).get("r")
-    sigma = (in_run.get("sigma") or {}).get("r")
-    k = float(values.get("k", 1.0 if not values else 2.0))
-    expanded = values.get("uncertainty_mm", sigma)
+    expanded, k = _radius_uncertainty(found, in_run)
     source = RowSource(
         str(in_run.get("number") or (stated and stated.number) or ""),
         str(in_run.get("date") or (stated and stated.date and stated.date.isoformat()) or ""),
@@ -280,8 +283,8 @@ def _collimator(found: Json, in_run: Json, stated: SourceConfig | None) -> Trace
     return Traceability(
         what=(stated and stated.what) or "focal length of the collimator",
         value=None if radius is None else float(radius),
-        U=None if expanded is None else float(expanded),
-        k=None if expanded is None else k,
+        U=expanded,
+        k=k,
         unit="mm",
         number=source.number,
         issuer=(stated and stated.issuer) or "",
@@ -289,6 +292,15 @@ def _collimator(found: Json, in_run: Json, stated: SourceConfig | None) -> Trace
         sha256=source.sha256,
         statement=(stated and stated.statement) or "",
     )
+
+
+def _radius_uncertainty(found: Json, in_run: Json) -> tuple[float | None, float | None]:
+    """Return the uncertainty of the collimator's focal length as it is stated, mm, and its coverage factor."""
+    certificate = (found["run"].get("collimator") or {}).get("certificate")
+    if isinstance(certificate, Mapping) and in_run.get("source") == "station certificate":
+        return float(certificate["uncertainty_mm"]), float(certificate.get("k", 2.0))
+    sigma = (in_run.get("sigma") or {}).get("r")
+    return (None, None) if sigma is None else (float(sigma), 1.0)
 
 
 def _before(found: Json, lab: LabConfig) -> BeforeAdjustment | None:

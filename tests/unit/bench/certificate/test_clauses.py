@@ -1,0 +1,116 @@
+"""The clauses of ISO/IEC 17025: each is answered or named; the table of the documentation is that of the program."""
+
+import json
+from pathlib import Path
+
+import pytest
+from certificate_sample import LAB, sample_lab, sample_results
+
+from bench.certificate.certificate_data import Certificate
+from bench.certificate.clauses import CLAUSES, table, unanswered
+from bench.certificate.contradictions import faults_of_lab
+from bench.certificate.lab_config import EXAMPLE, LabConfig, read_lab
+from sequences.errors import DocumentFaults
+
+PAGE = Path(__file__).parents[4] / "docs" / "certificates.md"
+NOTHING = "format: starbench/lab/1\n"
+
+
+def test_the_sample_answers_every_clause():
+    assert faults_of_lab(sample_lab(), sample_results()) == []
+
+
+def test_every_key_of_a_clause_can_be_missing_and_is_then_named():
+    lab = sample_lab(NOTHING).value
+    named = {one.clause.number for one in unanswered(lab, sample_results())}
+    by_hand = {
+        clause.number
+        for clause in CLAUSES
+        if "missing" in clause.__dict__ and clause.missing(lab, sample_results())
+    }
+    assert named == by_hand
+    assert {"7.8.2.1 b", "7.8.2.1 c", "7.8.2.1 e", "7.8.2.1 f", "7.8.2.1 g", "7.8.2.1 h", "7.8.2.1 n"} < named
+    assert {"7.8.2.1 o", "7.8.2.1 p", "7.8.2.2", "7.8.4.1 b", "7.8.4.1 c", "7.8.4.1 d"} < named
+
+
+def test_the_fields_of_the_table_are_fields_of_a_certificate():
+    known = set(Certificate.__dataclass_fields__)
+    for clause in CLAUSES:
+        for field in clause.field.split(", "):
+            name = field.split(":")[0].split(".")[0].split(";")[0].strip()
+            assert name in known or " " in name or name in {"k", "p", "nu_eff", "reproduction"}, (
+                clause.number,
+                name,
+            )
+
+
+def test_a_reference_without_number_date_or_issuer_is_named():
+    without = {**sample_results(), "passport": {**sample_results()["passport"], "number": None, "date": None}}
+    keys = [one.key for one in unanswered(sample_lab().value, without)]
+    assert keys == ["sources.number", "sources.date"]
+    none = {**sample_results(), "passport": None}
+    assert [one.key for one in unanswered(sample_lab().value, none)] == []
+    bare = sample_lab(LAB.replace("number: R-17, ", "")).value
+    assert [one.key for one in unanswered(bare, none)] == ["sources"]
+
+
+def test_the_documentation_prints_the_table():
+    assert table() in PAGE.read_text(encoding="utf-8")
+
+
+def test_the_documentation_names_every_key_of_lab_yaml():
+    text = PAGE.read_text(encoding="utf-8")
+    for name in LabConfig.model_fields:
+        assert f"`{name}`" in text, name
+
+
+def test_the_example_has_every_section_and_names_every_placeholder():
+    with pytest.raises(DocumentFaults) as found:
+        read_lab(EXAMPLE)
+    lines = [str(fault) for fault in found.value.faults]
+    assert len(lines) == EXAMPLE.read_text(encoding="utf-8").split("laboratory:", 1)[1].count("REPLACE")
+    assert all("REPLACE" in line or "replace this placeholder" in line for line in lines)
+
+
+def test_the_schema_of_lab_yaml_takes_what_the_reader_takes():
+    jsonschema = pytest.importorskip("jsonschema")
+    schema = json.loads(json.dumps(LabConfig.model_json_schema()))
+    jsonschema.Draft202012Validator.check_schema(schema)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "named"),
+    [
+        ("country: GB", "country: England", r"customer.address.country: must be of the form"),
+        ("email: ada@customer.example", "name: x", "customer.contact"),
+        ("value: 20.3", "value: 2_0", "conditions[0].value"),
+        ("value: 20.3", "value: .nan", "conditions[0].value"),
+        ("uncertainty: 0.4", "uncertainty: -1", "conditions[0].uncertainty: must be 0 or more"),
+        (
+            "accreditation: {body",
+            "accreditation: {bodi",
+            "laboratory.accreditation.bodi: unknown key. Did you mean 'body'?",
+        ),
+        ("lower: 3340, upper: 3350", "lower: 3350, upper: 3340", "lower must be less than upper"),
+        ("lower: 3340, upper: 3350", "", "needs lower, upper or both"),
+        ("received: 2026-11-18", "received: 18.11.2026", "must be a date, year-month-day"),
+        ("name: Customer & Sons <GmbH>", 'name: "a\\u0007b"', "a control character is not allowed"),
+        ('key: "SHA256:AAA', 'key: "SHA1:AAA', "authorised_by.key: must be of the form"),
+        ("format: starbench/lab/1", "format: starbench/station/1", "wrong kind of document"),
+        ("name: Ada Byron", "name: \u200b", "must contain no control characters"),
+        ("place: {kind", "numbers: {format: SB-2026}\nplace: {kind", "format must contain {number:05d} once"),
+        ("place: {kind", "numbers: {format: '{number.__class__}'}\nplace: {kind", "format must contain"),
+        (
+            "previous_certificate: {number: SB-2025-00104, ",
+            "previous_certificate: {",
+            "previous_certificate.number: ",
+        ),
+        ("external: [", "external: REPLACE # [", "external"),
+    ],
+)
+def test_a_fault_of_lab_yaml_is_named_with_its_place(old, new, named):
+    assert old in LAB
+    with pytest.raises(DocumentFaults) as found:
+        sample_lab(LAB.replace(old, new))
+    lines = [str(fault) for fault in found.value.faults]
+    assert any(named in line and line.startswith("lab.yaml:") for line in lines), lines

@@ -1,0 +1,153 @@
+"""Rounding, conformity and budgets: what a reader can calculate again from the printed certificate."""
+
+import dataclasses
+import json
+import math
+from decimal import Decimal
+
+import pytest
+from certificate_sample import full_certificate, sample_results
+from hypothesis import example, given
+from hypothesis import strategies as st
+from scipy import stats
+
+from bench.base.errors import EvidenceError
+from bench.certificate.budget_rows import budget_of, expanded
+from bench.certificate.conformity import verdict_of
+from bench.certificate.rounding import print_result, round_expanded
+
+EXPANDED = st.floats(min_value=1e-9, max_value=1e9)
+
+
+@given(EXPANDED)
+@example(9.99)
+@example(0.0995)
+@example(2.4106)
+def test_an_uncertainty_has_two_digits_and_is_not_made_smaller_by_more_than_one_percent(expanded_value):
+    rounded = round_expanded(expanded_value)
+    assert len(rounded.as_tuple().digits) == 2
+    assert 0.99 <= float(rounded) / expanded_value <= 1.1
+
+
+@given(st.floats(min_value=-1e9, max_value=1e9), EXPANDED)
+def test_a_value_ends_at_the_digit_of_its_uncertainty(value, expanded_value):
+    shown, uncertainty = print_result(value, expanded_value)
+    assert "e" not in (shown + uncertainty).lower()
+    assert len(shown.partition(".")[2]) == len(uncertainty.partition(".")[2])
+    step = Decimal(1).scaleb(int(round_expanded(expanded_value).as_tuple().exponent))
+    assert abs(Decimal(shown) - Decimal(repr(value))) <= step / 2
+
+
+@pytest.mark.parametrize("bad", [0.0, -1.0, math.nan, math.inf])
+def test_what_is_no_uncertainty_is_refused(bad):
+    with pytest.raises(ValueError, match=str(bad)):
+        round_expanded(bad)
+
+
+@given(
+    st.decimals(-100, 100, places=2), st.decimals("0.01", 20, places=2), st.floats(-50, 0), st.floats(0.1, 50)
+)
+def test_verdicts_follow_the_guard_band(value, band, lower, upper):
+    verdict = verdict_of(str(value), str(band), lower, upper)
+    inside = min(Decimal(repr(upper)) - value, value - Decimal(repr(lower)))
+    assert (verdict in ("pass", "conditionalPass")) == (inside >= 0)
+    assert (verdict in ("pass", "fail")) == (inside >= band or inside < -band)
+
+
+def test_one_limit_alone_is_enough():
+    assert verdict_of("5", "1", None, 6.0) == "pass"
+    assert verdict_of("5", "1", 5.5, None) == "conditionalFail"
+
+
+def quantile(nu):
+    return stats.norm.ppf(0.97725) if nu is None else stats.t.ppf(0.97725, nu)
+
+
+@pytest.mark.parametrize("symbol", ["fx", "fy", "cx", "cy", "k1", "k2"])
+def test_a_reader_can_calculate_every_uncertainty_from_the_rows(symbol):
+    """By the formulas of the GUM: u from the rows, nu_eff by Welch and Satterthwaite, k from the t-distribution."""
+    certificate = full_certificate()
+    result = next(one for one in certificate.results if one.symbol == symbol)
+    budget = next(one for one in certificate.budgets if one.symbol == symbol)
+    u = math.sqrt(sum(row.u**2 for row in budget.rows))
+    together = {}
+    for row in budget.rows:
+        if row.nu is not None:
+            together[row.nu] = together.get(row.nu, 0.0) + row.u**2
+    nu_eff = u**4 / sum(variance**2 / nu for nu, variance in together.items())
+    assert u == pytest.approx(result.u, rel=1e-6)
+    assert nu_eff == pytest.approx(result.nu_eff, rel=0.02)  # fy shares the smaller one of fx
+    assert quantile(result.nu_eff) == pytest.approx(result.k, rel=1e-4)
+    assert float(round_expanded(result.k * result.u)) == result.U
+    assert sum(row.share for row in budget.rows) == pytest.approx(1.0)
+    stated = sample_results()["calibration"]
+    assert result.k * result.u == pytest.approx(stated["coverage_factor"] * stated["sigma"][symbol], rel=1e-8)
+
+
+def test_a_row_with_a_value_is_its_value_times_its_sensitivity():
+    certificate = full_certificate()
+    rows = [row for budget in certificate.budgets for row in budget.rows if row.value is not None]
+    assert len(rows) > 20
+    for row in rows:
+        assert abs(row.sensitivity) * row.value / row.divisor == pytest.approx(row.u, rel=1e-6), row.name
+
+
+def test_rows_name_their_certificates():
+    fx = full_certificate().budgets[0]
+    known = {row.name: (row.number, row.date) for row in fx.rows if row.number}
+    assert known == {
+        "passport of the collimator": ("SIM-2026-01", "2026-01-12"),
+        "scale of the print": ("R-17", "2026-01-08"),
+    }
+
+
+def test_the_covariance_has_the_stated_uncertainties_on_its_diagonal():
+    certificate = full_certificate()
+    matrix = certificate.covariance.matrix
+    assert certificate.covariance.names == tuple(one.symbol for one in certificate.results)
+    for at, one in enumerate(certificate.results):
+        assert math.sqrt(matrix[at][at]) == pytest.approx(one.u, rel=1e-7)
+
+
+def changed(change):
+    calibration = json.loads(json.dumps(sample_results()["calibration"]))
+    change(calibration)
+    return calibration
+
+
+def test_rows_that_do_not_add_up_are_refused():
+    calibration = changed(lambda c: c["budget"]["stars"].update(fx=0.1))
+    with pytest.raises(
+        EvidenceError, match=r"rows of the uncertainty budget of fx give u = 0\.9\d+ px, but 1\.085 is"
+    ):
+        budget_of(calibration, "fx", "px", {}, 2.4)
+
+
+def test_results_without_a_budget_are_refused():
+    with pytest.raises(EvidenceError, match="have no uncertainty budget"):
+        expanded(changed(lambda c: c.update(budget={})), "fx")
+
+
+def test_with_many_degrees_of_freedom_k_is_two_everywhere():
+    def plenty(calibration):
+        calibration["coverage_factor"] = 2.0000024
+        for row in calibration["budget_rows"]:
+            row["degrees_of_freedom"] = None
+
+    calibration = changed(plenty)
+    for symbol in calibration["camera"]:
+        found = expanded(calibration, symbol)
+        assert (found.nu_eff, found.growth) == (None, 1.0)
+        assert found.u == calibration["sigma"][symbol]
+
+
+def test_data_of_the_customer_mark_the_results_that_depend_on_them():
+    from certificate_sample import LAB, identity, sample_lab
+
+    from bench.certificate.compose import compose
+
+    text = LAB.replace('data sheet of the camera."}', 'data sheet of the camera.", results: [k1]}')
+    certificate = compose(sample_results(), sample_lab(text).value, identity())
+    assert [one.symbol for one in certificate.results if one.customer_supplied] == ["k1"]
+    assert "customer" in certificate.statement("customer_data")
+    assert dataclasses.replace(certificate) == certificate
