@@ -51,6 +51,8 @@ def do_batch(queue: Path, folder: Path, *, as_json: bool) -> int:
     ------
     UsageError
         On a system other than Linux.
+    EvidenceError
+        If the signing key cannot be used by processes without a terminal; nothing has begun then.
     """
     if sys.platform != "linux":
         raise UsageError(
@@ -58,10 +60,13 @@ def do_batch(queue: Path, folder: Path, *, as_json: bool) -> int:
             where=str(queue),
             remedy="Do its runs one by one with `starbench run`. `plan` and `rehearse` accept the queue here too.",
         )
+    from bench.base.home import home_folder
     from bench.batch.batch import Batch
+    from bench.evidence.keys import usable_key
     from bench.terminal.signals import stop_on_signals
 
     clock = BenchClock()
+    usable_key(home_folder(), clock.utc_now())
     batch = Batch(folder, read_queue(queue), clock, lambda line: click.echo(line, err=True))
     with stop_on_signals(clock.request_stop):
         summary = batch.run()

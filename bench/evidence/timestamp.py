@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
@@ -144,10 +145,9 @@ def check_timestamps(folder: Path, authorities: TrustedAuthorities) -> StampChec
     check = StampCheck()
     for name, of in STAMPED.items():
         try:
-            reply, signed = read_beside(folder, name), read_beside(folder, of)
-            if reply is None:
+            if (reply := read_beside(folder, name)) is None:
                 continue
-            if signed is None:
+            if (signed := read_beside(folder, of)) is None:
                 raise EvidenceError(f"it is a time stamp of {of}, which is missing")  # noqa: TRY301
             check.stamps[name] = check_reply(reply, signed, authorities, name)
         except UncheckedError as error:
@@ -231,13 +231,11 @@ def as_reply(data: bytes) -> bytes:
     """
     client = stamp_library()
     for candidate in (data, _sequence(_GRANTED + data)):
-        try:
-            if client.decode_timestamp_response(candidate).as_bytes() == candidate:
+        with suppress(EvidenceError):
+            if read_reply(client, candidate).as_bytes() == candidate:
                 return candidate
-        except ValueError:
-            continue
     read_reply(client, data)
-    raise EvidenceError("This is not a time stamp: its encoding is not DER.")
+    raise EvidenceError("this is not a time stamp: its encoding is not DER")
 
 
 def read_authorities(

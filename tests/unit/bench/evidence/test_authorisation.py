@@ -1,0 +1,244 @@
+"""A person's authorisation beside a seal: who may give it, what stock programs say, and that nothing else changes."""
+
+import json
+import os
+import shutil
+import stat
+import subprocess
+from datetime import UTC, datetime, timedelta
+
+import pytest
+from authorising import make_key, needs_ssh_keygen, person, ssh_verifies
+
+from bench.base.errors import EvidenceError, StorageError
+from bench.evidence import beside_seal
+from bench.evidence.authorisation import authorise
+from bench.evidence.beside_seal import add_beside
+from bench.evidence.key_trust import Trust
+from bench.evidence.keys import create_key
+from bench.evidence.seal import RESERVED, seal_folder
+from bench.evidence.shown_state import shown_state
+from bench.evidence.signers import AUTHORISATION_NAMESPACE, NAMESPACE, Signer
+from bench.evidence.ssh_keys import fingerprint
+from bench.evidence.sshsig import sign
+from bench.evidence.states import State, standing_of, state_of
+from bench.evidence.verify import verify_folder
+
+NOW = datetime(2026, 5, 1, tzinfo=UTC)
+
+pytestmark = needs_ssh_keygen
+
+
+@pytest.fixture(scope="module")
+def ada(tmp_path_factory):
+    """A person's key, and the line that trusts it."""
+    return person(make_key(tmp_path_factory.mktemp("ada")))
+
+
+@pytest.fixture
+def trust(signers, ada):
+    return Trust((*signers, ada[1]))
+
+
+@pytest.fixture
+def certificate(tmp_path, key, ada):
+    """A sealed folder with a certificate that names Ada."""
+    folder = tmp_path / "certificate"
+    folder.mkdir()
+    named = {"name": "Ada Example", "role": "head", "key_fingerprint": fingerprint(ada[0].public_key)}
+    (folder / "certificate.json").write_text(
+        json.dumps({"number": "7", "issued_utc": "2026-03-02T00:00:00Z", "authorised_by": named})
+    )
+    seal_folder(folder, key)
+    return folder
+
+
+def faults(folder, trust, **more):
+    return [(f.kind, f.where, f.what) for f in standing_of(folder, trust, NOW, **more).faults]
+
+
+def modes(folder):
+    return {path: stat.S_IMODE(path.stat().st_mode) for path in [folder, *folder.rglob("*")]}
+
+
+def test_draft_sealed_authorised(make_run, key, tmp_path, ada, trust, home):
+    with make_run(tmp_path / "run") as folder:
+        run = folder.path
+        assert state_of(run, trust.signers, NOW) is State.DRAFT
+        assert shown_state(run, trust, NOW).text == "DRAFT: not sealed"
+        seal_folder(run, key)
+    assert state_of(run, trust.signers, NOW) is State.SEALED
+    assert shown_state(run, trust, NOW).text == "SEALED by bench1@lab.example"
+    before = {path.name: path.read_bytes() for path in run.rglob("*") if path.is_file()}
+
+    assert authorise(run, ada[0], trust, NOW) == "ada@lab.example"
+
+    assert state_of(run, trust.signers, NOW) is State.AUTHORISED
+    assert shown_state(run, trust, NOW).text == "AUTHORISED by ada@lab.example, sealed by bench1@lab.example"
+    found = standing_of(run, trust, NOW)
+    assert (found.faults, found.remarks, found.person) == ([], [], "ada@lab.example")
+    assert found.statements == [f"Authorised by ada@lab.example ({fingerprint(ada[0].public_key)})"]
+    after = {path.name: path.read_bytes() for path in run.rglob("*") if path.is_file()}
+    assert set(after) - set(before) == {"SHA256SUMS.authorised.sig"}
+    assert all(after[name] == data for name, data in before.items())
+    assert all(not mode & 0o222 for mode in modes(run).values())
+    (tmp_path / "signers").write_text(f"{ada[1].line}\n")
+    assert ssh_verifies(run, tmp_path / "signers", "ada@lab.example")
+    assert verify_folder(run, trust).state == "AUTHORISED"
+    subprocess.run(["sha256sum", "--strict", "-c", "SHA256SUMS"], cwd=run, check=True, capture_output=True)
+
+
+def test_a_second_authorisation_is_refused(sealed, ada, trust):
+    authorise(sealed, ada[0], trust, NOW)
+    with pytest.raises(EvidenceError, match="authorised already"):
+        authorise(sealed, ada[0], trust, NOW)
+
+
+def test_authorised_before_sealed(make_run, tmp_path, ada, trust, key):
+    with make_run(tmp_path / "run") as folder:
+        with pytest.raises(EvidenceError, match="not sealed"):
+            authorise(folder.path, ada[0], trust, NOW)
+        data = sign(key.private, b"no seal yet", AUTHORISATION_NAMESPACE)
+        (folder.path / "SHA256SUMS.authorised.sig").write_bytes(data)
+        assert ("authorisation", "SHA256SUMS.authorised.sig") in [f[:2] for f in faults(folder.path, trust)]
+        assert any("authorised before sealed" in f[2] for f in faults(folder.path, trust))
+        with pytest.raises(EvidenceError, match=r"SHA256SUMS\.authorised\.sig is there before the seal"):
+            seal_folder(folder.path, key)
+
+
+def test_the_bench_cannot_authorise(sealed, key, home, tmp_path, signers):
+    both = Signer("bench1@lab.example", key.public_key)  # trusted for everything
+    bench = person(home / "bench_key")[0]
+    with pytest.raises(EvidenceError, match="bench's own key"):
+        authorise(sealed, bench, Trust((both,)), NOW)
+    other = create_key(tmp_path / "other", principal="bench2@lab.example")
+    second = person(tmp_path / "other" / "bench_key")[0]
+    with pytest.raises(EvidenceError, match="key of a bench"):
+        authorise(sealed, second, Trust((*signers, Signer("b@l", other.public_key, (NAMESPACE,)))), NOW)
+    forged = sign(key.private, (sealed / "SHA256SUMS.sig").read_bytes(), AUTHORISATION_NAMESPACE)
+    add_beside(sealed, "SHA256SUMS.authorised.sig", forged)
+    trust = Trust((*signers, both))
+    assert state_of(sealed, trust.signers, NOW) is State.SEALED
+    assert "bench's own key" in faults(sealed, trust)[0][2]
+
+
+def test_only_the_named_person_authorises_a_certificate(certificate, tmp_path, ada, trust):
+    bea, line = person(make_key(tmp_path, "bea"), "bea@lab.example")
+    everyone = Trust((*trust.signers, line))
+    with pytest.raises(EvidenceError, match="names Ada Example with the key"):
+        authorise(certificate, bea, everyone, NOW)
+    copy = tmp_path / "copy"
+    shutil.copytree(certificate, copy)
+    authorise(certificate, ada[0], everyone, NOW)
+    assert state_of(certificate, everyone.signers, NOW) is State.AUTHORISED
+    copy.chmod(0o755)
+    command = ["ssh-keygen", "-q", "-Y", "sign", "-f", tmp_path / "bea", "-n", AUTHORISATION_NAMESPACE]
+    signed = subprocess.run(
+        command, input=(copy / "SHA256SUMS.sig").read_bytes(), check=True, capture_output=True
+    )
+    (copy / "SHA256SUMS.authorised.sig").write_bytes(signed.stdout)
+    assert "names Ada Example" in faults(copy, everyone)[0][2]
+    assert state_of(copy, everyone.signers, NOW) is State.SEALED
+
+
+@pytest.mark.parametrize(
+    ("change", "why"),
+    [
+        ({"valid_before": NOW - timedelta(days=1)}, "The key expired 2026-04-30"),
+        ({"valid_after": NOW + timedelta(days=1)}, "The key is not valid before 2026-05-02"),
+        ({"namespaces": ("git",)}, "The key is trusted for git"),
+        ({"public_key": b"another"}, "not in the list of trusted keys"),
+    ],
+)
+def test_a_key_that_may_not_authorise_now_signs_nothing(sealed, signers, ada, change, why):
+    line = Signer(**{**vars(ada[1]), **change})
+    before = modes(sealed)
+    with pytest.raises(EvidenceError, match=why):
+        authorise(sealed, ada[0], Trust((*signers, line)), NOW)
+    assert modes(sealed) == before
+    assert not (sealed / "SHA256SUMS.authorised.sig").exists()
+
+
+@pytest.mark.parametrize(
+    "damage", ["of another seal", "another purpose", "no signature", "link", "large", "empty"]
+)
+def test_an_authorisation_that_does_not_hold_is_a_fault(sealed, ada, trust, damage, tmp_path):
+    path = sealed / "SHA256SUMS.authorised.sig"
+    authorise(sealed, ada[0], trust, NOW)
+    signed = (sealed / "SHA256SUMS.sig").read_bytes()
+    sealed.chmod(0o755)
+    path.chmod(0o644)
+    good = path.read_bytes()
+    if damage == "of another seal":
+        (tmp_path / "m").write_bytes(signed + b" ")
+    elif damage == "another purpose":
+        (tmp_path / "m").write_bytes(signed)
+    if damage in {"of another seal", "another purpose"}:
+        from bench.evidence.sshsig import sign_with
+
+        purpose = NAMESPACE if damage == "another purpose" else AUTHORISATION_NAMESPACE
+        path.write_bytes(sign_with(ada[0], (tmp_path / "m").read_bytes(), purpose))
+    elif damage == "link":
+        (tmp_path / "elsewhere").write_bytes(good)
+        path.unlink()
+        path.symlink_to(tmp_path / "elsewhere")
+    else:
+        path.write_bytes({"no signature": b"yes", "large": good + b"\n" * (1 << 21), "empty": b""}[damage])
+    assert [f[:2] for f in faults(sealed, trust)] == [("authorisation", "SHA256SUMS.authorised.sig")]
+    assert state_of(sealed, trust.signers, NOW) is State.SEALED
+
+
+def test_a_new_seal_is_not_authorised_by_the_old_authorisation(sealed, ada, trust, key):
+    from tests.unit.bench.evidence.resealed import reseal
+
+    authorise(sealed, ada[0], trust, NOW)
+    sealed.chmod(0o755)
+    for name in ("results.json", "SHA256SUMS", "SHA256SUMS.sig"):
+        (sealed / name).chmod(0o644)
+    (sealed / "results.json").write_text("{}")
+    reseal(sealed, key)
+    assert "does not match this SHA256SUMS.sig" in faults(sealed, trust)[0][2]
+
+
+def test_a_seal_that_was_replaced_while_it_was_shown_is_not_signed(sealed, ada, trust):
+    with pytest.raises(EvidenceError, match="replaced while the folder was checked"):
+        authorise(sealed, ada[0], trust, NOW, seal=b"what was shown")
+
+
+def test_only_reserved_names_can_be_added(sealed):
+    with pytest.raises(EvidenceError, match="cannot be added"):
+        add_beside(sealed, "results.json", b"{}")
+
+
+@pytest.mark.parametrize("fails", ["link", "fsync", "open"])
+@pytest.mark.parametrize("named", [False, True], ids=["file without a name", "temporary file"])
+def test_a_failure_leaves_the_folder_as_it_was(sealed_once, tmp_path, monkeypatch, fails, named):
+    folder = tmp_path / "run"
+    shutil.copytree(sealed_once, folder)
+    before = modes(folder)
+    if named:
+        monkeypatch.setattr(beside_seal, "_write_and_link", beside_seal._write_and_rename)
+
+    def fail(*_, **__):
+        raise OSError(28, "No space left on device")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(os, fails, fail)
+        with pytest.raises(StorageError, match="disk is full"):
+            add_beside(folder, RESERVED[0], b"signature")
+    assert modes(folder) == before
+    add_beside(folder, RESERVED[0], b"signature")
+    assert set(modes(folder)) == set(before) | {folder / RESERVED[0]}
+    with pytest.raises(EvidenceError, match="never replaced"):
+        add_beside(folder, RESERVED[0], b"another")
+    assert (folder / RESERVED[0]).read_bytes() == b"signature"
+
+
+def test_what_a_killed_process_left_behind_is_removed(sealed_once, tmp_path):
+    folder = tmp_path / "run"
+    shutil.copytree(sealed_once, folder)
+    folder.chmod(0o755)
+    (folder / f".{RESERVED[0]}.tmp").write_bytes(b"half")
+    add_beside(folder, RESERVED[0], b"signature")
+    assert not (folder / f".{RESERVED[0]}.tmp").exists()
+    assert stat.S_IMODE(folder.stat().st_mode) == 0o555

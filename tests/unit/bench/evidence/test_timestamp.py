@@ -1,0 +1,330 @@
+"""Time stamps beside a seal, of an authority that openssl plays: what is accepted, what is refused, what is asked."""
+
+import socket
+import sys
+import threading
+from contextlib import contextmanager, suppress
+from datetime import UTC, datetime, timedelta
+from http.server import BaseHTTPRequestHandler, HTTPServer
+
+import pytest
+from authorising import Authority, make_key, needs_openssl, person
+from hypothesis import given
+from hypothesis import strategies as st
+
+from bench.base.errors import EvidenceError, UsageError
+from bench.evidence import tsa_client
+from bench.evidence.authorisation import authorise
+from bench.evidence.beside_seal import add_beside
+from bench.evidence.key_trust import Trust
+from bench.evidence.states import standing_of
+from bench.evidence.timestamp import (
+    TrustedAuthorities,
+    UncheckedError,
+    as_reply,
+    check_reply,
+    read_authorities,
+)
+from bench.evidence.tsa_client import ask_authority, check_url, make_request
+
+pytest.importorskip("rfc3161_client", reason="the extra `certificate` is not installed")
+pytestmark = needs_openssl
+
+NOW = datetime.now(UTC)
+
+
+@pytest.fixture(scope="module")
+def authority(tmp_path_factory):
+    return Authority.create(tmp_path_factory.mktemp("tsa") / "tsa")
+
+
+@pytest.fixture(scope="module")
+def others(authority, tmp_path_factory):
+    return read_authorities(tmp_path_factory.mktemp("home"), authority.root)
+
+
+@pytest.fixture(scope="module")
+def reply(authority):
+    return authority.reply(make_request(b"signature", nonce=False).data)
+
+
+def stamped(folder, authority, name="SHA256SUMS.tsr", of="SHA256SUMS.sig"):
+    add_beside(folder, name, authority.reply(make_request((folder / of).read_bytes(), nonce=True).data))
+
+
+def test_a_request_is_that_of_openssl(authority):
+    (authority.folder / "m").write_bytes(b"signature")
+    authority.run("ts", "-query", "-data", "m", "-sha256", "-cert", "-no_nonce", "-out", "theirs.tsq")
+    assert make_request(b"signature", nonce=False).data == (authority.folder / "theirs.tsq").read_bytes()
+    assert make_request(b"signature", nonce=True).nonce
+
+
+def test_a_time_stamp_proves_when_the_seal_existed(sealed, signers, authority, others):
+    stamped(sealed, authority)
+    found = standing_of(sealed, Trust(signers, (), others), datetime.now(UTC))
+    assert (found.faults, found.unchecked) == ([], [])
+    (stamp,) = found.stamps
+    assert abs(stamp.utc - datetime.now(UTC)) < timedelta(minutes=1)
+    assert found.statements == [
+        f"The seal existed at {stamp.utc:%Y-%m-%d %H:%M:%S} UTC by the clock of Example TSA"
+    ]
+    assert authority.accepts(sealed, "SHA256SUMS.tsr", "SHA256SUMS.sig")
+
+
+def test_the_laboratory_s_own_authority_is_called_so(sealed, signers, authority, tmp_path):
+    stamped(sealed, authority)
+    (tmp_path / "home").mkdir(mode=0o700)
+    (tmp_path / "home" / "tsa_laboratory.pem").write_bytes(authority.root.read_bytes())
+    trust = Trust(signers, (), read_authorities(tmp_path / "home"))
+    (statement,) = standing_of(sealed, trust, NOW).statements
+    assert statement.endswith("UTC by the laboratory's clock (Example TSA)")
+
+
+def test_the_authorisation_can_be_stamped_too(sealed, signers, authority, others, tmp_path):
+    key, line = person(make_key(tmp_path))
+    trust = Trust((*signers, line), (), others)
+    authorise(sealed, key, trust, NOW)
+    stamped(sealed, authority, "SHA256SUMS.authorised.tsr", "SHA256SUMS.authorised.sig")
+    found = standing_of(sealed, trust, datetime.now(UTC))
+    assert found.faults == []
+    assert any(s.startswith("The authorisation existed at") for s in found.statements)
+    assert authority.accepts(sealed, "SHA256SUMS.authorised.tsr", "SHA256SUMS.authorised.sig")
+    (sealed / "SHA256SUMS.authorised.sig").unlink()
+    (fault,) = standing_of(sealed, trust, NOW).faults
+    assert (fault.kind, fault.what) == (
+        "timestamp",
+        "it is a time stamp of SHA256SUMS.authorised.sig, which is missing",
+    )
+
+
+def test_without_a_trusted_certificate_it_is_not_checked(sealed, signers, authority):
+    stamped(sealed, authority)
+    found = standing_of(sealed, Trust(signers), NOW)
+    assert (found.faults, found.stamps) == ([], ())
+    assert (
+        "no certificate of a time stamping authority is trusted here; it names Example TSA"
+        in found.unchecked[0]
+    )
+
+
+def test_without_the_package_it_is_not_checked(sealed, signers, authority, others, monkeypatch):
+    stamped(sealed, authority)
+    monkeypatch.setitem(sys.modules, "rfc3161_client", None)
+    found = standing_of(sealed, Trust(signers, (), others), NOW)
+    assert found.unchecked == ["SHA256SUMS.tsr: the package for time stamps is not installed"]
+    with pytest.raises(UncheckedError, match=r"pip install 'starbench\[certificate\]'"):
+        make_request(b"signature", nonce=False)
+
+
+def test_a_time_stamp_of_another_seal_is_a_fault_and_openssl_agrees(sealed, signers, authority, others):
+    add_beside(sealed, "SHA256SUMS.tsr", authority.reply(make_request(b"another seal", nonce=False).data))
+    (fault,) = standing_of(sealed, Trust(signers, (), others), NOW).faults
+    assert (fault.kind, fault.where, fault.what) == (
+        "timestamp",
+        "SHA256SUMS.tsr",
+        "it is a time stamp of another file",
+    )
+    assert not authority.accepts(sealed, "SHA256SUMS.tsr", "SHA256SUMS.sig")
+
+
+def test_another_authority_is_not_trusted(tmp_path, reply):
+    mallory = Authority.create(tmp_path / "mallory", "Mallory TSA")
+    with pytest.raises(EvidenceError, match="Example TSA is not valid or not trusted"):
+        check_reply(reply, b"signature", read_authorities(tmp_path, mallory.root), "SHA256SUMS.tsr")
+
+
+def test_a_certificate_that_is_not_for_time_stamps_is_refused(tmp_path, authority):
+    # openssl refuses to sign with it, so a reply of a right one is given the wrong chain
+    with pytest.raises(Exception, match="returned non-zero exit status"):
+        Authority.create(tmp_path / "mail", purpose="mail").reply(make_request(b"m", nonce=False).data)
+
+
+def test_each_bit_of_a_reply_counts(reply, others):
+    """Every changed byte is refused, or the time stamp is the same one."""
+    good = check_reply(reply, b"signature", others, "SHA256SUMS.tsr")
+    kept = 0
+    for at in range(0, len(reply), 7):
+        changed = bytearray(reply)
+        changed[at] ^= 0x20
+        try:
+            assert check_reply(bytes(changed), b"signature", others, "SHA256SUMS.tsr").utc == good.utc
+            kept += 1
+        except EvidenceError:
+            continue
+    assert kept < len(reply) // 7 // 3
+
+
+@given(st.binary(max_size=300))
+def test_any_bytes_are_no_reply(data):
+    with pytest.raises(EvidenceError, match="not a time stamp"):
+        as_reply(data)
+
+
+@given(st.data())
+def test_changed_replies_raise_nothing_else(reply, others, data):
+    at = data.draw(st.integers(0, len(reply) - 1))
+    cut = data.draw(st.integers(0, 40))
+    changed = reply[:at] + data.draw(st.binary(max_size=40)) + reply[at + cut :]
+    try:
+        check_reply(changed, b"signature", others, "SHA256SUMS.tsr")
+    except EvidenceError:
+        return
+
+
+def test_a_bare_token_becomes_a_complete_reply(authority, reply):
+    request = make_request(b"signature", nonce=False).data
+    token = authority.reply(request, "-token_out")
+    completed = as_reply(token)
+    (authority.folder / "m").write_bytes(b"signature")
+    (authority.folder / "completed.tsr").write_bytes(completed)
+    assert authority.accepts(authority.folder, "completed.tsr", "m")
+    assert as_reply(reply) == reply
+
+
+def test_a_file_of_authorities_that_others_can_change_is_refused(tmp_path, authority):
+    path = tmp_path / "tsa.pem"
+    path.write_bytes(authority.root.read_bytes())
+    path.chmod(0o666)
+    with pytest.raises(EvidenceError, match=r"Other users can change.*chmod go-w"):
+        read_authorities(tmp_path, path)
+    path.chmod(0o644)
+    path.write_text("nothing")
+    with pytest.raises(EvidenceError, match="no certificates"):
+        read_authorities(tmp_path, path)
+    assert read_authorities(tmp_path) == TrustedAuthorities()
+
+
+def test_a_clock_that_contradicts_a_time_stamp_is_told(sealed, signers, authority, others, monkeypatch):
+    stamped(sealed, authority)
+    monkeypatch.setattr("bench.evidence.states.stated_time", lambda _: NOW + timedelta(days=2))
+    found = standing_of(sealed, Trust(signers, (), others), NOW)
+    assert any("One of both clocks was wrong" in remark for remark in found.remarks)
+    assert any("a time in the future" in remark for remark in found.remarks)
+
+
+# ------------------------------------------------------------------ over the network
+
+
+@contextmanager
+def serving(respond):
+    """An authority's server; ``respond(handler, body)`` answers each request."""
+
+    class Handler(BaseHTTPRequestHandler):
+        def do_POST(self):
+            asked.append(self.path)
+            respond(self, self.rfile.read(int(self.headers["Content-Length"])))
+
+        def log_message(self, *_):
+            pass
+
+    asked = []
+    server = HTTPServer(("127.0.0.1", 0), Handler)
+    thread = threading.Thread(target=server.serve_forever, args=(0.02,), daemon=True)
+    thread.start()
+    try:
+        yield f"http://127.0.0.1:{server.server_port}", asked
+    finally:
+        server.shutdown()
+        server.server_close()
+        thread.join(5)
+
+
+def answer(handler, body, kind="application/timestamp-reply", status=200, **headers):
+    handler.send_response(status)
+    handler.send_header("Content-Type", kind)
+    handler.send_header("Content-Length", str(len(body)))
+    for name, value in headers.items():
+        handler.send_header(name, value)
+    handler.end_headers()
+    handler.wfile.write(body)
+
+
+def test_an_authority_is_asked(authority, others):
+    with serving(lambda handler, body: answer(handler, authority.reply(body))) as (url, asked):
+        reply = ask_authority(f"{url}/tsr?x=1", make_request(b"signature", nonce=True))
+    assert check_reply(reply, b"signature", others, "SHA256SUMS.tsr").authority == "Example TSA"
+    assert asked == ["/tsr?x=1"]
+
+
+def test_a_redirect_is_not_followed(authority):
+    with (
+        serving(lambda handler, _: answer(handler, b"", status=302, Location="/other")) as (url, asked),
+        pytest.raises(EvidenceError, match=r"302.*refers to '/other', which is not followed"),
+    ):
+        ask_authority(url, make_request(b"signature", nonce=True))
+    assert asked == ["/"]
+
+
+@pytest.mark.parametrize(
+    ("respond", "why"),
+    [
+        (lambda h, _: answer(h, b"<html>", kind="text/html"), "type 'text/html'"),
+        (lambda h, _: answer(h, b"no", status=500), "500"),
+        (lambda h, _: answer(h, b"0" * (1 << 21)), "more than 1048576 bytes"),
+        (lambda h, _: answer(h, b"no time stamp"), "not a time stamp"),
+        (lambda h, _: h.wfile.write(b"\0\r\n\r\n"), "cannot be asked"),
+    ],
+    ids=["page", "error", "large", "other", "no HTTP"],
+)
+def test_an_answer_that_is_no_time_stamp_is_told(respond, why):
+    with serving(respond) as (url, _), pytest.raises(EvidenceError, match=why):
+        ask_authority(url, make_request(b"signature", nonce=True))
+
+
+def test_an_answer_to_another_request_is_refused(authority):
+    other = authority.reply(make_request(b"signature", nonce=True).data)
+    with (
+        serving(lambda handler, _: answer(handler, other)) as (url, _),
+        pytest.raises(EvidenceError, match="random number differs"),
+    ):
+        ask_authority(url, make_request(b"signature", nonce=True))
+
+
+def test_an_authority_that_drips_is_given_up(monkeypatch):
+    monkeypatch.setattr(tsa_client, "_WAIT_S", 0.3)
+    stop = threading.Event()
+
+    def drip(handler, _):
+        with suppress(OSError):
+            while not stop.wait(0.05):
+                handler.wfile.write(b"H")
+        handler.close_connection = True
+
+    with serving(drip) as (url, _):
+        try:
+            with pytest.raises(EvidenceError, match="no answer within"):
+                ask_authority(url, make_request(b"signature", nonce=True))
+        finally:
+            stop.set()
+
+
+def test_nobody_listens(monkeypatch):
+    with socket.socket() as closed:
+        closed.bind(("127.0.0.1", 0))
+        port = closed.getsockname()[1]
+    with pytest.raises(EvidenceError, match="cannot be asked"):
+        ask_authority(f"http://127.0.0.1:{port}", make_request(b"signature", nonce=True))
+
+
+@pytest.mark.parametrize(
+    "url",
+    [
+        "tsa.example",
+        "ftp://tsa.example",
+        "file:///etc/passwd",
+        "https://",
+        "http://h:99999/",
+        "http://h:0/",
+        "http://h/\n",
+    ],
+)
+def test_an_address_that_is_none_is_refused(url):
+    with pytest.raises(UsageError, match="--tsa"):
+        check_url(url)
+
+
+@pytest.mark.parametrize("url", ["https://ada:secret@tsa.example/", "https://ada@tsa.example/"])
+def test_an_address_with_credentials_is_refused_and_not_repeated(url):
+    with pytest.raises(UsageError, match="must not contain a user or a password") as refused:
+        check_url(url)
+    assert "secret" not in str(refused.value)
