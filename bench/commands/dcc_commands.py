@@ -1,4 +1,4 @@
-"""The command `certificate check` for digital calibration certificates: arguments, options and exit statuses only."""
+"""Commands of the group `certificate` for DCCs: check, from-dcc. Arguments, options and exit statuses only."""
 
 from __future__ import annotations
 
@@ -35,5 +35,28 @@ def check(path: Path, schemas: Path | None, trusted: Path | None, as_json: bool)
     return show_check(path, schemas=schemas, trusted=trusted, as_json=as_json)
 
 
-DCC_COMMANDS = (check,)
+@click.command("from-dcc")
+@click.argument("path", metavar="FILE", type=ExistingFile())
+@click.option(
+    "--quantity", metavar="NAME", default="", help="Id, label or name of the length.  [default: focal length]"
+)
+@click.option(
+    "--trusted",
+    type=ExistingFile(),
+    metavar="PEM",
+    help="Certificates that you trust; the signature must lead to one of them.",
+)
+@JSON
+def from_dcc(path: Path, quantity: str, trusted: Path | None, as_json: bool) -> int:
+    """Read the focal length of a collimator from its digital calibration certificate, an XML FILE.
+
+    Prints the lines for the station file and for lab.yaml: value, uncertainty, number, date and hash of the
+    certificate. Nothing is written.
+    """
+    from bench.commands.dcc_output import show_reference
+
+    return show_reference(path, quantity=quantity, trusted=trusted, as_json=as_json)
+
+
+DCC_COMMANDS = (check, from_dcc)
 """Commands of this module, for the group `certificate`."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -102,13 +103,12 @@ def _check(path: Path, schemas: Path | None, trusted: Path | None) -> _Found:
     from bench.certificate.dcc_keys import load_certificates
     from bench.certificate.dcc_schema import schema_faults, schema_folder
     from bench.certificate.dcc_signature import verify_signature
-    from bench.certificate.dcc_xml import MOST_BYTES, NAMESPACES, read_dcc, versions_of
+    from bench.certificate.dcc_xml import NAMESPACES, read_dcc, versions_of
 
     file = path / DCC_FILE if path.is_dir() else path
     if not file.is_file():
         raise UsageError(f"The folder has no {DCC_FILE}.", where=str(path), remedy="Name the XML file.")
-    with storage_errors(file), file.open("rb") as stream:
-        data = stream.read(MOST_BYTES + 1)
+    data = _read(file)
     where = str(file)
     root = read_dcc(data, where)
     versions = versions_of(root, where)
@@ -132,6 +132,86 @@ def _check(path: Path, schemas: Path | None, trusted: Path | None) -> _Found:
         signature=signature,
         signature_fault=signature_fault,
     )
+
+
+def _read(file: Path) -> bytes:
+    """Return the bytes of a file, at most one more than a DCC may have."""
+    from bench.certificate.dcc_xml import MOST_BYTES
+
+    with storage_errors(file), file.open("rb") as stream:
+        return stream.read(MOST_BYTES + 1)
+
+
+def show_reference(path: Path, *, quantity: str, trusted: Path | None, as_json: bool) -> int:
+    """Print what a station file and lab.yaml say of a reference that has a DCC.
+
+    Parameters
+    ----------
+    path
+        The XML file.
+    quantity
+        Id, label or name of the length; empty for the focal length.
+    trusted
+        Certificates that the reader trusts, PEM; None for none.
+    as_json
+        Whether to print JSON.
+
+    Returns
+    -------
+    int
+        Exit status, 0.
+
+    Raises
+    ------
+    EvidenceError
+        When the file is no DCC that can be read, does not state the length, or its signature is not valid.
+    StorageError
+        When a file cannot be read.
+    """
+    from bench.certificate.dcc_keys import load_certificates
+    from bench.certificate.dcc_reader import read_reference
+    from bench.certificate.dcc_signature import verify_signature
+
+    data = _read(path)
+    anchors = () if trusted is None else load_certificates(trusted)
+    found = read_reference(data, str(path), wanted=quantity)
+    signature = verify_signature(data, str(path), trusted=anchors)
+    if signature is None and anchors:
+        raise EvidenceError(
+            "The file has no signature, but you named a certificate that you trust.",
+            where=str(path),
+            remedy="Ask the issuer for the signed file.",
+        )
+    length, temperature = found.length, found.temperature_c
+    values = {
+        "r_mm": length.value_mm,
+        "uncertainty_mm": length.uncertainty_mm,
+        "k": length.k,
+        "number": found.number,
+        **({"date": found.date} if found.date else {}),
+        **({} if temperature is None else {"temperature_c": temperature}),
+    }
+    source = {"row": "passport of the collimator", "issuer": found.issuer, "sha256": found.sha256}
+    if as_json:
+        signer = None if signature is None else signature.signer
+        print_json({"certificate": values, "source": source, "signer": signer, "trusted": bool(anchors)})
+        return 0
+    if signature is None:
+        stated = "no signature"
+    else:
+        stated = f"signed by {signature.signer}" + ("" if anchors else " (not checked against --trusted)")
+    click.echo(f"# From {path}: {length.called}; {stated}.")
+    click.echo("# Station file:\ncollimator:\n  certificate:")
+    for name, value in values.items():
+        click.echo(f"    {name}: {_yaml(value) if name != 'date' else value}")
+    click.echo("# lab.yaml:\nsources:")
+    click.echo("  - {" + ", ".join(f"{name}: {_yaml(value)}" for name, value in source.items()) + "}")
+    return 0
+
+
+def _yaml(value: str | float) -> str:
+    """Return a value as YAML: numbers as they are, texts in double quotes."""
+    return json.dumps(value, ensure_ascii=False) if isinstance(value, str) else f"{value:.10g}"
 
 
 def _show_valid(found: _Found, trusted: Path | None) -> None:
