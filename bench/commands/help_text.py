@@ -68,6 +68,7 @@ EXAMPLES = {
     "passport certificate": (
         "starbench passport certificate --radius 255.02 --sigma 0.05 --number 2026-114 -o collimator.json",
     ),
+    "passport seal": ("starbench passport seal collimator.json -o collimator_sealed.json",),
     "passport show": ("starbench passport show collimator.json",),
     "rig": ("starbench rig runs/left runs/right",),
     "study": ("starbench study nine_pose --runs 500 --plot errors.svg",),
@@ -112,6 +113,7 @@ EXAMPLES = {
     "certificate void": ("starbench certificate void SB-2026-00042 --reason 'the disk broke'",),
     "certificate list": ("starbench certificate list",),
     "certificate show": ("starbench certificate show certificates/2026-0042",),
+    "certificate from-dcc": ["starbench certificate from-dcc collimator.xml"],
     "certificate check": ("starbench certificate check certificates/2026-0042",),
     "certificate authorise": (
         "starbench certificate authorise certificates/2026-0042 --key ~/.ssh/id_ed25519",
