@@ -113,7 +113,7 @@ EXAMPLES = {
     "certificate void": ("starbench certificate void SB-2026-00042 --reason 'the disk broke'",),
     "certificate list": ("starbench certificate list",),
     "certificate show": ("starbench certificate show certificates/2026-0042",),
-    "certificate from-dcc": ["starbench certificate from-dcc collimator.xml"],
+    "certificate from-dcc": ("starbench certificate from-dcc collimator.xml",),
     "certificate check": ("starbench certificate check certificates/2026-0042",),
     "certificate authorise": (
         "starbench certificate authorise certificates/2026-0042 --key ~/.ssh/id_ed25519",
