@@ -20,6 +20,8 @@ from bench.base.errors import UsageError
 JSON = click.option("--json", "as_json", is_flag=True, help="Print one JSON object to standard output.")
 SEED = click.IntRange(0, 2**63 - 1)
 _MOST_NAMED = 5
+_SMALLEST, _LARGEST = 1e-9, 1e12
+"""Size of any number that is not 0: no quantity of a bench lies outside."""
 
 
 class Number(click.ParamType):
@@ -43,7 +45,7 @@ class Number(click.ParamType):
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
         """See `click.ParamType.convert`."""
         try:
-            number = float(value)
+            number = math.nan if "_" in str(value) else float(value)  # Python reads 6_0 as 60
         except ValueError:
             number = math.nan
         if not math.isfinite(number):
@@ -52,6 +54,8 @@ class Number(click.ParamType):
             self.fail(f"{value} is not {'above' if self._above else 'at least'} {self._least:g}.", param, ctx)
         if self._most is not None and number > self._most:
             self.fail(f"{value} is more than {self._most:g}.", param, ctx)
+        if number and not _SMALLEST <= abs(number) <= _LARGEST:
+            self.fail(f"{value} is not between {_SMALLEST:g} and {_LARGEST:g}.", param, ctx)
         return number
 
 

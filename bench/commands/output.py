@@ -19,6 +19,7 @@ import click
 from bench.base.errors import ScriptError, StorageError
 from bench.base.failure import FORESEEN, Failure
 from bench.base.home import home_folder
+from bench.terminal.encoding import printable
 from sequences.errors import DocumentFaults
 
 STOPPED = 3
@@ -73,7 +74,7 @@ def print_error(error: Exception, *, as_json: bool, debug: bool) -> int:
     if as_json:
         faults = {"faults": error.faults} if isinstance(error, ScriptError) else {}
         print_json({"error": {**error_object(failure), **faults}})
-    click.echo(f"starbench: {failure.message}", err=True)
+    click.echo(f"starbench: {printable(failure.message)}", err=True)
     if debug or failure.kind == DEFECT:
         click.echo("".join(traceback.format_exception(error)), err=True)
     return getattr(error, "exit_status", 1)

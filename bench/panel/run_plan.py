@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 from bench.base.errors import StorageError
+from bench.records.reading import read_json
 from bench.records.run_folder import PLAN, RESULTS
-from bench.records.storage import storage_errors
 
 
 @dataclass(frozen=True)
@@ -62,8 +61,7 @@ def read_plan(folder: Path) -> RunPlan:
     """
     path = folder / PLAN
     try:
-        with storage_errors(path):
-            plan = json.loads(path.read_text(encoding="utf-8"))
+        plan = read_json(path)
         poses = {int(pose["index"]): pose for pose in plan["poses"]}
         return RunPlan(
             poses,
@@ -95,11 +93,11 @@ def read_final(folder: Path) -> dict[str, float]:
         state them. Empty if there are no results.
     """
     try:
-        results = json.loads((folder / RESULTS).read_bytes())
+        results = read_json(folder / RESULTS)
         calibration = results["calibration"]
         k = float(calibration["coverage_factor"])
         found = {"coverage_factor": k, "expanded_fx_px": k * float(calibration["sigma"]["fx"])}
         corner = results.get("projection", {}).get("worst_corner", {}).get("expanded_px")
         return found if corner is None else {**found, "worst_corner_px": float(corner)}
-    except (OSError, ValueError, KeyError, TypeError, AttributeError):
+    except (StorageError, ValueError, KeyError, TypeError, AttributeError):
         return {}

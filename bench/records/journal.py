@@ -17,12 +17,15 @@ from typing import Any, Self
 
 from bench.base.errors import JournalBroken, RunFolderError, StorageError
 from bench.records.journal_entry import FIRST_PREV, OWN_KEYS, Entry, decode_line, encode_line
+from bench.records.reading import open_to_read
 from bench.records.storage import O_BINARY, storage_errors, sync_folder, write_all
 
 CLOCK_JUMP_S = 2.0
 """The system time is said to have jumped if it moved by more than this against the monotonic clock."""
 CLOCK_JUMPED = "clock_jumped"
 _BLOCK_BYTES = 512
+MOST_LINE_BYTES = 32 * 1024 * 1024
+"""Longest line that is read. The longest ones, with all residuals of a large run, have some megabytes."""
 _MOST_UNSYNCED_BYTES = 64 * 1024
 """A power cut leaves zeros only nearer to the end than this: lines are synced far more often."""
 
@@ -294,12 +297,12 @@ def lines_after(path: Path, offset: int) -> Iterator[tuple[str, dict[str, Any]]]
     StorageError
         When the file cannot be read.
     """
-    with storage_errors(path), path.open("rb") as stream:
+    with open_to_read(path) as stream:
         stream.seek(offset)
-        for line in stream:
+        while line := stream.readline(MOST_LINE_BYTES):
             try:
                 record = json.loads(line) if line.endswith(b"\n") else None
-            except ValueError:  # the second part of a line
+            except (ValueError, RecursionError):  # the second part of a line
                 continue
             if isinstance(record, dict):
                 yield str(record.get("event")), {k: v for k, v in record.items() if k not in OWN_KEYS}
@@ -331,14 +334,20 @@ def read_journal(path: Path) -> tuple[list[Entry], bytes]:
     """
     entries: list[Entry] = []
     begin = 0
-    with storage_errors(path), path.open("rb") as stream:
-        for line in stream:
+    with open_to_read(path) as stream:
+        while line := stream.readline(MOST_LINE_BYTES):
+            if len(line) >= MOST_LINE_BYTES:
+                raise JournalBroken(
+                    f"The journal is not valid: a line has more than {MOST_LINE_BYTES} bytes.",
+                    where=f"{path}:{len(entries) + 1}",
+                    remedy="The file was changed after it was written: restore it from a copy.",
+                )
             if not line.endswith(b"\n"):
                 return entries, line
             prev = entries[-1].hash if entries else FIRST_PREV
             try:
                 entries.append(decode_line(line[:-1], len(entries), prev))
-            except ValueError as error:
+            except (ValueError, RecursionError) as error:
                 rest = line + stream.read(_MOST_UNSYNCED_BYTES)
                 if _was_cut_off(rest, begin):
                     return entries, rest

@@ -23,6 +23,8 @@ _MOST_STARS = 100_000
 _MOST_BYTES = 20_000_000
 _MOST_ID = 2**53
 _CORNER_PX = 0.5
+_MOST_PX = 100_000.0
+_MOST_MM = 1e6
 _LONGEST_QUOTE = 100
 _SLACK_PX = 1.0  # points with the other origin are shifted by half a pixel: no reason to refuse them
 _SPLIT = re.compile(r"[,;\s]+")
@@ -73,13 +75,15 @@ def read_point_file(path: Path, *, image_size: tuple[int, int] | None, origin: O
 
 def _refuse_outside(points: np.ndarray, image_size: tuple[int, int] | None, path: Path) -> None:
     """Refuse points outside the image: they are from another camera, or width and height are interchanged."""
-    most = np.array(image_size or (np.inf, np.inf))
+    most = np.array(image_size or (_MOST_PX, _MOST_PX))
     outside = ((points < -_SLACK_PX) | (points > most + _SLACK_PX)).any(axis=1)
     if not outside.any():
         return
     x, y = points[outside][0]
     image = (
-        f"an image of {image_size[0]} x {image_size[1]} px" if image_size else "any image: x or y is negative"
+        f"an image of {image_size[0]} x {image_size[1]} px"
+        if image_size
+        else f"any image: x or y is negative, or above {_MOST_PX:g}"
     )
     raise BenchError(
         f"{int(outside.sum())} of {len(points)} points are outside {image}; one is at ({x:g}, {y:g}).",
@@ -139,6 +143,8 @@ def _row(line: str, where: str) -> list[float]:
         ) from error
     if "_" in line:  # Python reads 6_0 as 60
         raise BenchError("A number has an underscore.", where=where, remedy=remedy)
+    if max(map(abs, numbers[2:4])) > _MOST_MM:
+        raise BenchError(f"A target coordinate is above {_MOST_MM:g} mm.", where=where, remedy=remedy)
     if not np.isfinite(numbers).all() or numbers[4] != int(numbers[4]) or abs(numbers[4]) > _MOST_ID:
         raise BenchError("A number is not finite, or the id is not an integer.", where=where, remedy=remedy)
     return numbers

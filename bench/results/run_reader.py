@@ -6,7 +6,6 @@ calibrates with the options of the run. It never writes. The engine and HDF5 are
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
@@ -16,7 +15,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bench.base.errors import RunFolderError
+from bench.base.errors import RunFolderError, StorageError
+from bench.records.reading import read_json
 from bench.records.run_folder import JOURNAL, REPORT, RESULTS
 from bench.results.stored_calibration import stored_camera, stored_collimator
 from calib.model.camera import CameraModel
@@ -192,8 +192,8 @@ def load(run_folder: str | Path) -> Run:
 def _read_results(folder: Path) -> dict[str, Any]:
     """Return the content of `results.json`; raise RunFolderError if it cannot be read."""
     try:
-        results = json.loads((folder / RESULTS).read_bytes())
-    except (OSError, ValueError) as error:
+        results = read_json(folder / RESULTS)
+    except (StorageError, ValueError) as error:
         raise RunFolderError(
             f"The results cannot be read: {error}.",
             where=str(folder / RESULTS),

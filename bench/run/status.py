@@ -5,7 +5,6 @@ The journal and ``plan.json`` give the content; the lock of the folder shows whe
 
 from __future__ import annotations
 
-import json
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
@@ -21,6 +20,7 @@ from bench.records.folder_lock import is_locked
 from bench.records.history import History, replay
 from bench.records.journal import read_journal
 from bench.records.journal_entry import Entry
+from bench.records.reading import read_json
 from bench.records.run_folder import JOURNAL, PLAN, is_sealed
 from bench.records.storage import storage_errors
 from bench.report.text import with_uncertainty
@@ -324,8 +324,7 @@ def _most_poses(plan: _Plan, history: History, known: int) -> int:
 
 def _plan_of(folder: Path) -> _Plan:
     try:
-        with storage_errors(folder / PLAN):
-            plan: dict[str, Any] = json.loads((folder / PLAN).read_text(encoding="utf-8"))
+        plan: dict[str, Any] = read_json(folder / PLAN)
         found = _Plan(**{name: plan[name] for name in _Plan.__required_keys__})  # type: ignore[typeddict-item]
         if "untils" in plan:
             found["most_poses"], found["untils"] = int(plan["most_poses"]), plan["untils"]

@@ -1,9 +1,10 @@
-"""Output to terminals and pipes whose encoding lacks a character: a plain substitute is written instead."""
+"""Output to terminals and pipes: a plain substitute for what an encoding lacks, or what would steer the terminal."""
 
 from __future__ import annotations
 
 import codecs
 import io
+import unicodedata
 from typing import TextIO
 
 _NAME = "starbench-plain"
@@ -29,6 +30,35 @@ def replace_unencodable(*streams: TextIO | None) -> None:
     for stream in streams:
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors=_NAME)
+
+
+def printable(text: str) -> str:
+    r"""Write characters that would steer a terminal as escape sequences; names of files may hold them.
+
+    Parameters
+    ----------
+    text
+        A message.
+
+    Returns
+    -------
+    str
+        The text; line feeds and tabs stay.
+
+    Examples
+    --------
+    >>> print(printable("a\x1b[2Jb"))
+    a\x1b[2Jb
+    """
+    return "".join(_escaped(letter) for letter in text)
+
+
+def _escaped(letter: str) -> str:
+    if letter in "\n\t" or unicodedata.category(letter) not in {"Cc", "Cf", "Cs"}:
+        return letter
+    return (
+        letter.encode("ascii", "backslashreplace").decode() if ord(letter) > 0x7F else f"\\x{ord(letter):02x}"
+    )
 
 
 def _replaced(error: UnicodeError) -> tuple[str, int]:
