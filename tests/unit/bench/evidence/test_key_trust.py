@@ -1,0 +1,374 @@
+"""For which moment a key is judged: replaced keys keep old reports valid, stolen ones cannot backdate unnoticed."""
+
+import os
+import shutil
+import subprocess
+from contextlib import suppress
+from datetime import UTC, datetime, timedelta
+from itertools import count
+from pathlib import Path
+
+import pytest
+from authorising import needs_ssh_keygen
+
+from bench.base.errors import EvidenceError
+from bench.evidence.key_trust import Moments, Trust, judge_key, read_trust
+from bench.evidence.keys import BenchKey, create_key, key_to_seal, load_key, require_usable, usable_key
+from bench.evidence.revocation import RevokedKey, read_revoked, revoke
+from bench.evidence.rotation import rotate
+from bench.evidence.seal import seal_folder
+from bench.evidence.signers import NAMESPACE, Signer, read_signer, read_signers, time_text, trust
+from bench.evidence.states import standing_of
+from bench.evidence.timestamp import Stamp
+
+KEY = b"\0\0\0\x0bssh-ed25519\0\0\0 " + b"k" * 32
+
+
+def day(number):
+    return datetime(2026, 1, 1, tzinfo=UTC) + timedelta(days=number)
+
+
+def stamp(number):
+    return Stamp("SHA256SUMS.tsr", "SHA256SUMS.sig", day(number), "TSA", is_laboratory=False)
+
+
+def judged(*, sealed, now, proven=None, at=None, revoked=None, after=10, before=20):
+    """Judge a key that is valid from day 10 to day 20."""
+    signer = Signer("bench@lab", KEY, (NAMESPACE,), day(after), day(before))
+    gone = (RevokedKey(KEY, day(revoked), "stolen"),) if revoked is not None else ()
+    proof = stamp(proven) if proven is not None else None
+    moments = Moments(day(now), proof, day(at) if at is not None else None, day(sealed), day(sealed))
+    return judge_key(KEY, NAMESPACE, Trust((signer,), gone), moments)
+
+
+@pytest.mark.parametrize(
+    ("case", "accepted", "says"),
+    [
+        # the bench's own clock alone
+        ({"sealed": 15, "now": 16}, True, ""),
+        ({"sealed": 15, "now": 30}, True, "by the bench's own clock only. No trusted time stamp proves it"),
+        (
+            {"sealed": 25, "now": 30},
+            False,
+            "expired 2026-01-21 00:00 UTC; the folder was sealed at 2026-01-26",
+        ),
+        ({"sealed": 5, "now": 16}, False, "not valid before 2026-01-11"),
+        # a trusted time stamp proves it, and goes before everything else
+        ({"sealed": 15, "now": 30, "proven": 16}, True, ""),
+        ({"sealed": 15, "now": 30, "proven": 5}, False, "not valid before"),
+        ({"sealed": 15, "now": 30, "proven": 16, "at": 25}, True, ""),
+        # a time stamp that is younger than the key's end proves nothing
+        ({"sealed": 15, "now": 30, "proven": 25}, True, "The time stamp is younger than that"),
+        ({"sealed": 25, "now": 30, "proven": 26}, False, "expired"),
+        # the reader states the moment
+        ({"sealed": 25, "now": 30, "at": 15}, True, "it is accepted for 2026-01-16 00:00 UTC, as asked"),
+        ({"sealed": 15, "now": 16, "at": 25}, False, "it was judged for 2026-01-26"),
+        # revoked: only a proof helps
+        (
+            {"sealed": 15, "now": 16, "revoked": 16},
+            False,
+            "revoked 2026-01-17 00:00 UTC (stolen), and no trusted time",
+        ),
+        ({"sealed": 12, "now": 30, "revoked": 16, "at": 12}, False, "no trusted time stamp proves"),
+        ({"sealed": 12, "now": 30, "revoked": 16, "proven": 17}, False, "the time stamp is not older"),
+        ({"sealed": 12, "now": 30, "revoked": 16, "proven": 13}, True, "but the signature existed before"),
+        ({"sealed": 12, "now": 30, "revoked": 16, "proven": 16}, False, "not older"),
+    ],
+)
+def test_the_moment_of_a_key(case, accepted, says):
+    found = judged(**case)
+    assert (found.principal == "bench@lab") is accepted, found
+    assert says in (found.remark or found.fault)
+    assert bool(found.remark or found.fault) is bool(says)
+
+
+def test_an_unknown_key_and_another_purpose():
+    moments = Moments(day(0), None, None, day(0), day(0))
+    assert "not in the list" in judge_key(KEY, NAMESPACE, Trust(), moments).fault
+    other = Trust((Signer("b@l", KEY, ("git",)),))
+    assert (
+        judge_key(KEY, NAMESPACE, other, moments).fault == f"the key is trusted for git, not for {NAMESPACE}"
+    )
+
+
+def test_one_of_several_lines_of_a_key_is_enough():
+    lines = (
+        Signer("b@l", KEY, (NAMESPACE,), None, day(3)),
+        Signer("b@l", KEY, (NAMESPACE,), day(5), None),
+    )
+    for number, accepted in ((2, True), (4, False), (6, True)):
+        moments = Moments(day(9), None, None, day(number), day(number))
+        assert (judge_key(KEY, NAMESPACE, Trust(lines), moments).principal is not None) is accepted
+
+
+@pytest.mark.parametrize(
+    ("patterns", "namespace", "may"),
+    [
+        (("starbench-*",), NAMESPACE, True),
+        (("starbench-report@v?",), NAMESPACE, True),
+        (("starbench-*", "!starbench-report@v1"), NAMESPACE, False),
+        (("!git",), NAMESPACE, False),
+        (("STARBENCH-report@v1",), NAMESPACE, False),
+        (("[s]*",), NAMESPACE, False),
+    ],
+)
+def test_patterns_are_those_of_ssh(patterns, namespace, may):
+    assert Signer("b@l", KEY, patterns).may_sign(namespace) is may
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "",
+        "2026",
+        "20261301",
+        "202601012460Z",
+        "\uff12\uff10\uff12\uff16\uff10\uff11\uff10\uff11",
+        "00010101",
+        "20260101ZZ",
+    ],
+)
+def test_a_time_of_another_form_is_refused(text):
+    with pytest.raises(EvidenceError, match="not a line of a trusted key"):
+        read_signer(Signer("b@l", KEY).line.replace(" ssh", f' valid-before="{text}" ssh'))
+
+
+def test_a_line_is_read_as_written():
+    signer = Signer("b@l", KEY, (NAMESPACE, "git"), day(1), day(2))
+    assert read_signer(signer.line) == signer
+    assert 'valid-before="20260103000000Z"' in signer.line
+
+
+# ------------------------------------------------------------------ replacing the key
+
+
+def sealed_at(tmp_path, name, key, moment):
+    folder = tmp_path / name
+    folder.mkdir()
+    (folder / "certificate.json").write_text(f'{{"issued_utc": "{moment.isoformat()}"}}')
+    seal_folder(folder, key)
+    return folder
+
+
+@needs_ssh_keygen
+def test_what_the_old_key_sealed_stays_valid_and_nothing_new_does(tmp_path):
+    home, now = tmp_path / "home", datetime.now(UTC)
+    old = create_key(home)
+    before = sealed_at(tmp_path, "before", old, now - timedelta(days=9))
+    done = rotate(home, now, passphrase=None, keep_old=True)
+    new = load_key(home)
+    assert (done.old, done.new, new.principal) == (old.fingerprint, new.fingerprint, old.principal)
+    assert load_key_from(done.archived).fingerprint == old.fingerprint
+    later = now + timedelta(days=1)
+    after = sealed_at(tmp_path, "after", new, later)
+    stolen = sealed_at(tmp_path, "stolen", old, later)
+    listed = read_trust(home)
+    found = standing_of(before, listed, later)
+    assert (found.signer, found.faults) == (old.principal, [])
+    assert "No trusted time stamp proves it" in found.remarks[0]
+    assert standing_of(after, listed, later).remarks == []
+    assert "expired" in standing_of(stolen, listed, later).faults[0].what
+    for folder, when, accepted in (
+        (before, now - timedelta(days=1), True),
+        (before, later, False),
+        (after, later, True),
+    ):
+        command = ["ssh-keygen", "-Y", "verify", "-f", home / "allowed_signers", "-I", old.principal]
+        command += ["-n", NAMESPACE, "-s", folder / "SHA256SUMS.sig", "-O", f"verify-time={time_text(when)}"]
+        done = subprocess.run(
+            command, input=(folder / "SHA256SUMS").read_bytes(), capture_output=True, check=False
+        )
+        assert (done.returncode == 0) is accepted
+
+
+def load_key_from(path):
+    """Load an archived private key."""
+    from bench.evidence.person_key import load_file_key
+
+    key = load_file_key(path, lambda _: b"")
+    return BenchKey(key.private, "b@l")
+
+
+def test_the_old_key_can_be_deleted(tmp_path):
+    old = create_key(tmp_path / "home")
+    assert rotate(tmp_path / "home", datetime.now(UTC), passphrase=b"pw", keep_old=False).archived is None
+    assert not (tmp_path / "home" / "old_keys").exists()
+    with pytest.raises(EvidenceError, match="protected by a passphrase"):
+        load_key(tmp_path / "home")
+    assert load_key(tmp_path / "home", ask_passphrase=lambda _: b"pw").fingerprint != old.fingerprint
+
+
+class Killed(BaseException):
+    """The process dies."""
+
+
+@pytest.mark.parametrize("step", range(26))
+def test_a_replacement_that_is_killed_leaves_a_key_in_use_and_can_be_repeated(tmp_path, monkeypatch, step):
+    """Each opening, link, rename and removal of a file in turn is the one at which the process dies."""
+    home, now, later = tmp_path / "home", day(1), day(1) + timedelta(seconds=5)
+    old = create_key(home)
+    calls = count()
+
+    def counted(real):
+        def call(*arguments, **more):
+            if next(calls) >= step:
+                raise Killed
+            return real(*arguments, **more)
+
+        return call
+
+    with monkeypatch.context() as patch, suppress(Killed):
+        for place, name in ((os, "link"), (os, "open"), (Path, "replace"), (Path, "unlink")):
+            patch.setattr(place, name, counted(getattr(place, name)))
+        rotate(home, now, passphrase=None, keep_old=True)
+    assert next(calls) <= 25
+    key = load_key(home)
+    if (
+        key.fingerprint == old.fingerprint
+    ):  # not replaced; refused as expired where the list was changed already
+        with suppress(EvidenceError):
+            require_usable(home, key, later)
+        rotate(home, later, passphrase=None, keep_old=True)
+        key = load_key(home)
+    require_usable(home, key, later)
+    listed = read_signers(home / "allowed_signers")
+    assert [s.public_key for s in listed if s.rejection(NAMESPACE, later) is None][-1] == key.public_key
+    assert len(listed) == 2
+    assert read_signers(home / "allowed_signers")[0].rejection(NAMESPACE, later + timedelta(days=1))
+
+
+def test_a_key_that_was_replaced_during_a_run_is_loaded_again(tmp_path):
+    home, now = tmp_path / "home", datetime.now(UTC)
+    old = create_key(home)
+    assert key_to_seal(home, old, now) is old
+    rotate(home, now, passphrase=None, keep_old=False)
+    later = now + timedelta(minutes=1)
+    assert key_to_seal(home, old, later).fingerprint == load_key(home).fingerprint != old.fingerprint
+    (home / "bench_key.pub").unlink()
+    with pytest.raises(EvidenceError, match=r"cannot seal.*expired.*keys rotate"):
+        key_to_seal(home, old, later)
+
+
+def test_there_must_be_a_key_to_replace(tmp_path):
+    with pytest.raises(EvidenceError, match="no key to replace"):
+        rotate(tmp_path, datetime.now(UTC), passphrase=None, keep_old=True)
+    create_key(tmp_path / "home")
+    (tmp_path / "home" / "bench_key.pub").write_text("nothing")
+    with pytest.raises(EvidenceError, match="not the bench's public key"):
+        rotate(tmp_path / "home", datetime.now(UTC), passphrase=None, keep_old=True)
+
+
+# ------------------------------------------------------------------ revoked keys
+
+
+@needs_ssh_keygen
+def test_a_revoked_key_is_refused_here_and_by_ssh_keygen(tmp_path):
+    home, now = tmp_path / "home", datetime.now(UTC)
+    key = create_key(home)
+    folder = sealed_at(tmp_path, "sealed", key, now)
+    revoke(home, RevokedKey(key.public_key, now, "laptop stolen"))
+    with pytest.raises(EvidenceError, match="revoked already"):
+        revoke(home, RevokedKey(key.public_key, now, "again"))
+    (one,) = read_revoked(home / "revoked_keys")
+    assert (one.public_key, one.reason) == (key.public_key, "laptop stolen")
+    (fault,) = standing_of(folder, read_trust(home), now).faults
+    assert fault.kind == "key"
+    assert "laptop stolen" in fault.what
+    with pytest.raises(EvidenceError, match="cannot seal: the key was revoked"):
+        require_usable(home, key, now)
+    command = [
+        "ssh-keygen",
+        "-Y",
+        "verify",
+        "-f",
+        home / "allowed_signers",
+        "-I",
+        key.principal,
+        "-n",
+        NAMESPACE,
+    ]
+    command += ["-s", folder / "SHA256SUMS.sig"]
+    data = (folder / "SHA256SUMS").read_bytes()
+    accepted = subprocess.run(command, input=data, capture_output=True, check=False)
+    refused = subprocess.run(
+        [*command, "-r", home / "revoked_keys"], input=data, capture_output=True, check=False
+    )
+    (tmp_path / "others").write_text(
+        RevokedKey(create_key(tmp_path / "o").public_key, now, "lost").line + "\n"
+    )
+    other = subprocess.run(
+        [*command, "-r", tmp_path / "others"], input=data, capture_output=True, check=False
+    )
+    assert (accepted.returncode, refused.returncode, other.returncode) == (0, 255, 0)
+
+
+def test_a_list_of_revoked_keys_of_another_form_is_refused(tmp_path, key):
+    path = tmp_path / "revoked_keys"
+    path.write_text(f"# by hand\n{key.public_text}\n")
+    assert [one.text for one in read_revoked(path)] == ["without a date"]
+    path.write_bytes(b"SSHKRL\n\0\0\0\0\x01\xff\xfe")
+    with pytest.raises(EvidenceError, match="KRL"):
+        read_revoked(path)
+    path.write_text("SHA256:abc\n")
+    with pytest.raises(EvidenceError, match=r"revoked_keys:1: This is not a line of a revoked key"):
+        read_revoked(path)
+    path.chmod(0o622)
+    with pytest.raises(EvidenceError, match="Other users can change the list of revoked keys"):
+        read_revoked(path)
+    for reason in ("", " ", "two\nlines"):
+        with pytest.raises(EvidenceError, match="reason of one line"):
+            revoke(tmp_path / "new", RevokedKey(key.public_key, day(1), reason))
+
+
+# ------------------------------------------------------------------ who can change the lists
+
+
+@pytest.mark.parametrize("mode", [0o666, 0o664, 0o646])
+def test_a_list_that_others_can_change_is_refused(tmp_path, mode):
+    create_key(tmp_path / "home")
+    path = tmp_path / "home" / "allowed_signers"
+    path.chmod(mode)
+    for use in (
+        lambda: read_signers(path),
+        lambda: read_trust(tmp_path / "home"),
+        lambda: trust(tmp_path / "home", Signer("b@l", KEY).line),
+        lambda: usable_key(tmp_path / "home", day(1)),
+    ):
+        with pytest.raises(
+            EvidenceError, match=rf"Other users can change .* \(mode {mode:04o}\).*chmod go-w"
+        ):
+            use()
+
+
+@pytest.mark.parametrize("mode", [0o777, 0o770])
+def test_a_configuration_folder_that_others_can_change_is_refused(tmp_path, mode):
+    create_key(tmp_path / "home")
+    (tmp_path / "home").chmod(mode)
+    for use in (
+        lambda: read_signers(tmp_path / "home" / "allowed_signers"),
+        lambda: load_key(tmp_path / "home"),
+    ):
+        with pytest.raises(EvidenceError, match=r"Other users can change the folder of .*chmod go-w"):
+            use()
+    (tmp_path / "home").chmod(0o1777)  # the sticky bit: nobody replaces the files of others
+    assert read_signers(tmp_path / "home" / "allowed_signers")
+
+
+def test_one_key_does_not_seal_and_authorise(tmp_path, key):
+    create_key(tmp_path / "home")
+    own = load_key(tmp_path / "home")
+    line = Signer("ada@lab", own.public_key, ("starbench-authorisation@v1",)).line
+    with pytest.raises(EvidenceError, match="cannot both seal and authorise"):
+        trust(tmp_path / "home", line)
+    both = Signer("ada@lab", key.public_key, ("starbench-*",)).line
+    with pytest.raises(EvidenceError, match="cannot both seal and authorise"):
+        trust(tmp_path / "home", both)
+
+
+def test_the_revoked_keys_beside_named_trusted_keys_are_used(tmp_path, key):
+    create_key(tmp_path / "home")
+    (tmp_path / "lab").mkdir()
+    shutil.copy(tmp_path / "home" / "allowed_signers", tmp_path / "lab" / "signers")
+    (tmp_path / "lab" / "revoked_keys").write_text(RevokedKey(key.public_key, day(1), "lost").line + "\n")
+    assert read_trust(tmp_path / "home").revoked == []
+    assert len(read_trust(tmp_path / "home", allowed_signers=tmp_path / "lab" / "signers").revoked) == 1
