@@ -1,0 +1,128 @@
+"""VERIFY.txt of each kind of folder: its commands, taken literally, by stock programs alone."""
+
+import json
+import re
+import shutil
+import subprocess
+from datetime import UTC, datetime
+
+import pytest
+from authorising import Authority, make_key, needs_openssl, needs_ssh_keygen, person
+
+from bench.evidence.authorisation import authorise
+from bench.evidence.beside_seal import add_beside
+from bench.evidence.instructions import KINDS, kind_of
+from bench.evidence.key_trust import Trust
+from bench.evidence.seal import seal_folder
+from bench.evidence.ssh_keys import fingerprint
+
+pytest.importorskip("rfc3161_client", reason="the extra `certificate` is not installed")
+pytestmark = [needs_ssh_keygen, needs_openssl]
+
+NOW = datetime.now(UTC)
+
+
+@pytest.fixture(scope="module")
+def authority(tmp_path_factory):
+    return Authority.create(tmp_path_factory.mktemp("tsa") / "tsa")
+
+
+@pytest.fixture(scope="module")
+def ada(tmp_path_factory):
+    return person(make_key(tmp_path_factory.mktemp("ada")))
+
+
+@pytest.fixture
+def lists(tmp_path, home, ada, authority):
+    """The files that a stranger gets from the laboratory in another way."""
+    folder = tmp_path / "lists"
+    folder.mkdir()
+    own = (home / "allowed_signers").read_text()
+    (folder / "allowed_signers").write_text(f"{own}{ada[1].line}\n")
+    (folder / "revoked_keys").write_text("")
+    shutil.copy(authority.root, folder / "tsa_certificates.pem")
+    return folder
+
+
+def make_folder(path, key, kind, ada):
+    path.mkdir()
+    content = {
+        "authorised_by": {"name": "Ada", "role": "head", "key_fingerprint": fingerprint(ada.public_key)}
+    }
+    marker = next((name for name, its in KINDS.items() if its == kind), "any.txt")
+    (path / marker).write_text(json.dumps(content) + "\n")
+    (path / "exports").mkdir()
+    (path / "exports" / "camera.yaml").write_text("fx: 1\n")
+    assert kind_of(path) == kind
+    seal_folder(path, key)
+    return path
+
+
+def commands_of(folder):
+    """The commands of VERIFY.txt, each as one line."""
+    text = (folder / "VERIFY.txt").read_text()
+    lines = re.sub(r"\\\n\s+", "", "".join(re.findall(r"^ {4}.+\n", text, re.MULTILINE))).splitlines()
+    return [line.strip() for line in lines if not line.strip().startswith("SHA256:")]
+
+
+def run(command, folder, lists, who="ada@lab.example"):
+    for name in ("allowed_signers", "revoked_keys", "tsa_certificates.pem"):
+        command = command.replace(f" {name}", f" {lists / name}")
+    command = command.replace("-I PERSON", f"-I {who}")
+    done = subprocess.run(["sh", "-c", command], cwd=folder, capture_output=True, check=False, text=True)
+    return done.returncode, done.stdout + done.stderr
+
+
+@pytest.mark.parametrize("kind", ["run", "certificate", "results", "files"])
+def test_every_command_succeeds_on_an_authorised_and_stamped_folder(
+    tmp_path, key, signers, kind, ada, lists, authority
+):
+    from bench.evidence.tsa_client import make_request
+
+    folder = make_folder(tmp_path / kind, key, kind, ada[0])
+    authorise(folder, ada[0], Trust((*signers, ada[1])), NOW)
+    for name, of in (
+        ("SHA256SUMS.tsr", "SHA256SUMS.sig"),
+        ("SHA256SUMS.authorised.tsr", "SHA256SUMS.authorised.sig"),
+    ):
+        request = make_request((folder / of).read_bytes(), nonce=False).data
+        add_beside(folder, name, authority.reply(request))
+    commands = commands_of(folder)
+    assert len(commands) == 9
+    found = [run(command, folder, lists) for command in commands]
+    assert [status for status, _ in found] == [0] * 9, found
+    seal, hashes, complete, names, authorised, stamp, time, *_ = (text for _, text in found)
+    assert 'Good "starbench-report@v1" signature for bench1@lab.example' in seal
+    assert (hashes, complete) == ("", "complete\n")
+    assert names == "ada@lab.example\n"
+    assert fingerprint(ada[0].public_key) in authorised
+    assert "Verification: OK" in stamp
+    assert "Time stamp: " in time
+    for more in (f" -O verify-time={NOW:%Y%m%d%H%M%S}Z", " -r revoked_keys"):
+        assert run(commands[0].replace(" -s ", f"{more} -s "), folder, lists)[0] == 0
+
+
+def test_the_commands_find_what_is_wrong(tmp_path, key, signers, ada, lists, authority):
+    from bench.evidence.tsa_client import make_request
+
+    folder = make_folder(tmp_path / "f", key, "certificate", ada[0])
+    authorise(folder, ada[0], Trust((*signers, ada[1])), NOW)
+    add_beside(folder, "SHA256SUMS.tsr", authority.reply(make_request(b"another seal", nonce=False).data))
+    seal, hashes, complete, names, authorised, stamp, *_ = commands_of(folder)
+    assert run(stamp, folder, lists)[0] != 0
+    assert run(authorised, folder, lists, "bench1@lab.example")[0] != 0
+    folder.chmod(0o755)
+    (folder / "SHA256SUMS.authorised.sig.sig").write_text("beside, but not reserved")
+    assert run(complete, folder, lists) == (1, "")
+    (folder / "SHA256SUMS.authorised.sig.sig").unlink()
+    (folder / "exports").chmod(0o755)
+    (folder / "exports" / "SHA256SUMS.tsr").write_text("reserved beside the seal only")
+    assert run(complete, folder, lists) == (1, "")
+    (lists / "revoked_keys").write_text(f"{key.public_text}\n")
+    assert run(seal.replace(" -s ", " -r revoked_keys -s "), folder, lists)[0] != 0
+    shutil.copy(folder / "SHA256SUMS.sig", folder / "copy")
+    (folder / "SHA256SUMS.authorised.sig").chmod(0o644)
+    (folder / "SHA256SUMS.authorised.sig").write_bytes((folder / "copy").read_bytes())
+    assert run(authorised, folder, lists)[0] != 0
+    assert run(names, folder, lists)[0] == 0  # it names the bench: the second command refuses
+    assert run(hashes, folder, lists)[0] == 0
