@@ -7,6 +7,7 @@ certificate.
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +19,7 @@ from bench.certificate.lab_config import read_lab
 from bench.certificate.sealed_run import Source
 from bench.certificate.series import refuse_old
 from bench.certificate.series_numbers import numbers
+from bench.certificate.written_with import written_with
 from bench.evidence.findings import Verification
 from bench.records.run_folder import MANIFEST, RESULTS
 from bench.records.storage import sha256_of, storage_errors
@@ -146,6 +148,7 @@ def _read_certificate(folder: Path, verification: Verification) -> tuple[Certifi
         certificate = Certificate.from_json((folder / CERTIFICATE).read_bytes(), str(folder / CERTIFICATE))
         results = (folder / RESULTS).read_bytes()
         plots = {path.stem: path.read_text("utf-8") for path in sorted((folder / PLOTS).glob("*.svg"))}
-    return certificate, Source(
-        json.loads(results), results, certificate.run, plots, certificate.statement("verification")
-    )
+    found = json.loads(results)
+    of_the_run = certificate.run.software[: len(found["run"]["software"])]
+    run = replace(certificate.run, software=(*of_the_run, *written_with()))
+    return certificate, Source(found, results, run, plots, certificate.statement("verification"))

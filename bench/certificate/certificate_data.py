@@ -35,6 +35,7 @@ from bench.certificate.result_data import (
     Covariance,
     FurtherResult,
     Result,
+    Software,
     ValueBefore,
     Verdict,
 )
@@ -79,20 +80,6 @@ CERTIFICATE = "certificate.json"
 
 
 @dataclass(frozen=True)
-class Software:
-    """A program that contributed to the results.
-
-    Attributes
-    ----------
-    name, version
-        Its name and version.
-    """
-
-    name: str
-    version: str
-
-
-@dataclass(frozen=True)
 class Run:
     """The sealed run that the certificate is made from.
 
@@ -109,7 +96,7 @@ class Run:
     signer, signer_fingerprint
         Name and fingerprint of the key that sealed it.
     software
-        Programs and versions.
+        Programs and versions: those of the run, then those that wrote the certificate.
     """
 
     id: str

@@ -226,3 +226,17 @@ class Conformity:
     guard_band: float
     rule: str
     verdict: Verdict
+
+
+@dataclass(frozen=True)
+class Software:
+    """A program that contributed to the results.
+
+    Attributes
+    ----------
+    name, version
+        Its name and version.
+    """
+
+    name: str
+    version: str

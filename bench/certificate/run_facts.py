@@ -245,19 +245,46 @@ def conditions_of(found: Json) -> tuple[Condition, ...]:
             _DEGREE,
         ),
         _range("measured frequency of the light", [pose.get("flicker_hz") for pose in found["poses"]], "Hz"),
-        _text("light", [f"{name} = {light[name]}" for name in sorted(light)]),
+        _text("light", [_setting(name, light[name]) for name in sorted(light)]),
         _range("event rate", [one.get("event_rate_mev_s") for one in attempts], "Mev/s"),
         _value("illumination", camera.get("illumination_lux"), "lx"),
         _text(
             "settings of the camera",
             [
-                f"{name} = {json.dumps(camera[name], sort_keys=True)}"
+                _setting(name, camera[name])
                 for name in sorted(camera)
                 if name not in ("biases", "temperature_c", "illumination_lux")
             ],
         ),
     ]
     return tuple(row for row in rows if row is not None)
+
+
+_SUFFIXES = {
+    "_hz": "Hz",
+    "_percent": "%",
+    "_v": "V",
+    "_ms": "ms",
+    "_us": "\N{MICRO SIGN}s",
+    "_db": "dB",
+    "_deg": "\N{DEGREE SIGN}",
+    "_c": _DEGREE,
+}
+"""Units by the end of a setting's name."""
+
+
+def _setting(name: str, value: Any) -> str:
+    """Return a setting in words, such as ``frequency 60 Hz``."""
+    if isinstance(value, Mapping):
+        return (
+            f"{name.replace('_', ' ')}: {', '.join(_setting(inner, value[inner]) for inner in sorted(value))}"
+        )
+    suffix = next((one for one in _SUFFIXES if name.endswith(one)), "")
+    shown = name.removesuffix(suffix).replace("_", " ")
+    if isinstance(value, bool) or value is None:
+        return f"{shown} {'none' if value is None else 'on' if value else 'off'}"
+    text = f"{value:g}" if isinstance(value, float) else str(value)
+    return f"{shown} {text} {_SUFFIXES.get(suffix, '')}".rstrip()
 
 
 def _value(name: str, value: float | None, unit: str) -> Condition | None:

@@ -10,6 +10,7 @@ from typing import Any
 
 from bench.base.errors import EvidenceError
 from bench.certificate.certificate_data import Run, Software, sha256
+from bench.certificate.written_with import written_with
 from bench.evidence.findings import Verification
 from bench.records.events import Event
 from bench.records.journal import read_journal
@@ -97,6 +98,7 @@ def read_sealed_run(folder: Path, verify: Verify) -> Source:
         seal_sha256=seal,
         signer=verification.signer or "",
         signer_fingerprint=verification.fingerprint or "",
+        written=written_with(),
     )
     return Source(found, results, run, plots_of_run(folder, found), _covered(verification))
 
@@ -109,6 +111,7 @@ def run_of(
     seal_sha256: str,
     signer: str,
     signer_fingerprint: str,
+    written: tuple[Software, ...],
 ) -> Run:
     """Return a run as a certificate names it: what results.json states, and what only the sealed folder can give.
 
@@ -120,6 +123,8 @@ def run_of(
         Its bytes.
     journal_head, seal_sha256, signer, signer_fingerprint
         As the attributes of `Run`.
+    written
+        What writes the certificate, from `bench.certificate.written_with`.
 
     Returns
     -------
@@ -139,7 +144,10 @@ def run_of(
         results_sha256=sha256(results),
         signer=signer,
         signer_fingerprint=signer_fingerprint,
-        software=tuple(Software(str(name), str(version)) for name, version in run["software"].items()),
+        software=(
+            *(Software(str(name), str(version)) for name, version in run["software"].items()),
+            *written,
+        ),
     )
 
 

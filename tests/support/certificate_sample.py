@@ -90,6 +90,7 @@ def identity(**facts):
         seal_sha256="5e" * 32,
         signer="bench@lab",
         signer_fingerprint="SHA256:Sces8o9+LQPy9Z1snLqj6+sutjM38veePqEncDBU3Tc",
+        written=(),
     )
     return Identity(**{"number": "SIMULATED-SB-2026-00017", "issued_utc": ISSUED, "run": run, **facts})
 

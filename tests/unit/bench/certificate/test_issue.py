@@ -13,8 +13,9 @@ from certificate_sample import LAB, NOW, sample_results, verified, write_sealed_
 from bench.base.errors import BenchError, EvidenceError, UsageError
 from bench.certificate import folder as folder_module
 from bench.certificate import issue as issue_module
+from bench.certificate import written_with as written_module
 from bench.certificate.amend import amend
-from bench.certificate.certificate_data import Certificate
+from bench.certificate.certificate_data import Certificate, Software
 from bench.certificate.check import check_certificate
 from bench.certificate.issue import Laboratory, issue
 from bench.certificate.series import declare_void
@@ -173,18 +174,41 @@ def test_added_and_removed_files_are_found(copied):
     ]
 
 
-def test_another_version_of_the_renderer_is_no_fault_but_named(copied):
+def by_another_program():
+    """This program as another version of itself."""
+    here = (Software("certificate_form", "0" * 16),)
+    return mock.patch.object(written_module, "written_with", return_value=here)
+
+
+def test_documents_of_another_version_are_no_fault_but_named(copied):
     pdf = copied / "certificate.pdf"
-    tool = folder_renderer(pdf.read_bytes())
-    pdf.write_bytes(pdf.read_bytes().replace(tool, tool[:-1] + b"9"))
-    found = check_certificate(copied)
+    pdf.write_bytes(pdf.read_bytes().replace(b"\n%%EOF", b"\n%%EOG"))
+    with by_another_program():
+        found = check_certificate(copied)
     assert found.faults == []
-    assert [one for one in found.not_compared if "certificate.pdf was rendered by" in one]
+    assert re.fullmatch(
+        r"certificate\.pdf: it was written with certificate form \w{16} \(here 0{16}\)", found.not_compared[0]
+    )
 
 
-def folder_renderer(pdf):
-    begin = pdf.index(b"<xmp:CreatorTool>") + len(b"<xmp:CreatorTool>")
-    return pdf[begin : pdf.index(b"<", begin)]
+@pytest.mark.parametrize("name", ["a value", "a verdict", "simulated"])
+def test_no_version_takes_other_numbers(copied, name):
+    file, old, new = MUTATIONS[name]
+    (copied / file).write_bytes((copied / file).read_bytes().replace(old, new, 1))
+    with by_another_program():
+        assert check_certificate(copied).faults
+
+
+def test_words_of_another_version_are_no_fault_but_named(copied):
+    path = copied / "certificate.json"
+    path.write_bytes(path.read_bytes().replace(b"Nothing was adjusted", b"Nobody adjusted anything"))
+    assert "does not follow" in str(check_certificate(copied).faults[0])
+    with by_another_program():
+        found = check_certificate(copied)
+    assert found.faults == []
+    assert found.not_compared[0].startswith(
+        "certificate.json, certificate.pdf and dcc.xml: they were written with"
+    )
 
 
 def test_the_ledger_tells_of_another_seal_and_of_a_void_number(real, copied):
