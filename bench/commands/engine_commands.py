@@ -16,6 +16,8 @@ from bench.commands.options import JSON, SEED, ExistingFile, ExistingPath, NewFi
 if TYPE_CHECKING:
     from datetime import datetime
 
+    from bench.evidence.keys import BenchKey
+
 _Command = TypeVar("_Command", bound=Callable[..., Any])
 _MODELS = ["spherical", "radial", "pupil", "rim", "field", "coma", "drift", "planar", "auto"]
 _LOSSES = ["l2", "huber", "cauchy"]
@@ -202,8 +204,9 @@ def passport_make(
     from bench.commands.calibration_output import print_calibration
     from bench.results.offline import calibrate_paths
     from bench.results.offline_options import OfflineOptions
-    from bench.results.passports import passport_from_calibration, write_passport
+    from bench.results.passports import passport_from_calibration, seals_of, write_passport
 
+    key = _key()
     result = calibrate_paths(paths, OfflineOptions.from_command_line(**options))
     made = passport_from_calibration(
         result.calibration,
@@ -211,8 +214,9 @@ def passport_make(
         temperature_c=temperature_c if temperature_c is not None else result.collimator.temperature_c,
         now=datetime.now(UTC),
         sources=[str(path) for path in paths],
+        seals=seals_of(paths),
     )
-    write_passport(output, made)
+    write_passport(output, made, key)
     print_calibration(result, None, as_json=False)
     click.echo(f"Passport: {output}")
     return 0
@@ -262,8 +266,31 @@ def passport_certificate(
 
     until = valid_until.date().isoformat() if valid_until else None
     made = passport_from_certificate(r_mm, sigma_mm, valid_until=until, now=datetime.now(UTC), **certificate)
-    write_passport(output, made)
+    write_passport(output, made, _key())
     click.echo(f"Passport: {output}")
+    return 0
+
+
+def _key() -> BenchKey:
+    """Return the bench's key, to seal a passport."""
+    from datetime import UTC, datetime
+
+    from bench.base.home import home_folder
+    from bench.commands.evidence_output import ask_passphrase
+    from bench.evidence.keys import usable_key
+
+    return usable_key(home_folder(), datetime.now(UTC), ask_passphrase=ask_passphrase)
+
+
+@passport.command("seal")
+@click.argument("path", metavar="FILE", type=ExistingFile())
+@click.option("--output", "-o", required=True, type=NewFile(), help="New, sealed passport file.")
+def passport_seal(path: Path, output: Path) -> int:
+    """Seal a passport FILE that has no seal, after you have compared its values with their source."""
+    from bench.results.passports import seal_file
+
+    fingerprint = seal_file(path, output, _key())
+    click.echo(f"Passport: {output}, sealed by {fingerprint}")
     return 0
 
 
@@ -271,11 +298,11 @@ def passport_certificate(
 @click.argument("path", type=ExistingFile())
 @JSON
 def passport_show(path: Path, as_json: bool) -> int:
-    """Show the values of a passport and their uncertainties."""
+    """Show the values of a passport, their uncertainties, its hash and its seal."""
     from bench.commands.engine_output import show_passport
-    from bench.results.passports import read_passport
+    from bench.plan.passport_file import read_passport_file
 
-    return show_passport(read_passport(path), as_json=as_json)
+    return show_passport(*read_passport_file(path), as_json=as_json)
 
 
 @click.command()

@@ -2,25 +2,29 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Sequence
 
 import click
 
 from bench.commands.calibration_output import unit_text
 from bench.commands.output import print_json
+from bench.evidence.passport_seal import read_passport_seal
 from bench.report.text import with_uncertainty
 from calib.model.passport import Passport
 from calib.studies.monte_carlo import MonteCarloStudy
 from calib.studies.rig import RelativeRotation
 
 
-def show_passport(passport: Passport, *, as_json: bool) -> int:
-    """Print the values of a passport, with their uncertainties.
+def show_passport(passport: Passport, data: bytes, *, as_json: bool) -> int:
+    """Print the values of a passport with their uncertainties, the hash of its file and its seal.
 
     Parameters
     ----------
     passport
         The passport.
+    data
+        Bytes of its file.
     as_json
         Whether to print JSON.
 
@@ -29,8 +33,9 @@ def show_passport(passport: Passport, *, as_json: bool) -> int:
     int
         Exit status, 0.
     """
+    seal, sha256 = read_passport_seal(data), hashlib.sha256(data).hexdigest()
     if as_json:
-        print_json(passport.to_dict())
+        print_json({**passport.to_dict(), "sha256": sha256, "sealed_by": seal.fingerprint if seal else None})
         return 0
     for name, value, variance in zip(
         passport.names, passport.values, passport.covariance.diagonal(), strict=True
@@ -38,11 +43,19 @@ def show_passport(passport: Passport, *, as_json: bool) -> int:
         text, expanded = with_uncertainty(float(value), 2.0 * float(variance) ** 0.5)
         click.echo(f"  {name:<8} {text:>12} ± {expanded:<8} {unit_text(name):<3} (k = 2)")
     for name, condition in passport.conditions.items():
-        click.echo(f"  {name}: {', '.join(condition) if isinstance(condition, list) else condition}")
+        click.echo(f"  {name}: {_condition_text(condition)}")
     if passport.views:
         click.echo(f"  from {len(passport.views)} views: {', '.join(passport.views)}")
         click.echo(f"  the views differ by {passport.birge_ratio:.1f} times the noise of their stars")
+    click.echo(f"  SHA-256: {sha256}")
+    click.echo(f"  sealed by: {seal.fingerprint if seal else 'nobody (unsealed)'}")
     return 0
+
+
+def _condition_text(condition: object) -> str:
+    if isinstance(condition, dict):
+        return ", ".join(f"{name} {value}" for name, value in condition.items())
+    return ", ".join(map(str, condition)) if isinstance(condition, list) else str(condition)
 
 
 def show_rig(rotation: RelativeRotation, skipped: Sequence[str], *, as_json: bool) -> int:

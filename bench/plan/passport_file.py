@@ -6,7 +6,9 @@ import json
 from pathlib import Path
 from typing import Any
 
-from bench.base.errors import UsageError
+from bench.base.errors import EvidenceError, UsageError
+from bench.evidence.passport_seal import read_passport_seal
+from bench.plan.passport_numbers import LEAST_R_MM, refuse_absurd_numbers, refuse_indefinite
 from bench.records.storage import storage_errors
 from calib.errors import InputMismatch
 from calib.model.aberrations import EXPECTED_SIGMA
@@ -14,6 +16,9 @@ from calib.model.collimator import CENTRE
 from calib.model.passport import Passport
 
 _LARGEST_BYTES = 1_000_000
+_KEYS = frozenset(
+    {"schema", "names", "values", "covariance", "reference", "disagreement", "views", "conditions", "seal"}
+)
 
 
 def determines_one_view(passport: Passport) -> bool:
@@ -84,15 +89,30 @@ def parse_passport(data: bytes, where: str) -> Passport:
     Raises
     ------
     UsageError
-        When it is not a passport, or has a parameter that the engine does not know; the message says why.
+        When it is not a passport, was changed after it was sealed, has a parameter that the engine does not know, or
+        numbers that no collimator has; the message says why.
     """
     remedy = "Make a passport with `starbench passport make` or `starbench passport certificate`."
     try:
-        shape: Any = json.loads(data)
-        passport = Passport.from_dict(shape if isinstance(shape, dict) else {})
+        shape: Any = json.loads(data, object_pairs_hook=_without_duplicates, parse_constant=_refuse_constant)
+        document = shape if isinstance(shape, dict) else {}
+        seal = read_passport_seal(data)
+        if "seal" in document and seal is None:
+            raise UsageError(
+                "The seal of this passport is not on its second line: the file was written anew by another program.",
+                where=where,
+                remedy="Use the file as it was made.",
+            )
+        if unknown_keys := sorted(set(document) - _KEYS):
+            raise UsageError(f"A passport has no key {unknown_keys[0][:40]!r}.", where=where, remedy=remedy)
+        refuse_absurd_numbers(document)
+        passport = Passport.from_dict(document)
+        refuse_indefinite(passport)
     except json.JSONDecodeError as error:
         what = f"The file is not a passport. It is not JSON, line {error.lineno}, column {error.colno}: {error.msg}."
         raise UsageError(what, where=where, remedy=remedy) from error
+    except EvidenceError as error:
+        raise UsageError(error.what, where=where, remedy=error.remedy) from error
     except (ValueError, RecursionError) as error:
         raise UsageError(
             f"The file is not a passport (not JSON: {error}).", where=where, remedy=remedy
@@ -104,9 +124,24 @@ def parse_passport(data: bytes, where: str) -> Passport:
         raise UsageError(
             f"The passport has the unknown parameter {unknown[0]!r}.", where=where, remedy=remedy
         )
-    if not passport.values_by_name["r"] > 0:
-        raise UsageError("The passport's radius r is not positive.", where=where, remedy=remedy)
+    if not passport.values_by_name["r"] > LEAST_R_MM:
+        what = f"The passport's radius r is not positive, or below {LEAST_R_MM:g} mm; no collimator is that short."
+        raise UsageError(what, where=where, remedy=remedy)
     return passport
+
+
+def _without_duplicates(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    """Return a JSON object; raise ValueError if a key is there twice, because readers differ in which one they take."""
+    found = dict(pairs)
+    if len(found) != len(pairs):
+        keys = [key for key, _ in pairs]
+        twice = next(key for key in keys if keys.count(key) > 1)
+        raise ValueError(f"the key {twice[:40]!r} is there twice")
+    return found
+
+
+def _refuse_constant(word: str) -> float:
+    raise ValueError(f"{word} is not a number")
 
 
 def passport_bytes(passport: Passport) -> bytes:

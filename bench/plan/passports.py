@@ -14,7 +14,10 @@ from datetime import date
 from pathlib import Path
 from typing import Any, Literal
 
-from bench.base.errors import BenchError, UsageError
+from bench.base.errors import BenchError, EvidenceError, UsageError
+from bench.base.home import home_folder
+from bench.evidence.keys import SIGNERS_FILE, read_signers
+from bench.evidence.passport_seal import PassportSeal, read_passport_seal
 from bench.plan.passport_file import determines_one_view, passport_bytes, read_passport_file
 from bench.plan.places import setting_path
 from bench.records.run_folder import PASSPORT_COPY
@@ -51,6 +54,9 @@ class PassportInUse:
         Name of the file, without its folder.
     other_accepted
         Whether the sequence accepts a passport of another collimator.
+    seal
+        The seal of the file; None if it has none, and for the values of a certificate in the station file, which the
+        seal of the run covers.
     """
 
     passport: Passport
@@ -58,6 +64,12 @@ class PassportInUse:
     source: PassportSource
     name: str
     other_accepted: bool = False
+    seal: PassportSeal | None = None
+
+    @property
+    def is_unsealed(self) -> bool:
+        """Whether nothing shows that the file is as it was made."""
+        return self.source != "station certificate" and self.seal is None
 
     @property
     def serial(self) -> str | None:
@@ -97,6 +109,7 @@ class PassportInUse:
             "values": dict(passport.values_by_name),
             "sigma": sigma,
             "sha256": hashlib.sha256(self.data).hexdigest(),
+            "sealed_by": self.seal.fingerprint if self.seal else None,
         }
 
     def _date_of_issue(self) -> str | None:
@@ -119,9 +132,14 @@ class PassportInUse:
         Returns
         -------
         list of str
-            A sentence for each: expired, another temperature, another collimator, no collimator named.
+            A sentence for each: unsealed, expired, another temperature, another collimator, no collimator named.
         """
         found = []
+        if self.is_unsealed:
+            found.append(
+                f"The collimator's passport {self.name} is not sealed: nothing shows that its values are as they were "
+                "made."
+            )
         if self.valid_until is not None and self.valid_until < on:
             found.append(f"The collimator's passport expired on {self.valid_until}; the run is of {on}.")
         found += self._temperature_caution(collimator.temperature_c)
@@ -256,8 +274,32 @@ def choose_passport(
             "right passport, or accept this one: solve: {other_collimator: accept}."
         )
         return PassportChoice(in_use, frozenset(used), (first.fault(message),))
-    remarks = tuple(first.fault(caution) for caution in in_use.cautions(collimator, today))
+    cautions = in_use.cautions(collimator, today)
+    if copy is None:
+        unknown = _unknown_seal(in_use)
+        if collimator.unsealed_passport == "refuse" and (in_use.is_unsealed or unknown):
+            what = unknown or "the passport is not sealed."
+            message = (
+                f"{what} The station refuses it (collimator: {{unsealed_passport: refuse}}). Seal it with"
+                " `starbench passport seal`, or trust its key with `starbench keys trust`."
+            )
+            return PassportChoice(in_use, frozenset(used), (first.fault(message),))
+        cautions += [unknown] if unknown else []
+    remarks = tuple(first.fault(caution) for caution in cautions)
     return PassportChoice(in_use, frozenset(used), remarks=remarks)
+
+
+def _unknown_seal(in_use: PassportInUse) -> str:
+    """Return what is to say if this bench does not trust the key that sealed a passport; empty otherwise."""
+    if in_use.seal is None:
+        return ""
+    try:
+        trusted = read_signers(home_folder() / SIGNERS_FILE)
+    except EvidenceError:
+        trusted = []
+    if any(signer.public_key == in_use.seal.public_key for signer in trusted):
+        return ""
+    return f"the passport is sealed by {in_use.seal.fingerprint}, a key that this bench does not trust."
 
 
 @dataclass(frozen=True)
@@ -296,7 +338,8 @@ class _Named:
         else:
             assert self.certificate is not None
             passport, data = self.certificate, passport_bytes(self.certificate)
-        return PassportInUse(passport, data, self.source, name, self.other_accepted)
+        seal = read_passport_seal(data)
+        return PassportInUse(passport, data, self.source, name, self.other_accepted, seal)
 
 
 def _named(sequence: Located[Sequence], station: Located[Station], step: SolveStep) -> _Named | None:

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Mapping
 
+from bench.plan.passports import PassportInUse
 from bench.plan.plan import Plan, PlannedStep
 from bench.report.until_text import meaning_of_goal
 from sequences.script import (
@@ -43,7 +45,10 @@ def render_plan(plan: Plan) -> str:
         ]
     if plan.remarks:
         lines += ["Remarks:", *map(str, plan.remarks), ""]
-    lines += [_steps(plan), "", _totals(plan)]
+    lines += [_steps(plan), ""]
+    if plan.passport.in_use is not None:
+        lines += [*_passport_lines(plan.passport.in_use), ""]
+    lines.append(_totals(plan))
     return "\n".join(lines)
 
 
@@ -164,3 +169,11 @@ def _totals(plan: Plan) -> str:
 
 def _count(number: int, thing: str) -> str:
     return f"{number} {thing}" if number == 1 else f"{number} {thing}s"
+
+
+def _passport_lines(in_use: PassportInUse) -> list[str]:
+    """Return lines with name, hash and seal of a passport."""
+    lines = [f"Passport {in_use.name}", f"  SHA-256 {hashlib.sha256(in_use.data).hexdigest()}"]
+    if in_use.seal is not None:
+        lines.append(f"  sealed by {in_use.seal.fingerprint}")
+    return [*lines, "  not sealed"] if in_use.is_unsealed else lines

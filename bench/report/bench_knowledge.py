@@ -58,7 +58,15 @@ def passport_rows(passport: Json | None) -> Rows:
         ("Collimator passport", ", ".join(part for part in stated if part)),
         ("Values of the passport", "; ".join(values)),
         ("SHA-256 of the passport", str(passport["sha256"])),
+        *_seal_rows(passport),
     ]
+
+
+def _seal_rows(passport: Json) -> Rows:
+    """Return the seal of a passport; no row for the values of a station's certificate and of an earlier version."""
+    if passport["source"] == "station certificate" or "sealed_by" not in passport:
+        return []
+    return [("Seal of the passport", str(passport["sealed_by"] or "none: the file is not sealed"))]
 
 
 def readings_rows(readings: Json | None, estimate: Json | None) -> Rows:

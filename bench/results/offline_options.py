@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Self, cast, get_args
 
 from bench.base.errors import UsageError
+from bench.evidence.passport_seal import read_passport_seal
 from bench.plan.job import Job, calibration_options
 from bench.plan.passport_file import read_passport_file
 from bench.plan.passports import NO_PASSPORT, PassportInUse
@@ -232,7 +233,8 @@ class OfflineOptions:
 def _passport_of_file(path: Path) -> PassportInUse:
     """Read the passport that the command line names; raise UsageError or StorageError."""
     passport, data = read_passport_file(path)
-    return PassportInUse(passport, data, "command line", path.name)
+    seal = read_passport_seal(data)
+    return PassportInUse(passport, data, "command line", path.name, seal=seal)
 
 
 def _parse_board(text: str | None, model: str | None, passport: str | None) -> Board | None:

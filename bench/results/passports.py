@@ -6,14 +6,17 @@ content; this module adds the conditions under which the passport was made. `ben
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from datetime import datetime
 from pathlib import Path
 from typing import Any
 
 from bench.base.errors import UsageError
+from bench.evidence.keys import BenchKey
+from bench.evidence.passport_seal import read_passport_seal, seal_passport
 from bench.plan.passport_file import passport_bytes, read_passport_file
-from bench.records.storage import write_atomic
+from bench.records.run_folder import MANIFEST, is_sealed
+from bench.records.storage import sha256_of, storage_errors, write_atomic
 from calib.engine import Calibration
 from calib.model.passport import Passport
 
@@ -41,7 +44,7 @@ def read_passport(path: Path) -> Passport:
     return read_passport_file(path)[0]
 
 
-def write_passport(path: Path, passport: Passport) -> None:
+def write_passport(path: Path, passport: Passport, key: BenchKey | None = None) -> None:
     """Write a passport to a new file.
 
     Parameters
@@ -50,6 +53,8 @@ def write_passport(path: Path, passport: Passport) -> None:
         The file.
     passport
         The passport.
+    key
+        The bench's key, which seals it; None leaves it unsealed.
 
     Raises
     ------
@@ -62,7 +67,65 @@ def write_passport(path: Path, passport: Passport) -> None:
         raise UsageError(
             "A file with this name already exists.", where=str(path), remedy="Choose another name."
         )
-    write_atomic(path, passport_bytes(passport))
+    data = passport_bytes(passport)
+    write_atomic(path, seal_passport(data, key) if key is not None else data)
+
+
+def seal_file(path: Path, output: Path, key: BenchKey) -> str:
+    """Write a sealed copy of a passport that has no seal.
+
+    Parameters
+    ----------
+    path
+        The unsealed passport.
+    output
+        The new file.
+    key
+        The bench's key.
+
+    Returns
+    -------
+    str
+        Fingerprint of the key.
+
+    Raises
+    ------
+    UsageError
+        When it is not a passport, is sealed already, or the new file exists.
+    StorageError
+        When a file cannot be read or written.
+    """
+    passport, data = read_passport_file(path)
+    if (seal := read_passport_seal(data)) is not None:
+        raise UsageError(f"This passport is sealed already, by {seal.fingerprint}.", where=str(path))
+    write_passport(output, passport, key)
+    return key.fingerprint
+
+
+def seals_of(paths: Sequence[Path]) -> dict[str, str]:
+    """Return the seals of the sealed runs among the sources of a passport, so that it is bound to them.
+
+    Parameters
+    ----------
+    paths
+        Runs, recordings or folders.
+
+    Returns
+    -------
+    dict
+        SHA-256 of ``SHA256SUMS`` by the name of the run.
+
+    Raises
+    ------
+    StorageError
+        When a seal cannot be read.
+    """
+    found = {}
+    for path in paths:
+        with storage_errors(path):
+            if path.is_dir() and is_sealed(path):
+                found[path.resolve().name] = sha256_of(path / MANIFEST)
+    return found
 
 
 def passport_from_calibration(
@@ -72,6 +135,7 @@ def passport_from_calibration(
     temperature_c: float | None,
     now: datetime,
     sources: list[str],
+    seals: Mapping[str, str] | None = None,
 ) -> Passport:
     """Make a passport from a calibration, with the conditions under which it was made.
 
@@ -87,6 +151,8 @@ def passport_from_calibration(
         Time at which the passport is made, UTC.
     sources
         Names of the recordings or runs behind the calibration.
+    seals
+        SHA-256 of the list of files of each source that is a sealed run, by its name.
 
     Returns
     -------
@@ -103,6 +169,7 @@ def passport_from_calibration(
         "temperature_c": temperature_c,
         "made_utc": now.isoformat(timespec="seconds"),
         "sources": sources,
+        "seals": dict(seals) if seals else None,
         "model": calibration.model,
     }
     return calibration.passport(_without_none(conditions))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import datetime as dt
 import re
 from collections.abc import Mapping
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 from pydantic import BeforeValidator, Discriminator, Field, Tag, model_validator
 from pydantic_core import PydanticCustomError
@@ -94,6 +94,12 @@ class CollimatorConfig(StrictModel):
     passport: Annotated[
         str | None,
         Field(min_length=1, max_length=4096, description="Passport file, relative to the station file."),
+    ] = None
+    unsealed_passport: Annotated[
+        Literal["accept", "refuse"] | None,
+        Field(
+            description="Passport file without a seal, or with that of an unknown key; accepted by default."
+        ),
     ] = None
     temperature_c: Annotated[
         Celsius | None, Field(description="Temperature of the collimator on this bench.")

@@ -1,5 +1,6 @@
 """The passport of a run: which file the documents name, what is wrong with it, and what speaks against it."""
 
+import hashlib
 import json
 from datetime import date
 
@@ -7,7 +8,9 @@ import numpy as np
 import pytest
 from station_texts import PLAIN
 
+from bench.evidence.passport_seal import seal_passport
 from bench.plan.job import Job, calibration_options, documents_of
+from bench.plan.passport_file import passport_bytes
 from bench.plan.plan import load_documents, make_plan
 from bench.plan.plan_text import render_plan
 from bench.records.run_folder import PASSPORT_COPY, SEQUENCE_COPY, STATION_COPY
@@ -49,9 +52,16 @@ def bench(tmp_path, monkeypatch):
     return plan
 
 
-def write(path, r=255.0, **conditions):
-    path.write_text(json.dumps(Passport.of_radius(r, 0.05, conditions).to_dict()))
+def write(path, r=255.0, *, sealed_with=None, **conditions):
+    data = passport_bytes(Passport.of_radius(r, 0.05, conditions))
+    path.write_bytes(seal_passport(data, sealed_with) if sealed_with else data)
     return path
+
+
+@pytest.fixture
+def own_home(home, monkeypatch):
+    """The bench with the key of the session."""
+    monkeypatch.setenv("STARBENCH_HOME", str(home))
 
 
 def solve_of(plan):
@@ -103,6 +113,7 @@ def test_the_certificate_of_the_station_becomes_a_passport_of_the_run(bench):
         "values": {"r": 255.0},
         "sigma": {"r": pytest.approx(0.05)},
         "sha256": "",
+        "sealed_by": None,
     }
     assert plan.remarks == ()
     assert calibration_options(solve_of(plan), plan.passport_for(solve_of(plan))).model == "auto"
@@ -156,7 +167,8 @@ def test_a_passport_of_another_collimator_is_a_fault_unless_it_is_accepted(bench
     assert "belongs to the collimator C-2" in str(accepted.remarks)
 
 
-def test_what_speaks_against_a_passport_is_remarked(bench, tmp_path):
+@pytest.mark.usefixtures("own_home")
+def test_what_speaks_against_a_passport_is_remarked(bench, tmp_path, key):
     write(tmp_path / "a" / "p.json", temperature_c=20, valid_until="2026-05-31")
     remarks = str(bench("{passport: p.json}", "serial: C-1, temperature_c: 26").remarks)
     assert "expired on 2026-05-31; the run is of 2026-06-01" in remarks
@@ -165,12 +177,54 @@ def test_what_speaks_against_a_passport_is_remarked(bench, tmp_path):
     unknown = str(bench("{passport: p.json}", today=date(2026, 5, 31)).remarks)
     assert "the station does not state the temperature" in unknown
     assert "expired" not in unknown
-    write(tmp_path / "a" / "p.json", temperature_c=20, valid_until="2026-06-01", collimator="C-1")
+    good = {"temperature_c": 20, "valid_until": "2026-06-01", "collimator": "C-1"}
+    write(tmp_path / "a" / "p.json", **good, sealed_with=key)
     assert bench("{passport: p.json}", "serial: C-1, temperature_c: 25").remarks == ()
+    write(tmp_path / "a" / "p.json", **good)
+    (remark,) = bench("{passport: p.json}", "serial: C-1, temperature_c: 25").remarks
+    assert "p.json is not sealed" in remark.message
 
 
-def test_conditions_that_people_wrote_do_not_break_a_plan(bench, tmp_path):
-    write(tmp_path / "a" / "p.json", temperature_c="warm", valid_until="next year", collimator=17, issued=[1])
+@pytest.mark.usefixtures("own_home")
+def test_the_plan_names_hash_and_seal_of_the_passport(bench, tmp_path, key):
+    path = write(tmp_path / "a" / "p.json", collimator="C-1", sealed_with=key)
+    plan = bench("{passport: p.json}")
+    sha256 = hashlib.sha256(path.read_bytes()).hexdigest()
+    assert f"Passport p.json\n  SHA-256 {sha256}\n  sealed by {key.fingerprint}\n" in render_plan(plan)
+    assert plan.passport.in_use.to_dict()["sealed_by"] == key.fingerprint
+    write(tmp_path / "a" / "p.json", collimator="C-1")
+    assert "\n  not sealed\n" in render_plan(bench("{passport: p.json}"))
+
+
+def test_a_seal_of_a_key_that_is_not_trusted_is_remarked(bench, tmp_path, key, monkeypatch):
+    monkeypatch.setenv("STARBENCH_HOME", str(tmp_path / "another"))
+    write(tmp_path / "a" / "p.json", collimator="C-1", sealed_with=key)
+    (remark,) = bench("{passport: p.json}").remarks
+    assert f"sealed by {key.fingerprint}, a key that this bench does not trust" in remark.message
+
+
+@pytest.mark.parametrize(("sealed", "trusted"), [(False, True), (True, False), (True, True)])
+def test_a_strict_station_takes_sealed_passports_of_trusted_keys_only(
+    bench, tmp_path, key, home, monkeypatch, sealed, trusted
+):
+    monkeypatch.setenv("STARBENCH_HOME", str(home if trusted else tmp_path / "another"))
+    write(tmp_path / "a" / "p.json", collimator="C-1", sealed_with=key if sealed else None)
+    plan = bench("{passport: p.json}", "serial: C-1, unsealed_passport: refuse")
+    assert (plan.faults == ()) == (sealed and trusted)
+    assert not plan.faults or "starbench passport seal" in plan.faults[0].message
+
+
+def test_a_sealed_passport_that_was_changed_is_refused(bench, tmp_path, key):
+    path = write(tmp_path / "a" / "p.json", collimator="C-1", sealed_with=key)
+    path.write_text(path.read_text().replace("255.0", "254.0"))
+    (fault,) = bench("{passport: p.json}").faults
+    assert "was changed after it was sealed" in fault.message
+
+
+@pytest.mark.usefixtures("own_home")
+def test_conditions_that_people_wrote_do_not_break_a_plan(bench, tmp_path, key):
+    wrong = {"temperature_c": "warm", "valid_until": "next year", "collimator": 17, "issued": [1]}
+    write(tmp_path / "a" / "p.json", **wrong, sealed_with=key)
     plan = bench("{passport: p.json}", "serial: 17")
     assert (plan.faults, plan.remarks) == ((), ())
     assert plan.passport.in_use.to_dict()["temperature_c"] is None
