@@ -57,7 +57,8 @@ def _show_valid(found: Verification) -> None:
     if found.run_id is not None:
         simulated = " SIMULATED devices." if found.simulated else ""
         camera = found.camera_serial or "without number"
-        click.echo(f"Run {found.run_id}, camera {camera}.{simulated}")
+        what = {"results": "Recalculated results", "certificate": "Certificate of run"}.get(found.kind, "Run")
+        click.echo(f"{what} {found.run_id}, camera {camera}.{simulated}")
     for remark in found.remarks:
         click.echo(f"Note: {remark}.")
     if found.not_compared:

@@ -92,11 +92,12 @@ def derivations(*, again: bool) -> dict[str, list[Derivation]]:
         Functions by kind of folder, for `bench.evidence.verify.verify_folder`.
     """
     from bench.results.derive_again import check_results_folder, check_run
+    from bench.results.derive_offline import check_recalculated
     from bench.results.reproduce import check_recordings
 
     return {
         "run": [_check_ledger, check_run, *([check_recordings] if again else [])],
-        "results": [check_results_folder],
+        "results": [check_results_folder, *([check_recalculated] if again else [])],
         "certificate": [_check_certificate],
     }
 

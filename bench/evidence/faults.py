@@ -13,7 +13,8 @@ class SealFault:
     ----------
     kind
         ``unsealed``, ``signature``, ``key``, ``manifest``, ``added``, ``changed``, ``missing``, ``link``,
-        ``journal``, ``results``, ``report``, ``item``, ``authorisation`` or ``timestamp``.
+        ``kind``, ``journal``, ``plan``, ``results``, ``exports``, ``report``, ``views``, ``recording``, ``wire``,
+        ``instructions``, ``certificate``, ``ledger``, ``item``, ``authorisation`` or ``timestamp``.
     where
         The file it concerns, within the folder.
     what

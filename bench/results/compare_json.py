@@ -140,5 +140,5 @@ def _largest(values: Sequence[Any]) -> float:
 
 
 def _shown(value: Any) -> str:
-    text = json.dumps(value) if not isinstance(value, float) else f"{value:.12g}"
+    text = json.dumps(value, ensure_ascii=False) if not isinstance(value, float) else f"{value:.12g}"
     return text if len(text) <= 70 else f"{text[:67]}..."

@@ -9,19 +9,14 @@ recordings instead. Both read only.
 from __future__ import annotations
 
 import json
-import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
 from typing import Any
 
-from bench.base.errors import BenchError, EvidenceError
+from bench.base.errors import BenchError
 from bench.evidence.findings import Findings
-from bench.evidence.instructions import instructions
-from bench.evidence.seal import INSTRUCTIONS
-from bench.evidence.ssh_keys import fingerprint
-from bench.evidence.sshsig import read_signature
 from bench.plan.job import Job
 from bench.plan.plan import load_documents, make_plan
 from bench.records.events import Event
@@ -35,14 +30,15 @@ from bench.records.run_folder import (
     REPORT,
     RESULTS,
     SEQUENCE_COPY,
-    SIGNATURE,
     STATION_COPY,
 )
 from bench.results.compare_json import Difference, differences, within
 from bench.results.derive_calculated import check_calculated
 from bench.results.derive_devices import check_recorded_with, check_wire_log
-from bench.results.derive_report import EXPORTS, UNREADABLE, check_exports, check_report, other_software
+from bench.results.derive_instructions import check_instructions
+from bench.results.derive_report import EXPORTS, UNREADABLE, check_exports, check_report
 from bench.results.derive_views import check_views
+from bench.results.other_software import other_program
 from bench.results.results_content import journal_content, software
 from bench.results.solve_options import limited_numbers
 from bench.results.stored_calibration import stored_calibration
@@ -115,7 +111,7 @@ def check_run(folder: Path) -> Findings:
     evidence = read_evidence(folder, found)
     if evidence is None:
         return found
-    _check_instructions(evidence, found)
+    check_instructions(folder, evidence.history.started.get("software", {}), found)
     _check_first_line(evidence, found)
     _check_plan(evidence, found)
     _check_steps(evidence, found)
@@ -189,28 +185,6 @@ def _head(folder: Path, entries: Sequence[Entry]) -> str:
         return written[-1]
     report = (folder / REPORT).read_text(encoding="utf-8", errors="replace")
     return next((entry.hash for entry in entries if entry.hash in report), "")
-
-
-def _check_instructions(evidence: RunEvidence, found: Findings) -> None:
-    """Compare VERIFY.txt with the instructions for the key that sealed: a reader types these commands."""
-    try:
-        had = (evidence.folder / INSTRUCTIONS).read_text(encoding="utf-8", errors="replace")
-        signature = read_signature((evidence.folder / SIGNATURE).read_bytes())
-    except (OSError, EvidenceError) as error:
-        found.fault("results", INSTRUCTIONS, f"the file cannot be compared: {error}")
-        return
-    named = re.search(r" -I (\S+) -n ", had)
-    due = instructions(
-        "run", principal=named[1] if named else "", fingerprint=fingerprint(signature.public_key)
-    )
-    if had == due:
-        return
-    if other := other_program(evidence.history.started.get("software", {})):
-        found.not_compared.append(f"{INSTRUCTIONS}: it was written with {other}")
-    else:
-        found.fault(
-            "results", INSTRUCTIONS, "these are not the instructions for the key that sealed this folder"
-        )
 
 
 def _check_first_line(evidence: RunEvidence, found: Findings) -> None:
@@ -323,22 +297,6 @@ def _check_journal_content(
     add_differences("results", RESULTS, list(differences(stated, solved, where="calibration")), found)
 
 
-def other_program(used: Mapping[str, Any]) -> str:
-    """Return how the program that made results differs from this one.
-
-    Parameters
-    ----------
-    used
-        Software of the results or of the journal.
-
-    Returns
-    -------
-    str
-        The differing parts; empty if the programs are the same.
-    """
-    return other_software({"run": {"software": used}}, tuple(software()))
-
-
 def add_differences(
     kind: str, name: str, seen: Sequence[Difference], found: Findings, *, other: str = ""
 ) -> None:
@@ -363,7 +321,7 @@ def add_differences(
         found.fault(kind, name, f"{len(faults) - _MOST_SHOWN} further values differ")
     unknown = [one.where for one in seen if one.kind != "value" and other]
     if unknown:
-        found.not_compared.append(f"{', '.join(unknown[:_MOST_SHOWN])} of {name}: it was made with {other}")
+        found.not_compared.append(f"{', '.join(unknown[:_MOST_SHOWN])} of {name}: another program wrote it")
 
 
 def check_results_folder(folder: Path) -> Findings:

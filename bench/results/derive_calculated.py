@@ -11,7 +11,7 @@ from bench.records.history import History
 from bench.records.run_folder import RESULTS
 from bench.results.compare_json import differences, within
 from bench.results.comparison import compare_with_truth
-from bench.results.derive_report import other_software
+from bench.results.other_software import other_software
 from bench.results.previous_calibration import change_since
 from bench.results.results_content import SCHEMA, projection, software
 from bench.results.solve_options import readings_result, solve_options
@@ -100,7 +100,7 @@ def check_calculated(
     other = other_software(results, tuple(software()))
     if other and (seen or further):
         places = ", ".join([*(one.where for one in seen), *further][:_MOST_SHOWN])
-        found.not_compared.append(f"{places} of {RESULTS}: calculated with {other}")
+        found.not_compared.append(f"{places} of {RESULTS}: another program calculated it")
         return
     for one in seen[:_MOST_SHOWN]:
         found.fault("results", RESULTS, str(one))

@@ -3,21 +3,20 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-import jinja2
-
-from bench.base.errors import BenchError
 from bench.evidence.findings import Findings
-from bench.plan.job import Job
-from bench.records.run_folder import JOURNAL, PASSPORT_COPY, REPORT, RESULTS
+from bench.records.run_folder import PASSPORT_COPY, REPORT, RESULTS
 from bench.records.storage import sha256_of
-from bench.report.html import ReportData, printed_text, render_report
 from bench.results.compare_json import differences
-from bench.results.derive_report import EXPORTS, UNREADABLE, check_exports, other_software
+from bench.results.derive_instructions import check_instructions
+from bench.results.derive_report import EXPORTS, check_exports, check_report
+from bench.results.derive_views import check_views
 from bench.results.stored_calibration import stored_calibration
+from bench.views.views_file import VIEWS
+from calib.target import StarTarget
 
 _SOURCES = "sources.json"
 
@@ -38,21 +37,23 @@ def check_offline(folder: Path, found: Findings) -> None:
         When a file is not of the expected form.
     """
     results = json.loads((folder / RESULTS).read_bytes())
-    sources = json.loads((folder / _SOURCES).read_bytes())["sources"]
-    for one in differences(results["sources"], sources, where="sources"):
+    described = json.loads((folder / _SOURCES).read_bytes())
+    sources = described["sources"]
+    stated = {"sources": results["sources"], "runs": results["run"].get("of_runs", [])}
+    for one in differences(stated, {"sources": sources, "runs": described.get("runs", [])}):
         found.fault("results", RESULTS, f"{one}, by {_SOURCES}")
-    stated = (results.get("passport") or {}).get("sha256")
+    passport = (results.get("passport") or {}).get("sha256")
     here = sha256_of(folder / PASSPORT_COPY) if (folder / PASSPORT_COPY).is_file() else None
-    if stated != here:
-        found.fault("results", PASSPORT_COPY, f"{RESULTS} states the passport {stated}; this one is {here}")
-    jobs = _check_sources(sources, found)
-    _check_exports(folder, results, jobs, found)
-    _check_words(folder, results, found)
+    if passport != here:
+        found.fault("results", PASSPORT_COPY, f"{RESULTS} states the passport {passport}; this one is {here}")
+    check_instructions(folder, results["run"]["software"], found)
+    _check_sources(sources, found)
+    _check_derived(folder, results, described, found)
 
 
-def _check_sources(sources: list[Mapping[str, Any]], found: Findings) -> list[Job]:
-    """Compare the sources that are still there; return the tasks of the runs that they are from."""
-    gone, folders = 0, set()
+def _check_sources(sources: Sequence[Mapping[str, Any]], found: Findings) -> None:
+    """Compare the sources that are still there with their hashes."""
+    gone = 0
     for source in sources:
         path = Path(str(source["path"]))
         if not path.is_file():
@@ -61,49 +62,42 @@ def _check_sources(sources: list[Mapping[str, Any]], found: Findings) -> list[Jo
             found.not_compared.append(
                 f"{path}: another file lies there now than the one that was calculated from"
             )
-        else:
-            folders.add(path.resolve().parent.parent)
     if gone:
         found.remarks.append(f"{gone} of {len(sources)} source files are not there any more")
-    jobs = []
-    for folder in sorted(folders):
-        if (folder / JOURNAL).is_file():
-            try:
-                jobs.append(Job.from_run_folder(folder))
-            except (BenchError, *UNREADABLE):
-                found.remarks.append(f"the documents of the run in {folder} cannot be read")
-    return jobs
 
 
-def _check_exports(folder: Path, results: Mapping[str, Any], jobs: list[Job], found: Findings) -> None:
-    """Compare the exports; name of the camera and target come from the source runs, or from an export."""
+def _check_derived(
+    folder: Path, results: Mapping[str, Any], described: Mapping[str, Any], found: Findings
+) -> None:
+    """Compare stars, exports and report with the results."""
+    if "camera_name" not in described or not (folder / VIEWS).is_file():
+        what = "an earlier version wrote them, without the stars and the name of the camera"
+        found.not_compared.append(f"{EXPORTS} and {REPORT} with {RESULTS}: {what}")
+        return
     calibration = stored_calibration(results["calibration"])
+    stars = [view.n for view in calibration.views]
+    held = check_views(folder, results, found, all_stars=False)
+    if held is None:
+        return
+    if stars == [len(stored.view) for stored in held.views]:  # else a guard band leaves some out
+        check_views(folder, results, found)
+    given = described["target"]
+    target = None if given is None else StarTarget(**{**given, "tag_square": tuple(given["tag_square"])})
     names = sorted(path.name for path in (folder / EXPORTS).glob("*"))
-    cameras = {job.camera_name for job in jobs}
-    targets = list({job.target for job in jobs})
-    if len(cameras) != 1 or len(targets) != 1 or len(results["sources"]) == 0:
-        found.not_compared.append(
-            f"{EXPORTS} with {RESULTS}: their camera's name and target stand in the source runs alone"
-        )
-        return
-    check_exports(folder, names, results, calibration, cameras.pop(), targets[0], found)
+    check_exports(folder, names, results, calibration, str(described["camera_name"]), target, found)
+    check_report(folder, results, held.shown(results), "", found)
 
 
-def _check_words(folder: Path, results: Mapping[str, Any], found: Findings) -> None:
-    """Compare the words of the report; its plots need the stars, which this folder does not hold."""
-    if other := other_software(results, ("starbench", "report_form")):
-        found.not_compared.append(f"{REPORT} with {RESULTS}: it was made with {other}")
-        return
-    try:
-        due = printed_text(render_report(ReportData(results), draw=False))
-    except (*UNREADABLE, jinja2.TemplateError) as error:
-        found.fault("results", RESULTS, f"no report can be made of these results ({error!r})")
-        return
-    had = printed_text((folder / REPORT).read_text(encoding="utf-8", errors="replace"))
-    if had != due:
-        one = next(
-            (pair for pair in zip(had, due, strict=False) if pair[0] != pair[1]),
-            (str(len(had)), str(len(due))),
-        )
-        found.fault("report", REPORT, f"the report prints {one[0]!r} where {RESULTS} gives {one[1]!r}")
-    found.not_compared.append(f"plots of {REPORT}: the stars that they show are in the sources alone")
+def check_recalculated(_folder: Path) -> Findings:
+    """Say that recalculated results are not calculated again: the options of the calculation are not stored.
+
+    Returns
+    -------
+    Findings
+        That the numbers were not compared.
+    """
+    found = Findings()
+    found.not_compared.append(
+        f"{RESULTS} with its sources: calibrate the sources again with the same options, and compare"
+    )
+    return found

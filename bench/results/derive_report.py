@@ -21,7 +21,7 @@ from bench.records.run_folder import REPORT, RESULTS
 from bench.report.html import ReportData, printed_text, render_report
 from bench.report.view_picture import ViewPicture
 from bench.results.exports import exports
-from bench.results.results_content import software
+from bench.results.other_software import other_software
 from calib.calibration import Calibration
 from calib.target import StarTarget
 
@@ -34,29 +34,6 @@ _EXPORTS_BY = ("starbench", "export_form", "opencv-python-headless")
 _SVG = re.compile(r"<svg\b|</svg>")
 _LABEL = re.compile(r'aria-label="([^"]*)"')
 _AROUND = 30
-
-
-def other_software(results: Mapping[str, Any], names: Sequence[str]) -> str:
-    """Return in which of some parts of the software results were made by another program than this one.
-
-    Parameters
-    ----------
-    results
-        Content of results.json.
-    names
-        Keys of ``run.software``.
-
-    Returns
-    -------
-    str
-        ``matplotlib 3.9 (here 3.10)``, several with commas; empty if all are the same.
-    """
-    used, here = results["run"].get("software") or {}, software()
-    return ", ".join(
-        f"{name.replace('_', ' ')} {used.get(name, 'not stated')} (here {here[name]})"
-        for name in names
-        if used.get(name) != here[name]
-    )
 
 
 def check_report(

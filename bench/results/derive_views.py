@@ -15,8 +15,8 @@ from bench.evidence.findings import Findings
 from bench.records.run_folder import RESULTS
 from bench.report.choice import pictured_poses
 from bench.report.view_picture import ViewPicture
-from bench.results.derive_report import other_software
-from bench.views.views_file import VIEWS, StoredView, read_picture, read_views, views_file
+from bench.results.other_software import other_software
+from bench.views.views_file import VIEWS, StoredView, has_pictures, read_picture, read_views, views_file
 from calib.view import View
 
 _SAME_RMS = 1e-9
@@ -38,7 +38,7 @@ class _Found:
     """A view and its image, as `bench.views.views_file.views_file` takes them."""
 
     view: View
-    image: _Picture
+    image: _Picture | None
 
 
 @dataclass(frozen=True)
@@ -50,11 +50,11 @@ class RunViews:
     views
         Stars and residuals of each pose.
     pictures
-        Image of each pose, (H, W) uint8.
+        Image of each pose, (H, W) uint8; None for recalculated results, which have no images.
     """
 
     views: Sequence[StoredView]
-    pictures: Sequence[NDArray[np.uint8]]
+    pictures: Sequence[NDArray[np.uint8] | None]
 
     def as_file(self) -> bytes:
         """Return the bytes of a views.h5 with this content.
@@ -65,7 +65,10 @@ class RunViews:
             The file, as a run writes it.
         """
         return views_file(
-            [_Found(s.view, _Picture(p)) for s, p in zip(self.views, self.pictures, strict=True)],
+            [
+                _Found(s.view, None if p is None else _Picture(p))
+                for s, p in zip(self.views, self.pictures, strict=True)
+            ],
             [stored.residuals_px for stored in self.views],
         )
 
@@ -98,7 +101,7 @@ class RunViews:
 def check_views(
     folder: Path, results: Mapping[str, Any], found: Findings, *, all_stars: bool = True
 ) -> RunViews | None:
-    """Compare views.h5 with the results.
+    """Compare views.h5 of a run or of recalculated results with results.json.
 
     Parameters
     ----------
@@ -119,7 +122,9 @@ def check_views(
     path = folder / VIEWS
     try:
         views = read_views(path)
-        held = RunViews(views, [read_picture(path, number) for number in range(1, len(views) + 1)])
+        pictured = has_pictures(path)
+        numbers = range(1, len(views) + 1)
+        held = RunViews(views, [read_picture(path, number) if pictured else None for number in numbers])
     except (RunFolderError, MemoryError, RuntimeError) as error:
         what = error.what if isinstance(error, RunFolderError) else f"the file cannot be read ({error!r})"
         found.fault("views", VIEWS, what)

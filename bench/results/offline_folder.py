@@ -1,4 +1,4 @@
-"""Writes an offline calibration to a folder: results.json, report, exports, the hashes of its input files, and a seal.
+"""Writes an offline calibration to a folder: results, report, stars, exports, hashes of its inputs, seal.
 
 The results have the schema of a run's, as far as files without devices can give it. The run is marked ``offline``, and
 a sentence says that it is a recalculation. The seal covers the hashes of the input files and of the seals of the runs
@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
+from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -28,6 +29,8 @@ from bench.results.offline import OfflineResult
 from bench.results.projection_facts import projection_facts
 from bench.results.results_content import collimator_data, software
 from bench.results.view_sources import PHOTOGRAPHS, ViewSource
+from bench.views.views_file import VIEWS, views_file
+from calib.view import View
 
 SOURCES = "sources.json"
 SCHEMA = "starbench/sources/1"
@@ -36,6 +39,14 @@ RECALCULATION = (
     " record of a run."
 )
 """What results.json states about results that were not calculated by a run."""
+
+
+@dataclass(frozen=True)
+class _Stars:
+    """A view without its image, as `bench.views.views_file.views_file` takes it."""
+
+    view: View
+    image: None = None
 
 
 def require_new(folder: Path) -> None:
@@ -89,10 +100,17 @@ def write_offline_results(result: OfflineResult, folder: Path, key: BenchKey | N
     results = offline_results(result, folder.resolve().name, sources, key)
     runs = results["run"]["of_runs"]
     make_folder(folder / "exports")
-    write_atomic(folder / SOURCES, _json_bytes({"schema": SCHEMA, "runs": runs, "sources": sources}))
+    camera_name = _camera_name(result)
+    target = asdict(result.target) if result.target is not None else None
+    described = {"camera_name": camera_name, "target": target}
+    write_atomic(
+        folder / SOURCES, _json_bytes({"schema": SCHEMA, "runs": runs, "sources": sources, **described})
+    )
+    stars = [_Stars(view) for view in result.views]
+    write_atomic(folder / VIEWS, views_file(stars, result.calibration.residuals_px))
     if result.passport is not None:
         write_atomic(folder / PASSPORT_COPY, result.passport.data)
-    written = exports(result.calibration, camera_name=_camera_name(result), target=result.target)
+    written = exports(result.calibration, camera_name=camera_name, target=result.target)
     for name, data in written.items():
         write_atomic(folder / "exports" / name, data)
     html = render_report(ReportData(results, _pictures(result)))

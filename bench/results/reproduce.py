@@ -19,8 +19,9 @@ from bench.evidence.findings import Findings
 from bench.records.history import Attempt
 from bench.records.run_folder import JOURNAL, RESULTS
 from bench.results.compare_json import Number, Tolerance, differences
-from bench.results.derive_again import RunEvidence, other_program, read_evidence
+from bench.results.derive_again import RunEvidence, read_evidence
 from bench.results.derive_report import UNREADABLE
+from bench.results.other_software import other_program
 from bench.results.results_content import results_content
 from bench.results.solution import Solution, solve_run
 from bench.views.camera_kinds import CameraKind
@@ -142,14 +143,19 @@ def _check_numbers(stored: Mapping[str, Any], again: Mapping[str, Any], found: F
         found.remarks.append("calculated again from the recordings: every number is equal to the last bit")
         return
     sigma = again["calibration"]["sigma"]
-    seen = list(differences(had, again, _tolerance(sigma)))
+    every = list(differences(had, again, _tolerance(sigma)))
     other = other_program(stored["run"]["software"])
+    seen = [one for one in every if one.kind == "value" or not other]
+    if unknown := [one.where for one in every if one.kind != "value" and other]:
+        places = ", ".join(unknown[:_MOST_SHOWN])
+        found.not_compared.append(f"{places} of {RESULTS} with the recordings: another program calculated it")
     made = f" (the results were made with {other})" if other else ""
     for one in seen[:_MOST_SHOWN]:
         found.fault("results", RESULTS, f"the recordings do not give it: {one}{made}")
     if len(seen) > _MOST_SHOWN:
         found.fault("results", RESULTS, f"{len(seen) - _MOST_SHOWN} further values differ{made}")
-    if not seen:
+    rounded = [one for one in rounded if one.kind == "value"]
+    if not seen and rounded:
         found.remarks.append(
             f"calculated again from the recordings: {len(rounded)} numbers differ, by rounding only: {rounded[0]}"
         )

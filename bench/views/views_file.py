@@ -77,7 +77,7 @@ def views_file(
     Parameters
     ----------
     measurements
-        One for each pose, with a view and an image.
+        One for each pose, with a view; without an image if there is none, as for recalculated results.
     residuals_px
         One array for each view, (N, 2) float64, px, star found minus star projected.
 
@@ -92,7 +92,6 @@ def views_file(
         for number, (found, residuals) in enumerate(zip(measurements, residuals_px, strict=True), 1):
             view = found.view
             assert view is not None
-            assert found.image is not None
             group = file.create_group(_group_name(number))
             group.attrs["name"] = view.name
             group.attrs["image_size"] = view.image_size
@@ -101,9 +100,10 @@ def views_file(
             group.create_dataset("residuals_px", data=residuals)
             if view.rim is not None:
                 _write_rim(group, view.rim)
-            group.create_dataset(
-                "picture", data=found.image.decoded(), compression="gzip", compression_opts=4
-            )
+            if found.image is not None:
+                group.create_dataset(
+                    "picture", data=found.image.decoded(), compression="gzip", compression_opts=4
+                )
     return memory.getvalue()
 
 
@@ -127,6 +127,28 @@ def read_views(path: Path) -> list[StoredView]:
     """
     with _opened(path) as file:
         return [_stored_view(file[_group_name(number)]) for number in range(1, len(file) + 1)]
+
+
+def has_pictures(path: Path) -> bool:
+    """Return whether a `views.h5` holds the images of the poses.
+
+    Parameters
+    ----------
+    path
+        The file.
+
+    Returns
+    -------
+    bool
+        False for the views of recalculated results.
+
+    Raises
+    ------
+    RunFolderError
+        If the file cannot be read, or does not have this layout.
+    """
+    with _opened(path) as file:
+        return all("picture" in group for group in file.values())
 
 
 def read_picture(path: Path, number: int) -> NDArray[np.uint8]:

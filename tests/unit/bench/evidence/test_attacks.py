@@ -378,8 +378,8 @@ ATTACKS = [
     Attack("plan edited", edit("plan.json", '"duration_s"', '"Duration_s"'), "plan.json", "plan", HASH),
     Attack("plan edited, told", told(edit("plan.json", '"size_bytes": ', '"size_bytes": 1')), "plan.json", "plan"),
     Attack("plan removed", remove("plan.json"), "plan.json", "plan", HASH),
-    Attack("instructions that trust any key", edit("VERIFY.txt", "-Y verify -f allowed_signers -I", "-Y check-novalidate -I"), "VERIFY.txt", "results"),
-    Attack("instructions with another key", edit("VERIFY.txt", "SHA256:", "SHA256:x"), "VERIFY.txt", "results", "ssh-keygen -lf"),
+    Attack("instructions that trust any key", edit("VERIFY.txt", "-Y verify -f allowed_signers -I", "-Y check-novalidate -I"), "VERIFY.txt", "instructions"),
+    Attack("instructions with another key", edit("VERIFY.txt", "SHA256:", "SHA256:x"), "VERIFY.txt", "instructions", "ssh-keygen -lf"),
     # journal
     Attack("journal edited", edit("journal.jsonl", '"operator":"Ada"', '"operator":"Eve"'), "journal.jsonl:1", "journal", CHAIN),
     Attack("operator in the journal", line("run_started", lambda d: d.update(operator="Eve")), "results.json", "results", DIFF),

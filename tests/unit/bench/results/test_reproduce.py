@@ -7,11 +7,13 @@ from report_sample import sample
 
 from bench.evidence.findings import Findings
 from bench.results.reproduce import _check_numbers
+from bench.results.results_content import software
 
 
 @pytest.fixture(scope="module")
 def stored():
     whole = sample(size=(160, 90)).results
+    whole = {**whole, "run": {**whole["run"], "software": software()}}
     return {name: value for name, value in whole.items() if name != "previous"}
 
 
@@ -83,3 +85,13 @@ def test_the_number_of_iterations_may_differ_by_rounding(stored):
     again = copy.deepcopy(stored)
     again["calibration"]["iterations"] += 1
     assert seen(stored, again)[0] == []
+
+
+def test_what_another_program_does_not_state_is_not_compared_and_that_is_told(stored):
+    other = {**stored, "run": {**stored["run"], "software": {**software(), "program": "another"}}}
+    less = {name: value for name, value in other.items() if name != "gates"}
+    found = Findings()
+    _check_numbers(less, other, found)
+    assert found.faults == []
+    assert found.not_compared == ["gates of results.json with the recordings: another program calculated it"]
+    assert seen(changed(other, "camera", "fx", 1), other)[0]  # a number that both state must be the same
