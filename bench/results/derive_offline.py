@@ -7,16 +7,23 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from bench.base.errors import BenchError
 from bench.evidence.findings import Findings
-from bench.records.run_folder import PASSPORT_COPY, REPORT, RESULTS
+from bench.evidence.ssh_keys import fingerprint
+from bench.evidence.sshsig import read_signature
+from bench.plan.job import Job
+from bench.records.run_folder import MANIFEST, PASSPORT_COPY, REPORT, RESULTS, SIGNATURE
 from bench.records.storage import sha256_of
 from bench.results.compare_json import differences
 from bench.results.derive_instructions import check_instructions
 from bench.results.derive_report import EXPORTS, check_exports, check_report
 from bench.results.derive_views import check_views
+from bench.results.offline_folder import RECALCULATION
+from bench.results.other_software import other_program
 from bench.results.stored_calibration import stored_calibration
 from bench.views.views_file import VIEWS
 from calib.target import StarTarget
+from drivers.errors import DriverError
 
 _SOURCES = "sources.json"
 
@@ -47,8 +54,41 @@ def check_offline(folder: Path, found: Findings) -> None:
     if passport != here:
         found.fault("results", PASSPORT_COPY, f"{RESULTS} states the passport {passport}; this one is {here}")
     check_instructions(folder, results["run"]["software"], found)
+    _check_statement(folder, results["run"], described.get("runs", []), found)
     _check_sources(sources, found)
     _check_derived(folder, results, described, found)
+
+
+def _check_statement(
+    folder: Path, run: Mapping[str, Any], runs: Sequence[Mapping[str, Any]], found: Findings
+) -> None:
+    """Check that the results say that they are a recalculation, of which devices, and by which key."""
+    if run.get("offline") is not True:
+        found.fault(
+            "results", RESULTS, "it does not say that it was calculated from existing files (run.offline)"
+        )
+    if run.get("statement") != RECALCULATION and not other_program(run["software"]):
+        found.fault("results", RESULTS, "it does not say that it is a recalculation (run.statement)")
+    sealed_by = run.get("sealed_by")
+    key = fingerprint(read_signature((folder / SIGNATURE).read_bytes()).public_key)
+    if isinstance(sealed_by, Mapping) and sealed_by.get("fingerprint") != key:
+        found.fault("results", RESULTS, f"it names the key {sealed_by.get('fingerprint')}; {key} sealed it")
+    for one in runs:
+        source = Path(str(one["folder"]))
+        if not (source / MANIFEST).is_file() or sha256_of(source / MANIFEST) != one["seal_sha256"]:
+            found.remarks.append(
+                f"the run {one['id']} is not in {source} any more, or its seal is another one"
+            )
+            continue
+        try:
+            simulated = Job.from_run_folder(source).simulated
+        except (BenchError, DriverError):
+            found.remarks.append(f"the documents of the run in {source} cannot be read")
+            continue
+        if simulated and run["simulated"] is not True:
+            found.fault(
+                "results", RESULTS, f"it does not say that the devices of the run {one['id']} were simulated"
+            )
 
 
 def _check_sources(sources: Sequence[Mapping[str, Any]], found: Findings) -> None:

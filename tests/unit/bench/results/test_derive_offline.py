@@ -1,0 +1,126 @@
+"""Recalculated results in a sealed folder: each file follows from the others, and changes are found."""
+
+import json
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from bench.evidence.verify import verify_folder
+from bench.plan.plan import load_documents, make_plan
+from bench.results.derive_again import check_results_folder
+from bench.results.derive_offline import check_recalculated
+from bench.results.forecasts import expected_bench
+from bench.results.offline import calibrate_paths
+from bench.results.offline_folder import write_offline_results
+from bench.results.offline_options import OfflineOptions
+from bench.results.result import json_bytes
+from calib.studies.predicted_views import predicted_view
+from tests.unit.bench.evidence.resealed import Forger, kinds
+
+
+@pytest.fixture(scope="module")
+def sources(tmp_path_factory):
+    """Point files of three views of the bench that the simulated station expects."""
+    folder = tmp_path_factory.mktemp("points")
+    bench = expected_bench(make_plan(*load_documents("three_pose", "simulated_ideal")).station)
+    rng = np.random.default_rng(5)
+    for name, pan, tilt in (("left", -6, 2), ("right", 6, 2), ("below", 0, -3)):
+        view, _ = predicted_view(bench, {"pan_deg": pan, "tilt_deg": tilt}, name)
+        seen = view.points_px + rng.normal(0, 0.01, view.points_px.shape) + 0.5
+        np.savetxt(
+            folder / f"{name}.csv",
+            np.column_stack([seen, view.target_mm, view.ids]),
+            fmt=["%.6f"] * 4 + ["%d"],
+        )
+    return folder
+
+
+@pytest.fixture(scope="module")
+def results_once(sources, tmp_path_factory, key):
+    folder = tmp_path_factory.mktemp("recalculated") / "out"
+    result = calibrate_paths([sources], OfflineOptions(image_size=(1280, 720)))
+    write_offline_results(result, folder, key)
+    return folder
+
+
+@pytest.fixture
+def forger(results_once, tmp_path, key):
+    copy = Path(shutil.copytree(results_once, tmp_path / "out"))
+    for path in [copy, *copy.rglob("*")]:
+        path.chmod(0o755 if path.is_dir() else 0o644)
+    return Forger(copy, key)
+
+
+def checked(folder, signers, *more):
+    return verify_folder(folder, signers, derivations={"results": [check_results_folder, *more]})
+
+
+def test_untouched_results_are_valid_and_compared(results_once, signers):
+    found = checked(results_once, signers)
+    assert (found.faults, found.not_compared) == ((), ())
+    assert found.kind == "results"
+
+
+def test_their_numbers_are_not_calculated_again_and_that_is_told(results_once, signers):
+    found = checked(results_once, signers, check_recalculated)
+    assert found.ok
+    assert not found.complete
+
+
+def in_json(name, change):
+    def attack(f):
+        content = json.loads((f / name).read_bytes())
+        change(content)
+        (f / name).write_bytes(json_bytes(content))
+
+    return attack
+
+
+def edit(name, old, new):
+    return lambda f: f.replace(name, old, new)
+
+
+ATTACKS = {
+    "number": (in_json("results.json", lambda r: r["calibration"]["camera"].update(fx=1.0)), "report.html"),
+    "rms of a view": (in_json("results.json", lambda r: r["calibration"]["views"][0].update(rms_px=0.1)), "views.h5"),
+    "no recalculation": (in_json("results.json", lambda r: r["run"].update(offline=False)), "results.json"),
+    "no statement": (in_json("results.json", lambda r: r["run"].update(statement="")), "results.json"),
+    "other key named": (
+        in_json("results.json", lambda r: r["run"]["sealed_by"].update(fingerprint="SHA256:x")),
+        "results.json",
+    ),
+    "other source": (in_json("results.json", lambda r: r["sources"][0].update(sha256="0" * 64)), "results.json"),
+    "source left out": (in_json("sources.json", lambda s: s["sources"].pop()), "results.json"),
+    "other camera": (in_json("sources.json", lambda s: s.update(camera_name="other")), "exports/opencv.yaml"),
+    "export": (edit("exports/opencv.yaml", "avg_reprojection_error", "best_reprojection_error"), "exports/opencv.yaml"),
+    "report": (edit("report.html", "<main>", "<main hidden>"), "report.html"),
+    "plot": (edit("report.html", "</text>", "9</text>"), "report.html"),
+    "stars": (lambda f: (f / "views.h5").write_bytes(b"x"), "views.h5"),
+    "passport added": (lambda f: (f / "passport.json").write_bytes(b"{}"), "passport.json"),
+    "instructions": (edit("VERIFY.txt", "status 0", "status 1"), "VERIFY.txt"),
+    "no results": (lambda f: (f / "results.json").write_bytes(b"{}"), "results.json"),
+    "sources of nothing": (lambda f: (f / "sources.json").write_bytes(b"[]"), "results.json"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", ATTACKS)
+def test_a_resealed_change_is_found(forger, signers, name):
+    attack, where = ATTACKS[name]
+    attack(forger)
+    forger.seal()
+    assert where in {place for _, place in kinds(checked(forger.folder, signers))}
+
+
+def test_sources_that_are_gone_are_told_and_other_ones_are_not_compared(sources, results_once, signers):
+    left, kept = sources / "left.csv", (sources / "left.csv").read_bytes()
+    try:
+        left.write_bytes(b"1,2,3,4,5\n")
+        assert "another file lies there now" in checked(results_once, signers).not_compared[0]
+        left.unlink()
+        found = checked(results_once, signers)
+        assert found.complete
+        assert "1 of 3 source files are not there any more" in found.remarks
+    finally:
+        left.write_bytes(kept)
