@@ -302,7 +302,7 @@ def coverage_faults(root: _Element) -> Iterator[str]:
         quantile = 0.5 * (1.0 + one.p)
         exact = float(ndtri(quantile) if one.nu is None else stdtrit(one.nu, quantile))
         rounded = exact if one.nu is None else float(stdtrit(math.floor(one.nu), quantile))
-        if all(abs(one.k / each - 1.0) > _K_TOLERANCE for each in (exact, rounded)):
+        if all(abs(one.k - each) > _K_TOLERANCE * each for each in (exact, rounded)):
             degrees = "infinite" if one.nu is None else f"{one.nu:g}"
             yield (
                 f"line {one.line}: k = {one.k:g} of {one.name} does not belong to p = {one.p:g} and"
