@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 from bench.certificate.certificate_data import Certificate
 from bench.certificate.dcc_parties import add_items, add_laboratory, add_people, add_statements
 from bench.certificate.dcc_results import add_measurement
-from bench.certificate.dcc_words import REF_TYPES, add_software, add_text, identifications, token
+from bench.certificate.dcc_words import REF_TYPES, add_software, add_text, identifications, software_of, token
 from bench.certificate.dcc_xml import (
     DCC,
     LANGUAGE,
@@ -68,10 +68,9 @@ def render_dcc(certificate: Certificate, versions: Versions = VERSIONS[0]) -> by
         nsmap={prefix: NAMESPACES[prefix] for prefix in ("dcc", "si", "xsi")},
     )
     administrative = add(root, "dcc:administrativeData")
-    add_software(
-        add(administrative, "dcc:dccSoftware"),
-        [one for one in certificate.run.software if one.name == "starbench"] or certificate.run.software,
-    )
+    used, writers = software_of(certificate)
+    starbench = [one for one in used if one.name == "starbench"]
+    add_software(add(administrative, "dcc:dccSoftware"), [*starbench, *writers] or used)
     _add_ref_types(administrative)
     _add_core_data(administrative, certificate)
     add_items(administrative, certificate)

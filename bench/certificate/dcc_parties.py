@@ -12,6 +12,7 @@ from bench.certificate.dcc_words import (
     add_number,
     add_text,
     identifications,
+    joined,
     token,
 )
 from bench.certificate.dcc_xml import add
@@ -84,7 +85,7 @@ def add_items(parent: _Element, certificate: Certificate) -> None:
     stated += [f"{' x '.join(map(str, camera.image_size))} pixels"] if camera.image_size else []
     stated += ["Biases: " + ", ".join(camera.biases)] if camera.biases else []
     if stated:
-        add_text(one, "dcc:description", "; ".join(stated))
+        add_text(one, "dcc:description", joined(*stated))
     _add_maker(one, camera.maker)
     _add_model(one, camera.model)
     identifications(

@@ -24,8 +24,10 @@ from bench.certificate.dcc_words import (
     add_text,
     add_words,
     identifications,
+    joined,
     number_text,
     plain_number,
+    software_of,
     token,
 )
 from bench.certificate.dcc_xml import add
@@ -50,8 +52,8 @@ def add_measurement(parent: _Element, certificate: Certificate) -> None:
     one = add(parent, "dcc:measurementResult", refId=f"{CAMERA_ID} {LENS_ID}")
     add_text(one, "dcc:name", certificate.title)
     _add_methods(one, certificate)
-    if certificate.run.software:
-        add_software(add(one, "dcc:usedSoftware"), certificate.run.software)
+    if used := software_of(certificate)[0]:
+        add_software(add(one, "dcc:usedSoftware"), used)
     if certificate.traceability:
         equipment = add(one, "dcc:measuringEquipments")
         for reference in certificate.traceability:
@@ -111,7 +113,7 @@ def _add_reference(parent: _Element, reference: Traceability) -> None:
             [] if reference.sha256 else ["The file of the certificate is not at hand, so it has no hash here"]
         )
     if words:
-        add_text(one, "dcc:description", "; ".join(words))
+        add_text(one, "dcc:description", joined(*words))
     if reference.number and reference.sha256:
         certificate = add(one, "dcc:certificate")
         stated = ", ".join(filter(None, (reference.issuer, reference.date)))
@@ -140,7 +142,7 @@ def _add_condition(parent: _Element, condition: Condition) -> None:
     if condition.value is None or unit is None:
         value = "" if condition.value is None else f"{number_text(condition.value)} {condition.unit}"
         uncertainty = "" if condition.U is None or not value else f", U = {number_text(condition.U)}"
-        add_text(data, "dcc:text", "; ".join(filter(None, (value + uncertainty, condition.text))))
+        add_text(data, "dcc:text", joined(value + uncertainty, condition.text))
         return
     quantity = add(data, "dcc:quantity")
     add_text(quantity, "dcc:name", condition.name)

@@ -7,9 +7,10 @@ from collections.abc import Sequence
 from decimal import Decimal
 from typing import TYPE_CHECKING
 
-from bench.certificate.certificate_data import Software
+from bench.certificate.certificate_data import Certificate, Software
 from bench.certificate.dcc_units import d_si_unit
 from bench.certificate.dcc_xml import LANGUAGE, add
+from bench.certificate.written_with import FORM
 
 if TYPE_CHECKING:
     from lxml.etree import _Element
@@ -39,7 +40,27 @@ REF_TYPES = {
 WITHOUT_UNCERTAINTY = frozenset((STATISTIC, BUDGET, EARLIER, DEGREES_OF_FREEDOM, LIMIT))
 """refTypes of numbers that have no uncertainty of their own."""
 
-_RELEASE = re.compile(r"\d{1,3}(?:\.\d{1,3}){0,3}")
+_RELEASE = re.compile(r"\d{1,3}(?:\.\d{1,3}){0,3}(?![0-9A-Za-z])")
+
+
+def joined(*parts: str) -> str:
+    """Return texts as one.
+
+    Parameters
+    ----------
+    *parts
+        The texts; empty ones are left out.
+
+    Returns
+    -------
+    str
+        The text, with a semicolon between parts where there is no full stop.
+    """
+    whole = ""
+    for part in filter(None, map(str.strip, parts)):
+        between = "" if not whole else (" " if whole.endswith(".") else "; ")
+        whole += between + part
+    return whole
 
 
 def token(text: str) -> str:
@@ -233,6 +254,24 @@ def add_software(parent: _Element, programs: Sequence[Software]) -> None:
         add(software, "dcc:type", "application" if one.name in ("starbench", "python") else "library")
         if release is None or release[0] != one.version:
             add_text(software, "dcc:description", f"Full version: {one.version}")
+
+
+def software_of(certificate: Certificate) -> tuple[list[Software], list[Software]]:
+    """Return the programs of the run, and what wrote the certificate.
+
+    Parameters
+    ----------
+    certificate
+        The certificate; its list of software holds both.
+
+    Returns
+    -------
+    used, writers
+        Both lists.
+    """
+    listed = list(certificate.run.software)
+    at = next((at for at, one in enumerate(listed) if one.name == FORM), len(listed))
+    return listed[:at], listed[at:]
 
 
 def identifications(parent: _Element, *found: tuple[str, str, str]) -> None:

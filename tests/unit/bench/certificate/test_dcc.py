@@ -7,7 +7,7 @@ import dcc_mutations
 import pytest
 from lxml import etree
 
-from bench.certificate.certificate_data import Certificate
+from bench.certificate.certificate_data import Certificate, Software
 from bench.certificate.dcc import render_dcc
 from bench.certificate.dcc_checks import check_dcc
 from bench.certificate.dcc_results import ellipsoid_factor
@@ -198,3 +198,21 @@ def test_the_run_is_named_for_programs():
     assert said["sealSHA256"] == certificate.run.seal_sha256
     assert said["resultsSHA256"] == certificate.run.results_sha256
     assert said["ledgerNumber"] == "1"
+
+
+def test_what_wrote_the_certificate_is_told_apart_from_what_measured():
+    full = certificate_sample.full_certificate()
+    programs = (Software("starbench", "0.1.0rc2"), Software("numpy", "2.4.6"))
+    writers = (Software("certificate_form", "1fe3aa0011223344"), Software("lxml", "6.1.3"))
+    run = dataclasses.replace(full.run, software=(*programs, *writers))
+    data = render_dcc(dataclasses.replace(full, run=run))
+    root = etree.fromstring(data)
+    stated = {
+        place: (texts(root, f"//{place}//dcc:name/dcc:content"), texts(root, f"//{place}//dcc:release"))
+        for place in ("dcc:dccSoftware", "dcc:usedSoftware")
+    }
+    assert stated["dcc:usedSoftware"] == (["starbench", "numpy"], ["v0.1", "v2.4.6"])
+    assert stated["dcc:dccSoftware"] == (["starbench", "certificate_form", "lxml"], ["v0.1", "v0", "v6.1.3"])
+    assert b"Full version: 0.1.0rc2" in data
+    assert b"Full version: 1fe3aa0011223344" in data
+    assert check_dcc(data) == []
