@@ -254,9 +254,8 @@ def named_person(folder: Path) -> NamedPerson | None:
     if not path.is_file():
         return None
     try:
-        if path.stat().st_size > _MOST_BYTES:
-            raise ValueError("it is too large")  # noqa: TRY301 - told below
-        found = json.loads(path.read_bytes())["authorised_by"]
+        with path.open("rb") as stream:
+            found = json.loads(stream.read(_MOST_BYTES))["authorised_by"]
         return NamedPerson(str(found["name"]), str(found["key_fingerprint"]))
     except (ValueError, LookupError, TypeError, RecursionError) as error:
         raise EvidenceError(f"{_CERTIFICATE} does not name the person who is to authorise it") from error

@@ -107,9 +107,7 @@ def load_file_key(path: Path, ask_passphrase: Callable[[Path], bytes]) -> FileKe
         except TypeError:  # cryptography raises it if the key is protected
             is_protected = True
             private = load(data, password=ask_passphrase(path))
-        if not isinstance(private, Ed25519PrivateKey | ec.EllipticCurvePrivateKey | rsa.RSAPrivateKey):
-            raise ValueError("its type of key is not supported")  # noqa: TRY301, TRY004 - told below
-        PublicKey.parse(encode_public_key(private.public_key()))
+        key = _file_key(private)
     except (ValueError, UnsupportedAlgorithm) as error:
         why = "the passphrase is wrong, or the file is damaged" if is_protected else _reason(error)
         raise EvidenceError(
@@ -117,6 +115,14 @@ def load_file_key(path: Path, ask_passphrase: Callable[[Path], bytes]) -> FileKe
             where=str(path),
             remedy="Try again. A key in a token is used by ssh-agent: name its file .pub.",
         ) from error
+    return key
+
+
+def _file_key(private: object) -> FileKey:
+    """Return a key that was read. Raises ValueError if it cannot sign here."""
+    if not isinstance(private, Ed25519PrivateKey | ec.EllipticCurvePrivateKey | rsa.RSAPrivateKey):
+        raise ValueError("its type of key is not supported")  # noqa: TRY004 - not a wrong argument, but a wrong file
+    PublicKey.parse(encode_public_key(private.public_key()))
     return FileKey(private)
 
 

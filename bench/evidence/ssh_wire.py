@@ -96,15 +96,33 @@ class Reader:
         return found
 
     def byte(self) -> int:
-        """Return the next byte as a number. Raises ValueError at the end."""
+        """Return the next byte as a number.
+
+        Returns
+        -------
+        int
+            The byte; ValueError at the end.
+        """
         return self.take(1)[0]
 
     def uint32(self) -> int:
-        """Return the next four bytes as a number. Raises ValueError when fewer are left."""
+        """Return the next four bytes as a number (RFC 4251, section 5).
+
+        Returns
+        -------
+        int
+            The number; ValueError when fewer bytes are left.
+        """
         return int.from_bytes(self.take(4), "big")
 
     def string(self) -> bytes:
-        """Return the next string. Raises ValueError when it is incomplete."""
+        """Return the next string (RFC 4251, section 5).
+
+        Returns
+        -------
+        bytes
+            The string; ValueError when it is incomplete.
+        """
         return self.take(self.uint32())
 
     def end(self) -> None:

@@ -143,18 +143,27 @@ def check_timestamps(folder: Path, authorities: TrustedAuthorities) -> StampChec
         When a file cannot be read.
     """
     check = StampCheck()
-    for name, of in STAMPED.items():
+    for name in STAMPED:
         try:
-            if (reply := read_beside(folder, name)) is None:
-                continue
-            if (signed := read_beside(folder, of)) is None:
-                raise EvidenceError(f"it is a time stamp of {of}, which is missing")  # noqa: TRY301
-            check.stamps[name] = check_reply(reply, signed, authorities, name)
+            stamp = _check_file(folder, name, authorities)
         except UncheckedError as error:
             check.unchecked.append(f"{name}: {error.what}")
         except EvidenceError as error:
             check.faults.append(SealFault("timestamp", name, error.what))
+        else:
+            check.stamps |= {name: stamp} if stamp is not None else {}
     return check
+
+
+def _check_file(folder: Path, name: str, authorities: TrustedAuthorities) -> Stamp | None:
+    """Check one time stamp beside a seal; None if there is none. Raises EvidenceError."""
+    reply = read_beside(folder, name)
+    if reply is None:
+        return None
+    signed = read_beside(folder, STAMPED[name])
+    if signed is None:
+        raise EvidenceError(f"it is a time stamp of {STAMPED[name]}, which is missing")
+    return check_reply(reply, signed, authorities, name)
 
 
 class UncheckedError(EvidenceError):

@@ -1,0 +1,216 @@
+"""`certificate authorise`, `certificate timestamp` and `keys`, as a person uses them."""
+
+import json
+import shutil
+import stat
+from datetime import UTC, datetime, timedelta
+
+import pytest
+from authorising import Authority, make_key, needs_openssl, needs_ssh_keygen
+from click.testing import CliRunner
+
+from bench.base.errors import BenchError
+from bench.commands.cli import cli
+from bench.evidence.keys import create_key, load_key
+from bench.evidence.seal import seal_folder
+from bench.evidence.signers import read_signers
+from bench.records.run_folder import RunFolder
+
+pytestmark = needs_ssh_keygen
+
+
+@pytest.fixture
+def home(tmp_path, monkeypatch):
+    """The configuration folder of the commands; nobody's agent and passphrase."""
+    folder = tmp_path / "home"
+    create_key(folder, principal="bench1@lab.example")
+    monkeypatch.setenv("STARBENCH_HOME", str(folder))
+    for name in ("SSH_AUTH_SOCK", "STARBENCH_PASSPHRASE"):
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.setattr("bench.commands.verify_command.derivations", lambda **_: {})
+    return folder
+
+
+@pytest.fixture
+def run(home, make_run, tmp_path):
+    """A sealed run of the bench."""
+    with make_run(tmp_path / "run") as folder:
+        seal_folder(folder.path, load_key(home))
+    return tmp_path / "run"
+
+
+def call(*arguments, answer=None, fails=None):
+    """Run a command; return its output, or the message of its error."""
+    done = CliRunner().invoke(cli, [str(a) for a in arguments], input=answer)
+    if fails is None:
+        assert done.exception is None, (done.exception, done.output)
+        return done.stdout or done.stderr
+    assert isinstance(done.exception, BenchError | SystemExit), done.output
+    message = f"{done.output} {done.exception}"
+    assert fails in message, message
+    return message
+
+
+def test_a_person_authorises_what_is_shown(run, home, tmp_path):
+    path = make_key(tmp_path, passphrase="a secret")
+    authorise = ("certificate", "authorise", run, "--key", path)
+    call(*authorise, fails="Put it into the variable STARBENCH_PASSPHRASE")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("STARBENCH_PASSPHRASE", "a secret")
+        call(*authorise, fails="not in the list of trusted keys")
+        call("keys", "trust", f"{path}.pub", fails="needs the name of its owner")
+        trusted = call("keys", "trust", f"{path}.pub", "--person", "ada@lab.example")
+        assert trusted.startswith("Trusted: ada@lab.example  SHA256:")
+        assert trusted.endswith("authorises\n")
+        done = CliRunner().invoke(cli, list(map(str, authorise)), input="n\n", standalone_mode=False)
+        assert done.return_value == 3
+        assert not (run / "SHA256SUMS.authorised.sig").exists()
+        for shown in ("Run", "00050423", "SIMULATED", "SHA-256 of SHA256SUMS: ", "ada@lab.example (SHA256:"):
+            assert shown in done.output
+        assert "AUTHORISED by ada@lab.example" in call(*authorise, answer="y\n")
+        call(*authorise, "--yes", fails="authorised already")
+    assert "  AUTHORISED" in call("runs", run.parent)
+    assert json.loads(call("runs", run.parent, "--json"))["runs"][0]["state"] == "AUTHORISED"
+    assert "AUTHORISED" in call("verify", run)
+
+
+def test_a_script_authorises_with_json(run, home, tmp_path):
+    path = make_key(tmp_path)
+    call("keys", "trust", f"{path}.pub", "--person", "ada@lab.example")
+    call("certificate", "authorise", run, "--key", path, "--json", fails="--json cannot ask")
+    shown = json.loads(call("certificate", "authorise", run, "--key", path, "--json", "--yes"))
+    assert (shown["state"], shown["person"]) == ("AUTHORISED", "ada@lab.example")
+    assert shown["facts"]["Devices"] == "SIMULATED"
+
+
+def test_a_folder_with_a_fault_is_not_authorised(run, home, tmp_path):
+    path = make_key(tmp_path)
+    call("keys", "trust", f"{path}.pub", "--person", "ada@lab.example")
+    (run / "results.json").chmod(0o644)
+    (run / "results.json").write_text("{}")
+    call("certificate", "authorise", run, "--key", path, "--yes", fails="the file was changed after sealing")
+    assert not (run / "SHA256SUMS.authorised.sig").exists()
+
+
+def test_a_draft_and_no_agent_are_told(home, make_run, tmp_path):
+    with make_run(tmp_path / "draft"):
+        pass
+    call("certificate", "authorise", tmp_path / "draft", fails="not sealed")
+    call("certificate", "timestamp", tmp_path / "draft", "--tsa", "https://tsa.example", fails="not sealed")
+    assert "DRAFT" in call("runs", tmp_path)
+
+
+@needs_openssl
+def test_a_time_stamp_without_a_network(run, home, tmp_path):
+    pytest.importorskip("rfc3161_client", reason="the extra `certificate` is not installed")
+    tsa = Authority.create(tmp_path / "tsa")
+    stamp = ("certificate", "timestamp", run)
+    call(*stamp, fails="Give one of --tsa, --token and --request")
+    assert "Request for a time stamp of SHA256SUMS.sig" in call(*stamp, "--request", tmp_path / "q.tsq")
+    (tmp_path / "reply.tsr").write_bytes(tsa.reply((tmp_path / "q.tsq").read_bytes()))
+    (tmp_path / "token").write_bytes(tsa.reply((tmp_path / "q.tsq").read_bytes(), "-token_out"))
+    call(
+        *stamp,
+        "--token",
+        tmp_path / "reply.tsr",
+        fails="no certificate of a time stamping authority is trusted",
+    )
+    call(*stamp, "--token", tmp_path / "q.tsq", fails="is not a time stamp")
+    (tmp_path / "other.tsr").write_bytes(tsa.reply(other_request(tmp_path)))
+    trusted = ("--tsa-certificates", tsa.root)
+    call(*stamp, "--token", tmp_path / "other.tsr", *trusted, fails="time stamp of another file")
+    shutil.copy(tsa.root, home / "tsa_laboratory.pem")
+    said = call(*stamp, "--token", tmp_path / "token")
+    assert said.startswith("SHA256SUMS.tsr: SHA256SUMS.sig existed at ")
+    assert "by the laboratory's clock (Example TSA)" in said
+    assert tsa.accepts(run, "SHA256SUMS.tsr", "SHA256SUMS.sig")
+    assert stat.S_IMODE(run.stat().st_mode) == 0o555
+    call(*stamp, "--token", tmp_path / "token", fails="never replaced")
+    call(*stamp, "--of", "authorisation", "--token", tmp_path / "token", fails="not authorised")
+    assert "laboratory's clock" in call("verify", run)
+
+
+def other_request(tmp_path):
+    from bench.evidence.tsa_client import make_request
+
+    return make_request(b"another file", nonce=False).data
+
+
+def test_an_address_with_a_password_is_refused_first(run, home):
+    said = call(
+        "certificate", "timestamp", run, "--tsa", "https://ada:secret@tsa.example", fails="must not contain"
+    )
+    assert "secret" not in said
+
+
+# ------------------------------------------------------------------ keys
+
+
+def test_keys_are_listed_with_purpose_and_validity(home, tmp_path):
+    path = make_key(tmp_path)
+    more = ("--valid-after", "2026-01-01", "--valid-before", "2026-01-02T12:00")
+    call("keys", "trust", f"{path}.pub", "--person", "ada@lab.example", *more)
+    listed = call("keys", "list")
+    assert "bench1@lab.example" in listed
+    assert "authorises, valid from 2026-01-01 00:00 UTC, expired 2026-01-02 12:00 UTC" in listed
+    rows = json.loads(call("keys", "list", "--json"))["keys"]
+    assert rows[1]["purposes"] == ["starbench-authorisation@v1"]
+    assert rows[1]["valid_before"] == "2026-01-02T12:00:00+00:00"
+    call("keys", "trust", f"{path}.pub", "--bench", "ada@lab.example", fails="cannot both seal and authorise")
+    call("keys", "trust", f"{path}.pub", "--person", "a@b", "--bench", "a@b", fails="not both")
+    call("keys", "trust", "nonsense", fails="not a line of a trusted key")
+    call("keys", "trust", f"{path}.pub", "--person", "not a name", fails="needs the name")
+
+
+def test_keys_are_replaced_and_revoked(home):
+    old = load_key(home)
+    said = call("keys", "rotate", "--old-key", "delete")
+    assert f"Old key: {old.fingerprint}" in said
+    new = load_key(home)
+    assert f"New key: {new.fingerprint}" in said
+    assert not (home / "old_keys").exists()
+    assert new.principal == "bench1@lab.example"
+    call("keys", "revoke", "SHA256:unknown", "--reason", "lost", fails="No trusted key has the fingerprint")
+    call("keys", "revoke", old.fingerprint, fails="--reason")
+    said = call("keys", "revoke", old.fingerprint, "--reason", "laptop stolen", "--since", "2026-02-03")
+    assert "This is this bench's own key" not in said
+    assert "REVOKED 2026-02-03 00:00 UTC (laptop stolen)" in call("keys", "list")
+    assert "own key. Replace it now" in call("keys", "revoke", new.fingerprint, "--reason", "lost")
+
+
+def test_the_line_that_keys_show_prints_is_the_trusted_one(home):
+    call("keys", "rotate")
+    line = read_signers(home / "allowed_signers")[1].line
+    assert f"  {line}\n" in call("keys", "show")
+    assert "valid-after" in line
+
+
+# ------------------------------------------------------------------ the key before the run
+
+
+@pytest.mark.parametrize("trouble", ["readable", "locked", "expired", "revoked", "list", "folder"])
+def test_a_key_that_cannot_seal_stops_a_run_before_its_folder_is_made(home, tmp_path, trouble, monkeypatch):
+    from bench.evidence.revocation import RevokedKey, revoke
+    from bench.evidence.signers import replace_lines
+
+    key, now = load_key(home), datetime.now(UTC)
+    says = "Other users can"
+    if trouble == "readable":
+        (home / "bench_key").chmod(0o644)
+    elif trouble == "list":
+        (home / "allowed_signers").chmod(0o666)
+    elif trouble == "folder":
+        home.chmod(0o777)
+    elif trouble == "locked":
+        (home / "bench_key").unlink()
+        create_key(home, passphrase=b"a secret")
+        says = "there is no terminal to ask for it"
+    elif trouble == "expired":
+        replace_lines(home, key.public_key, now - timedelta(days=1), [])
+        says = "cannot seal: the key expired"
+    else:
+        revoke(home, RevokedKey(key.public_key, now, "laptop stolen"))
+        says = "cannot seal: the key was revoked"
+    monkeypatch.setattr(RunFolder, "create", None)  # it would fail otherwise than expected
+    call("run", "three_pose", "--station", "simulated", "-o", tmp_path / "new", fails=says)
+    assert not (tmp_path / "new").exists()
