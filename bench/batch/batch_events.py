@@ -47,6 +47,7 @@ class ItemEnded(TypedDict):
     why: str
     noticed_s: float
     unsafe: Sequence[str]
+    outside: NotRequired[bool]
 
 
 class Requested(TypedDict):

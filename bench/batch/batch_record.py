@@ -19,6 +19,9 @@ from bench.batch.schedule import Bounds, Item, bounds_of, items_of
 from bench.records.journal_entry import Entry
 from sequences.queue import JobConfig, Queue
 
+MOST_CUTS = 10
+"""A run is given up after this number of cuts without a further recorded pose: it may be what cuts the power."""
+
 
 @dataclass(frozen=True)
 class RunAttempt:
@@ -76,8 +79,10 @@ class BatchRecord:
     withdrawn: set[str] = field(default_factory=set)
     """Names of the runs that were withdrawn before they began."""
     attempts: dict[str, int] = field(default_factory=dict)
-    attempts_without_progress: dict[str, int] = field(default_factory=dict)
-    """Consecutive attempts at a run that began without a further recorded pose."""
+    failures: dict[str, int] = field(default_factory=dict)
+    """Failures of a run's own processes since the run last recorded a further pose."""
+    cuts: dict[str, int] = field(default_factory=dict)
+    """Attempts since then that something else ended: a power cut, a kill, the end of the batch's own process."""
     recorded: dict[str, int] = field(default_factory=dict)
     """Number of poses that a run had recorded when its last attempt began."""
     ends: dict[str, ItemEnd] = field(default_factory=dict)
@@ -126,7 +131,8 @@ class BatchRecord:
         Returns
         -------
         bool
-            True if it finished, was aborted or withdrawn, or its last attempts recorded no further pose.
+            True if it finished, was aborted or withdrawn, or its processes failed ``attempts`` times without a further
+            recorded pose. A power cut or a kill is no failure; after ``MOST_CUTS`` of them the run is given up, too.
         """
         if item.key in self.withdrawn:
             return True
@@ -135,7 +141,8 @@ class BatchRecord:
             return False
         if end.how in {"finished", "aborted"}:  # an aborted run is not resumed
             return True
-        return self.attempts_without_progress.get(item.key, 0) >= item.job.attempts
+        cuts = self.cuts.get(item.key, 0)
+        return self.failures.get(item.key, 0) >= item.job.attempts or cuts >= MOST_CUTS
 
     def expected_duration_s(self, item: Item, planned_duration_s: float) -> float:
         """Return the expected duration of a run: the mean of its job's finished runs, otherwise the planned duration.
@@ -230,6 +237,8 @@ class BatchRecord:
                 self.ended = self.why = ""
             case BatchEvent.ITEM_ENDED:
                 end = cast("ItemEnded", entry.data)
+                ended_by = self.cuts if end.get("outside") else self.failures
+                ended_by[end["item"]] = ended_by.get(end["item"], 0) + 1
                 self._end(end["item"], end["how"], end["why"], now)
             case BatchEvent.REQUESTED:
                 self._answer(cast("Requested", entry.data), now)
@@ -244,8 +253,10 @@ class BatchRecord:
         self._add(items_of(jobs, now, self.bounds.opens_s, self.queue.zone))
 
     def _count_try(self, key: str, recorded: int) -> None:
-        gained = recorded > self.recorded.get(key, 0)
-        self.attempts_without_progress[key] = 1 if gained else self.attempts_without_progress.get(key, 0) + 1
+        if self.current_run == key:  # its last attempt has no end: the batch's own process was cut off, too
+            self.cuts[key] = self.cuts.get(key, 0) + 1
+        if recorded > self.recorded.get(key, 0):
+            self.failures[key] = self.cuts[key] = 0
         self.attempts[key] = self.attempts.get(key, 0) + 1
         self.recorded[key] = recorded
 

@@ -38,6 +38,8 @@ OUT_OF_MEMORY = "ended by the system because memory ran out"
 _LAST_WORDS_S = 2.0
 _SAFE_END_S = 60.0
 _ENDS = {0: "finished", 3: "aborted"}
+_FROM_OUTSIDE = frozenset({"SIGKILL", "SIGTERM", "SIGHUP", "SIGINT", "SIGQUIT", "SIGPWR"})
+"""Signals that a process does not get by its own error; a lack of memory also sends SIGKILL, and is told apart."""
 
 
 @dataclass(frozen=True)
@@ -54,12 +56,15 @@ class WorkerEnd:
         How long the worker had been silent when it was ended as hung, s; otherwise 0.
     unsafe
         Devices of a dead worker that did not confirm that they are safe.
+    outside
+        Whether something else than the worker ended it: a signal of another process. It is no failure of the run.
     """
 
     how: str
     why: str
     noticed_s: float = 0.0
     unsafe: Sequence[str] = ()
+    outside: bool = False
 
 
 def supervise(
@@ -117,11 +122,12 @@ def supervise(
         return WorkerEnd("hung", f"gave no sign of life for {silent_s:.1f} s", silent_s, unsafe)
     status = worker.process.returncode
     if status < 0:
-        why = f"by {signal.Signals(-status).name}"
+        name = signal.Signals(-status).name
+        why, outside = f"by {name}", name in _FROM_OUTSIDE
         if status == -signal.SIGKILL and out_of_memory_kills() > killed_for_memory:
-            why = OUT_OF_MEMORY
+            why, outside = OUT_OF_MEMORY, False
             write_crash_log(folder, OUT_OF_MEMORY)
-        return WorkerEnd("died", why, 0.0, unsafe)
+        return WorkerEnd("died", why, 0.0, unsafe, outside)
     how = _ENDS.get(status, "failed")
     return WorkerEnd(how, "" if how == "finished" else _last_message(log))
 

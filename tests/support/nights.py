@@ -55,7 +55,7 @@ class Workers:
         end = self.ends.pop(0) if self.ends else "finished"
         if isinstance(end, BaseException):
             raise end
-        return WorkerEnd(end, "")
+        return end if isinstance(end, WorkerEnd) else WorkerEnd(end, "")
 
 
 def night(folder, queue, *ends, clock=None):

@@ -13,6 +13,7 @@ from bench.base.errors import RunFolderError, ScriptError
 from bench.batch.batch import Batch, worker_command
 from bench.batch.batch_plan import plan_of, read_queue
 from bench.batch.schedule import by_priority, items_of
+from bench.batch.supervisor import WorkerEnd
 from bench.records.events import Event
 from bench.records.journal import Journal, read_journal
 from sequences.errors import DocumentFaults
@@ -189,6 +190,33 @@ def test_attempts_are_those_in_a_row_that_brought_nothing(tmp_path, gaining, beg
     summary = Batch(tmp_path, queue(("a", ", attempts: 2")), clock, lambda _: None, workers).run()
     assert len(workers.begun) == begun_times
     assert hows(summary) == {"a-001": how}
+
+
+KILLED = WorkerEnd("died", "by SIGKILL", outside=True)
+
+
+def test_a_kill_from_outside_is_no_failure_of_the_run(tmp_path):
+    batch, workers = night(tmp_path, queue(("a", ", attempts: 2")), KILLED, "failed", KILLED, KILLED)
+    assert hows(batch.run()) == {"a-001": "finished"}
+    assert len(workers.begun) == 5
+
+
+def test_power_cuts_use_up_no_attempt(tmp_path, monkeypatch):
+    """Two cuts before the first pose and one failure were three attempts once, and the run was given up."""
+    monkeypatch.setattr("bench.batch.batch.make_safe_after", lambda *_: [])
+    jobs = queue(("a", ", attempts: 3"))
+    for _ in range(2):
+        with pytest.raises(KeyboardInterrupt):
+            night(tmp_path, jobs, KeyboardInterrupt())[0].run()
+    batch, workers = night(tmp_path, jobs, "failed", "hung")
+    assert hows(batch.run()) == {"a-001": "finished"}
+    assert len(workers.begun) == 3
+
+
+def test_a_run_that_is_killed_again_and_again_is_given_up(tmp_path):
+    batch, workers = night(tmp_path, queue(("a", ", attempts: 2"), ("b", "")), *[KILLED] * 50)
+    batch.run()
+    assert [name for _, name, _ in workers.begun] == ["a-001"] * 10 + ["b-001"] * 10
 
 
 def test_a_run_that_somebody_aborted_is_not_taken_up_again(tmp_path):
