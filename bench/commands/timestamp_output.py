@@ -97,8 +97,10 @@ def stamp_folder(
     """
     from bench.evidence.beside_seal import add_beside
     from bench.evidence.timestamp import UncheckedError, as_reply, read_authorities
-    from bench.evidence.tsa_client import ask_authority, make_request
+    from bench.evidence.tsa_client import ask_authority, check_url, make_request
 
+    if tsa is not None:
+        check_url(tsa)
     authorities = read_authorities(home_folder(), tsa_certificates)
     names = _free_names(folder, what)
     try:

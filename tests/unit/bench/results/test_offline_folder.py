@@ -10,6 +10,9 @@ from station_texts import PLAIN
 
 from bench.base.errors import UsageError
 from bench.commands.cli import cli
+from bench.commands.keys_output import key_or_draft
+from bench.evidence.keys import create_key
+from bench.evidence.verify import verify_folder
 from bench.plan.plan import load_documents, make_plan
 from bench.report.html import printed_text
 from bench.results.forecasts import expected_bench
@@ -68,7 +71,38 @@ def test_the_folder_holds_results_report_exports_and_the_hashes_of_the_inputs(po
     text = " ".join(printed_text((tmp_path / "out" / "report.html").read_text()))
     assert "OFFLINE: calibrated from existing files, without devices." in text
     assert sources[0]["sha256"] in text
+    assert "DRAFT: Starbench made this report from existing files, and no seal protects it" in text
+    assert not (tmp_path / "out" / "SHA256SUMS").exists()
     assert "number T-1" in text
+
+
+def test_the_folder_is_sealed_and_says_that_it_is_a_recalculation(points, tmp_path, key, signers):
+    write_offline_results(calibrate_paths([points], options(points)), tmp_path / "out", key)
+    found = json.loads((tmp_path / "out" / "results.json").read_text())
+    assert found["run"]["sealed_by"] == {"principal": key.principal, "fingerprint": key.fingerprint}
+    assert "a recalculation" in found["run"]["statement"]
+    assert found["run"]["of_runs"] == []
+    text = " ".join(printed_text((tmp_path / "out" / "report.html").read_text()))
+    assert "This is a recalculation, not the record of a run." in text
+    assert f"{key.principal} sealed it" in text
+    assert "DRAFT" not in text
+    assert "a recalculation" in (tmp_path / "out" / "VERIFY.txt").read_text()
+    assert verify_folder(tmp_path / "out", signers).state == "SEALED"
+    assert all(path.is_dir() or not path.stat().st_mode & 0o222 for path in (tmp_path / "out").rglob("*"))
+
+
+@pytest.mark.parametrize("trouble", [None, "no key", "readable"])
+def test_without_a_usable_key_the_folder_stays_a_draft(tmp_path, monkeypatch, capsys, trouble):
+    home = tmp_path / "home"
+    monkeypatch.setenv("STARBENCH_HOME", str(home))
+    if trouble != "no key":
+        create_key(home)
+    if trouble == "readable":
+        (home / "bench_key").chmod(0o644)
+    key = key_or_draft()
+    assert (key is None) is (trouble is not None)
+    assert ("DRAFT: the results will not be sealed." in capsys.readouterr().err) is (trouble is not None)
+    assert (home / "bench_key").exists() is (trouble != "no key")
 
 
 def test_metavision_s_json_describes_the_target_of_the_station(points, tmp_path):
