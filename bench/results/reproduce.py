@@ -94,7 +94,7 @@ def _check_attempts(evidence: RunEvidence, found: Findings) -> dict[int, Measure
             found.remarks.append(f"{name} was lost before the run was resumed, so it was not measured again")
             continue
         again = _measure(evidence, attempt)
-        if attempt.accepted:
+        if attempt.accepted and again.view is not None:
             kept[attempt.pose_index] = again
         if attempt.checked is None:
             continue

@@ -777,3 +777,10 @@ def test_any_changed_digit_of_the_results_is_found(run_once, trusted, tmp_path, 
         told_of = found.faults or [remark for remark in found.remarks if "by rounding only" in remark]
         same = json.loads(changed) == json.loads(text)
         assert same or told_of, f"not found: {text[max(0, at - 60) : at + 20]!r}"
+
+
+@pytest.mark.slow
+def test_a_recording_without_stars_is_told_in_words(forger):
+    (forger / (CAPTURE % 2)).write_bytes(b"% nothing\n")
+    said = [str(fault) for fault in reproduce.check_recordings(forger.folder).faults]
+    assert any("cannot be calibrated again" in one for one in said), said
