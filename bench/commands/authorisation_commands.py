@@ -24,8 +24,8 @@ _TSA_CERTIFICATES = click.option(
 @click.option(
     "--key",
     metavar="FILE|SHA256:...",
-    help="Your private key; or, for a key in ssh-agent, its public key or fingerprint.  [default: the only key in"
-    " ssh-agent]",
+    help="Your private key; or, for a key in ssh-agent, its public key or fingerprint.  [default: the key that the"
+    " certificate names, else the only one in ssh-agent]",
 )
 @_SIGNERS
 @click.option("--yes", is_flag=True, help="Do not ask; for scripts.")

@@ -56,7 +56,12 @@ def authorise_folder(
     EvidenceError
         If the folder or the key cannot be used; nothing is written.
     """
-    from bench.evidence.authorisation import authorise, require_authorisable, require_unauthorised
+    from bench.evidence.authorisation import (
+        authorise,
+        named_person,
+        require_authorisable,
+        require_unauthorised,
+    )
     from bench.evidence.key_trust import read_trust
     from bench.evidence.person_key import find_key
     from bench.evidence.ssh_agent import agent_socket
@@ -69,7 +74,8 @@ def authorise_folder(
         seal = (folder / SIGNATURE).read_bytes()
     trust = read_trust(home_folder(), allowed_signers=allowed_signers)
     _refuse_unverified(folder, trust)
-    key = find_key(key_name, agent_socket(), _passphrase)
+    named = named_person(folder)
+    key = find_key(key_name or (named.fingerprint if named else None), agent_socket(), _passphrase)
     now = datetime.now(UTC)
     person = require_authorisable(folder, key.public_key, trust, now)
     facts = facts_of(folder)
