@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -120,7 +119,7 @@ def _second_places(ledger: Ledger) -> list[dict[str, Any]]:
     found = []
     for place in own.anchors if isinstance(own, OwnMark) else ():
         witness = ask_anchor(Path(place), was_there=True)
-        newest = asdict(witness.marks[-1]) if witness.marks else None
+        newest = witness.marks[-1].to_dict() if witness.marks else None
         found.append({"place": place, "newest": newest, "trouble": witness.trouble})
     return found
 

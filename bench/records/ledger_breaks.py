@@ -163,6 +163,30 @@ def highest_run(entries: Iterable[Entry]) -> int:
     return highest
 
 
+def highest_counts(entries: Iterable[Entry]) -> dict[str, int]:
+    """Return the highest count of each series of numbers: of lines with a ``series``, and of breaks that know of more.
+
+    Parameters
+    ----------
+    entries
+        Lines of a ledger.
+
+    Returns
+    -------
+    dict
+        Count by name of the series, such as a series of certificates.
+    """
+    highest: dict[str, int] = {}
+    for entry in entries:
+        series, count = entry.data.get("series"), entry.data.get("count")
+        found = [(series, count)] if isinstance(series, str) and isinstance(count, int) else []
+        if entry.event == LEDGER_BROKEN:
+            found = [pair for known in entry.data["known"] for pair in known.get("counts", {}).items()]
+        for name, number in found:
+            highest[name] = max(number, highest.get(name, 0))
+    return highest
+
+
 @dataclass
 class _Findings:
     """Findings as they are collected."""
@@ -172,8 +196,7 @@ class _Findings:
     warnings: list[str] = field(default_factory=list)
 
     def knows(self, place: str, mark: LedgerMark) -> None:
-        known = {"place": place, "lines": mark.lines, "runs": mark.runs, "head": mark.head}
-        self.known.append({**known, "utc": mark.utc})
+        self.known.append({"place": place, **mark.to_dict()})
 
 
 def find_breaks(

@@ -16,7 +16,7 @@ from typing import Any
 from bench.base.errors import BenchError, EvidenceError
 from bench.records.journal import Journal, read_journal
 from bench.records.journal_entry import Entry
-from bench.records.ledger_breaks import EXPLAIN, find_breaks, highest_run
+from bench.records.ledger_breaks import EXPLAIN, find_breaks, highest_counts, highest_run
 from bench.records.ledger_marks import (
     LedgerMark,
     OwnMark,
@@ -158,7 +158,8 @@ class LedgerFile:
 
     def _write_own_mark(self, entries: Sequence[Entry]) -> None:
         own = self._own_mark()
-        mark = LedgerMark(len(entries), highest_run(entries), entries[-1].hash, entries[-1].utc)
+        counts = tuple(sorted(highest_counts(entries).items()))
+        mark = LedgerMark(len(entries), highest_run(entries), entries[-1].hash, entries[-1].utc, counts)
         new = replace(own, mark=mark) if isinstance(own, OwnMark) else OwnMark(mark)
         try:
             write_own_mark(self.home, new)

@@ -13,7 +13,7 @@ import os
 import threading
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -44,12 +44,15 @@ class LedgerMark:
         Hash of the last line.
     utc
         Time of the last line, ISO 8601.
+    counts
+        Highest count of each series of numbers other than that of the runs, such as those of the certificates.
     """
 
     lines: int
     runs: int
     head: str
     utc: str
+    counts: tuple[tuple[str, int], ...] = ()
 
     def to_line(self) -> bytes:
         """Return the mark as one line of JSON.
@@ -59,7 +62,18 @@ class LedgerMark:
         bytes
             The line, with its line feed.
         """
-        return (json.dumps(asdict(self), separators=(",", ":")) + "\n").encode()
+        return (json.dumps(self.to_dict(), separators=(",", ":")) + "\n").encode()
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the mark as JSON carries it.
+
+        Returns
+        -------
+        dict
+            All attributes; ``counts`` as a mapping, left out if it is empty.
+        """
+        facts = {"lines": self.lines, "runs": self.runs, "head": self.head, "utc": self.utc}
+        return {**facts, "counts": dict(self.counts)} if self.counts else facts
 
     def disagreement(self, entries: Sequence[Entry]) -> str:
         """Return how a ledger contradicts this mark.
@@ -115,7 +129,10 @@ def _mark_of(found: Mapping[str, Any]) -> LedgerMark:
     numbers = [n for n in (lines, runs) if isinstance(n, int) and not isinstance(n, bool) and n >= 0]
     if len(numbers) != 2 or not lines or not (isinstance(head, str) and isinstance(utc, str)):
         raise ValueError(_MARK_FORM)
-    return LedgerMark(numbers[0], numbers[1], head, utc)
+    counts = found.get("counts", {})
+    if not (isinstance(counts, dict) and all(isinstance(count, int) for count in counts.values())):
+        raise ValueError(_MARK_FORM)
+    return LedgerMark(numbers[0], numbers[1], head, utc, tuple(sorted(counts.items())))
 
 
 # ---------------------------------------------------------------- the bench's own mark
@@ -187,7 +204,7 @@ def write_own_mark(home: Path, own: OwnMark) -> None:
     StorageError
         When it cannot be written.
     """
-    record = {**asdict(own.mark), "anchors": list(own.anchors)}
+    record = {**own.mark.to_dict(), "anchors": list(own.anchors)}
     write_atomic(home / MARK, (json.dumps(record, separators=(",", ":")) + "\n").encode())
 
 

@@ -15,7 +15,7 @@ from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, pr
 from bench.base.errors import EvidenceError, JournalBroken, UsageError
 from bench.records.journal import Journal
 from bench.records.ledger import Ledger
-from bench.records.ledger_breaks import KnownRun
+from bench.records.ledger_breaks import KnownRun, highest_counts
 from bench.records.ledger_marks import MARK
 
 CLOCKS = {"utc_now": lambda: datetime(2026, 3, 1, tzinfo=UTC), "monotonic": lambda: 0.0}
@@ -249,6 +249,19 @@ def test_a_certificate_goes_to_the_second_place_too(ledger, anchor):
     assert json.loads(anchor.read_bytes().splitlines()[-1])["head"] == entry.hash
 
 
+def test_the_second_place_knows_the_highest_number_of_each_series(ledger, anchor):
+    runs(ledger, 1, anchor=str(anchor))
+    for count in (1, 2):
+        ledger.append("certificate_reserved", number=f"2026-{count:04}", series="2026", count=count)
+    for path in ledger.home.iterdir():
+        path.unlink()
+    begin(ledger, anchor=str(anchor))
+    assert highest_counts(ledger.entries()) == {"2026": 2}
+    ledger.append("certificate_reserved", number="2026-0003", series="2026", count=3)
+    assert highest_counts(ledger.entries()) == {"2026": 3}
+    assert json.loads(anchor.read_bytes().splitlines()[-1])["counts"] == {"2026": 3}
+
+
 def test_two_sealed_runs_with_one_number_are_noticed(ledger):
     runs(ledger, 2)
     other = KnownRun("/runs/other", "other", 2, "f" * 64)
@@ -358,5 +371,5 @@ class LedgerStory(RuleBasedStateMachine):
 
 TestLedgerStory = LedgerStory.TestCase
 TestLedgerStory.settings = settings(
-    max_examples=60, stateful_step_count=15, deadline=None, suppress_health_check=list(HealthCheck)
+    max_examples=30, stateful_step_count=12, deadline=None, suppress_health_check=list(HealthCheck)
 )
