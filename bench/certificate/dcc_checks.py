@@ -11,6 +11,7 @@ from collections import Counter
 from collections.abc import Iterator
 from datetime import date
 from decimal import Decimal
+from itertools import islice
 from typing import TYPE_CHECKING
 
 from bench.certificate.dcc_budgets import budget_faults
@@ -62,9 +63,8 @@ def check_dcc(data: bytes, where: str = "the DCC") -> list[str]:
         When lxml is not installed.
     """
     root = read_dcc(data, where)
-    found = [fault for check in CHECKS for fault in check(root)]
-    more = [f"and {len(found) - _MOST_FAULTS} more"] if len(found) > _MOST_FAULTS else []
-    return [*found[:_MOST_FAULTS], *more]
+    found = list(islice((fault for check in CHECKS for fault in check(root)), _MOST_FAULTS + 1))
+    return found if len(found) <= _MOST_FAULTS else [*found[:-1], "and more"]
 
 
 def _hidden_faults(root: _Element) -> Iterator[str]:

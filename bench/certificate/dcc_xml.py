@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 LANGUAGE = "en"
 MOST_BYTES = 32 * 1024 * 1024
 """Largest DCC that is read. Those of Starbench have some hundred kilobytes."""
-MOST_ELEMENTS = 200_000
+MOST_ELEMENTS = 100_000
 """Most elements, and most attributes, that are read: each takes some hundred bytes of memory."""
 
 DCC = "https://ptb.de/dcc"

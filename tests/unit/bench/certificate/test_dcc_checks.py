@@ -21,3 +21,9 @@ def test_there_are_many_mutations():
 def test_a_mutation_is_found(mutation):
     found = check_dcc(mutation.apply())
     assert any(mutation.ours in fault for fault in found), found
+
+
+def test_the_list_of_faults_ends():
+    found = check_dcc(dcc_mutations.full_dcc().replace(b"<si:unit>", b"<si:unit>x"))
+    assert len(found) == 201
+    assert found[-1] == "and more"
