@@ -27,6 +27,8 @@ from bench.records.storage import sha256_of, storage_errors
 ABSENT = "absent"
 _OWN = frozenset({"number", "issued_utc", "amends"})
 """Fields that differ in every amendment."""
+_PROGRAM = "run.software["
+"""Programs and their versions; a new version alone is no change of the certificate."""
 _MOST_CHARACTERS = 300
 
 
@@ -75,7 +77,7 @@ def amend(old: Path, lab_file: Path, folder: Path, laboratory: Laboratory, *, re
 
 
 def changes_of(before: Certificate, after: Certificate) -> tuple[Change, ...]:
-    """Return the fields that differ between two certificates, except number, time of issue and what they amend.
+    """Return the fields that differ between two certificates, except number, time, software and what they amend.
 
     Parameters
     ----------
@@ -122,7 +124,7 @@ def _leaves(found: dict[str, Any]) -> dict[str, str]:
             leaves[path] = text if len(text) <= _MOST_CHARACTERS else f"{text[:_MOST_CHARACTERS]}..."
 
     walk({name: value for name, value in found.items() if name not in _OWN}, "")
-    return leaves
+    return {path: text for path, text in leaves.items() if not path.startswith(_PROGRAM)}
 
 
 def _also(before: Certificate) -> str:

@@ -1,0 +1,138 @@
+"""The commands that issue, amend, list and show certificates: what they print, and their exit statuses."""
+
+import json
+from datetime import UTC, datetime
+from unittest import mock
+
+import pytest
+from certificate_sample import LAB, verified, write_sealed_run
+from click.testing import CliRunner
+
+from bench.base.errors import BenchError, UsageError
+from bench.certificate import issue as issue_module
+from bench.certificate.lab_config import LabConfig
+from bench.commands import issue_output
+from bench.commands.cli import cli
+from bench.records.ledger import Ledger
+from sequences.errors import DocumentFaults
+
+FIRST, SECOND = "SIMULATED-SB-2026-00001", "SIMULATED-SB-2026-00002"
+LATER = datetime(2026, 12, 1, tzinfo=UTC)
+
+
+class LaterClock(datetime):
+    """A clock of the year of the sample."""
+
+    @classmethod
+    def now(cls, tz=None):
+        return LATER.astimezone(tz)
+
+
+def quick_files(certificate, found, results, lab, plots):
+    return {"certificate.json": certificate.to_json(), "results.json": results, "lab.yaml": lab}
+
+
+@pytest.fixture
+def bench(tmp_path, monkeypatch):
+    """A bench with a sealed run and a lab.yaml; PDF, DCC and the verification of the run are left out."""
+    monkeypatch.setenv("STARBENCH_HOME", str(tmp_path / "home"))
+    monkeypatch.chdir(tmp_path)
+    write_sealed_run(tmp_path / "run", tmp_path / "home")
+    (tmp_path / "lab.yaml").write_text(LAB, encoding="utf-8")
+    ledger = Ledger(tmp_path / "home", utc_now=lambda: LATER, monotonic=lambda: 0.0)
+    with (
+        mock.patch.object(issue_module, "certificate_files", quick_files),
+        mock.patch.object(issue_output, "_verify", verified),
+        mock.patch.object(issue_output, "datetime", LaterClock),
+        mock.patch.object(issue_output, "_ledger", return_value=ledger),
+        mock.patch("bench.certificate.pdf_plots.plots_of_run", return_value={}),
+    ):
+        yield tmp_path
+
+
+def run(*arguments):
+    done = CliRunner().invoke(cli, ["certificate", *arguments], standalone_mode=False)
+    if done.exception is not None:
+        raise done.exception
+    assert not done.return_value
+    return done.output
+
+
+def test_a_certificate_is_issued_listed_and_shown(bench):
+    said = run("issue", "run", "-c", "lab.yaml", "-o", "first")
+    assert said.startswith(f"SIMULATED calibration certificate {FIRST}\nState:      SEALED\n")
+    assert "  fx   3346.4 px \N{PLUS-MINUS SIGN} 2.4 px  (k = 2.22)" in said
+    assert "SEALED, not authorised. Dr. Grace Hopper authorises it: starbench certificate authorise" in said
+    heads, row = run("list").splitlines()
+    assert heads.split() == ["number", "state", "camera", "customer", "date"]
+    assert row.split("  ") == [FIRST, "SEALED", "00050423", "Customer & Sons <GmbH>", "2026-12-01"]
+    assert run("show", "first").splitlines()[1] == "State:      SEALED"
+    assert json.loads(run("show", "first", "--json"))["certificate"]["number"] == FIRST
+
+
+def test_json_is_one_object(bench):
+    issued = json.loads(run("issue", "run", "-c", "lab.yaml", "-o", "first", "--json"))
+    assert (issued["number"], issued["state"], issued["completed"]) == (FIRST, "SEALED", [])
+    (row,) = json.loads(run("list", "--json"))["certificates"]
+    assert (row["number"], row["state"], row["folder"]) == (FIRST, "SEALED", str(bench / "first"))
+
+
+def test_an_amended_certificate_is_shown_as_superseded(bench):
+    run("issue", "run", "-c", "lab.yaml", "-o", "first")
+    (bench / "lab.yaml").write_text(LAB.replace("Mill Lane 3", "Mill Lane 4"), encoding="utf-8")
+    said = run("amend", "first", "-c", "lab.yaml", "-o", "second", "--reason", "wrong address")
+    assert (
+        f"Replaces {FIRST}: wrong address\n  customer.address.street: 'Mill Lane 3' -> 'Mill Lane 4'" in said
+    )
+    assert f"SUPERSEDED by {SECOND}" in run("show", "first")
+    assert f"replaced by {SECOND}" in run("list")
+
+
+def test_a_number_left_open_is_a_draft_until_it_is_void(bench):
+    with (
+        mock.patch.object(issue_module, "write_sealed", side_effect=BenchError("disk full")),
+        pytest.raises(BenchError),
+    ):
+        run("issue", "run", "-c", "lab.yaml", "-o", "first")
+    assert "DRAFT" in run("list")
+    assert run("void", FIRST, "--reason", "disk full") == f"{FIRST} is void: disk full\n"
+    assert "VOID" in run("list")
+    with pytest.raises(UsageError, match="reason is empty"):
+        run("void", FIRST, "--reason", " ")
+
+
+def test_a_certificate_that_was_complete_cannot_be_void(bench):
+    with (
+        mock.patch.object(issue_module, "_enter", side_effect=BenchError("killed")),
+        pytest.raises(BenchError),
+    ):
+        run("issue", "run", "-c", "lab.yaml", "-o", "first")
+    with pytest.raises(BenchError, match=f"{FIRST} is issued: its certificate was complete"):
+        run("void", FIRST, "--reason", "x")
+    assert "SEALED" in run("list")
+
+
+def test_a_certificate_that_was_moved_or_changed_is_not_claimed_to_be_sealed(bench):
+    run("issue", "run", "-c", "lab.yaml", "-o", "first")
+    (bench / "first").rename(bench / "elsewhere")
+    assert "NOT FOUND" in run("list")
+
+
+def test_the_example_is_written_and_refused_until_it_is_filled_in(bench):
+    assert "Replace every REPLACE" in run("new", "-o", "mine.yaml")
+    with pytest.raises(DocumentFaults) as found:
+        run("issue", "run", "-c", "mine.yaml", "-o", "first")
+    assert len(found.value.faults) > 30
+    with pytest.raises(UsageError, match="already exists"):
+        run("new", "-o", "mine.yaml")
+    assert run("list") == "The ledger of this bench has no certificates.\n"
+
+
+def test_a_folder_without_a_certificate_is_refused(bench):
+    with pytest.raises(UsageError, match="holds no certificate"):
+        run("show", "run")
+
+
+def test_the_schema_of_lab_yaml_is_printed():
+    done = CliRunner().invoke(cli, ["schema", "lab"], standalone_mode=False)
+    assert set(json.loads(done.output)["properties"]) == set(LabConfig.model_fields)
