@@ -17,9 +17,10 @@ from bench.batch.batch_events import Requested
 from bench.batch.batch_record import BatchRecord, RunAttempt, replay_batch
 from bench.batch.schedule import Item, by_priority
 from bench.records.journal import read_journal
+from bench.records.reading import read_json
 from bench.records.run_folder import JOURNAL, PLAN, REPORT
 from bench.records.run_index import QUEUE_COPY, IndexedRun, is_batch, read_run
-from bench.records.storage import storage_errors, write_atomic
+from bench.records.storage import write_atomic
 from bench.report.batch_page import render_batch
 from bench.results.trends import by_camera, hours_after, trends_of
 from sequences.errors import DocumentFaults
@@ -275,8 +276,7 @@ def _request(data: Requested) -> dict[str, Any]:
 def _planned_poses(run: Path) -> int | None:
     """Return the number of poses in a run's plan; None if there is no plan, or if the run chooses their number."""
     try:
-        with storage_errors(run / PLAN):
-            plan = json.loads((run / PLAN).read_text(encoding="utf-8"))
+        plan = read_json(run / PLAN)
         return None if plan.get("untils") else len(plan["poses"])
     except (BenchError, ValueError, KeyError):
         return None

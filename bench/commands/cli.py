@@ -19,6 +19,7 @@ from bench import __version__
 from bench.commands.align_command import align
 from bench.commands.batch_commands import BATCH_COMMANDS, BEGIN
 from bench.commands.certificate_commands import CERTIFICATE_COMMANDS
+from bench.commands.compare_command import compare
 from bench.commands.completion import add_completion
 from bench.commands.engine_commands import ENGINE_COMMANDS
 from bench.commands.help_text import Sections, complete
@@ -245,6 +246,7 @@ for run_command in (*RUN_COMMANDS, *BATCH_COMMANDS, *LEDGER_COMMANDS, *CERTIFICA
 cli.add_command(align)
 cli.add_command(keys)
 cli.add_command(panel)
+cli.add_command(compare)
 cli.add_command(verify)
 for target_command in TARGET_COMMANDS:
     cli.add_command(target_command)
@@ -297,6 +299,9 @@ def _exit_status(command: Callable[[], Any], arguments: list[str]) -> int:
 
         if "--json" in arguments:
             print_json({"error": {"kind": "UsageError", "message": error.format_message(), "remedy": ""}})
+        from bench.terminal.encoding import printable
+
+        error.message = printable(error.message)
         error.show()
         return error.exit_code
     except KeyboardInterrupt:

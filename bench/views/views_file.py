@@ -10,7 +10,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Protocol
+from typing import Any, Protocol
 
 import h5py
 import numpy as np
@@ -19,10 +19,14 @@ from numpy.typing import NDArray
 from bench.base.errors import RunFolderError
 from calib.errors import InputMismatch
 from calib.view import RimPoints, View
+from drivers.camera.formats.hdf5_reading import dataset, member, whole
+from drivers.camera.whole_file import require_regular
+from drivers.errors import NotARecording
 
 VIEWS = "views.h5"
 FORMAT = "starbench/views/1"
 
+_MOST_BYTES = 1 << 30
 _REMEDY = "Delete the file; `starbench.load` then finds the stars again in the captures."
 
 
@@ -126,7 +130,7 @@ def read_views(path: Path) -> list[StoredView]:
         If the file cannot be read, or does not have this layout.
     """
     with _opened(path) as file:
-        return [_stored_view(file[_group_name(number)]) for number in range(1, len(file) + 1)]
+        return [_stored_view(member(file, _group_name(number))) for number in range(1, len(file) + 1)]
 
 
 def has_pictures(path: Path) -> bool:
@@ -172,21 +176,29 @@ def read_picture(path: Path, number: int) -> NDArray[np.uint8]:
         If the file cannot be read, or does not have this layout.
     """
     with _opened(path) as file:
-        return np.asarray(file[_group_name(number)]["picture"][()], np.uint8)
+        return np.asarray(_array(member(file, _group_name(number)), "picture"), np.uint8)
 
 
 @contextmanager
 def _opened(path: Path) -> Iterator[h5py.File]:
     """Open a `views.h5` for reading; every fault inside the block becomes a RunFolderError."""
     try:
+        require_regular(path)
         with h5py.File(path, "r") as file:
             if file.attrs.get("format") != FORMAT:
                 raise RunFolderError(
                     f"The file does not have the format {FORMAT}.", where=str(path), remedy=_REMEDY
                 )
             yield file
-    except (OSError, KeyError, ValueError, TypeError, InputMismatch) as error:
+    except NotARecording as error:
+        raise RunFolderError(error.what, where=str(path), remedy=_REMEDY) from error
+    except (OSError, KeyError, ValueError, TypeError, RuntimeError, MemoryError, InputMismatch) as error:
         raise RunFolderError(f"The file cannot be read: {error}.", where=str(path), remedy=_REMEDY) from error
+
+
+def _array(group: h5py.Group, name: str) -> NDArray[Any]:
+    """Read an array that lies in the file itself, of a size that a view can have."""
+    return whole(dataset(group, name), _MOST_BYTES)
 
 
 def _write_rim(group: h5py.Group, rim: RimPoints) -> None:
@@ -204,9 +216,9 @@ def _read_rim(group: h5py.Group) -> RimPoints | None:
     if "rim_points_mm" not in group:
         return None
     return RimPoints(
-        points_mm=np.asarray(group["rim_points_mm"][()], np.float64),
-        sigmas_mm=np.asarray(group["rim_sigmas_mm"][()], np.float64),
-        lit_mm=np.asarray(group["rim_lit_mm"][()], np.float64),
+        points_mm=np.asarray(_array(group, "rim_points_mm"), np.float64),
+        sigmas_mm=np.asarray(_array(group, "rim_sigmas_mm"), np.float64),
+        lit_mm=np.asarray(_array(group, "rim_lit_mm"), np.float64),
         level_sigma_mm=float(group.attrs["rim_level_sigma_mm"]),
     )
 
@@ -220,13 +232,13 @@ def _stored_view(group: h5py.Group) -> StoredView:
     view = View(
         name=str(group.attrs["name"]),
         image_size=(width, height),
-        ids=np.asarray(group["ids"][()], np.int64),
-        points_px=np.asarray(group["points_px"][()], np.float64),
-        target_mm=np.asarray(group["target_mm"][()], np.float64),
-        covariances_px2=np.asarray(group["covariances_px2"][()], np.float64),
+        ids=np.asarray(_array(group, "ids"), np.int64),
+        points_px=np.asarray(_array(group, "points_px"), np.float64),
+        target_mm=np.asarray(_array(group, "target_mm"), np.float64),
+        covariances_px2=np.asarray(_array(group, "covariances_px2"), np.float64),
         rim=_read_rim(group),
     )
-    residuals_px = np.asarray(group["residuals_px"][()], np.float64)
+    residuals_px = np.asarray(_array(group, "residuals_px"), np.float64)
     if residuals_px.shape != view.points_px.shape:
         raise InputMismatch(
             f"{len(view)} stars, but residuals of shape {residuals_px.shape}", where=group.name

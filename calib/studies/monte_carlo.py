@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from calib.calibration import CalibrationOptions
 from calib.engine import calibrate
-from calib.errors import CalibrationError
+from calib.errors import CalibrationError, NotConverged
 from calib.model.collimator import Collimator
 from calib.studies.predicted_views import ExpectedBench, predicted_view
 from calib.view import View
@@ -125,6 +125,11 @@ def run_monte_carlo(
     -------
     MonteCarloStudy
         Estimates of the successful runs, and the reasons of the failed ones.
+
+    Raises
+    ------
+    NotConverged
+        If no calibration has a result.
     """
     truth = {**bench.camera.to_dict(), **bench.collimator.to_dict()}
     values: list[Array] = []
@@ -148,6 +153,11 @@ def run_monte_carlo(
             chi_squares.append(float(off @ np.linalg.solve(result.correlation, off)))
         if progress:
             progress(run + 1, runs)
+    if not values:
+        raise NotConverged(
+            f"None of the {runs} calibrations has a result. The first one: {failed[0]}",
+            remedy="Give less noise, fewer outliers, or more poses.",
+        )
     true = np.array([truth[name] for name in names])
     numbers = (np.array(values), np.array(sigmas), np.array(factors), np.array(chi_squares))
     return MonteCarloStudy(names, true, *numbers, tuple(failed))

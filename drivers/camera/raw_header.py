@@ -106,9 +106,14 @@ def parse_header(start: bytes, *, where: str) -> RawHeader:
         at = end + 1
         if key == "end":
             break
-        fields[key] = value
+        fields[_printable(key)] = _printable(value)
     width, height = _size(fields, where)
     return RawHeader(fields, width, height, start[:at])
+
+
+def _printable(text: str) -> str:
+    """Replace what no text file should hold: control characters would reach terminals and other file formats."""
+    return "".join(letter if letter.isprintable() else "\ufffd" for letter in text)
 
 
 def _looks_like(start: bytes) -> str:

@@ -169,6 +169,19 @@ def _camera(given: object) -> CameraTruth:
             f"Unknown lens projection {kind!r}.", where="camera.projection", remedy=f"Use one of: {names}."
         )
     camera = _section("camera", CAMERAS[kind], given)
+    if max(camera.width, camera.height) > _LARGEST_SIDE or camera.width * camera.height > _MOST_PIXELS:
+        raise ConfigError(
+            f"A sensor of {camera.width} x {camera.height} px cannot be simulated.",
+            where="camera.width",
+            remedy=f"Give sides of at most {_LARGEST_SIDE} px, and at most {_MOST_PIXELS} px together.",
+        )
+    for name in ("fx", "fy"):
+        if not _SHORTEST_PX <= getattr(camera, name) <= _LONGEST_PX:
+            raise ConfigError(
+                f"{getattr(camera, name)!r} px is no focal length.",
+                where=f"camera.{name}",
+                remedy=f"Give a number from {_SHORTEST_PX:g} to {_LONGEST_PX:g}.",
+            )
     foreign = ("p1", "p2") if kind == "fisheye" else ("k4",)
     for name in foreign:
         if getattr(camera, name) != 0.0:
@@ -273,6 +286,10 @@ def _like(default: object, value: object, where: str) -> object:
 
 _LARGEST_SCALE: Final = 0.2
 """Largest relative error of an axis's scale; larger numbers are factors that were given by mistake."""
+
+_LARGEST_SIDE: Final = 8192
+_MOST_PIXELS: Final = 1 << 24
+_SHORTEST_PX, _LONGEST_PX = 1.0, 1e6
 
 _POSITIVE: Final = {
     "screen.square_mm",
