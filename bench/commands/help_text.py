@@ -14,7 +14,7 @@ SECTIONS = {
     "While it runs, from another terminal": ("panel", "status", "hold", "release", "skip", "abort", "answer"),
     "After a run": ("certificate",),
     "Many runs": ("batch", "rehearse", "runs", "ledger", "messages"),
-    "Without devices": ("calibrate", "passport", "rig", "study", "convert"),
+    "Without devices": ("calibrate", "passport", "rig", "study", "compare", "convert"),
     "The bench": ("devices", "station", "target", "simulate", "keys", "schema"),
 }
 
@@ -71,6 +71,10 @@ EXAMPLES = {
     "passport seal": ("starbench passport seal collimator.json -o collimator_sealed.json",),
     "passport show": ("starbench passport show collimator.json",),
     "rig": ("starbench rig runs/left runs/right",),
+    "compare": (
+        "starbench compare table1 --repetitions 3",
+        "starbench compare my_comparison.yaml -o comparisons/mine",
+    ),
     "study": ("starbench study nine_pose --runs 500 --plot errors.svg",),
     "convert": ("starbench convert pose-001-attempt-1.raw pose.hdf5", "starbench convert pose.hdf5 pose.raw"),
     "devices": ("starbench devices",),

@@ -1,0 +1,75 @@
+"""Runs a comparison, shows its progress, and prints its table."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+
+import click
+
+from bench.commands.output import STOPPED, print_json
+from bench.compare.page import render_page
+from bench.compare.run_comparison import compare
+from bench.compare.scenes import true_camera
+from bench.compare.spec import ComparisonConfig
+from bench.compare.summary import summarise
+from bench.compare.table import table_text
+from bench.records.storage import write_atomic
+from bench.report.text import duration
+from bench.simulated import virtual_camera
+
+PAGE, RESULTS = "comparison.html", "results.json"
+
+
+def run_and_print(spec: ComparisonConfig, text: bytes, folder: Path, workers: int, *, as_json: bool) -> int:
+    """Run a comparison, write its page and results, and print the table.
+
+    Parameters
+    ----------
+    spec
+        The specification.
+    text
+        Its bytes.
+    folder
+        Folder of the comparison.
+    workers
+        Number of processes.
+    as_json
+        Whether to print JSON.
+
+    Returns
+    -------
+    int
+        Exit status: 0 done, 3 stopped by Ctrl-C.
+
+    Raises
+    ------
+    UsageError, StorageError, BenchError
+        As `bench.compare.run_comparison.compare`.
+    """
+    try:
+        rows = compare(spec, text, folder, workers=workers, on_progress=_show_progress)
+    except KeyboardInterrupt:
+        click.echo(f"\nStopped. What is done is kept in {folder}; the same command continues.", err=True)
+        return STOPPED
+    summary = summarise(spec, rows)
+    true = true_camera(virtual_camera({}, spec.seed).truth()["camera"]).to_dict()
+    write_atomic(folder / PAGE, render_page(summary, rows, true).encode())
+    write_atomic(folder / RESULTS, (json.dumps(summary, indent=1, allow_nan=False) + "\n").encode())
+    if as_json:
+        print_json(summary)
+    else:
+        click.echo(table_text(summary))
+        click.echo(f"Page: {folder / PAGE}")
+    return 0
+
+
+def _show_progress(done: int, total: int, left_s: float | None) -> None:
+    """Show how much is done, on one line of a terminal; without a terminal, a line for each tenth."""
+    left = f", {duration(left_s)} left" if left_s is not None and done < total else ""
+    line = f"{done} of {total} results{left}"
+    if sys.stderr.isatty():
+        click.echo(f"\r\033[K{line}", err=True, nl=done == total)
+    elif done == total or done % max(1, total // 10) == 0:
+        click.echo(line, err=True)

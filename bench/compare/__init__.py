@@ -1,0 +1,1 @@
+"""Comparison of calibration methods on the simulated bench, where the truth is known."""

@@ -1,0 +1,163 @@
+"""What each method makes of the images of one repetition, compared with the truth.
+
+Every method gets the same views. Its own stated uncertainty is judged as well: whether the truth lies within k sigma.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from bench.compare.scenes import Images
+from bench.compare.spec import ColumnConfig
+from calib.calibration import Calibration, CalibrationOptions
+from calib.engine import calibrate
+from calib.errors import CalibrationError
+from calib.model.camera import CameraModel
+from calib.model.gimbal_readings import GimbalReadings, ParallaxBound
+from calib.model.passport import Passport
+from calib.studies.reference_methods import MethodResult, opencv_planar, published_recipe, starbench_result
+from calib.uncertainty.projection_uncertainty import camera_difference, projection_uncertainty
+
+#: The certificate that a column with ``passport`` has: radius and its standard uncertainty, mm.
+CERTIFICATE_MM = (255.0, 0.05)
+#: How far the entrance pupil stands before the pivot, where it is known; other collimators have no bound of parallax.
+_OFF_PIVOT_MM = {"ideal": 0.0, "S3": 0.0, "like-bench": 2.0}
+_FEWEST_VIEWS = 2
+_ACROSS = 17
+#: Coverage factor of methods that state sigmas only.
+_K = 2.0
+
+
+def solve(column: ColumnConfig, images: Images, seed: int) -> dict[str, Any]:
+    """Calibrate by the method of a column, and compare with the truth.
+
+    Parameters
+    ----------
+    column
+        The column.
+    images
+        Views and truth.
+    seed
+        Seed of the values that a certificate and the bounds state.
+
+    Returns
+    -------
+    dict
+        Values, stated sigmas, errors and residuals; or ``error``, the reason why there is no result.
+    """
+    row: dict[str, Any] = {"views": len(images.views), "missed": list(images.missed)}
+    if len(images.views) < _FEWEST_VIEWS:
+        reasons = "; ".join(dict.fromkeys(images.missed)) or "no image"
+        return row | {"error": f"{len(images.views)} views with a target: {reasons}"}
+    began = time.process_time()
+    try:
+        result, calibration = _result(column, images, seed)
+    except CalibrationError as error:
+        return row | {"error": str(error)}
+    row["solve_cpu_s"] = time.process_time() - began
+    k = calibration.coverage_factor if calibration is not None else _K
+    row |= {
+        "camera": result.camera.to_dict(),
+        "sigma": dict(result.sigma),
+        "k": k,
+        "model": calibration.model if calibration is not None else None,
+        "rms_px": result.rms_px,
+        "mean_px": result.mean_px,
+        "left_out_px": result.left_out_rms_px,
+    }
+    return row | compare_with_truth(result.camera, images.camera, result.sigma, k, calibration)
+
+
+def compare_with_truth(
+    found: CameraModel,
+    true: CameraModel,
+    sigma: Mapping[str, float],
+    k: float,
+    calibration: Calibration | None = None,
+) -> dict[str, Any]:
+    """Compare a camera with the true one.
+
+    A camera that is rotated a little is the same camera: the best common rotation is removed before directions are
+    compared.
+
+    Parameters
+    ----------
+    found, true
+        Calibrated and true camera.
+    sigma
+        Stated standard uncertainties.
+    k
+        Their coverage factor.
+    calibration
+        The calibration, if it states a covariance.
+
+    Returns
+    -------
+    dict
+        ``error``s by parameter; ``direction_rms_urad``, ``direction_worst_urad``, ``centre_urad``, ``corner_urad``
+        (largest); whether fx and the worst corner are ``covered`` by k sigma.
+    """
+    offset = np.asarray(camera_difference(found, true, _ACROSS).offset_px)
+    away = np.linalg.norm(offset, axis=2) / true.fx * 1e6
+    corners = away[[0, 0, -1, -1], [0, -1, 0, -1]]
+    errors = {
+        name: found.to_dict()[name] - value
+        for name, value in true.to_dict().items()
+        if name in found.to_dict()
+    }
+    compared: dict[str, Any] = {
+        "errors": errors,
+        "direction_rms_urad": float(np.sqrt(np.nanmean(away**2))),
+        "direction_worst_urad": float(np.nanmax(away)),
+        "centre_urad": float(away[away.shape[0] // 2, away.shape[1] // 2]),
+        "corner_urad": float(np.nanmax(corners)),
+        "covered": {
+            name: bool(abs(errors[name]) <= k * sigma[name])
+            for name in ("fx", "fy", "cx", "cy")
+            if name in sigma
+        },
+    }
+    if calibration is not None:
+        stated = projection_uncertainty(calibration.camera, calibration.camera_covariance, _ACROSS).sigma_px
+        place = np.unravel_index(int(np.nanargmax(stated)), stated.shape)
+        compared["expanded_corner_urad"] = float(k * stated[place] / true.fx * 1e6)
+        compared["covered"]["corner"] = bool(away[place] <= k * stated[place] / true.fx * 1e6)
+    return compared
+
+
+def _result(column: ColumnConfig, images: Images, seed: int) -> tuple[MethodResult, Calibration | None]:
+    """Return the result of the column's method, and the engine's calibration if it is the engine's."""
+    views = images.views
+    lens = column.lens
+    if column.method == "recipe":
+        return published_recipe(views, CalibrationOptions("spherical", lens)), None
+    if column.method == "zhang" or (column.method == "checkerboard" and column.detector != "symmetry"):
+        return opencv_planar(views, CalibrationOptions("planar", lens, "l2")), None
+    if column.method == "checkerboard":
+        calibration = calibrate(views, CalibrationOptions("planar", lens))
+    else:
+        calibration = calibrate(views, _options(column, images, seed))
+    return starbench_result(calibration), calibration
+
+
+def _options(column: ColumnConfig, images: Images, seed: int) -> CalibrationOptions:
+    """Return what the engine is told: a certificate and readings whose stated values are drawn with their sigmas."""
+    rng = np.random.default_rng((seed, 12))
+    r, sigma = CERTIFICATE_MM
+    certified = r + sigma * rng.normal()
+    defocus, off_pivot = 0.01 * rng.normal(), 0.5 * rng.normal()
+    bound = None
+    if column.collimator in _OFF_PIVOT_MM:
+        stated = float(images.truth["collimator"]["defocus"]) + defocus
+        bound = ParallaxBound(stated, 0.01, _OFF_PIVOT_MM[column.collimator] + off_pivot, 0.5)
+    angles = tuple(dict(one) for one in images.readings_deg)
+    return CalibrationOptions(
+        model="auto",
+        distortion=column.lens,
+        passport=Passport.of_radius(certified, sigma) if column.passport else None,
+        gimbal=GimbalReadings(angles, 0.002, 2e-4, 0.001, bound, "drawn") if column.readings else None,
+    )

@@ -1,0 +1,266 @@
+"""Runs a comparison on all cores, and keeps what is done: an interrupted comparison continues where it stopped.
+
+The folder holds ``spec.yaml`` and ``rows.jsonl``: one line for each repetition of each column, written as soon as it is
+known. A line is used again if it has the same key: column, repetition, seed and version of the program.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import time
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from concurrent.futures.process import BrokenProcessPool
+from dataclasses import dataclass
+from multiprocessing import get_context
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from bench import __version__
+from bench.base.errors import BenchError, UsageError
+from bench.compare.spec import ColumnConfig, ComparisonConfig
+from bench.records.storage import make_folder, storage_errors
+
+if TYPE_CHECKING:
+    from bench.compare.scenes import Images
+
+ROWS = "rows.jsonl"
+SPEC = "spec.yaml"
+
+Row = dict[str, Any]
+
+
+@dataclass(frozen=True)
+class Task:
+    """The columns that share the images of one repetition.
+
+    Attributes
+    ----------
+    columns
+        The columns.
+    repetition
+        Number of the repetition, from 0.
+    seed
+        Its seed.
+    """
+
+    columns: tuple[ColumnConfig, ...]
+    repetition: int
+    seed: int
+
+
+def row_key(column: ColumnConfig, seed: int) -> str:
+    """Return the key of a repetition of a column: it changes with everything that the result depends on.
+
+    Parameters
+    ----------
+    column
+        The column; its name does not count.
+    seed
+        Seed of the repetition.
+
+    Returns
+    -------
+    str
+        Hexadecimal.
+    """
+    content = json.dumps([column.model_dump(exclude={"name"}), seed, __version__], sort_keys=True)
+    return hashlib.sha256(content.encode()).hexdigest()[:24]
+
+
+def compare(
+    spec: ComparisonConfig,
+    text: bytes,
+    folder: Path,
+    *,
+    workers: int,
+    on_progress: Callable[[int, int, float | None], None] = lambda *_: None,
+    monotonic: Callable[[], float] = time.monotonic,
+) -> list[Row]:
+    """Run what is not done yet, and return all rows.
+
+    Parameters
+    ----------
+    spec
+        The specification.
+    text
+        Its bytes, kept in the folder.
+    folder
+        Folder of the comparison; made if it does not exist.
+    workers
+        Number of processes.
+    on_progress
+        Called with the number of rows done, of all rows, and the time left in seconds, if known.
+    monotonic
+        Clock of the time left.
+
+    Returns
+    -------
+    list of dict
+        One row for each repetition of each column, in their order.
+
+    Raises
+    ------
+    UsageError
+        If the folder holds something else.
+    StorageError
+        If a file cannot be read or written.
+    BenchError
+        If the processes die.
+    """
+    _prepare(folder, text)
+    done = _read_rows(folder / ROWS)
+    keys = {
+        (column.name, n): row_key(column, spec.seed + n)
+        for column in spec.columns
+        for n in range(spec.repetitions)
+    }
+    tasks = list(_tasks(spec, done))
+    began, first, total = monotonic(), sum(key in done for key in keys.values()), len(keys)
+    on_progress(first, total, None)
+    with storage_errors(folder), (folder / ROWS).open("ab") as stream:
+        for rows in _results(tasks, workers):
+            for key, row in rows.items():
+                stream.write((json.dumps({"key": key, **row}, allow_nan=False) + "\n").encode())
+                done[key] = row
+            stream.flush()
+            os.fsync(stream.fileno())
+            known = sum(key in done for key in keys.values())
+            rate = (known - first) / max(monotonic() - began, 1e-6)
+            on_progress(known, total, (total - known) / rate if rate else None)
+    return [
+        {**done[keys[column.name, n]], "column": column.name, "repetition": n}
+        for column in spec.columns
+        for n in range(spec.repetitions)
+    ]
+
+
+def _prepare(folder: Path, text: bytes) -> None:
+    """Make the folder, or check that it holds a comparison."""
+    with storage_errors(folder):
+        if folder.is_dir() and any(folder.iterdir()) and not (folder / SPEC).is_file():
+            raise UsageError(
+                "The folder holds something else.", where=str(folder), remedy="Choose a new or empty folder."
+            )
+    make_folder(folder)
+    with storage_errors(folder):
+        (folder / SPEC).write_bytes(text)
+
+
+def _read_rows(path: Path) -> dict[str, Row]:
+    """Return the rows that are known; a line that a power cut left half is left out."""
+    if not path.is_file():
+        return {}
+    found = {}
+    with storage_errors(path):
+        data = path.read_bytes()
+    whole = data[: data.rfind(b"\n") + 1]
+    if len(whole) < len(data):
+        with storage_errors(path), path.open("r+b") as stream:
+            stream.truncate(len(whole))
+    for line in whole.splitlines():
+        row = json.loads(line)
+        found[row.pop("key")] = row
+    return found
+
+
+def _tasks(spec: ComparisonConfig, done: dict[str, Row]) -> Iterator[Task]:
+    """Yield what is to be done, repetition by repetition, so that a short run has some of every column."""
+    from bench.compare.scenes import recordings_key
+
+    for n in range(spec.repetitions):
+        seed = spec.seed + n
+        groups: dict[Any, list[ColumnConfig]] = {}
+        for column in spec.columns:
+            if row_key(column, seed) not in done:
+                groups.setdefault(recordings_key(column), []).append(column)
+        for columns in groups.values():
+            yield Task(tuple(columns), n, seed)
+
+
+def _results(tasks: Sequence[Task], workers: int) -> Iterator[dict[str, Row]]:
+    """Yield the rows of each task as they come. A task that kills its process ends the comparison with a message."""
+    if not tasks:
+        return
+    context = get_context("spawn")
+    with ProcessPoolExecutor(
+        max(1, min(workers, len(tasks))), mp_context=context, initializer=_one_thread
+    ) as pool:
+        waiting: set[Future[dict[str, Row]]] = set()
+        queue = iter(tasks)
+        try:
+            while True:
+                while len(waiting) < 2 * workers and (task := next(queue, None)) is not None:
+                    waiting.add(pool.submit(run_task, task))
+                if not waiting:
+                    return
+                ready, waiting = wait(waiting, return_when=FIRST_COMPLETED)
+                for future in ready:
+                    yield future.result()
+        except BrokenProcessPool as error:
+            raise BenchError(
+                "A process of the comparison died.",
+                remedy="What is done is kept. Start it again with the same folder, and with fewer workers.",
+            ) from error
+        finally:
+            pool.shutdown(wait=False, cancel_futures=True)
+
+
+def _one_thread() -> None:
+    """Use one thread for linear algebra and pictures: the processes share the cores. Ctrl-C is the parent's."""
+    import signal
+
+    import cv2
+
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    cv2.setNumThreads(1)
+
+
+def run_task(task: Task) -> dict[str, Row]:
+    """Make the images of a task and apply the method of each of its columns.
+
+    Parameters
+    ----------
+    task
+        The task.
+
+    Returns
+    -------
+    dict
+        Rows by their keys. A repetition that fails is named in its row.
+    """
+    from bench.compare.methods import solve
+    from bench.compare.scenes import find_targets, record
+    from calib.errors import CalibrationError
+
+    began = time.process_time()
+    try:
+        recorded = record(task.columns[0], task.seed)
+    except CalibrationError as error:
+        failed = {"error": str(error), "views": 0, "missed": [], "images_cpu_s": time.process_time() - began}
+        return {row_key(column, task.seed): dict(failed) for column in task.columns}
+    record_cpu_s = time.process_time() - began
+    found: dict[str, tuple[Images, float]] = {}
+    rows = {}
+    for column in task.columns:
+        if column.detector not in found:
+            began = time.process_time()
+            images = find_targets(column, recorded)
+            found[column.detector] = images, record_cpu_s + time.process_time() - began
+        images, images_cpu_s = found[column.detector]
+        row = solve(column, images, task.seed)
+        rows[row_key(column, task.seed)] = {**_finite(row), "images_cpu_s": images_cpu_s}
+    return rows
+
+
+def _finite(value: Any) -> Any:
+    """Return a value with null in the place of numbers that are not finite, which JSON cannot hold."""
+    if isinstance(value, dict):
+        return {key: _finite(each) for key, each in value.items()}
+    if isinstance(value, list | tuple):
+        return [_finite(each) for each in value]
+    if isinstance(value, float) and value - value != 0.0:
+        return None
+    return value

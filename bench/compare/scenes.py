@@ -1,0 +1,324 @@
+"""The images of one repetition: poses before the collimator, or placements of a board, recorded by a simulated camera.
+
+All randomness follows from the seed of the repetition. Columns that ask for the same images get the same ones, so that
+methods are compared on the same data.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bench.compare.spec import STAR_METHODS, ColumnConfig
+from bench.simulated import virtual_camera
+from calib.boards.board import Board
+from calib.boards.detect import detect_board
+from calib.boards.opencv_corners import Finder, opencv_corners
+from calib.errors import CalibrationError
+from calib.events.event_image import make_images
+from calib.events.flicker import Flicker
+from calib.model.camera import CameraModel
+from calib.stars.detect import detect_view
+from calib.stars.vignetting import downweight_vignetted
+from calib.target import StarTarget
+from calib.view import View
+
+Array = NDArray[np.float64]
+
+#: Largest angles of the poses, degrees: as those of the included sequences.
+_PAN_DEG, _TILT_DEG = 6.0, 2.5
+_THREE = ((-6.0, 2.0), (6.0, 2.0), (0.0, -3.0))
+_GOLDEN_ANGLE = math.pi * (3.0 - math.sqrt(5.0))
+_MARGIN_PX = 12.0
+_MOST_DRAWS = 200
+
+
+@dataclass(frozen=True)
+class Images:
+    """Views of one repetition, and what is true.
+
+    Attributes
+    ----------
+    views
+        Views in which the target was found.
+    readings_deg
+        For each view the readings of the gimbal, degrees; empty for a board.
+    camera
+        The true camera, focused as before the collimator.
+    truth
+        True parameters by part.
+    missed
+        For each image without a view, the reason.
+    """
+
+    views: tuple[View, ...]
+    readings_deg: tuple[Mapping[str, float], ...]
+    camera: CameraModel
+    truth: Mapping[str, Any]
+    missed: tuple[str, ...]
+
+
+def recordings_key(column: ColumnConfig) -> tuple[Any, ...]:
+    """Return what the recordings of a column depend on; columns with the same key share their recordings.
+
+    Parameters
+    ----------
+    column
+        The column.
+
+    Returns
+    -------
+    tuple
+        Hashable.
+    """
+    if column.method in STAR_METHODS:
+        return ("stars", column.collimator, column.bow_um, column.noise, column.images)
+    return ("board", column.noise, column.images, *column.board.model_dump().values())
+
+
+@dataclass(frozen=True)
+class Recordings:
+    """Event images of one repetition.
+
+    Attributes
+    ----------
+    images
+        (H, W) float32 event images.
+    names
+        Their names.
+    readings_deg
+        For each image the readings of the gimbal, degrees; empty for a board.
+    truth
+        True parameters by part; those of the camera are focused as before the collimator.
+    """
+
+    images: Sequence[NDArray[np.float32]]
+    names: Sequence[str]
+    readings_deg: Sequence[Mapping[str, float]]
+    truth: Mapping[str, Any]
+
+
+def record(column: ColumnConfig, seed: int) -> Recordings:
+    """Record the images of one repetition.
+
+    Parameters
+    ----------
+    column
+        A column.
+    seed
+        Seed of the repetition.
+
+    Returns
+    -------
+    Recordings
+        The images, which all columns with the same `recordings_key` share.
+
+    Raises
+    ------
+    calib.errors.CalibrationError
+        If a board does not fit into the picture.
+    """
+    return _record_stars(column, seed) if column.method in STAR_METHODS else _record_boards(column, seed)
+
+
+def find_targets(column: ColumnConfig, recorded: Recordings) -> Images:
+    """Find the targets of recorded images, as a column asks.
+
+    Parameters
+    ----------
+    column
+        The column.
+    recorded
+        Its recordings.
+
+    Returns
+    -------
+    Images
+        The views.
+    """
+    chosen = column.board
+    board = Board("checkerboard", chosen.columns, chosen.rows, chosen.square_mm)
+    target, stars = StarTarget(), column.method in STAR_METHODS
+    views, kept, missed = [], [], []
+    for number, (image, name) in enumerate(zip(recorded.images, recorded.names, strict=True)):
+        try:
+            if stars:
+                views.append(downweight_vignetted(detect_view(image, target, name=name), target))
+            else:
+                views.append(_found_board(image, board, column.detector, name))
+        except CalibrationError as error:
+            missed.append(str(error))
+            continue
+        kept.append(number)
+    readings = tuple(recorded.readings_deg[i] for i in kept) if recorded.readings_deg else ()
+    truth = recorded.truth
+    return Images(tuple(views), readings, true_camera(truth["camera"]), truth, tuple(missed))
+
+
+def star_poses(count: int) -> list[tuple[float, float]]:
+    """Return poses that fill the range of pan and tilt evenly.
+
+    Three poses are those of the sequence ``three_pose``; others lie on the sunflower spiral of Vogel (1979).
+
+    Parameters
+    ----------
+    count
+        Number of poses.
+
+    Returns
+    -------
+    list of tuple
+        Pan and tilt, degrees.
+    """
+    if count == len(_THREE):
+        return list(_THREE)
+    radii = [math.sqrt((i + 0.5) / count) for i in range(count)]
+    return [
+        (_PAN_DEG * radius * math.cos(i * _GOLDEN_ANGLE), _TILT_DEG * radius * math.sin(i * _GOLDEN_ANGLE))
+        for i, radius in enumerate(radii)
+    ]
+
+
+def gimbal_section(seed: int) -> dict[str, Any]:
+    """Return the errors of the gimbal of a repetition, as the station states them in `bench.compare.methods`.
+
+    Parameters
+    ----------
+    seed
+        Seed of the repetition.
+
+    Returns
+    -------
+    dict
+        Section ``gimbal`` of a simulation.
+    """
+    rng = np.random.default_rng((seed, 11))
+    return {
+        "wobble_deg": 0.001,
+        "eccentricity_deg": 0.001,
+        "scale": dict(zip(("pan", "tilt", "roll"), (2e-4 * rng.normal(size=3)).tolist(), strict=True)),
+        "nonorthogonality_deg": float(abs(0.02 * rng.normal())),
+        "reading_sigma_deg": 0.002,
+        "seed": seed,
+    }
+
+
+def _record_stars(column: ColumnConfig, seed: int) -> Recordings:
+    section = {
+        "collimator": {"profile": column.collimator, "glass_seed": 1000 + seed},
+        "gimbal": gimbal_section(seed),
+        "noise": column.noise,
+        "reticle": {"bow_mm": 1e-3 * column.bow_um},
+    }
+    camera = virtual_camera(section, seed)
+    poses = [{"pan": pan, "tilt": tilt} for pan, tilt in star_poses(column.images)]
+    images = [_event_image(camera, pose, 1000 * seed + number) for number, pose in enumerate(poses, 1)]
+    names = [f"pose {number}" for number in range(1, len(poses) + 1)]
+    readings = [{f"{axis}_deg": angle for axis, angle in pose.items()} for pose in poses]
+    return Recordings(images, names, readings, camera.truth())
+
+
+def _record_boards(column: ColumnConfig, seed: int) -> Recordings:
+    rng = np.random.default_rng((seed, 21))
+    truth = virtual_camera({}, seed).truth()
+    camera = true_camera(truth["camera"])
+    images, names = [], []
+    for number in range(1, column.images + 1):
+        section = {"noise": column.noise, **_lens_section(column), "screen": _placement(column, camera, rng)}
+        placed = virtual_camera(section | {"optics": {"mounting_deg": [0.0, 0.0, 0.0]}}, seed)
+        images.append(_event_image(placed, {}, 1000 * seed + number))
+        names.append(f"placement {number}")
+    return Recordings(images, names, (), truth)
+
+
+def _lens_section(column: ColumnConfig) -> dict[str, Any]:
+    """Return the lens of a board: sharp everywhere, focused at infinity, or focused on the board."""
+    board = column.board
+    if board.focus == "sharp":
+        return {}
+    distance = "infinity" if board.focus == "infinity" else 1e-3 * board.distance_mm
+    return {"lens": {"focus_distance_m": distance, "f_number": board.f_number}}
+
+
+def _placement(column: ColumnConfig, camera: CameraModel, rng: np.random.Generator) -> dict[str, Any]:
+    """Draw where a person holds the screen: wholly in view, tilted, turned and off the middle."""
+    board = column.board
+    size = np.array([board.columns + 1, board.rows + 1]) * board.square_mm
+    corners = np.array([[x, y, 0.0] for x in (-0.5, 0.5) for y in (-0.5, 0.5)]) * [*size, 1.0]
+    for _ in range(_MOST_DRAWS):
+        tilt, around, roll = board.tilt_deg * rng.random(), 2 * math.pi * rng.random(), 180.0 * rng.random()
+        turn = np.radians(tilt) * np.array([math.cos(around), math.sin(around), 0.0])
+        rotation = _rotation(turn) @ _rotation(np.radians([0.0, 0.0, roll]))
+        distance = board.distance_mm * (1.0 + 0.15 * rng.uniform(-1, 1))
+        middle = camera.rays(np.array([[rng.uniform(0, s - 1) for s in camera.image_size]]))[0]
+        position = distance * middle / middle[2]
+        points = camera.project(corners @ rotation.T + position)
+        inside = (points > _MARGIN_PX) & (points < np.array(camera.image_size) - 1 - _MARGIN_PX)
+        if inside.all():
+            return {
+                "columns": board.columns,
+                "rows": board.rows,
+                "square_mm": board.square_mm,
+                "position_mm": position.tolist(),
+                "turn_deg": np.degrees(_vector(rotation)).tolist(),
+            }
+    raise CalibrationError(
+        "The board does not fit into the picture.",
+        where=f"column {column.name}",
+        remedy="Use a smaller board or a larger distance.",
+    )
+
+
+def _found_board(image: NDArray[np.float32], board: Board, detector: str, name: str) -> View:
+    """Find the corners as the column asks."""
+    if detector == "symmetry":
+        return detect_board(image, board, name=name)
+    finder: Finder = "sectors" if detector == "sectors" else "subpixel"
+    return opencv_corners(image, board, finder=finder, name=name)
+
+
+def _event_image(camera: Any, angles_deg: Mapping[str, float], seed: int) -> NDArray[np.float32]:
+    """Record and gather two periods of the light in the best event image."""
+    seen = camera.capture(angles_deg, seed=seed)
+    period_us = 1e6 / seen.light_hz
+    flicker = Flicker(period_us, seen.first_edge_us, 0.5, 0.0, 2, 0, 0, "triggers")
+    events = seen.events
+    images = make_images(
+        events.t, events.x, events.y, events.p, seen.image_size, flicker, window_us=(0.0, seen.duration_us)
+    )
+    return images.best().image
+
+
+def true_camera(truth: Mapping[str, Any]) -> CameraModel:
+    """Return the true camera as the engine describes cameras.
+
+    Parameters
+    ----------
+    truth
+        Section ``camera`` of the truth.
+
+    Returns
+    -------
+    CameraModel
+        With k1, k2, p1, p2 and k3.
+    """
+    lens = {name: float(truth[name]) for name in ("k1", "k2", "p1", "p2", "k3")}
+    fx, fy, cx, cy = (float(truth[name]) for name in ("fx", "fy", "cx", "cy"))
+    return CameraModel(fx, fy, cx, cy, (int(truth["width"]), int(truth["height"])), lens)
+
+
+def _rotation(vector: Any) -> Array:
+    from calib.model.rotation import exp_map
+
+    return np.asarray(exp_map(np.asarray(vector, np.float64)))
+
+
+def _vector(rotation: Array) -> Array:
+    from calib.model.rotation import log_map
+
+    return np.asarray(log_map(rotation))

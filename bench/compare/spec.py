@@ -1,0 +1,135 @@
+"""The specification of a comparison: which methods, on which bench, with how many images, how often.
+
+A strict YAML file, or a specification that is included: ``table1`` or ``sweep``. This module reads and checks; it runs
+nothing.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Literal
+
+from pydantic import Field, field_validator
+from pydantic_core import PydanticCustomError
+
+from bench.base.errors import ScriptError, UsageError
+from sequences.errors import DocumentFaults
+from sequences.reader import Located, read_document
+from sequences.strict_model import StrictModel
+
+SHIPPED = Path(__file__).parent / "specs"
+
+Method = Literal["starbench", "recipe", "zhang", "checkerboard"]
+"""``starbench``: this project's engine. ``recipe``: the published recipe. ``zhang``: OpenCV's planar calibration of the
+same star images. ``checkerboard``: a board on a flickering screen, placed by hand for each image."""
+STAR_METHODS: tuple[Method, ...] = ("starbench", "recipe", "zhang")
+Detector = Literal["symmetry", "sectors", "subpixel"]
+Collimator = Literal["ideal", "like-real", "like-bench", "S1", "S2", "S3"]
+Noise = Literal["none", "clean", "typical", "heavy"]
+
+
+class BoardConfig(StrictModel):
+    """The board of a checkerboard method, and how it is placed."""
+
+    columns: Annotated[int, Field(ge=3, le=40, description="Inner corners along the board.")] = 11
+    rows: Annotated[int, Field(ge=3, le=40, description="Inner corners across the board.")] = 7
+    square_mm: Annotated[float, Field(gt=0, le=1000)] = 12.0
+    distance_mm: Annotated[float, Field(ge=100, le=20_000, description="Typical distance of the board.")] = (
+        900.0
+    )
+    tilt_deg: Annotated[float, Field(ge=0, le=60, description="Largest tilt of a placement.")] = 35.0
+    focus: Annotated[
+        Literal["sharp", "infinity", "board"],
+        Field(
+            description="sharp: a camera without focus, sharp at every distance. infinity: focused as before the "
+            "collimator, so that the board is blurred. board: focused on the board, so that the focal length differs."
+        ),
+    ] = "infinity"
+    f_number: Annotated[float, Field(ge=1, le=32)] = 2.8
+
+
+class ColumnConfig(StrictModel):
+    """One column of the table: a method on a bench."""
+
+    name: Annotated[str, Field(min_length=1, max_length=60, pattern=r"^[^\x00-\x1f]+$")]
+    method: Method
+    collimator: Annotated[Collimator, Field(description="Collimator of the star methods.")] = "ideal"
+    bow_um: Annotated[float, Field(ge=0, le=1000, description="Bow of the reticle at 40 mm, um.")] = 0.0
+    noise: Noise = "typical"
+    images: Annotated[int, Field(ge=2, le=50)] = 3
+    passport: Annotated[
+        bool, Field(description="Give a certificate of the collimator's radius: 255 +- 0.05 mm (1 sigma).")
+    ] = False
+    readings: Annotated[
+        bool, Field(description="Give the readings of the gimbal, with the bounds of parallax.")
+    ] = False
+    detector: Annotated[
+        Detector,
+        Field(description="Corners by symmetry (Starbench), OpenCV's sectors, or OpenCV's cornerSubPix."),
+    ] = "symmetry"
+    lens: Annotated[str, Field(pattern=r"^[a-z0-9]{2,30}$", description="Distortion coefficients.")] = "k1k2"
+    board: BoardConfig = BoardConfig()
+
+
+class ComparisonConfig(StrictModel):
+    """A comparison."""
+
+    format: Literal["starbench/comparison/1"]
+    name: Annotated[str, Field(min_length=1, max_length=60)]
+    about: Annotated[str, Field(max_length=2000)] = ""
+    seed: Annotated[int, Field(ge=0, le=2**31 - 1)] = 1
+    repetitions: Annotated[int, Field(ge=1, le=1000)] = 30
+    columns: Annotated[list[ColumnConfig], Field(min_length=1, max_length=100)]
+
+    @field_validator("columns")
+    @classmethod
+    def _names_differ(cls, columns: list[ColumnConfig]) -> list[ColumnConfig]:
+        names = [column.name for column in columns]
+        twice = next((name for name in names if names.count(name) > 1), None)
+        if twice is not None:
+            raise PydanticCustomError("twice", "names two columns {name}.", {"name": repr(twice)})
+        return columns
+
+
+def shipped_names() -> list[str]:
+    """Return the names of the included specifications.
+
+    Returns
+    -------
+    list of str
+        In alphabetical order.
+    """
+    return sorted(path.stem for path in SHIPPED.glob("*.yaml"))
+
+
+def read_spec(name: str) -> Located[ComparisonConfig]:
+    """Read a specification.
+
+    Parameters
+    ----------
+    name
+        Path of a file, or name of an included specification.
+
+    Returns
+    -------
+    Located of ComparisonConfig
+        The specification.
+
+    Raises
+    ------
+    UsageError
+        If there is no such file.
+    ScriptError
+        With every fault of the file.
+    """
+    path = SHIPPED / f"{name}.yaml" if name in shipped_names() else Path(name)
+    if not path.is_file():
+        raise UsageError(
+            "There is no such specification.",
+            where=name,
+            remedy=f"Give a file, or one of: {', '.join(shipped_names())}.",
+        )
+    try:
+        return read_document(path, ComparisonConfig)
+    except DocumentFaults as error:
+        raise ScriptError([str(fault) for fault in error.faults]) from error

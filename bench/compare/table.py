@@ -1,0 +1,162 @@
+"""The table of a comparison as text for a terminal, and as rows for the page."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+HEADS = (
+    "images",
+    "solved",
+    "fx error px",
+    "U(fx) px",
+    "cx error px",
+    "reproj. px",
+    "direction µrad",
+    "worst µrad",
+    "fx in U",
+    "corner in U",
+)
+"""Heads of the columns after the name. Errors are root mean squares over the repetitions."""
+
+Summary = Mapping[str, Any]
+
+
+def table_rows(summary: Summary) -> list[list[str]]:
+    """Return the cells of the table.
+
+    Parameters
+    ----------
+    summary
+        From `bench.compare.summary.summarise`.
+
+    Returns
+    -------
+    list of list of str
+        One row for each column of the comparison: its name, then a cell for each of `HEADS`.
+    """
+    return [_cells(column, summary["repetitions"]) for column in summary["columns"]]
+
+
+def table_text(summary: Summary) -> str:
+    """Return the table for a terminal.
+
+    Parameters
+    ----------
+    summary
+        From `bench.compare.summary.summarise`.
+
+    Returns
+    -------
+    str
+        Lines of text; the reasons of failures come last.
+    """
+    rows = [["", *HEADS], *table_rows(summary)]
+    widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))]
+    lines = [
+        "  ".join(
+            [
+                row[0].ljust(widths[0]),
+                *(cell.rjust(width) for cell, width in zip(row[1:], widths[1:], strict=True)),
+            ]
+        )
+        for row in rows
+    ]
+    lines += [
+        f"{column['settings']['name']}: {failed['times']} without a result: {failed['why']}"
+        for column in summary["columns"]
+        for failed in column["failed"]
+    ]
+    return "\n".join(line.rstrip() for line in lines)
+
+
+def shown(number: float | None, digits: int = 3) -> str:
+    """Return a number with a few significant digits; a dash for none.
+
+    Parameters
+    ----------
+    number
+        The number.
+    digits
+        Significant digits.
+
+    Returns
+    -------
+    str
+        Plain decimal notation.
+
+    Examples
+    --------
+    >>> shown(1234.5), shown(0.01234), shown(None)
+    ('1234', '0.0123', '-')
+    """
+    if number is None:
+        return "-"
+    text = f"{number:.{digits}g}"
+    return f"{number:.0f}" if "e" in text else text
+
+
+def share(number: float | None) -> str:
+    """Return a share as per cent; a dash for none.
+
+    Parameters
+    ----------
+    number
+        0 to 1.
+
+    Returns
+    -------
+    str
+        Per cent.
+    """
+    return "-" if number is None else f"{100 * number:.0f} %"
+
+
+def _cells(column: Summary, repetitions: int) -> list[str]:
+    settings = column["settings"]
+    head = [settings["name"], str(settings["images"]), f"{column['solved']} of {repetitions}"]
+    if not column["solved"]:
+        return head + ["-"] * (len(HEADS) - 2)
+    values, covered = column["parameters"], column["coverage"]
+    return [
+        *head,
+        shown(values["fx"]["rms_error"]),
+        shown(column["expanded_fx_px"]),
+        shown(values["cx"]["rms_error"]),
+        shown(column["rms_px"], 2),
+        shown(column["direction_rms_urad"]),
+        shown(column["direction_worst_urad"]),
+        share(covered.get("fx")),
+        share(covered.get("corner")),
+    ]
+
+
+def parameter_rows(summary: Summary, names: Sequence[str]) -> list[list[str]]:
+    """Return mean and spread of the parameters, as the paper's Table 1 prints them.
+
+    Parameters
+    ----------
+    summary
+        From `bench.compare.summary.summarise`.
+    names
+        Parameters.
+
+    Returns
+    -------
+    list of list of str
+        One row for each column of the comparison: its name, then ``mean ± spread`` of each parameter.
+    """
+    rows = []
+    for column in summary["columns"]:
+        values = column.get("parameters", {})
+        cells = [_spread(values[name]) if name in values else "-" for name in names]
+        rows.append([column["settings"]["name"], *cells])
+    return rows
+
+
+def _spread(value: Summary) -> str:
+    """Return a mean with the standard deviation over the repetitions."""
+    if value["mean"] is None or not value["spread"]:
+        return shown(value["mean"], 6)
+    digits = max(0, 1 - int(f"{value['spread']:.1e}".split("e")[1]))
+    return f"{value['mean']:.{digits}f} ± {value['spread']:.{digits}f}"

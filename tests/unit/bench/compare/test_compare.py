@@ -1,0 +1,188 @@
+"""Comparisons of methods: specifications, resuming, statistics, and one repetition on the simulated bench."""
+
+import json
+
+import numpy as np
+import pytest
+
+from bench.base.errors import ScriptError, UsageError
+from bench.commands.cli import main
+from bench.compare.methods import compare_with_truth
+from bench.compare.page import render_page
+from bench.compare.run_comparison import ROWS, Task, compare, row_key, run_task
+from bench.compare.scenes import recordings_key, star_poses
+from bench.compare.spec import ComparisonConfig, read_spec, shipped_names
+from bench.compare.summary import summarise
+from bench.compare.table import parameter_rows, table_rows, table_text
+from calib.model.camera import CameraModel
+
+TRUE = CameraModel(3345.06, 3345.27, 642.1, 363.32, (1280, 720), {"k1": 0.06, "k2": -0.9})
+
+
+def spec(**more):
+    columns = [
+        {"name": "ours", "method": "starbench", "images": 3},
+        {"name": "Zhang", "method": "zhang", "images": 3},
+        {"name": "board", "method": "checkerboard", "images": 3},
+    ]
+    return ComparisonConfig(format="starbench/comparison/1", name="Test", columns=columns, **more)
+
+
+def row(column, repetition, fx_error=1.0, sigma=1.0, **more):
+    camera = TRUE.to_dict() | {"fx": 3345.06 + fx_error}
+    return {
+        "column": column,
+        "repetition": repetition,
+        "views": 3,
+        "missed": [],
+        "images_cpu_s": 2.0,
+        "solve_cpu_s": 0.1,
+        "camera": camera,
+        "sigma": {"fx": sigma, "cx": 0.1},
+        "k": 2.0,
+        "model": "radial",
+        "rms_px": 0.02,
+        "mean_px": 0.01,
+        "left_out_px": None,
+        "errors": {name: camera[name] - value for name, value in TRUE.to_dict().items()},
+        "direction_rms_urad": 10.0 * abs(fx_error),
+        "direction_worst_urad": 20.0 * abs(fx_error),
+        "centre_urad": 1.0,
+        "corner_urad": 20.0 * abs(fx_error),
+        "covered": {"fx": abs(fx_error) <= 2 * sigma},
+        **more,
+    }
+
+
+@pytest.mark.parametrize("name", shipped_names())
+def test_included_specifications_are_valid_and_share_their_recordings(name):
+    read = read_spec(name).value
+    keys = {recordings_key(column) for column in read.columns}
+    assert len(keys) < len(read.columns)
+    assert read.repetitions >= 10
+
+
+def test_every_fault_of_a_specification_is_named_at_its_place(tmp_path):
+    file = tmp_path / "spec.yaml"
+    file.write_text(
+        "format: starbench/comparison/1\nname: x\nrepetitions: 0\ncolumns:\n"
+        "  - {name: a, method: kalibr}\n  - {name: b, method: zhang, images: 1}\n"
+    )
+    with pytest.raises(ScriptError) as error:
+        read_spec(str(file))
+    said = str(error.value)
+    for place in (":3:14", ":5:23", ":6:38"):
+        assert f"{file}{place}" in said
+    file.write_text(
+        "format: starbench/comparison/1\nname: x\ncolumns:\n  - {name: a, method: zhang}\n  - {name: a, method: recipe}\n"
+    )
+    with pytest.raises(ScriptError, match="two columns 'a'"):
+        read_spec(str(file))
+
+
+def test_an_unknown_specification_is_refused_with_those_that_exist(capsys):
+    with pytest.raises(SystemExit) as end:
+        main(["compare", "table7"])
+    assert end.value.code == 2
+    assert "table1" in capsys.readouterr().err
+
+
+def test_poses_fill_the_range_and_three_are_those_of_the_paper():
+    assert star_poses(3) == [(-6.0, 2.0), (6.0, 2.0), (0.0, -3.0)]
+    many = np.array(star_poses(25))
+    assert (np.abs(many) <= [6.0, 2.5]).all()
+    assert (np.ptp(many, axis=0) > [10.0, 4.0]).all()
+
+
+def test_a_rotated_camera_is_the_same_camera_and_a_longer_one_is_not():
+    same = compare_with_truth(TRUE, TRUE, {"fx": 1.0}, 2.0)
+    assert same["direction_worst_urad"] < 1e-3
+    assert same["covered"]["fx"]
+    longer = CameraModel(3352.06, 3352.27, 642.1, 363.32, (1280, 720), {"k1": 0.06, "k2": -0.9})
+    other = compare_with_truth(longer, TRUE, {"fx": 1.0}, 2.0)
+    # At a corner, 735 px from the centre, the angle shrinks by 735 / f^2 * 7 px.
+    assert other["corner_urad"] == pytest.approx(1e6 * 735 / 3345**2 * 7.0, rel=0.15)
+    assert other["errors"]["fx"] == pytest.approx(7.0)
+    assert not other["covered"]["fx"]
+
+
+def test_statistics_are_those_of_the_rows_and_failures_are_named():
+    chosen = spec(repetitions=4)
+    rows = [row("ours", n, error) for n, error in enumerate((3.0, -1.0, 1.0, -3.0))]
+    rows += [row("Zhang", n, 10.0) for n in range(3)]
+    rows += [{"column": "Zhang", "repetition": 3, "error": "no board", "images_cpu_s": 1.0}]
+    rows += [{"column": "board", "repetition": n, "error": "no board", "images_cpu_s": 1.0} for n in range(4)]
+    summary = summarise(chosen, rows)
+    ours, zhang, board = summary["columns"]
+    assert ours["parameters"]["fx"]["rms_error"] == pytest.approx(np.sqrt(5.0))
+    assert ours["parameters"]["fx"]["spread"] == pytest.approx(np.std([3, -1, 1, -3], ddof=1))
+    assert ours["coverage"]["fx"] == 0.5
+    assert ours["direction_worst_urad"] == 60.0
+    assert (zhang["solved"], zhang["failed"]) == (3, [{"why": "no board", "times": 1}])
+    assert board["solved"] == 0
+    assert [cells[2] for cells in table_rows(summary)] == ["4 of 4", "3 of 4", "0 of 4"]
+    assert "board: 4 without a result: no board" in table_text(summary)
+    assert parameter_rows(summary, ("fx",))[0] == ["ours", "3345.1 ± 2.6"]
+    page = render_page(summary, rows, TRUE.to_dict())
+    assert page.count("<svg class") == 2
+    assert "3345.06" in page
+    assert "<script" not in page
+    json.dumps(summary, allow_nan=False)
+
+
+def test_a_row_is_found_again_unless_what_it_depends_on_changed():
+    column = spec().columns[0]
+    key = row_key(column, 1)
+    assert key == row_key(column.model_copy(update={"name": "another name"}), 1)
+    others = [row_key(column, 2), row_key(column.model_copy(update={"images": 4}), 1)]
+    assert key not in others
+
+
+def test_an_interrupted_comparison_uses_what_is_done_and_drops_a_half_line(tmp_path):
+    chosen = spec(repetitions=2)
+    folder = tmp_path / "comparison"
+    folder.mkdir()
+    (folder / "spec.yaml").write_text("x")
+    lines = [
+        json.dumps({"key": row_key(column, chosen.seed + n), **row(column.name, n)})
+        for column in chosen.columns
+        for n in range(2)
+    ]
+    (folder / ROWS).write_text("\n".join(lines) + '\n{"key": "half')
+    told = []
+    rows = compare(chosen, b"x", folder, workers=1, on_progress=lambda *words: told.append(words))
+    assert told == [(6, 6, None)]
+    assert [(one["column"], one["repetition"]) for one in rows][:3] == [
+        ("ours", 0),
+        ("ours", 1),
+        ("Zhang", 0),
+    ]
+    assert (folder / ROWS).read_text() == "\n".join(lines) + "\n"
+
+
+def test_a_folder_with_something_else_is_not_touched(tmp_path):
+    (tmp_path / "thesis.txt").write_text("mine")
+    with pytest.raises(UsageError, match="something else"):
+        compare(spec(), b"x", tmp_path, workers=1)
+    assert [path.name for path in tmp_path.iterdir()] == ["thesis.txt"]
+
+
+def test_one_repetition_gives_every_method_the_same_images_and_compares_with_the_truth():
+    ours, zhang, _ = spec().columns
+    certified = ours.model_copy(update={"name": "certified", "passport": True, "readings": True})
+    rows = run_task(Task((ours, zhang, certified), 0, 5))
+    first, second, third = rows.values()
+    assert first["views"] == second["views"] == 3
+    assert first["images_cpu_s"] == second["images_cpu_s"]
+    for found in (first, second, third):
+        assert abs(found["errors"]["fx"]) < 10.0
+        assert found["direction_rms_urad"] < 400.0
+    assert third["sigma"]["fx"] < first["sigma"]["fx"]
+    json.dumps(rows, allow_nan=False)
+
+
+def test_a_board_that_does_not_fit_is_named_in_its_row():
+    board = spec().columns[2]
+    big = board.model_copy(update={"board": board.board.model_copy(update={"square_mm": 90.0})})
+    (found,) = run_task(Task((big,), 0, 1)).values()
+    assert "does not fit" in found["error"]
