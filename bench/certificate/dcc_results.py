@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from typing import TYPE_CHECKING
 
 from scipy.special import chdtri, fdtri, ndtr
@@ -37,6 +38,7 @@ if TYPE_CHECKING:
 
 GUM = "JCGM 100:2008"
 _K_DIGITS = 4
+_RANGE = re.compile(r"(-?\d+(?:\.\d+)?) to (-?\d+(?:\.\d+)?) (\S+)")
 
 
 def add_measurement(parent: _Element, certificate: Certificate) -> None:
@@ -130,15 +132,23 @@ def _add_reference(parent: _Element, reference: Traceability) -> None:
 
 
 def _add_condition(parent: _Element, condition: Condition) -> None:
-    """Add a condition: a number if it has one and D-SI has its unit, else words."""
+    """Add a condition: its number or the ends of its range if D-SI has the unit, else words."""
     name, unit = condition.name.lower(), d_si_unit(condition.unit)
     humidity = "basic_humidityRelative" if "humidity" in name else None
     one = add(
         parent, "dcc:influenceCondition", refType="basic_temperature" if "temperature" in name else humidity
     )
     add_text(one, "dcc:name", condition.name)
-    add_text(one, "dcc:description", f"Source: {condition.source}")
+    words = condition.text if _RANGE.fullmatch(condition.text) else ""
+    add_text(one, "dcc:description", joined(f"Source: {condition.source}", words))
     data = add(one, "dcc:data")
+    limits = _RANGE.fullmatch(condition.text) if condition.value is None and unit is not None else None
+    if limits is not None and unit is not None and limits[3] == condition.unit:
+        for end, value in (("lowest", limits[1]), ("highest", limits[2])):
+            quantity = add(data, "dcc:quantity")
+            add_text(quantity, "dcc:name", f"{condition.name}, {end}")
+            add_real(quantity, value, unit)
+        return
     if condition.value is None or unit is None:
         value = "" if condition.value is None else f"{number_text(condition.value)} {condition.unit}"
         uncertainty = "" if condition.U is None or not value else f", U = {number_text(condition.U)}"

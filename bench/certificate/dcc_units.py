@@ -68,6 +68,7 @@ OUR_UNITS = {
     "V": r"\volt",
     "A": r"\ampere",
     "mA": r"\milli\ampere",
+    "Mev/s": r"\micro\second\tothe{-1}",
     "event": r"\one",
     "events": r"\one",
 }

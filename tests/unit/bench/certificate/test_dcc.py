@@ -216,3 +216,17 @@ def test_what_wrote_the_certificate_is_told_apart_from_what_measured():
     assert b"Full version: 0.1.0rc2" in data
     assert b"Full version: 1fe3aa0011223344" in data
     assert check_dcc(data) == []
+
+
+def test_a_range_is_stated_with_both_ends():
+    full = certificate_sample.full_certificate()
+    text = "71.3566 to 86.9117 Mev/s"
+    rate = dataclasses.replace(
+        full.conditions[0], name="event rate", value=None, unit="Mev/s", U=None, text=text
+    )
+    odd = dataclasses.replace(rate, text="71 to 86 furlong", unit="furlong")
+    root = dcc_of(dataclasses.replace(full, conditions=(rate, odd)))
+    first, second = root.xpath("//dcc:influenceCondition", namespaces=NAMESPACES)
+    assert texts(first, ".//si:value") == ["71.3566", "86.9117"]
+    assert set(texts(first, ".//si:unit")) == {r"\micro\second\tothe{-1}"}
+    assert texts(second, "dcc:data/dcc:text/dcc:content") == ["71 to 86 furlong"]
