@@ -17,7 +17,7 @@ from bench.evidence.authorisation import check_authorisation
 from bench.evidence.beside_seal import read_beside
 from bench.evidence.faults import SealFault
 from bench.evidence.key_trust import Moments, Trust, judge_key
-from bench.evidence.seal import AUTHORISATION, AUTHORISATION_TIMESTAMP
+from bench.evidence.seal import AUTHORISATION, AUTHORISATION_TIMESTAMP, TIMESTAMP
 from bench.evidence.sealed_time import stated_time
 from bench.evidence.signers import NAMESPACE, Signer
 from bench.evidence.ssh_keys import fingerprint
@@ -140,10 +140,14 @@ def standing_of(folder: Path, trust: Trust, now: datetime, *, at: datetime | Non
         found.stamps = tuple(stamps.stamps.values())
         found.stated = stated_time(folder)
         sealed = found.stated or now
-        moments = Moments(now, stamps.seal_existed, at, sealed, sealed)
-        seal_key = _seal(found, folder, trust, moments)
-        authorised = Moments(now, stamps.stamps.get(AUTHORISATION_TIMESTAMP), at, min(sealed, now), now)
-        check = check_authorisation(folder, trust, authorised, seal_key)
+        seal_key = _seal(found, folder)
+        own = stamps.stamps.get(AUTHORISATION_TIMESTAMP)
+        check = check_authorisation(folder, trust, Moments(now, own, at, min(sealed, now), now), seal_key)
+    if seal_key is not None:
+        # An authorisation that is accepted signs the seal: its time stamp proves that the seal existed.
+        proofs = [stamps.stamps.get(TIMESTAMP), own if check.person is not None else None]
+        proven = min(filter(None, proofs), key=lambda stamp: stamp.utc, default=None)
+        _judge_seal(found, seal_key, trust, Moments(now, proven, at, sealed, sealed))
     if check.fault:
         found.faults.append(SealFault("authorisation", AUTHORISATION, check.fault))
     elif check.person is not None and found.state is State.SEALED:
@@ -156,7 +160,7 @@ def standing_of(folder: Path, trust: Trust, now: datetime, *, at: datetime | Non
     return found
 
 
-def _seal(found: Standing, folder: Path, trust: Trust, moments: Moments) -> bytes | None:
+def _seal(found: Standing, folder: Path) -> bytes | None:
     """Check the signature of the list of files; return the key that made it."""
     try:
         for name in (MANIFEST, SIGNATURE):
@@ -180,13 +184,17 @@ def _seal(found: Standing, folder: Path, trust: Trust, moments: Moments) -> byte
         found.state, what = State.SEALED, ""
     if what:
         found.faults.append(SealFault("signature", SIGNATURE, what))
-    judged = judge_key(signature.public_key, NAMESPACE, trust, moments)
+    return signature.public_key
+
+
+def _judge_seal(found: Standing, public_key: bytes, trust: Trust, moments: Moments) -> None:
+    """Decide whether the bench's key could seal then."""
+    judged = judge_key(public_key, NAMESPACE, trust, moments)
     found.signer = judged.principal
     if judged.fault:
         found.faults.append(SealFault("key", SIGNATURE, judged.fault))
     elif judged.remark:
         found.remarks.append(f"{SIGNATURE}: {judged.remark}")
-    return signature.public_key
 
 
 def _clocks(found: Standing, now: datetime) -> None:

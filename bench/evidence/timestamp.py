@@ -116,11 +116,6 @@ class StampCheck:
         what = {SIGNATURE: "The seal", AUTHORISATION: "The authorisation"}
         return [f"{what[stamp.of]} existed at {stamp.text}" for stamp in self.stamps.values()]
 
-    @property
-    def seal_existed(self) -> Stamp | None:
-        """The earliest proof that the seal existed: an authorisation signs the seal, so it is the younger of both."""
-        return min(self.stamps.values(), key=lambda stamp: stamp.utc, default=None)
-
 
 def check_timestamps(folder: Path, authorities: TrustedAuthorities) -> StampCheck:
     """Check the time stamps beside a seal. Nothing is asked over a network.

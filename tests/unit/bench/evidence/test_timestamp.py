@@ -4,6 +4,7 @@ import socket
 import sys
 import threading
 from contextlib import contextmanager, suppress
+from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 from http.server import BaseHTTPRequestHandler, HTTPServer
 
@@ -17,6 +18,8 @@ from bench.evidence import tsa_client
 from bench.evidence.authorisation import authorise
 from bench.evidence.beside_seal import add_beside
 from bench.evidence.key_trust import Trust
+from bench.evidence.ssh_wire import string
+from bench.evidence.sshsig import sign_with
 from bench.evidence.states import standing_of
 from bench.evidence.timestamp import (
     TrustedAuthorities,
@@ -328,3 +331,51 @@ def test_an_address_with_credentials_is_refused_and_not_repeated(url):
     with pytest.raises(UsageError, match="must not contain a user or a password") as refused:
         check_url(url)
     assert "secret" not in str(refused.value)
+
+
+# ------------------------------------------------------------------ what a time stamp of an authorisation proves
+
+
+def expiring(signers):
+    return tuple(replace(one, valid_before=datetime.now(UTC) + timedelta(hours=1)) for one in signers)
+
+
+def test_a_stamped_authorisation_proves_the_time_of_the_seal(sealed, signers, authority, others, tmp_path):
+    key, line = person(make_key(tmp_path))
+    trust = Trust((*expiring(signers), line), (), others)
+    authorise(sealed, key, trust, NOW)
+    later = datetime.now(UTC) + timedelta(days=1)
+    assert "No trusted time stamp proves it" in standing_of(sealed, trust, later).remarks[0]
+    stamped(sealed, authority, "SHA256SUMS.authorised.tsr", "SHA256SUMS.authorised.sig")
+    found = standing_of(sealed, trust, later)
+    assert (found.faults, found.remarks, found.signer) == ([], [], "bench1@lab.example")
+
+
+@pytest.mark.parametrize(
+    "by", ["a person of another seal", "somebody who is not trusted", "a key that fits any message"]
+)
+def test_a_stamped_signature_that_is_not_accepted_proves_nothing(
+    sealed, signers, authority, others, tmp_path, by
+):
+    """Otherwise an old time stamp could be put beside a new seal by an expired key."""
+    key, line = person(make_key(tmp_path))
+    of = b"another seal" if by == "a person of another seal" else (sealed / "SHA256SUMS.sig").read_bytes()
+    data = sign_with(key, of, "starbench-authorisation@v1")
+    if by == "a key that fits any message":
+        data = sign_with(FitsAny(), of, "starbench-authorisation@v1")
+    add_beside(sealed, "SHA256SUMS.authorised.sig", data)
+    stamped(sealed, authority, "SHA256SUMS.authorised.tsr", "SHA256SUMS.authorised.sig")
+    people = (line,) if by == "a person of another seal" else ()
+    trust = Trust((*expiring(signers), *people), (), others)
+    found = standing_of(sealed, trust, datetime.now(UTC) + timedelta(days=1))
+    assert [fault.kind for fault in found.faults] == ["authorisation"]
+    assert "No trusted time stamp proves it" in found.remarks[0]
+
+
+class FitsAny:
+    """An Ed25519 key of order one, with which one signature is valid for every message."""
+
+    public_key = string(b"ssh-ed25519") + string(b"\x01" + b"\0" * 31)
+
+    def sign(self, _):
+        return string(b"ssh-ed25519") + string(b"\x01" + b"\0" * 63)
