@@ -183,7 +183,7 @@ def show_reference(path: Path, *, quantity: str, trusted: Path | None, as_json: 
             remedy="Ask the issuer for the signed file.",
         )
     length, temperature = found.length, found.temperature_c
-    values = {
+    values: dict[str, str | float] = {
         "r_mm": length.value_mm,
         "uncertainty_mm": length.uncertainty_mm,
         "k": length.k,
