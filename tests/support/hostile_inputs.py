@@ -1,0 +1,554 @@
+"""Hostile inputs for every command that reads a file, each run in a process of its own.
+
+    python tests/support/hostile_inputs.py FOLDER RUN [--only TEXT] [--few]
+
+FOLDER is new; RUN is the folder of a solved run. Prints one JSON object a line: name, status, what was said, memory
+above the base in MB, time of the processor in s, and what is wrong with it. All the work is done by the real command
+line. It is loaded once; every case is a fork of it, because 400 starts of the interpreter would take ten minutes.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import resource
+import shutil
+import signal
+import sys
+import time
+import traceback
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import h5py
+import numpy as np
+from hostile_files import HDF5, NPZ, PASSPORTS, PICTURES, POINTS, RAW, WRONG, YAML, write_hdf5, write_npz
+from station_texts import PLAIN
+
+MOST_MB, MOST_CPU_S, MOST_WALL_S = 200, 10, 30
+_TEXT_LIMIT = 20_000
+_ADDRESS_SPACE = 4 << 30
+
+
+@dataclass(frozen=True)
+class Case:
+    """One command on one input.
+
+    ``make`` gets the case's own folder and returns the command's words; ``exits`` are the statuses that are right;
+    ``named`` says that a message must name the input.
+    """
+
+    name: str
+    make: Callable[[Path], list[str]]
+    exits: tuple[int, ...] = (1, 2)
+    named: bool = True
+
+
+def _file(words, name, write):
+    """A case whose command gets one file; ``{}`` among the words stands for it."""
+
+    def make(folder):
+        write(folder / name)
+        return [word.replace("{}", name) for word in words]
+
+    return make
+
+
+READERS = {
+    "plan-sequence": (("plan", "{}", "--station", "simulated"), "bad.yaml"),
+    "run-sequence": (("run", "{}", "--station", "simulated", "--output", "out"), "bad.yaml"),
+    "plan-station": (("plan", "three_pose", "--station", "{}"), "bad.yaml"),
+    "study-station": (("study", "three_pose", "--station", "{}", "--runs", "2"), "bad.yaml"),
+    "draw-station": (("target", "draw", "--station", "{}", "--output", "out.svg"), "bad.yaml"),
+    "simulate-station": (("simulate", "--station", "{}"), "bad.yaml"),
+    "align-station": (("align", "--station", "{}", "--text"), "bad.yaml"),
+    "batch-queue": (("batch", "{}", "--output", "out"), "bad.yaml"),
+    "rehearse-queue": (("rehearse", "{}", "--output", "out"), "bad.yaml"),
+    "calibrate-raw": (("calibrate", "{}"), "bad.raw"),
+    "calibrate-points": (("calibrate", "{}"), "bad.csv"),
+    "calibrate-picture": (("calibrate", "{}"), "bad.png"),
+    "calibrate-jpeg": (("calibrate", "{}"), "bad.jpg"),
+    "calibrate-tiff": (("calibrate", "{}"), "bad.tiff"),
+    "convert": (("convert", "{}", "out.raw"), "bad.h5"),
+    "convert-raw": (("convert", "{}", "out.hdf5"), "bad.raw"),
+    "passport-show": (("passport", "show", "{}"), "bad.json"),
+    "signers": (("verify", "RUN", "--allowed-signers", "{}"), "bad.signers"),
+    "folder-verify": (("verify", "{}"), "bad"),
+    "folder-status": (("status", "{}"), "bad"),
+}
+FEW_WRONG = {"empty", "random", "sparse", "fifo", "device", "link-to-itself", "endless-line"}
+_FEW_READERS = ("plan-sequence", "calibrate-points", "convert", "passport-show")
+
+
+def wrong_files(run: Path) -> Iterator[Case]:
+    """Every command with what can stand in the place of any file."""
+    for reader, (words, name) in READERS.items():
+        given = [str(run) if word == "RUN" else word for word in words]
+        for wrong, write in WRONG.items():
+            yield Case(
+                f"{reader}:{wrong}",
+                _file(given, name, write),
+                named=not reader.endswith(("signers", "verify")),
+            )
+
+
+def spoilt_files() -> Iterator[Case]:
+    """Files of the right kind with something wrong in them."""
+
+    def text(content):
+        return lambda path: (
+            path.write_text(content) if isinstance(content, str) else path.write_bytes(content)
+        )
+
+    for name, content in YAML.items():
+        for reader in ("plan-sequence", "plan-station", "batch-queue"):
+            yield Case(f"{reader}:{name}", _file(*READERS[reader], text(content)))
+    for name, content in RAW.items():
+        yield Case(f"calibrate-raw:{name}", _file(*READERS["calibrate-raw"], text(content)))
+        may_work = (0, 1, 2) if name in _CONVERTIBLE else (1, 2)
+        yield Case(f"convert-raw:{name}", _file(*READERS["convert-raw"], text(content)), may_work)
+    for name in HDF5:
+        for end in ("out.raw", "out.npz"):
+            words = ("convert", "{}", end)
+            yield Case(
+                f"convert-hdf5:{name}:{end}", _file(words, "bad.h5", lambda p, n=name: write_hdf5(p, n))
+            )
+    for name in (*(name for name in NPZ if name != "right"), "bomb"):
+        words = ("convert", "{}", "out.raw")
+        yield Case(f"convert-npz:{name}", _file(words, "bad.npz", lambda p, n=name: write_npz(p, n)))
+    for name, content in PICTURES.items():
+        yield Case(f"picture:{name}", _file(("calibrate", "{}"), f"bad-{name}", text(content)))
+    for name, content in POINTS.items():
+        yield Case(
+            f"points:{name}",
+            _file(("calibrate", "{}"), "bad.csv", text(content)),
+            named=name not in _ONE_VIEW,
+        )
+
+        def three(folder, content=content):
+            (folder / "bad").mkdir()
+            for view in "abc":
+                (folder / "bad" / f"{view}.csv").write_text(content)
+            return ["calibrate", "bad"]
+
+        yield Case(f"three-points:{name}", three, named=False)
+    for name, content in PASSPORTS.items():
+        yield Case(f"passport:{name}", _file(READERS["passport-show"][0], "bad.json", text(content)))
+        words = ("calibrate", "points.csv", "--passport", "{}")
+        yield Case(f"with-passport:{name}", _file(words, "bad.json", text(content)), named=True)
+
+
+_CONVERTIBLE = {
+    *("header-only", "odd-byte", "zero-words", "vectors", "clock-storm", "triggers-only", "noise", "ones"),
+    "nul-in-header",
+}
+
+_ONE_VIEW = {"negative-id", "one-point", "in-a-line", "all-at-once"}
+"""Points that can be read: the message says that one view is not enough."""
+
+
+STATION_VALUES = {
+    "spy-url": ("sim:light", "spy:///dev/null?file=../canary/victim.txt"),
+    "file-url": ("sim:light", "file:///etc/passwd"),
+    "speed": ("speed_deg_s: 40", "speed_deg_s: 1e-300"),
+    "acceleration": ("acceleration_deg_s2: 200", "acceleration_deg_s2: 1e-300"),
+    "scale": ("microsteps_per_deg: 6400", "microsteps_per_deg: 1e-300"),
+    "huge-scale": ("microsteps_per_deg: 6400", "microsteps_per_deg: 1e300"),
+    "focal": ("focal_px: 3300", "focal_px: 1e-308"),
+    "focal-huge": ("focal_px: 3300", "focal_px: 1e308"),
+    "radius": ("r_mm: 255, half", "r_mm: 1e-300, half"),
+    "image": ("focal_px: 3300", "focal_px: 3300, image_size: [1000000000, 1000000000]"),
+    "squares": ("simulation: {}", "simulation: {}\ntarget: {squares: [1000000, 1000000]}"),
+    "many-stars": ("simulation: {}", "simulation: {}\ntarget: {squares: [10000, 10000]}"),
+    "segments": ("simulation: {}", "simulation: {}\ntarget: {segments: 1000000000}"),
+    "pitch": ("simulation: {}", "simulation: {}\ntarget: {pitch_mm: 1e-300}"),
+    "glass": ("simulation: {}", "simulation: {}\ntarget: {drawing: {size_mm: [1e300, 1e300]}}"),
+    "octal": ("speed_deg_s: 40", "speed_deg_s: 074"),
+    "underscore": ("speed_deg_s: 40", "speed_deg_s: 6_0"),
+    "sensor": ("simulation: {}", "simulation: {camera: {width: 1000000, height: 1000000}}"),
+    "sim-focal": ("simulation: {}", "simulation: {camera: {fx: 1e-300}}"),
+    "name": ("name: ", 'name: "\\u202e\\u0007\\u001b[2J"  # '),
+    "serial": ("serial: 100101", 'serial: "\\u001b[2J"'),
+    "passport-device": ("nominal_r_mm: 255", "nominal_r_mm: 255, passport: /dev/zero"),
+    "passport-fifo": ("nominal_r_mm: 255", "nominal_r_mm: 255, passport: pipe"),
+}
+
+
+def stations() -> Iterator[Case]:
+    """A station file with one value that makes no sense."""
+    for name, (old, new) in STATION_VALUES.items():
+        assert old in PLAIN, old
+
+        def make(folder, old=old, new=new):
+            os.mkfifo(folder / "pipe")
+            (folder / "bad.yaml").write_text(PLAIN.replace(old, new))
+            if new.startswith("simulation: {camera"):
+                return ["simulate", "--station", "bad.yaml"]
+            return ["plan", "three_pose", "--station", "bad.yaml"]
+
+        yield Case(f"station:{name}", make, named=not new.startswith("simulation: {camera"))
+
+
+RUN_FILES = (
+    "journal.jsonl",
+    "results.json",
+    "views.h5",
+    "plan.json",
+    "sequence.yaml",
+    "station.yaml",
+    "report.html",
+)
+_CALIBRATED_FROM = ("journal.jsonl", "sequence.yaml", "station.yaml")  # without the others it is a valid run
+RUN_COMMANDS = {
+    "status": ["status", "bad"],
+    "verify": ["verify", "bad"],
+    "resume": ["resume", "bad", "--dry-run"],
+    "runs": ["runs", "."],
+    "calibrate": ["calibrate", "bad"],
+    "rig": ["rig", "bad", "bad"],
+}
+_RUN_WRONG = ("empty", "random", "sparse", "fifo", "folder", "deep-json", "endless-line", "link-to-itself")
+
+
+def run_folders(run: Path) -> Iterator[Case]:
+    """A run folder one of whose files is something else."""
+    for wrong in _RUN_WRONG:
+        for file in RUN_FILES:
+            for command, words in RUN_COMMANDS.items():
+                if command in ("calibrate", "rig") and file not in _CALIBRATED_FROM:
+                    continue
+                if (hash_of(f"{wrong}{file}{command}") % 3) and file != "journal.jsonl":
+                    continue  # a third of them: all would be 336
+
+                def make(folder, wrong=wrong, file=file, words=words):
+                    _copy_run(run, folder / "bad")
+                    (folder / "bad" / file).unlink(missing_ok=True)
+                    WRONG[wrong](folder / "bad" / file)
+                    return list(words)
+
+                yield Case(f"run-folder:{command}:{file}:{wrong}", make, (0, 1, 2), named=False)
+
+
+def hash_of(text: str) -> int:
+    """A number that is the same in every process."""
+    return sum(ord(letter) * (k + 1) for k, letter in enumerate(text))
+
+
+def odd_folders(run: Path) -> Iterator[Case]:
+    """Folders of links, folders that contain themselves, names that no terminal should print."""
+
+    def links(folder):
+        (folder / "bad").mkdir()
+        for path in run.iterdir():
+            (folder / "bad" / path.name).symlink_to(path)
+        return ["verify", "bad"]
+
+    def contains_itself(folder):
+        (folder / "bad").mkdir()
+        (folder / "bad" / "again").symlink_to(".", target_is_directory=True)
+        return ["runs", "bad"]
+
+    def odd_name(folder):
+        name = "\x1b]0;owned\x07\x1b[2J\n\u202etxt.csv"
+        (folder / name).write_text("1 2 3\n")
+        return ["calibrate", name]
+
+    def not_utf8(folder):
+        name = os.fsdecode(b"\xff\xfe.csv")
+        (folder / name).write_text("1 2 3\n")
+        return ["calibrate", name]
+
+    def odd_yaml_name(folder):
+        name = "a\nb\x1b[31m.yaml"
+        (folder / name).write_text("format: x\n")
+        return ["plan", name, "--station", "simulated"]
+
+    def many_files(folder):
+        (folder / "bad").mkdir()
+        for number in range(3000):
+            (folder / "bad" / f"{number}.csv").write_text("x")
+        return ["calibrate", "bad"]
+
+    def only_pipes(folder):
+        (folder / "bad").mkdir()
+        for ending in ("raw", "csv", "png", "tiff"):
+            os.mkfifo(folder / "bad" / f"a.{ending}")
+        return ["calibrate", "bad"]
+
+    def capture_elsewhere(folder):
+        _copy_run(run, folder / "bad")
+        capture = next((folder / "bad" / "captures").iterdir())
+        capture.unlink()
+        capture.symlink_to("/dev/zero")
+        return ["calibrate", "bad"]
+
+    def options(*words):
+        return lambda folder: list(words)
+
+    yield Case("folder:links", links, (0, 1, 2), named=False)
+    yield Case("folder:contains-itself", contains_itself, (0, 1, 2), named=False)
+    yield Case("name:escape-sequences", odd_name, named=False)
+    yield Case("name:not-utf-8", not_utf8, named=False)
+    yield Case("name:yaml", odd_yaml_name, named=False)
+    yield Case("folder:many-files", many_files, named=False)
+    yield Case("folder:pipes", only_pipes, named=False)
+    yield Case("folder:capture-elsewhere", capture_elsewhere, named=False)
+    for name, words in {
+        "long-path": ("plan", "x" * 5000, "--station", "simulated"),
+        "nul-path": ("plan", "a\0b", "--station", "simulated"),
+        "escape": ("plan", "\x1b[2J", "--station", "simulated"),
+        "set-yaml": ("plan", "three_pose", "--station", "simulated", "--set", "sequence.name=!!python/x []"),
+        "set-path": ("plan", "three_pose", "--station", "simulated", "--set", "a.b.c=1"),
+        "set-long": ("plan", "three_pose", "--station", "simulated", "--set", "sequence.name=" + "[" * 5000),
+        "trust-rubbish": ("keys", "trust", "\x1b[2J ssh-ed25519 AAAA"),
+        "trust-long": ("keys", "trust", "x" * 100_000),
+        "number": (
+            "passport",
+            "certificate",
+            "--radius",
+            "1e-320",
+            "--sigma",
+            "1",
+            "--number",
+            "1",
+            "-o",
+            "a",
+        ),
+        "underscore": ("study", "--noise-px", "1_0", "--runs", "2"),
+        "image-size": ("calibrate", "points.csv", "--image-size", "99999999999x1"),
+    }.items():
+        yield Case(f"words:{name}", options(*words), named=False)
+
+
+HOME_FILES = ("allowed_signers", "ledger.jsonl", "signing_key", "runs.sqlite", "outbox.sqlite")
+
+
+def homes(run: Path) -> Iterator[Case]:
+    """The bench's own folder holds rubbish."""
+    for file in HOME_FILES:
+        for wrong in ("empty", "random", "fifo", "folder", "sparse", "endless-line", "link-to-itself"):
+            for words in (["keys", "show"], ["runs"], ["messages"], ["verify", str(run)]):
+                if hash_of(f"{file}{wrong}{words[0]}") % 2:
+                    continue
+
+                def make(folder, file=file, wrong=wrong, words=words):
+                    (folder / "home").mkdir(mode=0o700)
+                    WRONG[wrong](folder / "home" / file)
+                    return list(words)
+
+                yield Case(f"home:{words[0]}:{file}:{wrong}", make, (0, 1, 2), named=False)
+
+
+def controls(run: Path) -> Iterator[Case]:
+    """Inputs that are right: they must be taken."""
+
+    def fine(folder):
+        (folder / "good.yaml").write_text(PLAIN)
+        return ["plan", "three_pose", "--station", "good.yaml"]
+
+    def events(folder):
+        write_npz(folder / "good.npz", "right")
+        return ["convert", "good.npz", "out.raw"]
+
+    def status(folder):
+        _copy_run(run, folder / "good")
+        return ["status", "good"]
+
+    NPZ.setdefault("right", lambda: {**_right_events()})
+    yield Case("control:plan", fine, (0,))
+    yield Case("control:convert", events, (0,))
+    yield Case("control:status", status, (0,))
+
+
+def _right_events():
+    arrays = {name: np.zeros(50, int) for name in ("t", "x", "y", "p")}
+    arrays |= {f"trigger_{name}": np.zeros(1, int) for name in ("t", "value", "id")}
+    return {**arrays, "size": np.array([1280, 720])}
+
+
+def all_cases(run: Path) -> list[Case]:
+    """All cases, in a fixed order."""
+    found = [
+        *controls(run),
+        *wrong_files(run),
+        *spoilt_files(),
+        *stations(),
+        *run_folders(run),
+        *odd_folders(run),
+    ]
+    return [*found, *homes(run)]
+
+
+def few_cases(run: Path) -> list[Case]:
+    """A representative part: every kind of file, and every kind of wrong once or twice."""
+    cases = all_cases(run)
+    chosen = [case for case in cases if case.name.startswith("control:")]
+    wanted = {f"{reader}:{wrong}" for reader in _FEW_READERS for wrong in FEW_WRONG}
+    wanted |= {
+        "run-folder:status:journal.jsonl:sparse",
+        "run-folder:runs:journal.jsonl:fifo",
+        "station:spy-url",
+    }
+    wanted |= {"convert-hdf5:external-link:out.raw", "convert-hdf5:chunk-bomb:out.raw", "convert-npz:pickle"}
+    wanted |= {"picture:bomb.png", "picture:loop.tif", "name:escape-sequences", "plan-sequence:tag"}
+    return [*chosen, *(case for case in cases if case.name in wanted)]
+
+
+# ---------------------------------------------------------------- one case in a process of its own
+
+
+def _copy_run(run, to):
+    shutil.copytree(run, to, symlinks=True)
+    for path in [to, *to.rglob("*")]:
+        if not path.is_symlink():
+            path.chmod(0o700 if path.is_dir() else 0o600)
+
+
+def prints(folder: Path) -> dict[str, tuple[int, int]]:
+    """Size and time of change of every file below a folder."""
+    found = {}
+    for at, folders, files in os.walk(folder):
+        for name in (*folders, *files):
+            facts = (Path(at) / name).lstat()
+            found[str(Path(at) / name)] = (facts.st_size, facts.st_mtime_ns)
+    return found
+
+
+def _child(case: Case, folder: Path, words: list[str]) -> None:
+    from bench.commands.cli import main
+
+    os.chdir(folder)
+    os.environ.update(
+        STARBENCH_HOME=str(folder / "home"), STARBENCH_LOCKS=str(folder / "locks"), COLUMNS="200"
+    )
+    for number, name in ((1, "stdout"), (2, "stderr")):
+        descriptor = os.open(folder / name, os.O_CREAT | os.O_WRONLY)
+        os.dup2(descriptor, number)
+    os.dup2(os.open(os.devnull, os.O_RDONLY), 0)
+    os.setsid()
+    resource.setrlimit(resource.RLIMIT_AS, (_address_space_now() + _ADDRESS_SPACE, resource.RLIM_INFINITY))
+    resource.setrlimit(resource.RLIMIT_FSIZE, (2 << 30, resource.RLIM_INFINITY))
+    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+    status = 99
+    try:
+        main(words)
+    except SystemExit as end:
+        status = end.code if isinstance(end.code, int) else 98
+    except BaseException:  # noqa: BLE001 - told as what is wrong with the case
+        traceback.print_exc()
+    sys.stdout.flush()
+    sys.stderr.flush()
+    os._exit(status)
+
+
+def _address_space_now() -> int:
+    return int(Path("/proc/self/statm").read_text().split()[0]) * os.sysconf("SC_PAGE_SIZE")
+
+
+def _wait(pid: int) -> tuple[int, resource.struct_rusage, bool]:
+    end = time.monotonic() + MOST_WALL_S
+    while time.monotonic() < end:
+        found, status, usage = os.wait4(pid, os.WNOHANG)
+        if found:
+            return status, usage, False
+        time.sleep(0.005)
+    os.killpg(pid, signal.SIGKILL)
+    _, status, usage = os.wait4(pid, 0)
+    return status, usage, True
+
+
+def base_kb() -> int:
+    """Peak memory of a fork that does nothing."""
+    if not (pid := os.fork()):
+        os._exit(0)
+    return os.wait4(pid, 0)[2].ru_maxrss
+
+
+def run_case(case: Case, where: Path, watched: Path) -> dict[str, object]:
+    """Do one case; return what came of it."""
+    folder = where / "case"
+    folder.mkdir()
+    (folder / "points.csv").write_text("".join(f"{n * 7} {n * 5} {n} {n} {n}\n" for n in range(50)))
+    words = case.make(folder)
+    before = prints(watched)
+    base = base_kb()
+    sys.stdout.flush()
+    if not (pid := os.fork()):
+        _child(case, folder, words)
+    status, usage, hung = _wait(pid)
+    said = {
+        name: (folder / name).read_bytes()[:_TEXT_LIMIT].decode("utf-8", "replace")
+        if (folder / name).exists()
+        else ""
+        for name in ("stdout", "stderr")
+    }
+    found = {
+        "name": case.name,
+        "status": os.waitstatus_to_exitcode(status),
+        "mb": round((usage.ru_maxrss - base) / 1024),
+        "cpu_s": round(usage.ru_utime + usage.ru_stime, 2),
+        "said": said["stderr"] or said["stdout"],
+    }
+    wrong = list(_wrong(case, found, words, said, hung))
+    if prints(watched) != before:
+        wrong.append("a file outside was changed")
+    if (folder / "executed").exists():
+        wrong.append("code was executed")
+    shutil.rmtree(folder)
+    return {**found, "wrong": wrong}
+
+
+def _wrong(case, found, words, said, hung) -> Iterator[str]:
+    both = said["stdout"] + said["stderr"]
+    if hung:
+        yield "it hung"
+    if found["status"] not in case.exits:
+        yield f"status {found['status']}"
+    if "Traceback" in both or "defect" in both:
+        yield "a traceback or a defect"
+    if found["mb"] > MOST_MB:
+        yield f"{found['mb']} MB"
+    if found["cpu_s"] > MOST_CPU_S:
+        yield f"{found['cpu_s']} s"
+    if found["status"] and not both.strip():
+        yield "nothing was said"
+    if any((ord(letter) < 32 and letter not in "\n\t") or 0x7F <= ord(letter) < 0xA0 for letter in both):
+        yield "a control character was printed"
+    if len(both) > 6000:
+        yield f"a message of {len(both)} characters"
+    if found["status"] in (1, 2) and case.named and not any(word in both for word in words if "bad" in word):
+        yield "the message does not name the file"
+
+
+def main() -> None:
+    """Do the cases that the arguments choose; print what came of each."""
+    parser = argparse.ArgumentParser()
+    parser.add_argument("folder", type=Path)
+    parser.add_argument("run", type=Path)
+    parser.add_argument("--only", default="")
+    parser.add_argument("--few", action="store_true")
+    given = parser.parse_args()
+    given.folder.mkdir(parents=True)
+    watched = given.folder / "canary"
+    watched.mkdir()
+    (watched / "victim.txt").write_text("keep me\n")
+    with h5py.File(watched / "secret.h5", "w") as file:
+        file["events/t"] = np.arange(50)
+    import bench.commands.calibration_output
+    import bench.commands.cli
+    import bench.results.offline
+    import bench.results.offline_folder
+    import bench.run.launch  # noqa: F401 - loaded once, before the forks
+    from bench.base.kernel_cache import set_kernel_cache
+
+    set_kernel_cache(os.environ)
+    choose = few_cases if given.few else all_cases
+    for case in choose(given.run.resolve()):
+        if given.only in case.name:
+            print(json.dumps(run_case(case, given.folder, watched)), flush=True)
+
+
+if __name__ == "__main__":
+    main()
