@@ -203,6 +203,13 @@ def _compare_with_ledger(folder: Path, certificate: Certificate, ledger: Ledger,
         found.remarks.append(f"SUPERSEDED: {one.superseded_by} replaces this certificate")
     elif one.how != "issued":
         found.remarks.append(f"{one.number} is {one.how} in the ledger of this bench, not issued")
+    old = known.get(certificate.amends.number) if certificate.amends else None
+    if old is not None and certificate.amends is not None:
+        says = (old.seal, old.superseded_by)
+        if says != (certificate.amends.sha256, certificate.number):
+            found.fault(
+                _KIND, CERTIFICATE, f"the ledger does not say that it replaces {old.number} with this seal"
+            )
     for run in runs:
         if run.seal == certificate.run.seal_sha256:
             _compare_with_run(folder, Path(run.folder), certificate, found)

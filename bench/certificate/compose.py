@@ -178,6 +178,8 @@ def row_sources(found: Json, lab: LabConfig) -> dict[str, RowSource]:
             "mm",
         )
     for one in lab.sources:
+        if one.row is None:
+            continue
         known = sources.get(one.row, RowSource())
         sources[one.row] = replace(
             known,
@@ -255,7 +257,7 @@ def _traceability(found: Json, lab: LabConfig) -> tuple[Traceability, ...]:
         rows.append(_collimator(found, in_run, by_row.get(PASSPORT)))
     rows += [
         Traceability(
-            what=one.what or one.row,
+            what=one.what or one.row or "",
             value=None,
             U=None,
             k=None,

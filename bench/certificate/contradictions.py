@@ -80,6 +80,8 @@ def _sources(lab: LabConfig, found: Json) -> Iterator[tuple[DocumentPath, str]]:
     names, seen = row_names(found["calibration"]), set()
     in_run = found.get("passport") or {}
     for at, source in enumerate(lab.sources):
+        if source.row is None:
+            continue
         if source.row not in names:
             hint = did_you_mean(source.row, names)
             yield ("sources", at, "row"), f"the uncertainty budget has no row {source.row!r}.{hint}"

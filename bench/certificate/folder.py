@@ -15,7 +15,7 @@ from bench.base.errors import EvidenceError, UsageError
 from bench.certificate.certificate_data import CERTIFICATE, Certificate
 from bench.evidence.keys import BenchKey
 from bench.evidence.seal import seal_folder
-from bench.records.run_folder import MANIFEST, RESULTS
+from bench.records.run_folder import MANIFEST, RESULTS, is_sealed
 from bench.records.storage import make_folder, sha256_of, storage_errors, sync_folder, write_atomic
 
 PDF = "certificate.pdf"
@@ -95,7 +95,7 @@ def certificate_files(
 
 
 def refuse_occupied(folder: Path) -> None:
-    """Refuse a name that is taken, before any number is.
+    """Refuse a name that is taken, or that lies in a sealed folder, before any number is taken.
 
     Parameters
     ----------
@@ -105,8 +105,15 @@ def refuse_occupied(folder: Path) -> None:
     Raises
     ------
     UsageError
-        When something has this name.
+        When something has this name, or a folder above it is sealed.
     """
+    sealed = next((parent for parent in folder.absolute().parents if is_sealed(parent)), None)
+    if sealed is not None:
+        raise UsageError(
+            f"{sealed} is sealed; a file in it would break its seal.",
+            where=str(folder),
+            remedy="Choose an --output outside of it.",
+        )
     if os.path.lexists(folder):
         raise UsageError(
             "A file or folder with this name already exists.",

@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 from datetime import datetime
 from pathlib import Path
 
+from bench.base.errors import EvidenceError
 from bench.certificate.certificate_data import CERTIFICATE, Amends, Certificate
 from bench.certificate.compose import Identity, compose
 from bench.certificate.contradictions import faults_of_lab
@@ -156,12 +157,19 @@ def make_certificate(
         As `issue`.
     """
     folder = folder.absolute()
-    if faults := faults_of_lab(lab, source.found):
-        raise DocumentFaults(faults, lab.tree)
-    with one_at_a_time(laboratory.ledger.home):
-        completed = complete_open(laboratory.ledger)
+    try:
+        if faults := faults_of_lab(lab, source.found):
+            raise DocumentFaults(faults, lab.tree)
         trial_identity = Identity("0", "1970-01-01T00:00:00Z", source.run, None, also, source.verified)
         trial = compose(source.found, lab.value, trial_identity)
+    except (LookupError, TypeError, AttributeError, ArithmeticError) as error:
+        raise EvidenceError(
+            f"The results are not of the form that this version reads ({error!r}).",
+            where=source.run.id,
+            remedy="Issue the certificate with the version that made the run, or calibrate again.",
+        ) from error
+    with one_at_a_time(laboratory.ledger.home):
+        completed = complete_open(laboratory.ledger)
         key = laboratory.key()
         now = laboratory.utc_now()
         replaced = None if amended is None else amended(trial)

@@ -224,9 +224,9 @@ class SuppliedConfig(StrictModel):
 
 
 class SourceConfig(StrictModel):
-    """A certificate behind a row of the uncertainty budget."""
+    """A certificate of a reference; it may stand behind a row of the uncertainty budget."""
 
-    row: Annotated[Text, Field(description="Name of the row, as `certificate issue` lists them.")]
+    row: Annotated[Text | None, Field(description="Name of a row of the uncertainty budget.")] = None
     what: Annotated[
         Text | None, Field(description="The reference, in words; without it, the row's name.")
     ] = None
@@ -235,6 +235,12 @@ class SourceConfig(StrictModel):
     date: Date | None = None
     sha256: Sha256 | None = None
     statement: Annotated[LongText | None, Field(description="To what the reference is traceable.")] = None
+
+    @model_validator(mode="after")
+    def _names_something(self) -> SourceConfig:
+        if self.row is None and self.what is None:
+            raise PydanticCustomError("nameless", "needs row, what, or both.")
+        return self
 
 
 class AuthorConfig(StrictModel):

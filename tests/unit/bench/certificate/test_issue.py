@@ -4,6 +4,7 @@ import dataclasses
 import json
 import re
 import shutil
+import time
 from datetime import timedelta
 from unittest import mock
 
@@ -271,6 +272,20 @@ def test_a_folder_that_exists_is_refused_before_anything_else(lab):
     assert lab.numbers() == {}
 
 
+def test_a_certificate_is_not_written_into_a_sealed_folder(lab):
+    with pytest.raises(UsageError, match="is sealed; a file in it would break its seal"):
+        issue(lab.run, lab.lab, lab.run / "certificate", lab.laboratory())
+    assert lab.numbers() == {}
+
+
+def test_results_of_another_form_are_refused_in_words(lab):
+    results = {**sample_results(), "poses": None}
+    lab.run = write_sealed_run(lab.path / "run2", lab.home, results=results)
+    with pytest.raises(EvidenceError, match="not of the form that this version reads"):
+        lab.issue()
+    assert lab.numbers() == {}
+
+
 def test_missing_clauses_are_named_all_at_once_with_their_key(lab):
     lines = lab.faults("format: starbench/lab/1\n")
     assert len(lines) > 20
@@ -416,6 +431,45 @@ def test_a_superseded_certificate_says_so(real, lab):
     second = amend(folder, lab.lab, lab.path / "second", lab.laboratory(), reason="x").certificate.number
     found = check_certificate(folder, lab.ledger)
     assert (found.faults, found.remarks) == ([], [f"SUPERSEDED: {second} replaces this certificate"])
+
+
+def test_an_amendment_that_the_ledger_does_not_know_is_found(real, lab):
+    shutil.copytree(real.home, lab.home, dirs_exist_ok=True)
+    lab.lab.write_text(LAB.replace("Mill Lane 3", "Mill Lane 4"), encoding="utf-8")
+    with mock.patch.object(issue_module, "certificate_files", folder_module.certificate_files):
+        second = amend(real.issued.folder, lab.lab, lab.path / "second", lab.laboratory(), reason="x")
+    assert check_certificate(second.folder, lab.ledger).faults == []
+    path = second.folder / "certificate.json"
+    path.chmod(0o644)
+    path.write_bytes(path.read_bytes().replace(real.issued.seal.encode(), b"0" * 64))
+    said = [fault.what for fault in check_certificate(second.folder, lab.ledger).faults]
+    assert f"the ledger does not say that it replaces {FIRST} with this seal" in said
+
+
+@pytest.mark.slow
+def test_the_ten_thousandth_certificate_takes_seconds(lab):
+    lab.issue()
+    with lab.ledger.locked() as journal:
+        for count in range(2, 10_001):
+            one = {
+                "number": f"SIMULATED-SB-2026-{count:05d}",
+                "series": "SIMULATED-SB-2026-{number:05d}",
+                "count": count,
+            }
+            of = {
+                "run_seal": "a" * 64,
+                "run_id": "r",
+                "folder": f"/c/{count}",
+                "issued_utc": "",
+                "amends": "",
+            }
+            journal.append_unsynced("certificate_reserved", **one, **of)
+            journal.append_unsynced(
+                "certificate_issued", number=one["number"], seal="", serial="", customer=""
+            )
+    begun = time.process_time()
+    assert lab.issue("next", also="x").certificate.number == "SIMULATED-SB-2026-10001"
+    assert time.process_time() - begun < 4.0  # 1 s when this was written, without PDF and DCC
 
 
 def test_the_clock_and_other_open_numbers_stop_the_issue(lab):
