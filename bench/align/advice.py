@@ -24,8 +24,11 @@ from drivers.camera.frames import FrameFacts
 
 SHARP_PX: Final = 1.0
 """Edge width below which the lens counts as focused; up to 1.3 px every star is found."""
-FOCUSING_LEVEL_PERCENT: Final = 10
-"""Level of the light at which shapes remain visible while the lens is far out of focus."""
+BRIGHT_PERCENT: Final = 50.0
+"""Level of the light from which the coarse detail has a slope while the lens is far out of focus."""
+_FAR_PX: Final = 3.5
+"""Edge width from which it is only a rough one, and the coarse detail shows the way, px."""
+_TREND: Final = {"better": " This is the right way.", "worse": " This is the wrong way: turn it back."}
 _WORSE: Final = 1.2
 _FLAT_CONTRAST, _FLAT_DETAIL = 0.3, 0.22
 _LOADED_LINK: Final = 0.9
@@ -59,6 +62,10 @@ class Seen:
         Smallest edge width seen so far, px.
     best_sharpness
         Largest sharpness seen so far.
+    best_coarse_detail
+        Most coarse detail seen so far.
+    better_before_px
+        Best edge width since the camera was turned, px, if the present one is clearly worse; else None.
     trend
         Where the focus goes: ``better``, ``worse`` or empty.
     contrast
@@ -75,6 +82,8 @@ class Seen:
     focus: FocusFigures
     best_edge_width_px: float | None
     best_sharpness: float | None
+    best_coarse_detail: float | None
+    better_before_px: float | None
     trend: str
     contrast: float | None
     turn: TurnFigures
@@ -114,7 +123,7 @@ def advice_for(seen: Seen, setting: LiveSetting) -> list[str]:
         return [*advice, seen.other_tag]
     if seen.image.signal is None and (seen.image.saturation or 0.0) > _BLINDED:
         return advice
-    flat = _flat(seen)
+    flat = _flat(seen, setting)
     if flat:
         return [*advice, flat, *(one.removeprefix(f"{_square_text(seen)}. ") for one in _aim(seen, setting))]
     focus, aim = list(_focus(seen, setting)), list(_aim(seen, setting))
@@ -256,7 +265,7 @@ def _sync(signal: SignalFigures, setting: LiveSetting) -> Iterator[str]:
         )
 
 
-def _flat(seen: Seen) -> str:
+def _flat(seen: Seen, setting: LiveSetting) -> str:
     """Return what to do if bright light hides the pattern of a lens far out of focus; else an empty text."""
     if seen.count or seen.tag_seen or seen.contrast is None:
         return ""
@@ -268,12 +277,23 @@ def _flat(seen: Seen) -> str:
         else "No stars were found, and almost no details. Either the lens is far out of focus, or the camera looks "
         "beside the target."
     )
-    if seen.image.signal is None:
-        return f"{what} Turn the focus ring until dark shapes appear{_sharpness_text(seen)}."
-    return (
-        f"{what} Set the light's level to {FOCUSING_LEVEL_PERCENT} %, so that dark shapes become visible, then turn "
-        f"the focus ring until they grow clear{_sharpness_text(seen)}."
-    )
+    return f"{what} {_turn_on(seen, setting)}"
+
+
+def _turn_on(seen: Seen, setting: LiveSetting) -> str:
+    """Return what to do with lens and light far out of focus, a sentence."""
+    if _is_dim(seen, setting):
+        return (
+            "Set the light's level to 100 %: far out of focus, a bright light shows best which way to turn the focus "
+            "ring."
+        )
+    return f"Turn the focus ring{_sharpness_text(seen)}.{_TREND.get(seen.trend, '')}"
+
+
+def _is_dim(seen: Seen, setting: LiveSetting) -> bool:
+    """Return whether more light would show the way out of focus; the exposure of a frame camera is its own matter."""
+    level = setting.level_percent
+    return seen.image.signal is not None and level is not None and level < BRIGHT_PERCENT
 
 
 def _square_text(seen: Seen) -> str:
@@ -286,28 +306,33 @@ def _square_text(seen: Seen) -> str:
 def _focus(seen: Seen, setting: LiveSetting) -> Iterator[str]:
     """Yield what to do with the focus ring."""
     width, best = seen.focus.edge_width_px, seen.best_edge_width_px
-    trend = {"better": " This is the right way.", "worse": " This is the wrong way: turn it back."}
     if width is None:
         if not seen.count:
-            yield (
-                "Turn the focus ring: no stars can be recognised"
-                f"{_sharpness_text(seen) or ', and the sharpness is not known'}.{trend.get(seen.trend, '')}"
-            )
+            yield f"No stars can be recognised. {_turn_on(seen, setting)}"
+        return
+    if width > _FAR_PX and _is_dim(seen, setting):
+        yield f"Edges are about {width:.0f} px wide. {_turn_on(seen, setting)}"
         return
     limit = min(setting.gates.limits.get("max_edge_width_px", SHARP_PX), SHARP_PX)
     if width <= limit:
+        if seen.better_before_px is not None:
+            yield (
+                f"Turn the focus ring back to the best: edges are {width:.2f} px wide, and they were "
+                f"{seen.better_before_px:.2f} px wide before. A run accepts {limit:g} px."
+            )
         return
     known = f", the best seen is {best:.1f} px" if best is not None and width > _WORSE * best else ""
     goal = "" if known and best is not None and best <= limit else f"; {limit:g} px or less is needed"
-    yield f"Turn the focus ring: edges are {width:.1f} px wide{known}{goal}.{trend.get(seen.trend, '')}"
+    yield f"Turn the focus ring: edges are {width:.1f} px wide{known}{goal}.{_TREND.get(seen.trend, '')}"
 
 
 def _sharpness_text(seen: Seen) -> str:
-    now, best = seen.focus.sharpness, seen.best_sharpness
+    """Return which figure must grow while nothing can be recognised: the coarse detail has a slope farthest out."""
+    now, best = seen.focus.coarse_detail, seen.best_coarse_detail
     if now is None:
         return ""
-    better = f" (the best seen is {best:.2f})" if best is not None and best > 1.1 * now else ""
-    return f"; the sharpness, now {now:.2f}{better}, must grow"
+    better = f" (the best seen is {best:.3f})" if best is not None and best > 1.05 * now else ""
+    return f": the coarse detail, now {now:.3f}{better}, must grow"
 
 
 def _aim(seen: Seen, setting: LiveSetting) -> Iterator[str]:

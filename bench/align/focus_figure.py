@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from calib.model.homography import fit_homography
 from calib.stars.beam import Beam
-from calib.stars.focus import blur_circle, edge_widths_px, sharpness
+from calib.stars.focus import blur_circle, coarse_detail, edge_widths_px, sharpness
 from calib.stars.quick import QuickStars
 from calib.target import StarTarget
 
@@ -42,6 +42,8 @@ _NEAR_TAG: Final = 40
 _TILT_PX, _TILT_SHARE = 0.15, 0.15
 _LEAST_BETTER: Final = 0.05
 _RECENT: Final = 3
+_CLEARLY, _LEAST_NOISE_PX, _NOISE_OVER = 3.0, 0.01, 12
+"""Number of standard deviations by which a width is clearly worse, their least value, px, and over how many values."""
 
 
 @dataclass(frozen=True)
@@ -56,6 +58,8 @@ class FocusFigures:
         Diameter of the circle by which the print around the tag is blurred, px.
     sharpness
         Amount of detail in the beam, without unit; it depends on what is in the picture.
+    coarse_detail
+        Amount of coarse detail, likewise; it shows the direction far out of focus.
     regions
         Edge width of each region of `REGIONS`, px.
     tilt
@@ -65,6 +69,7 @@ class FocusFigures:
     edge_width_px: float | None = None
     blur_circle_px: float | None = None
     sharpness: float | None = None
+    coarse_detail: float | None = None
     regions: Mapping[str, float | None] = field(default_factory=dict)
     tilt: str = ""
 
@@ -101,8 +106,9 @@ def measure_focus(
         With the sharpness alone if there are neither tag nor stars.
     """
     detail = sharpness(image, beam.lit) if beam.share > 0.0 else None
+    coarse = coarse_detail(image, beam.lit) if beam.share > 0.0 else None
     if stars is None:
-        return FocusFigures(sharpness=detail)
+        return FocusFigures(sharpness=detail, coarse_detail=coarse)
     kept = {} if before is None else {name: w for name, w in before.regions.items() if name not in again}
     regions = _region_widths(image, stars, target, kept)
     known = [width for width in regions.values() if width is not None]
@@ -112,7 +118,7 @@ def measure_focus(
         circle = _circle(image, stars, target)
     if circle is not None and (width is None or circle >= _TRUSTED_CIRCLE_PX):
         width = max(width or 0.0, _SIGMA_OF_CIRCLE * circle)
-    return FocusFigures(width, circle, detail, regions, tilt_of(regions))
+    return FocusFigures(width, circle, detail, coarse, regions, tilt_of(regions))
 
 
 def tilt_of(regions: Mapping[str, float | None]) -> str:
@@ -200,11 +206,14 @@ class FocusCourse:
 
     def __init__(self, *, kept_s: float = 600.0) -> None:
         self._kept_s = kept_s
-        self._course: deque[tuple[float, float | None, float | None]] = deque(maxlen=6000)
+        self._course: deque[tuple[float, float | None, float | None, float | None]] = deque(maxlen=6000)
+        self._best_here_px: float | None = None
         self.best_edge_width_px: float | None = None
         """Smallest edge width seen, px: the median of `_RECENT` neighbouring values."""
         self.best_sharpness: float | None = None
         """Largest sharpness seen, likewise."""
+        self.best_coarse_detail: float | None = None
+        """Most coarse detail seen, likewise."""
 
     def add(self, time_s: float, figures: FocusFigures) -> None:
         """Add the figures of a picture.
@@ -216,19 +225,43 @@ class FocusCourse:
         figures
             Its figures.
         """
-        self._course.append((time_s, figures.edge_width_px, figures.sharpness))
+        self._course.append((time_s, figures.edge_width_px, figures.sharpness, figures.coarse_detail))
         while self._course[0][0] < time_s - self._kept_s:
             self._course.popleft()
-        width, detail = self._recent(1), self._recent(2)
-        if width is not None and (self.best_edge_width_px is None or width < self.best_edge_width_px):
-            self.best_edge_width_px = width
-        if detail is not None and (self.best_sharpness is None or detail > self.best_sharpness):
-            self.best_sharpness = detail
+        width = self._recent(1)
+        if width is not None:
+            self.best_edge_width_px = min(width, self.best_edge_width_px or width)
+            self._best_here_px = min(width, self._best_here_px or width)
+        self.best_sharpness = _larger(self._recent(2), self.best_sharpness)
+        self.best_coarse_detail = _larger(self._recent(3), self.best_coarse_detail)
+
+    def turned(self) -> None:
+        """Note that the camera turns: stars elsewhere in the field have edges of another width."""
+        self._best_here_px = None
+
+    def better_before_px(self) -> float | None:
+        """Return the best edge width since the camera was last turned, if the present one is clearly worse.
+
+        Own rule: the median of the last `_RECENT` values is worse by more than `_CLEARLY` standard deviations and by
+        more than `_LEAST_BETTER`. The deviation is that of neighbouring values from each other (von Neumann, 1941).
+
+        Returns
+        -------
+        float or None
+            Best width, px; None if the present one is as good.
+        """
+        best, now = self._best_here_px, self._recent(1)
+        widths = np.array([w for _, w, *_ in list(self._course)[-_NOISE_OVER:] if w is not None])
+        if best is None or now is None or len(widths) < _RECENT:
+            return None
+        noise_px = max(1.05 * float(np.median(np.abs(np.diff(widths)))), _LEAST_NOISE_PX)
+        return best if now > best + max(_CLEARLY * noise_px, _LEAST_BETTER * best) else None
 
     def forget(self) -> None:
         """Forget course and best values."""
         self._course.clear()
-        self.best_edge_width_px = self.best_sharpness = None
+        self._best_here_px = self.best_edge_width_px = None
+        self.best_sharpness = self.best_coarse_detail = None
 
     def edge_widths(self) -> list[tuple[float, float]]:
         """Return the course of the edge width.
@@ -238,12 +271,12 @@ class FocusCourse:
         list of (float, float)
             Time, s, and edge width, px.
         """
-        return [(t, width) for t, width, _ in self._course if width is not None]
+        return [(t, width) for t, width, *_ in self._course if width is not None]
 
     def trend(self, *, over_s: float = 4.0) -> str:
         """Return where the focus goes: ``better``, ``worse``, or an empty text if it does not change.
 
-        The edge width counts; without it, the sharpness does.
+        The edge width counts; without it, the coarse detail does.
 
         Parameters
         ----------
@@ -259,7 +292,7 @@ class FocusCourse:
             return ""
         last_s = self._course[-1][0]
         recent = [one for one in self._course if one[0] >= last_s - over_s]
-        for column, sign in ((1, -1.0), (2, 1.0)):
+        for column, sign in ((1, -1.0), (3, 1.0)):
             values = [float(v) for one in recent if (v := one[column]) is not None]
             if len(values) >= 2 * _RECENT:
                 before, now = np.median(values[:_RECENT]), np.median(values[-_RECENT:])
@@ -271,3 +304,9 @@ class FocusCourse:
         """Return the median of the newest values of a column; None if there are fewer than `_RECENT`."""
         values = [float(v) for one in list(self._course)[-_RECENT:] if (v := one[column]) is not None]
         return float(np.median(values)) if len(values) == _RECENT else None
+
+
+def _larger(one: float | None, other: float | None) -> float | None:
+    """Return the larger of two numbers that may be unknown."""
+    known = [value for value in (one, other) if value is not None]
+    return max(known, default=None)

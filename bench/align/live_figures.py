@@ -35,6 +35,12 @@ __all__ = ["LiveFigures", "LiveMeter", "LiveSetting", "LiveSlice", "measure_live
 _COMPARED_EVERY_S: Final = 1.0
 """Time from one measurement of the frequency by the events to the next, s."""
 
+_GROUPED: Final = frozenset(
+    {
+        "tag_id", "tag_corners_px", "disc_centre_px", "disc_radius_px", "square_centre_px", "square_side_px", "stars"
+    }
+)  # fmt: skip
+"""Attributes that JSON holds in another form."""
 Corners = tuple[tuple[float, float], ...]
 
 
@@ -76,6 +82,8 @@ class LiveFigures:
         Number of the target's tag if it was found.
     tag_corners_px
         Corners of the tag, px, in the order of the print.
+    square_centre_px, square_side_px
+        Centre (column, row) and side of a dark square that looks like the tag, px, if the tag was not read.
     disc_centre_px, disc_radius_px
         Centre (column, row) and radius of the beam's disc in the image, px.
     rim_in_view
@@ -84,7 +92,8 @@ class LiveFigures:
         Share of the frame that the beam covers.
     focus
         Focus figures (`bench.align.focus_figure`) as plain values: ``edge_width_px``, ``best_edge_width_px``,
-        ``blur_circle_px``, ``sharpness``, ``best_sharpness``, ``trend``, ``regions``, ``tilt``.
+        ``better_before_px``, ``blur_circle_px``, ``sharpness``, ``best_sharpness``, ``coarse_detail``,
+        ``best_coarse_detail``, ``trend``, ``regions``, ``tilt``.
     contrast
         Contrast of the pattern, 0 to 1.
     saturation
@@ -116,6 +125,8 @@ class LiveFigures:
     stars_followed: bool = False
     tag_id: int | None = None
     tag_corners_px: Corners | None = None
+    square_centre_px: tuple[float, float] | None = None
+    square_side_px: float | None = None
     disc_centre_px: tuple[float, float] | None = None
     disc_radius_px: float | None = None
     rim_in_view: bool | None = None
@@ -133,18 +144,18 @@ class LiveFigures:
         Returns
         -------
         dict
-            The attributes by name, except that ``tag`` is ``{id, corners_px}`` or None and ``disc`` is
-            ``{centre_px, radius_px}`` or None.
+            The attributes by name, except that ``tag`` is ``{id, corners_px}`` or None, ``disc`` is
+            ``{centre_px, radius_px}`` or None, and ``square`` is ``{centre_px, side_px}`` or None.
         """
-        plain = {
-            name: getattr(self, name)
-            for name in self.__dataclass_fields__
-            if name not in ("tag_id", "tag_corners_px", "disc_centre_px", "disc_radius_px", "stars")
-        }
+        plain = {name: getattr(self, name) for name in self.__dataclass_fields__ if name not in _GROUPED}
         plain["stars"] = [[int(i), round(float(x), 2), round(float(y), 2)] for i, x, y in self.stars]
         corners, centre = self.tag_corners_px, self.disc_centre_px
         plain["tag"] = (
             None if corners is None else {"id": self.tag_id, "corners_px": [list(c) for c in corners]}
+        )
+        square = self.square_centre_px
+        plain["square"] = (
+            None if square is None else {"centre_px": list(square), "side_px": self.square_side_px}
         )
         plain["disc"] = (
             None if centre is None else {"centre_px": list(centre), "radius_px": self.disc_radius_px}
@@ -234,6 +245,8 @@ class LiveMeter:
         in_beam = contrast(image.values, beam.lit) if beam.share > 0.0 else None
         watch.lap("beam")
         found = self._stars.look(part, setting, image, beam, watch)
+        if part.moving:
+            self._course.turned()
         if found.time_s == part.time_s and found.focus != FocusFigures():
             self._course.add(part.time_s, found.focus)
         seen = Seen(
@@ -245,6 +258,8 @@ class LiveMeter:
             focus=found.focus,
             best_edge_width_px=self._course.best_edge_width_px,
             best_sharpness=self._course.best_sharpness,
+            best_coarse_detail=self._course.best_coarse_detail,
+            better_before_px=self._course.better_before_px(),
             trend=self._course.trend(),
             contrast=in_beam,
             turn=self._turn(part, setting, beam, found),
@@ -315,6 +330,8 @@ def _figures(part: LiveSlice, setting: LiveSetting, seen: Seen, found: Found) ->
         stars_followed=found.followed,
         tag_id=setting.target.tag_id if tag is not None else None,
         tag_corners_px=None if tag is None else tuple((float(x), float(y)) for x, y in tag.corners_px),
+        square_centre_px=None if found.square is None else found.square.centre_px,
+        square_side_px=None if found.square is None else found.square.side_px,
         disc_centre_px=beam.centre_px,
         disc_radius_px=beam.radius_px,
         rim_in_view=beam.rim_in_view,
@@ -323,8 +340,11 @@ def _figures(part: LiveSlice, setting: LiveSetting, seen: Seen, found: Found) ->
             "edge_width_px": focus.edge_width_px,
             "best_edge_width_px": seen.best_edge_width_px,
             "blur_circle_px": focus.blur_circle_px,
+            "better_before_px": seen.better_before_px,
             "sharpness": focus.sharpness,
             "best_sharpness": seen.best_sharpness,
+            "coarse_detail": focus.coarse_detail,
+            "best_coarse_detail": seen.best_coarse_detail,
             "trend": seen.trend,
             "regions": {name: {"edge_width_px": width} for name, width in focus.regions.items()},
             "tilt": focus.tilt or None,

@@ -37,6 +37,8 @@ class LiveSetting:
         Frequency of the light's flicker as set, Hz; None if unknown.
     light_on
         Whether the light is on by its own read-back; None if unknown. It is used for the wording of the advice only.
+    level_percent
+        Level of the light as asked for, percent; None if unknown.
     limits_deg
         Lowest and highest angle of each axis of the stage, degrees.
     focal_px
@@ -53,6 +55,7 @@ class LiveSetting:
     camera: Literal["event", "frame"] = "event"
     frequency_hz: float | None = None
     light_on: bool | None = None
+    level_percent: float | None = None
     limits_deg: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     focal_px: float | None = None
     half_angle_deg: float | None = None
@@ -81,6 +84,7 @@ class LiveSetting:
         *,
         frequency_hz: float | None = None,
         light_on: bool | None = None,
+        level_percent: float | None = None,
         waveform: Waveform = "square",
     ) -> LiveSetting:
         """Take from a station file what the figures need.
@@ -93,6 +97,8 @@ class LiveSetting:
             Frequency of the light's flicker as set, Hz; None if unknown.
         light_on
             Whether the light is on by its own read-back; None if unknown.
+        level_percent
+            Level of the light as asked for, percent; None if unknown.
         waveform
             Waveform of the light; some gates depend on it.
 
@@ -110,6 +116,7 @@ class LiveSetting:
             camera="frame" if isinstance(station.camera, FrameCameraConfig) else "event",
             frequency_hz=frequency_hz,
             light_on=light_on,
+            level_percent=level_percent,
             limits_deg={name: axis.limits_deg for name, axis in station.axes.items()},
             focal_px=expected.focal_px if expected else None,
             half_angle_deg=expected.half_angle_deg if expected else None,

@@ -386,6 +386,7 @@ class Session:
             self.station.value,
             frequency_hz=found.frequency_hz if found is not None and flickers else None,
             light_on=reading.on if reading is not None else None,
+            level_percent=reading.flicker.level_percent if reading is not None else None,
             waveform=found.waveform if found is not None else "square",
         )
 

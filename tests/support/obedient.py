@@ -72,14 +72,10 @@ class Obedient:
         if "switch it on" in sentence or "switch the light on" in sentence:
             self._note("light on")
             self.session.light(on=True)
-        elif "Set the light's level to 10 %" in sentence:
-            level = self.session.state()["light"]["level_percent"]
-            if level > 10:
-                self._note("level 10 %")
-                self.session.light(level_percent=10)
-            else:
-                self._turn_ring(figures, sentence)
-        elif sentence.startswith("Turn the focus ring"):
+        elif "Set the light's level to 100 %" in sentence:
+            self._note("level 100 %")
+            self.session.light(level_percent=100)
+        elif "Turn the focus ring" in sentence:
             self._turn_ring(figures, sentence)
         elif sentence.startswith("Roll the camera in its mount"):
             self._note(f"roll {figures.turn['roll_by_deg']:+.1f}")
@@ -99,16 +95,16 @@ class Obedient:
     def _turn_ring(self, figures, sentence: str) -> None:
         """Turn the ring on while it helps or changes nothing; turn back by half where it got worse."""
         focus = figures.focus
-        width, detail = focus["edge_width_px"], focus["sharpness"]
-        # Only like is compared with like: the width where there is one, else the sharpness.
-        kind, now = ("width", -width) if width is not None else ("sharpness", detail)
+        width, detail = focus["edge_width_px"], focus["coarse_detail"]
+        # Only like is compared with like: the width where there is one, else the coarse detail.
+        kind, now = ("width", -width) if width is not None else ("coarse detail", detail)
         before_kind, before = self._ring_figure
         change = 0.0
         if now is not None and before is not None and kind == before_kind:
             change = (now - before) / max(abs(before), 1e-9)
         if change < -CLEAR_CHANGE:
             self._ring_step_deg *= -0.5
-        elif abs(change) <= CLEAR_CHANGE and kind == "sharpness":
+        elif abs(change) <= CLEAR_CHANGE and kind == "coarse detail":
             self._ring_step_deg = math.copysign(
                 min(abs(self._ring_step_deg) * 1.5, 20.0), self._ring_step_deg
             )

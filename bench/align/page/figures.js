@@ -65,7 +65,8 @@ function showFocus(f) {
     ["Edge width", digits(width, 2), "px"],
     ["Best so far", digits(best, 2), "px"],
     ["Sharpness", digits(focus.sharpness, 2), ""],
-    ["Best so far", digits(focus.best_sharpness, 2), ""],
+    ["Coarse detail", digits(focus.coarse_detail, 3), ""],
+    ["Best so far", digits(focus.best_coarse_detail, 3), ""],
   ]);
   setText(at("focus-note"), "smaller edges are sharper");
   const key = JSON.stringify([f.stars_time_s, width, best]);

@@ -7,7 +7,7 @@ export function draw(canvas, figures, shows) {
   const box = canvas.getBoundingClientRect(), ratio = window.devicePixelRatio || 1;
   const width = Math.round(box.width * ratio), height = Math.round(box.height * ratio);
   if (canvas.width !== width || canvas.height !== height) { canvas.width = width; canvas.height = height; }
-  const key = JSON.stringify([width, height, shows, figures.width_px, figures.stars_time_s, figures.stars.length, figures.tag, figures.disc]);
+  const key = JSON.stringify([width, height, shows, figures.width_px, figures.stars_time_s, figures.stars.length, figures.tag, figures.square, figures.disc]);
   if (canvas.dataset.drawn === key) return; // what lies over the picture changes less often than the picture
   canvas.dataset.drawn = key;
   const c = canvas.getContext("2d");
@@ -20,6 +20,7 @@ export function draw(canvas, figures, shows) {
   if (shows.disc && figures.disc) disc(c, figures, x, y, sx, ratio);
   if (shows.stars) stars(c, figures, x, y, ratio);
   if (shows.tag && figures.tag) tag(c, figures.tag, x, y, ratio);
+  if (shows.tag && !figures.tag && figures.square) square(c, figures.square, x, y, sx, ratio);
 }
 
 /** Light dashes between dark ones, so that the lines show on any picture. */
@@ -66,12 +67,30 @@ function tag(c, found, x, y, ratio) {
   c.closePath();
   c.stroke();
   const [u, v] = found.corners_px[0];
+  label(c, `tag ${found.id}`, x(u), y(v), ratio);
+}
+
+/** A dark square that is probably the tag: dashed, and round, because its roll is not known. */
+function square(c, found, x, y, scale, ratio) {
+  const [u, v] = found.centre_px, half = found.side_px / 2;
+  c.strokeStyle = COLOURS.tag;
+  c.lineWidth = 2 * ratio;
+  c.setLineDash([7 * ratio, 5 * ratio]);
+  c.beginPath();
+  c.arc(x(u), y(v), half * Math.SQRT2 * scale, 0, 2 * Math.PI);
+  c.stroke();
+  c.setLineDash([]);
+  cross(c, x(u), y(v), 7 * ratio);
+  label(c, "dark square, tag not read", x(u - half), y(v - half * Math.SQRT2), ratio);
+}
+
+function label(c, text, x, y, ratio) {
   c.fillStyle = COLOURS.tag;
   c.strokeStyle = "rgb(0 0 0 / 0.75)";
   c.lineWidth = 3 * ratio;
   c.font = `600 ${13 * ratio}px system-ui, sans-serif`;
-  c.strokeText(`tag ${found.id}`, x(u), y(v) - 6 * ratio);
-  c.fillText(`tag ${found.id}`, x(u), y(v) - 6 * ratio);
+  c.strokeText(text, x, y - 6 * ratio);
+  c.fillText(text, x, y - 6 * ratio);
 }
 
 function cross(c, x, y, size) {

@@ -5,6 +5,7 @@ import pytest
 
 from bench.align.focus_figure import FocusCourse, FocusFigures, measure_focus, tilt_of
 from calib.stars.beam import find_beam
+from calib.stars.focus import coarse_detail
 from calib.stars.quick import find_stars_quickly
 from simulators.optics.picture import TARGET
 from tests.support.live_slices import bench, fired, seen
@@ -68,6 +69,36 @@ def test_the_course_keeps_the_best_but_no_single_outlier():
     assert course.edge_widths() == []
 
 
+def test_the_coarse_detail_falls_all_the_way_out():
+    lit = find_beam(fired(seen(bench()))).lit
+    found = [coarse_detail(fired(seen(bench(circle_px=float(circle)))), lit) for circle in (20, 30, 40, 60)]
+    assert (np.diff(found) < -0.1 * np.array(found[:-1])).all(), found
+
+
+def course_of(widths):
+    course = FocusCourse()
+    for number, width in enumerate(widths):
+        course.add(0.2 * number, FocusFigures(edge_width_px=width))
+    return course
+
+
+def test_a_ring_turned_beyond_the_best_is_turned_back():
+    noise = np.random.default_rng(1).normal(0.0, 0.01, 30)
+    course = course_of(0.68 + noise)
+    assert course.better_before_px() is None
+    for number in range(4):
+        course.add(10.0 + number, FocusFigures(edge_width_px=0.80 + float(noise[number])))
+    assert course.better_before_px() == pytest.approx(0.68, abs=0.02)
+    course.turned()  # elsewhere in the field, edges have another width
+    course.add(20.0, FocusFigures(edge_width_px=0.80))
+    assert course.better_before_px() is None
+
+
+def test_noise_is_no_reason_to_turn_back():
+    course = course_of(0.8 + np.random.default_rng(2).normal(0.0, 0.08, 60))
+    assert course.better_before_px() is None
+
+
 @pytest.mark.parametrize(
     ("widths", "expected"),
     [
@@ -84,10 +115,10 @@ def test_the_trend_of_the_last_seconds(widths, expected):
     assert course.trend() == expected
 
 
-def test_the_trend_by_sharpness_alone():
+def test_the_trend_by_coarse_detail_alone():
     course = FocusCourse()
     for number in range(8):
-        course.add(0.4 * number, FocusFigures(sharpness=0.1 + 0.02 * number))
+        course.add(0.4 * number, FocusFigures(coarse_detail=0.1 + 0.02 * number))
     assert course.trend() == "better"
     assert FocusCourse().trend() == ""
 

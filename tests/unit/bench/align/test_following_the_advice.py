@@ -38,10 +38,10 @@ class Person:
         self.said.append(first)
         if "switch" in first and "on" in first and not self.on:
             self.on = True
-        elif "level to 10 %" in first:
-            self.level = 10.0
+        elif "level to 100 %" in first:
+            self.level = 100.0
         elif "Turn the focus ring" in first:
-            width = figures.focus["edge_width_px"] or 10.0 - 10.0 * figures.focus["sharpness"]
+            width = figures.focus["edge_width_px"] or 0.5 / figures.focus["coarse_detail"]
             if self.last_width is not None and width > 1.04 * self.last_width:  # it got worse: back, by less
                 self.step *= -0.6 if abs(self.step) > 0.03 else -1.0
             self.last_width = width
@@ -65,7 +65,9 @@ def test_the_advice_leads_to_a_recording_that_passes(tmp_path, ring):
     for number in range(60):
         light = drive(person.level, output=person.on, sync=person.on)
         write_slice(path, seen(person.truth(), **person.angles), light=light, seed=number, triggers=person.on)
-        setting = LiveSetting.of_station(STATION, frequency_hz=60.0, light_on=person.on)
+        setting = LiveSetting.of_station(
+            STATION, frequency_hz=60.0, light_on=person.on, level_percent=person.level
+        )
         _, figures = meter.measure(LiveSlice(path, 100.0 * number, None, dict(person.angles)), setting)
         if not figures.advice:
             break

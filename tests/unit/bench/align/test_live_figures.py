@@ -198,20 +198,24 @@ def test_far_out_of_focus(tmp_path):
     nothing = write_slice(tmp_path / "nothing.raw", seen(bench(circle_px=30.0), **reading))
     _, white = figures_of(nothing, reading_deg=reading)
     assert white.advice[0].startswith("No stars were found, and almost no details.")
-    assert "level to 10 %" in white.advice[0]
+    assert "Turn the focus ring: the coarse detail, now 0.0" in white.advice[0]
     assert "Turn pan by about -4 degrees. This brings the beam to the middle." in white.advice[1]
     truth = bench(circle_px=20.0)
     _, bright = figures_of(write_slice(tmp_path / "bright.raw", seen(truth, **reading)), reading_deg=reading)
     assert bright.advice[0].startswith(
         "A dark square that looks like the tag is in view, but no stars were found"
     )
-    assert "level to 10 %" in bright.advice[0]
+    assert "Turn the focus ring: the coarse detail, now 0.0" in bright.advice[0]
+    assert bright.to_json()["square"]["side_px"] > 100.0
     assert bright.turn["pan_deg"] == pytest.approx(-4.0, abs=0.4)
     dim = write_slice(tmp_path / "dim.raw", seen(truth, pan=4.0), light=drive(10.0))
     _, figures = figures_of(dim, reading_deg={"pan": 4.0})
     assert figures.advice[0].startswith("Turn the focus ring: edges are ")
     assert figures.focus["blur_circle_px"] == pytest.approx(20.0, abs=2.5)
     assert figures.focus["edge_width_px"] == pytest.approx(5.0, abs=0.7)
+    known = dataclasses.replace(SETTING, level_percent=10.0)
+    _, figures = figures_of(dim, known, reading_deg={"pan": 4.0})
+    assert figures.advice[0].startswith("Edges are about 5 px wide. Set the light's level to 100 %")
 
 
 def test_stars_without_a_tag_and_a_part_of_the_beam(tmp_path):
