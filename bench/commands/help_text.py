@@ -130,6 +130,9 @@ EXAMPLES = {
     ),
     "ledger": ("starbench ledger check",),
     "ledger check": ("starbench ledger check",),
+    "ledger forget-place": (
+        "starbench ledger forget-place /mnt/office/bench2.heads --reason 'The office has a new server.'",
+    ),
     "ledger explain": ("starbench ledger explain --reason 'The disk was restored from the copy of Monday.'",),
     "schema": ("starbench schema sequence > sequence.schema.json",),
 }

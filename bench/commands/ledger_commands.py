@@ -35,13 +35,33 @@ def ledger_explain(reason: str, by: str | None, as_json: bool) -> int:
     """State why the ledger was broken. The reason is added to the ledger; nothing is rewritten."""
     from bench.commands.ledger_output import explain_breaks
 
-    text, name = " ".join(reason.split()), " ".join((by or "").split())
+    return explain_breaks(_reason(reason), by=_name(by), as_json=as_json)
+
+
+@ledger.command("forget-place")
+@click.argument("place")
+@click.option("--reason", required=True, metavar="TEXT", help="Why the place is not used any more.")
+@click.option("--operator", "by", metavar="NAME", help="Your name.  [default: user@host]")
+def ledger_forget_place(place: str, reason: str, by: str | None) -> int:
+    """Write the ledger to the second PLACE no longer, for example to a share that was taken away."""
+    from bench.commands.ledger_output import forget_place
+
+    return forget_place(place, _reason(reason), by=_name(by))
+
+
+def _name(by: str | None) -> str | None:
+    return " ".join((by or "").split())[:200] or None
+
+
+def _reason(reason: str) -> str:
+    """Return a reason as one line. Raises UsageError if it is too short or too long."""
+    text = " ".join(reason.split())
     if not 3 <= len(text) <= _LONGEST_REASON:
         raise UsageError(
             f"--reason has {len(text)} characters.",
             remedy=f"State in one or two sentences what happened, in 3 to {_LONGEST_REASON} characters.",
         )
-    return explain_breaks(text, by=name[:200] or None, as_json=as_json)
+    return text
 
 
 LEDGER_COMMANDS = (ledger,)

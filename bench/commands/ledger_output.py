@@ -43,12 +43,14 @@ def ledger_findings(ledger: Ledger) -> tuple[list[str], list[str]]:
     Returns
     -------
     faults
-        Breaks that nobody has explained, each with what to do.
+        Breaks that nobody has explained; the last one says what to do.
     notes
         Explained breaks, and places that could not be asked.
     """
     faults, explained = ledger.breaks(None, sealed_strangers(ledger.home))
-    return [f"{fault} {EXPLAIN}" for fault in faults], [*map(explained_text, explained), *ledger.warnings]
+    if faults:
+        faults[-1] += f" {EXPLAIN}"
+    return faults, [*map(explained_text, explained), *ledger.warnings]
 
 
 def explained_text(one: Break) -> str:
@@ -156,4 +158,31 @@ def explain_breaks(reason: str, *, by: str | None, as_json: bool) -> int:
     for one in found:
         click.echo(one)
     click.echo(f"Entered in the ledger as {person}: {reason}")
+    return 0
+
+
+def forget_place(place: str, reason: str, *, by: str | None) -> int:
+    """Write the ledger to a second place no longer.
+
+    Parameters
+    ----------
+    place
+        Path of the second place.
+    reason
+        Why.
+    by
+        Name of the person; user@host where None.
+
+    Returns
+    -------
+    int
+        Exit status, 0.
+
+    Raises
+    ------
+    UsageError
+        When it is no second place of the ledger.
+    """
+    bench_ledger().forget_place(place, reason=reason, by=by or operator_at_terminal())
+    click.echo(f"The ledger is no longer written to {place}; the reason is in the ledger.")
     return 0

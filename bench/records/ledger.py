@@ -36,6 +36,8 @@ from bench.records.ledger_runs import RUN_BEGUN, RUN_ENDED, LedgerRun, runs_of
 from bench.records.run_folder import MANIFEST, is_sealed
 from bench.records.storage import sha256_of, storage_errors, sync_folder
 
+PLACE_FORGOTTEN = "place_forgotten"
+
 
 class Ledger(LedgerFile):
     """The ledger of a bench. Every method reads the file anew, because other processes write to it too.
@@ -297,6 +299,35 @@ class Ledger(LedgerFile):
         if not open_breaks:
             raise UsageError("The ledger has no break to explain.", where=str(self.path))
         return [str(one) for one in open_breaks]
+
+    def forget_place(self, place: str, *, reason: str, by: str) -> None:
+        """Write to a second place no longer, and enter why.
+
+        Parameters
+        ----------
+        place
+            Path of the second place, as the station file named it.
+        reason
+            Why, in the words of a person.
+        by
+            Name of that person.
+
+        Raises
+        ------
+        UsageError
+            When the ledger is not written to this place.
+        EvidenceError, JournalBroken, StorageError
+            As ``locked``.
+        """
+        own = self._own_mark()
+        known = own.anchors if isinstance(own, OwnMark) else ()
+        if place not in known:
+            raise UsageError(
+                f"{place} is not a second place of this ledger.",
+                remedy=f"It has: {', '.join(known)}." if known else "It has none.",
+            )
+        self.append(PLACE_FORGOTTEN, place=place, reason=reason, by=by)
+        self._change_anchors(lambda places: tuple(one for one in places if one != place))
 
     @contextmanager
     def _mended(

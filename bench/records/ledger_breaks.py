@@ -267,6 +267,11 @@ def _ask_anchor(
         found.warnings.append(f"The second place of the ledger {witness.place} is empty; it had marks.")
     elif objecting := witness.objections(entries, excused):
         last = max(objecting, key=lambda mark: mark.lines)
-        found.what.append(f"The ledger {last.disagreement(entries)} (as {witness.place} knows).")
+        hint = (
+            ""
+            if witness.was_there
+            else " Or the file is another bench's: then give this bench a file of its own."
+        )
+        found.what.append(f"The ledger {last.disagreement(entries)} (as {witness.place} knows).{hint}")
         for mark in dict.fromkeys([last, objecting[-1]]):
             found.knows(witness.place, mark)

@@ -184,10 +184,18 @@ class LedgerFile:
             except BenchError as error:
                 self.warnings.append(f"The second place of the ledger cannot be written: {error}")
         if anchor and anchor not in own.anchors:
-            with self._held():
-                now = self._own_mark()
-                if isinstance(now, OwnMark) and anchor not in now.anchors:
-                    write_own_mark(self.home, replace(now, anchors=(*now.anchors, anchor)))
+            self._change_anchors(lambda known: (*known, anchor))
+
+    def _change_anchors(self, change: Callable[[tuple[str, ...]], tuple[str, ...]]) -> None:
+        """Change the list of second places that the bench's own mark holds; what fails becomes a warning."""
+        with self._held():
+            own = self._own_mark()
+            if not isinstance(own, OwnMark):
+                return
+            try:
+                write_own_mark(self.home, replace(own, anchors=tuple(dict.fromkeys(change(own.anchors)))))
+            except BenchError as error:
+                self.warnings.append(f"The bench's own mark of the ledger cannot be written: {error}")
 
 
 def refuse(faults: Sequence[str], path: Path) -> None:

@@ -12,7 +12,7 @@ from hypothesis import HealthCheck, settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, precondition, rule
 
-from bench.base.errors import EvidenceError, JournalBroken, UsageError
+from bench.base.errors import EvidenceError, JournalBroken, StorageError, UsageError
 from bench.records.journal import Journal
 from bench.records.ledger import Ledger
 from bench.records.ledger_breaks import KnownRun, highest_counts
@@ -241,6 +241,30 @@ def test_half_a_line_of_a_power_cut_in_a_second_place_is_removed(ledger, anchor)
     assert ledger.breaks() == ([], [])
     begin(ledger)
     assert [json.loads(line)["lines"] for line in anchor.read_bytes().splitlines()] == [1, 2, 3]
+
+
+def test_a_second_place_of_another_bench_is_told_from_a_rollback_by_a_hint(ledger, anchor, tmp_path):
+    runs(Ledger(tmp_path / "other", **CLOCKS), 3, anchor=str(anchor))
+    runs(ledger, 1)
+    assert "the file is another bench's" in faults(ledger, str(anchor))[0]
+
+
+def test_a_second_place_that_is_no_longer_used_is_forgotten_with_a_reason(ledger, anchor):
+    runs(ledger, 1, anchor=str(anchor))
+    ledger.forget_place(str(anchor), reason="a new server", by="Ada")
+    before = anchor.read_bytes()
+    runs(ledger, 1)
+    assert anchor.read_bytes() == before
+    assert ledger.entries()[2].data == {"place": str(anchor), "reason": "a new server", "by": "Ada"}
+    with pytest.raises(UsageError, match="It has none"):
+        ledger.forget_place(str(anchor), reason="again", by="Ada")
+
+
+def test_a_home_that_cannot_be_written_after_the_begin_stops_no_run(ledger, anchor):
+    failed = StorageError("The disk is full.", where="ledger_high")
+    with mock.patch("bench.records.ledger_file.write_own_mark", side_effect=failed):
+        assert begin(ledger, anchor=str(anchor))["number"] == 1
+    assert "disk is full" in ledger.warnings[0]
 
 
 def test_a_certificate_goes_to_the_second_place_too(ledger, anchor):
