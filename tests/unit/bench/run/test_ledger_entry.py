@@ -1,0 +1,121 @@
+"""A run and the ledger: a break is told to the operator, journaled and reported; a strict station refuses it."""
+
+from datetime import UTC, datetime
+from types import SimpleNamespace
+
+import pytest
+
+from bench.base.errors import EvidenceError
+from bench.records.journal import read_journal
+from bench.records.ledger import Ledger
+from bench.report.run_tables import identification
+from bench.run.ledger_entry import (
+    enter_in_ledger,
+    ledger_entry,
+    ledger_lines,
+    record_revoked_secrets,
+    refuse_broken_ledger,
+)
+from bench.run.runner import RunEnd
+from bench.stations.station_ledger import LedgerConfig
+
+CLOCKS = {"utc_now": lambda: datetime(2026, 3, 1, tzinfo=UTC), "monotonic": lambda: 0.0}
+
+
+@pytest.fixture
+def ledger(tmp_path):
+    return Ledger(tmp_path / "home", **CLOCKS)
+
+
+def job(**section):
+    camera = SimpleNamespace(serial="00050423")
+    return SimpleNamespace(
+        station=SimpleNamespace(ledger=LedgerConfig(**section), camera=camera), simulated=True
+    )
+
+
+def run(ledger, folder, task):
+    place = enter_in_ledger(ledger, task, folder)
+    with ledger_entry(ledger, place, folder) as ending:
+        ending(RunEnd("aborted", "", folder, None))
+    return place
+
+
+def test_a_whole_ledger_is_not_worth_a_word(ledger, tmp_path):
+    place = run(ledger, tmp_path / "a", job())
+    assert set(place) == {"number", "head", "of_camera"}
+    assert ledger_lines(place) == []
+    assert [one.how for one in ledger.runs()] == ["aborted"]
+    names = [name for name, _ in identification({"run": {"ledger": place}})]
+    assert "Line of the ledger" in names
+    assert "Ledger" not in names
+
+
+def test_a_break_is_told_and_stands_in_the_place_and_in_the_report(ledger, tmp_path):
+    run(ledger, tmp_path / "a", job())
+    ledger.path.unlink()
+    place = run(ledger, tmp_path / "b", job())
+    (line,) = ledger_lines(place)
+    assert line.startswith("FAULT OF THE LEDGER: On 2026-03-01 00:00 UTC the ledger was found broken")
+    assert line.endswith("`starbench ledger explain --reason TEXT`.")
+    (row,) = [value for name, value in identification({"run": {"ledger": place}}) if name == "Ledger"]
+    assert row.startswith("BROKEN. On 2026-03-01")
+
+
+def test_a_strict_station_refuses_a_break_before_anything_is_made(ledger, tmp_path):
+    task = job(strict=True)
+    refuse_broken_ledger(ledger, task)
+    run(ledger, tmp_path / "a", task)
+    refuse_broken_ledger(ledger, task)
+    ledger.path.unlink()
+    refuse_broken_ledger(ledger, job())
+    for refused in (refuse_broken_ledger, lambda *words: enter_in_ledger(*words, tmp_path / "b")):
+        with pytest.raises(EvidenceError, match="The ledger is broken"):
+            refused(ledger, task)
+    assert not ledger.path.exists()
+
+
+def test_the_word_strict_alone_is_a_section():
+    assert LedgerConfig.model_validate("strict") == LedgerConfig(strict=True)
+    for path in ("bench2.heads", "../share/heads", "~/heads"):
+        with pytest.raises(ValueError, match="absolute path"):
+            LedgerConfig(anchor=path)
+
+
+def test_a_run_that_is_resumed_keeps_its_place_unless_the_ledger_has_lost_it(ledger, tmp_path):
+    place = run(ledger, tmp_path / "a", job())
+    assert enter_in_ledger(ledger, job(), tmp_path / "a", place) == place
+    (ledger.home / "ledger_high").unlink()
+    ledger.path.write_bytes(ledger.path.read_bytes().splitlines(keepends=True)[0])
+    seen = enter_in_ledger(ledger, job(), tmp_path / "a", place)
+    assert seen == place  # the line is there, and nothing else knows of the lost one
+    ledger.path.write_bytes(b"junk\n")
+    again = enter_in_ledger(ledger, job(), tmp_path / "a", place)
+    assert again["head"] != place["head"]
+    assert "was damaged" in again["faults"][0]
+
+
+def test_a_resumed_run_tells_of_a_break_too(ledger, tmp_path):
+    place = run(ledger, tmp_path / "a", job())
+    run(ledger, tmp_path / "b", job())
+    ledger.path.write_bytes(b"".join(ledger.path.read_bytes().splitlines(keepends=True)[:2]))
+    assert "2 are missing" in enter_in_ledger(ledger, job(), tmp_path / "a", place)["faults"][0]
+    with pytest.raises(EvidenceError):
+        enter_in_ledger(ledger, job(strict=True), tmp_path / "a", place)
+
+
+def test_a_second_place_that_cannot_be_reached_is_a_warning_before_the_run(ledger, tmp_path):
+    anchor = str(tmp_path / "not mounted" / "bench2.heads")
+    place = run(ledger, tmp_path / "a", job(anchor=anchor, strict=True))
+    assert "faults" not in place
+    assert any(line.startswith("WARNING: ") and anchor in line for line in ledger_lines(place))
+
+
+def test_the_ledger_names_the_secrets_that_a_sealed_run_holds(ledger, tmp_path):
+    place = run(ledger, tmp_path / "a", job())
+    (tmp_path / "a").mkdir()
+    record_revoked_secrets(ledger, place, tmp_path / "a")
+    (tmp_path / "a" / "wire.jsonl").write_text("rtsp://admin:pa55@10.0.0.9/\n")
+    record_revoked_secrets(ledger, place, tmp_path / "a")
+    (line,) = [entry for entry in read_journal(ledger.path)[0] if entry.event == "secrets_revoked"]
+    assert line.data == {"number": 1, "found": ["wire.jsonl:1: a URL with a password"]}
