@@ -1,0 +1,91 @@
+"""A certificate from a real run on the simulated bench, by the command line; killed in between, and tampered with."""
+
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+
+import pytest
+from certificate_sample import LAB
+from running import starbench
+
+from bench.evidence.keys import load_key
+from tests.unit.bench.evidence.resealed import reseal
+
+pytestmark = pytest.mark.slow
+
+
+@pytest.fixture(scope="module")
+def lab(tmp_path_factory):
+    """A folder with a sealed run, its configuration folder, and lab.yaml with a date of receipt long ago."""
+    folder = tmp_path_factory.mktemp("lab")
+    said = starbench("run", "three_pose", "-s", "simulated", "-o", folder / "run", home=folder / "home")
+    assert said.returncode == 0, said.stderr
+    text = (
+        LAB.replace("2026-11-18", "2020-01-07")
+        .replace("2025-11-20", "2020-01-07")
+        .replace("2026-01-08", "2020-01-07")
+    )
+    (folder / "lab.yaml").write_text(text, encoding="utf-8")
+    return folder
+
+
+@pytest.fixture(scope="module")
+def issued(lab):
+    said = certificate(lab, "issue", lab / "run", "-c", lab / "lab.yaml", "-o", lab / "first", "--json")
+    assert said.returncode == 0, said.stderr
+    return json.loads(said.stdout)
+
+
+def certificate(lab, *words):
+    return starbench("certificate", *words, home=lab / "home")
+
+
+def test_it_verifies_with_starbench_and_with_stock_programs(lab, issued):
+    said = starbench("verify", lab / "first", "--json", home=lab / "home")
+    assert said.returncode == 0, said.stdout
+    assert json.loads(said.stdout)["state"] == "SEALED"
+    subprocess.run(["sha256sum", "--strict", "--quiet", "-c", "SHA256SUMS"], cwd=lab / "first", check=True)
+    assert issued["certificate"]["run"]["id"] == "run"
+
+
+def test_pdf_and_json_resealed_with_the_benchs_own_key_are_found(lab, issued, tmp_path):
+    copy = tmp_path / "copy"
+    shutil.copytree(lab / "first", copy)
+    for path in (copy, *copy.rglob("*")):
+        path.chmod(0o755)
+    data = (copy / "certificate.json").read_bytes()
+    (copy / "certificate.json").write_bytes(data.replace(b"Customer & Sons", b"Somebody & Sons"))
+    reseal(copy, load_key(lab / "home"))
+    said = starbench("verify", copy, home=lab / "home")
+    assert said.returncode == 1
+    assert (
+        "it does not follow from results.json and lab.yaml: customer.name is 'Somebody & Sons" in said.stderr
+    )
+
+
+def test_killed_after_its_number_was_taken_no_number_is_lost(lab, issued):
+    ledger, arguments = lab / "home" / "ledger.jsonl", ("-c", lab / "lab.yaml", "--also", "killed")
+    for attempt in range(4):
+        size = ledger.stat().st_size
+        words = ["issue", lab / "run", *arguments, "-o", lab / f"killed{attempt}"]
+        process = subprocess.Popen(
+            [sys.executable, "-m", "bench", "certificate", *map(str, words)],
+            env={**os.environ, "STARBENCH_HOME": str(lab / "home")},
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+        )
+        while ledger.stat().st_size == size and process.poll() is None:
+            time.sleep(0.005)
+        time.sleep(0.25 * attempt)
+        process.send_signal(signal.SIGKILL)
+        process.wait()
+    said = certificate(lab, "issue", lab / "run", *arguments, "-o", lab / "last")
+    assert said.returncode == 0, said.stderr
+    found = json.loads(certificate(lab, "list", "--json").stdout)["certificates"]
+    assert [row["number"][-5:] for row in found] == [f"{count:05d}" for count in range(1, len(found) + 1)]
+    assert {row["state"] for row in found} == {"SEALED"}
+    assert [path.name for path in lab.iterdir() if path.name.endswith(".tmp")] == []
