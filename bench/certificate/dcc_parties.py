@@ -90,7 +90,7 @@ def add_items(parent: _Element, certificate: Certificate) -> None:
     _add_model(one, camera.model)
     identifications(
         one,
-        ("manufacturer", camera.serial or NO_NUMBER, "Serial number"),
+        ("manufacturer", camera.serial.strip() or NO_NUMBER, "Serial number"),
         ("manufacturer", camera.firmware, "Firmware"),
         ("customer", item.customer_id, "Customer's number"),
         ("calibrationLaboratory", camera.biases_sha256, "SHA-256 of the biases"),
@@ -105,7 +105,7 @@ def add_items(parent: _Element, certificate: Certificate) -> None:
     )
     _add_maker(one, lens.maker)
     _add_model(one, lens.model)
-    identifications(one, ("manufacturer", lens.serial or NO_NUMBER, "Serial number"))
+    identifications(one, ("manufacturer", lens.serial.strip() or NO_NUMBER, "Serial number"))
 
 
 def add_laboratory(parent: _Element, certificate: Certificate) -> None:
