@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,12 +26,12 @@ _SAME_RMS = 1e-9
 
 @dataclass(frozen=True)
 class _Picture:
-    """An image of views.h5."""
+    """An image of views.h5; read when it is needed, because a run may have a thousand."""
 
-    pixels: NDArray[np.uint8]
+    read: Callable[[], NDArray[np.uint8]]
 
     def decoded(self) -> NDArray[np.uint8]:
-        return self.pixels
+        return self.read()
 
 
 @dataclass(frozen=True)
@@ -50,11 +51,35 @@ class RunViews:
     views
         Stars and residuals of each pose.
     pictures
-        Image of each pose, (H, W) uint8; None for recalculated results, which have no images.
+        For each pose a function that reads its image, (H, W) uint8; None for recalculated results, which have no
+        images.
     """
 
     views: Sequence[StoredView]
-    pictures: Sequence[NDArray[np.uint8] | None]
+    pictures: Sequence[Callable[[], NDArray[np.uint8]] | None]
+
+    @classmethod
+    def read(cls, path: Path) -> Self:
+        """Read a views.h5; its images are read when they are needed.
+
+        Parameters
+        ----------
+        path
+            The file.
+
+        Returns
+        -------
+        RunViews
+            The content.
+
+        Raises
+        ------
+        RunFolderError
+            When the file cannot be read, or does not have this layout.
+        """
+        views, pictured = read_views(path), has_pictures(path)
+        numbers = range(1, len(views) + 1)
+        return cls(views, [partial(read_picture, path, number) if pictured else None for number in numbers])
 
     def as_file(self) -> bytes:
         """Return the bytes of a views.h5 with this content.
@@ -63,11 +88,16 @@ class RunViews:
         -------
         bytes
             The file, as a run writes it.
+
+        Raises
+        ------
+        RunFolderError
+            When an image cannot be read.
         """
         return views_file(
             [
-                _Found(s.view, None if p is None else _Picture(p))
-                for s, p in zip(self.views, self.pictures, strict=True)
+                _Found(stored.view, None if read is None else _Picture(read))
+                for stored, read in zip(self.views, self.pictures, strict=True)
             ],
             [stored.residuals_px for stored in self.views],
         )
@@ -84,17 +114,22 @@ class RunViews:
         -------
         list of ViewPicture
             With the images that the report shows.
+
+        Raises
+        ------
+        RunFolderError
+            When an image cannot be read.
         """
         names = pictured_poses(results).names
         return [
             ViewPicture(
                 stored.view.name,
-                picture if stored.view.name in names else None,
+                read() if read is not None and stored.view.name in names else None,
                 stored.view.points_px,
                 stored.view.points_px - stored.residuals_px,
                 stored.view.ids,
             )
-            for stored, picture in zip(self.views, self.pictures, strict=True)
+            for stored, read in zip(self.views, self.pictures, strict=True)
         ]
 
 
@@ -121,14 +156,13 @@ def check_views(
     """
     path = folder / VIEWS
     try:
-        views = read_views(path)
-        pictured = has_pictures(path)
-        numbers = range(1, len(views) + 1)
-        held = RunViews(views, [read_picture(path, number) if pictured else None for number in numbers])
+        held = RunViews.read(path)
+        again = held.as_file()  # this reads every image
     except (RunFolderError, MemoryError, RuntimeError) as error:
         what = error.what if isinstance(error, RunFolderError) else f"the file cannot be read ({error!r})"
         found.fault("views", VIEWS, what)
         return None
+    views = held.views
     solved = results["calibration"]["views"]
     names = [stored.view.name for stored in views], [view["name"] for view in solved]
     if names[0] != names[1]:
@@ -137,7 +171,7 @@ def check_views(
     for stored, view in zip(views, solved, strict=True):
         if all_stars:
             _check_residuals(stored, view, found)
-    _check_bytes(path, held, results, found)
+    _check_bytes(path, again, results, found)
     return held
 
 
@@ -154,9 +188,9 @@ def _check_residuals(stored: StoredView, view: Mapping[str, Any], found: Finding
             found.fault("views", VIEWS, what)
 
 
-def _check_bytes(path: Path, held: RunViews, results: Mapping[str, Any], found: Findings) -> None:
+def _check_bytes(path: Path, again: bytes, results: Mapping[str, Any], found: Findings) -> None:
     """Write the content again: a file with the same bytes holds nothing besides it."""
-    if path.read_bytes() == held.as_file():
+    if path.read_bytes() == again:
         return
     if other := other_software(results, ("starbench", "h5py", "numpy", "program")):
         found.not_compared.append(f"bytes of {VIEWS} with its content: it was made with {other}")

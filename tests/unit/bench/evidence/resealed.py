@@ -15,7 +15,6 @@ from bench.results.derive_views import RunViews
 from bench.results.exports import exports
 from bench.results.result import json_bytes
 from bench.results.stored_calibration import stored_calibration
-from bench.views.views_file import read_picture, read_views
 
 
 def kinds(verification):
@@ -122,8 +121,7 @@ class Forger:
         calibration = stored_calibration(results["calibration"])
         for name, data in exports(calibration, camera_name=job.camera_name, target=job.target).items():
             (self.folder / "exports" / name).write_bytes(data)
-        views = read_views(self.folder / "views.h5")
-        held = RunViews(views, [read_picture(self.folder / "views.h5", n + 1) for n in range(len(views))])
+        held = RunViews.read(self.folder / "views.h5")
         html = render_report(ReportData(results, held.shown(results), self.head))
         (self.folder / "report.html").write_text(html, encoding="utf-8")
 
