@@ -221,7 +221,7 @@ def _weakness(fitted: Fit) -> list[str]:
     if relative[name] < _WEAK_FOCAL_SIGMA:
         return []
     why = explain_weak_geometry(fitted.views, fitted.parameters)
-    text = f"Weak geometry: {name} is known only to {100 * relative[name]:.1f} % (1 sigma). {why}".strip()
+    text = f"Weak geometry: {name} is known only to ±{200 * relative[name]:.1f} % (k = 2). {why}".strip()
     return [f"{text} Add views turned about other axes, with the stars elsewhere in the image."]
 
 

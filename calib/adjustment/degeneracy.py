@@ -74,9 +74,9 @@ def require_constrained(
     sigmas = dict(zip(names, np.sqrt(np.diag(covariance)), strict=True))
     for name, value in (("fx", parameters.camera.fx), ("fy", parameters.camera.fy)):
         if name in sigmas and not sigmas[name] <= MAX_FOCAL_SIGMA * value:
-            share = 100.0 * sigmas[name] / value
+            share = 200.0 * sigmas[name] / value
             raise DegenerateViews(
-                f"These views determine {name} only to {share:.0f} % (1 sigma). {why}".strip(),
+                f"These views determine {name} only to ±{share:.0f} % (k = 2). {why}".strip(),
                 remedy="Add views turned about other axes, with the stars elsewhere in the image.",
             )
 

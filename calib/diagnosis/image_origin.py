@@ -80,15 +80,16 @@ class OriginOffset:
     @property
     def sentence(self) -> str:
         """Says where the points lie, and what to check."""
-        sigma = f"1 sigma {max(self.sigma_px):.2g} px"
+        expanded = f"± {2.0 * max(self.sigma_px):.2g} px, k = 2"
         if not self.decided:
             return (
                 "These views cannot decide whether their points have the origin of this camera: a common offset is "
-                f"known only to {max(self.sigma_px):.2g} px (1 sigma), and the two origins differ by half a pixel."
+                f"known only to ± {2.0 * max(self.sigma_px):.2g} px (k = 2), and the two origins differ by "
+                "half a pixel."
             )
         if self.agrees:
-            return f"The points lie where this camera sees them, to {_words(self.offset_px)} ({sigma})."
-        place = f"All points lie {_words(self.offset_px)} of where this camera sees them ({sigma})"
+            return f"The points lie where this camera sees them, to {_words(self.offset_px)} ({expanded})."
+        place = f"All points lie {_words(self.offset_px)} of where this camera sees them ({expanded})"
         if self.half_pixel:
             return f"{place}: check --origin."
         return f"{place}. The principal point has moved, or the points come from another part of the image."
@@ -117,8 +118,9 @@ class OtherOrigin:
         """Names the views and their offset."""
         which = f"view {self.views[0]} lie" if len(self.views) == 1 else f"views {', '.join(self.views)} lie"
         return (
-            f"The points of {which} {_words(self.offset_px)} of those of the other views (1 sigma "
-            f"{self.sigma_px:.2g} px): their origin seems to differ. Check --origin, and give all views the same."
+            f"The points of {which} {_words(self.offset_px)} of those of the other views "
+            f"(± {2.0 * self.sigma_px:.2g} px, k = 2): their origin seems to differ. "
+            "Check --origin, and give all views the same."
         )
 
 
