@@ -8,11 +8,15 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from bench.commands.output import STOPPED, error_object, print_json
+from bench.records.captures import CAPTURES
 
 if TYPE_CHECKING:
     from bench.results.offline import OfflineResult
     from bench.run.runner import RunEnd
     from calib.studies.reference_methods import MethodFailure, MethodResult
+
+_MOST_LISTED = 20
+"""Recordings that are listed by name."""
 
 
 def show_run(end: RunEnd, *, as_json: bool) -> int:
@@ -37,6 +41,7 @@ def show_run(end: RunEnd, *, as_json: bool) -> int:
             "ended": end.how,
             "why": end.why,
             "unsafe": list(end.unsafe),
+            "devices": [one.to_dict() for one in end.devices],
             "folder": str(end.folder),
             "report": report,
             "error": error_object(end.failure) if end.failure is not None else None,
@@ -45,8 +50,8 @@ def show_run(end: RunEnd, *, as_json: bool) -> int:
         print_json({**facts, **dict(results.get("calibration", {})), "results": dict(results) or None})
         return status
     if end.how == "finished" and end.outcome is None:
-        click.echo("The run is finished and sealed. Its sequence has no report step, so there is no result.")
-        click.echo(f"Recordings and journal: {end.folder}")
+        for line in _recorded_lines(end):
+            click.echo(line)
         return status
     if end.outcome is None:
         for line in _early_end_lines(end):
@@ -60,12 +65,50 @@ def show_run(end: RunEnd, *, as_json: bool) -> int:
 def _early_end_lines(end: RunEnd) -> list[str]:
     """Return why a run ended early, what is known of the bench, and how to continue."""
     lines = [f"The run {'was aborted' if end.how == 'aborted' else 'failed'}: {end.why}"]
-    if not end.opened:
-        lines.append("No device was used; nothing was moved or switched.")
-        lines.append("Whether the light is on and the stage is still is not known: look at the bench.")
-    elif not end.unsafe:
-        lines += ["The bench is safe: stage stopped, light off.", "The devices confirmed this."]
-    return [*lines, "All recordings are kept. To continue:", f"  starbench resume {end.folder}"]
+    return [
+        *lines,
+        *_device_lines(end),
+        "All recordings are kept. To continue:",
+        f"  starbench resume {end.folder}",
+    ]
+
+
+def _device_lines(end: RunEnd) -> list[str]:
+    """Return what is known of each device; nothing is said that no device has answered."""
+    if all(one.state == "never opened" for one in end.devices):
+        return [
+            "No device was opened: this run moved nothing and switched nothing.",
+            "Whether the light is on and the stage is still is not known: look at the bench.",
+        ]
+    safe = bool(end.devices) and all(one.state == "confirmed safe" for one in end.devices)
+    head = (
+        "The bench is safe; each device confirmed it:"
+        if safe
+        else "CHECK THE BENCH. What is known of each device:"
+    )
+    return [head, *(f"  {one.text}" for one in end.devices)]
+
+
+def _recorded_lines(end: RunEnd) -> list[str]:
+    """Return what a run without results has: its recordings, and what can be done with them."""
+    recordings = sorted(
+        path.relative_to(end.folder).as_posix() for path in (end.folder / CAPTURES).glob("pose-*")
+    )
+    lines = ["The run is finished and sealed. Its sequence has no report step, so there is no result."]
+    lines.append(f"Folder: {end.folder}")
+    if not recordings:
+        return [*lines, "It has no recording."]
+    shown = recordings[:_MOST_LISTED]
+    lines.append(f"Recordings ({len(recordings)}):")
+    lines += [f"  {name}" for name in shown]
+    if len(recordings) > len(shown):
+        lines.append(f"  and {len(recordings) - len(shown)} more")
+    lines.append("To check the seal, and to calibrate from the recordings:")
+    return [
+        *lines,
+        f"  starbench verify {end.folder}",
+        f"  starbench calibrate {end.folder} --output NEW_FOLDER",
+    ]
 
 
 def print_calibration(

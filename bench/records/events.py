@@ -425,9 +425,14 @@ class FailureData(TypedDict):
 
 
 class RunEnded(TypedDict):
-    """Payload of ``run_ended``; ``error`` where the run failed, ``crashed`` where the error was not foreseen."""
+    """Payload of ``run_ended``; ``error`` where the run failed, ``crashed`` where the error was not foreseen.
+
+    ``devices`` states how each device was left: ``device``, ``state`` (confirmed safe, not confirmed, never opened) and
+    ``said``, what it answered.
+    """
 
     how: Literal["finished", "aborted", "failed"]
     why: str
     error: NotRequired[FailureData]
     crashed: NotRequired[bool]
+    devices: NotRequired[Sequence[Mapping[str, str]]]

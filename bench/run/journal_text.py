@@ -20,6 +20,7 @@ from bench.records.journal_entry import Entry
 from bench.report.until_text import decision_text
 from bench.run.interlock_text import interlock_text
 from bench.run.machine import END_STATES
+from bench.stations.device_ends import DeviceEnd
 
 
 def line_text(entry: Entry) -> str:
@@ -67,7 +68,9 @@ def _command_text(data: Commanded) -> str:
 
 
 def _end_text(data: RunEnded) -> str:
-    return f"{data['how']}{': ' if data['why'] else ''}{data['why']}"
+    ends = [DeviceEnd.from_dict(end) for end in data.get("devices", ())]
+    unsure = "".join(f"; {end.text}" for end in ends if end.state == "not confirmed")
+    return f"{data['how']}{': ' if data['why'] else ''}{data['why']}{unsure}"
 
 
 def _question_text(data: Asked) -> str:

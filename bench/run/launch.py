@@ -303,7 +303,7 @@ def _run_and_seal(
             if end.how == "finished":
                 journal.close()
                 seal(folder, key_to_seal(home_folder(), key, clock.utc_now(), launch.ask_passphrase))
-            what = f"{end.how}{': ' if end.why else ''}{end.why}"
+            what = f"{end.how}{': ' if end.why else ''}{end.why}{_devices_left(end)}"
             messages.write("failure" if end.how == "failed" else "end", what, journal.head)
         except BaseException as error:
             messages.write("failure", f"failed: {type(error).__name__}: {error}", journal.head)
@@ -311,6 +311,14 @@ def _run_and_seal(
         finally:
             courier.close()
     return end
+
+
+def _devices_left(end: RunEnd) -> str:
+    """Return how the devices were left, for a message; empty if all confirmed a safe state, or no step used any."""
+    if end.how == "finished" and not end.opened:
+        return ""
+    unsure = [one.text for one in end.devices if one.state != "confirmed safe"]
+    return "".join(f" {text}" for text in unsure)
 
 
 def _key(launch: Launch) -> BenchKey:

@@ -15,7 +15,8 @@ from bench.records.events import Event
 from bench.records.run_folder import RunFolder
 from bench.records.run_log import RunLog
 from bench.records.storage import storage_errors
-from bench.stations.devices import Devices
+from bench.stations.device_ends import DeviceEnd, all_ends, lost_ends
+from bench.stations.devices import Devices, left_devices
 from drivers.camera import EventCamera
 from drivers.errors import DriverError, WrongDevice
 
@@ -63,6 +64,7 @@ class RunDevices:
         self._say = say
         self._devices: Devices | None = None
         self._made_safe = False
+        self._ends: list[DeviceEnd] = []
         self._attempts_with_rate_checked = 0
 
     @property
@@ -90,7 +92,11 @@ class RunDevices:
             As `Devices` raises them.
         """
         if self._devices is None:
-            self._devices = self._open_devices()
+            try:
+                self._devices = self._open_devices()
+            except BaseException as error:
+                self._ends = left_devices(error)
+                raise
             self.was_opened = True
         return self._devices
 
@@ -143,9 +149,20 @@ class RunDevices:
         if not self.was_opened or self._made_safe:
             return
         self._made_safe = True
-        self.unsafe = [NOT_REOPENED] if self._devices is None else self._devices.make_safe()
+        self._ends = lost_ends(NOT_REOPENED) if self._devices is None else self._devices.make_each_safe()
+        self.unsafe = list(dict.fromkeys(end.said for end in self._ends if end.state == "not confirmed"))
         for fault in self.unsafe:
             self._say(f"CHECK THE BENCH: {fault}")
+
+    def ends(self) -> list[DeviceEnd]:
+        """Return how the run leaves each device, as far as anything is known.
+
+        Returns
+        -------
+        list of DeviceEnd
+            One for stage, light and camera.
+        """
+        return all_ends(self._ends)
 
     def close(self) -> None:
         """Close the ports; nothing moves."""

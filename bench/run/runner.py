@@ -35,6 +35,7 @@ from bench.run.run_devices import RunDevices
 from bench.run.safe_points import SafePoints
 from bench.run.state_work import StateWork
 from bench.run.steps import Steps
+from bench.stations.device_ends import DeviceEnd
 from bench.stations.devices import Devices
 from bench.terminal.progress import Progress
 from drivers.errors import CameraLost, PortLost, ReplyTimeout
@@ -64,6 +65,8 @@ class RunEnd:
         Error that ended a failed run, with its place and remedy; None for other runs.
     opened
         Whether the devices were open at some time.
+    devices
+        How the run left each device.
     """
 
     how: End
@@ -73,6 +76,7 @@ class RunEnd:
     unsafe: Sequence[str] = ()
     failure: Failure | None = None
     opened: bool = False
+    devices: Sequence[DeviceEnd] = ()
 
 
 class Runner:
@@ -155,7 +159,9 @@ class Runner:
         try:
             with self._inbox:
                 self._do_remaining_steps()
-            self._log.write(Event.RUN_ENDED, how="finished", why="")
+            with self._clock.shielded():
+                self._devices.make_safe()
+            self._log.write(Event.RUN_ENDED, how="finished", why="", devices=self._device_data())
         except Aborted as stop:
             return self._end_early("aborted", stop.reason)
         except FORESEEN as error:
@@ -200,6 +206,7 @@ class Runner:
                 if self._machine.can("abort"):  # not if the run had finished and only its journal line failed
                     self._machine.fire("abort")
                     self._machine.fire("abort_done" if how == "aborted" else "fail")
+                self._devices.make_safe()
                 self._write_end(how, why, failure, crashed=crashed)
             except StorageError as error:
                 why = f"{why} In addition, the journal could not be written: {error}"
@@ -211,11 +218,17 @@ class Runner:
         self, how: End, why: str, *, outcome: Outcome | None = None, failure: Failure | None = None
     ) -> RunEnd:
         devices = self._devices
-        return RunEnd(how, why, self._folder.path, outcome, devices.unsafe, failure, devices.was_opened)
+        return RunEnd(
+            how, why, self._folder.path, outcome, devices.unsafe, failure, devices.was_opened, devices.ends()
+        )
+
+    def _device_data(self) -> list[dict[str, str]]:
+        """Return how the run leaves each device, as the journal holds it."""
+        return [end.to_dict() for end in self._devices.ends()]
 
     def _write_end(self, how: End, why: str, failure: Failure | None, *, crashed: bool) -> None:
         if failure is None:
-            self._log.write(Event.RUN_ENDED, how=how, why=why)
+            self._log.write(Event.RUN_ENDED, how=how, why=why, devices=self._device_data())
             return
         error: FailureData = {
             "kind": failure.kind,
@@ -223,10 +236,11 @@ class Runner:
             "where": failure.where,
             "remedy": failure.remedy,
         }
+        devices = self._device_data()
         if crashed:
-            self._log.write(Event.RUN_ENDED, how=how, why=why, error=error, crashed=True)
+            self._log.write(Event.RUN_ENDED, how=how, why=why, error=error, crashed=True, devices=devices)
         else:
-            self._log.write(Event.RUN_ENDED, how=how, why=why, error=error)
+            self._log.write(Event.RUN_ENDED, how=how, why=why, error=error, devices=devices)
 
     # ------------------------------------------------------------------ which steps
 

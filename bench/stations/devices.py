@@ -6,8 +6,8 @@ simulated bench, which is then started first. Apart from that, simulated and rea
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from contextlib import ExitStack
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import ExitStack, contextmanager
 from types import MappingProxyType
 from typing import Any
 
@@ -15,6 +15,7 @@ from bench.base.clock import BenchClock
 from bench.base.errors import SimulationError
 from bench.simulated import SimulatedBench
 from bench.stations import station_cameras, station_lights, station_stages
+from bench.stations.device_ends import DeviceEnd, DeviceName, lost_ends
 from bench.stations.device_identities import hold_serial_devices
 from bench.stations.station import Station
 from bench.stations.station_fields import SIMULATED_PREFIX
@@ -39,6 +40,9 @@ from drivers.stage.zaber_axis import ZaberAxis
 from drivers.wire_log import WireLog
 
 Camera = EventCamera | FrameCamera
+
+LEFT_DEVICES = "left_devices"
+"""Attribute of the error of an opening that failed: how it left the devices that were open before."""
 
 
 class Devices:
@@ -78,7 +82,7 @@ class Devices:
     def __init__(self, station: Station, *, seed: int, clock: BenchClock, wire_log: WireLog | None) -> None:
         self._clock = clock
         self._simulation: SimulatedBench | None = None
-        with ExitStack() as opened:
+        with ExitStack() as opened, self._left_safe():
             if station.needs_simulated_bench:
                 self._simulation = opened.enter_context(SimulatedBench(station.simulated_world, seed))
             opened.enter_context(hold_serial_devices(station))
@@ -113,20 +117,46 @@ class Devices:
         list of str
             One sentence for each device that did not confirm; empty when all are safe.
         """
-        actions: Mapping[str, Callable[[], None]] = {
-            "the stage did not confirm its stop": self.stage.stop,
-            "the light did not confirm that it is off": self.light.off,
-            "the camera did not confirm that it stopped": self.camera.stop,
-        }
+        ends = self.make_each_safe()
+        return list(dict.fromkeys(end.said for end in ends if end.state == "not confirmed"))
+
+    def make_each_safe(self) -> list[DeviceEnd]:
+        """Stop the stage, switch the light off and stop the camera: each of them, even if another one fails.
+
+        Returns
+        -------
+        list of DeviceEnd
+            What each device answered. A device that is not open is left out.
+        """
         if self._simulation is not None and not self._simulation.alive:
-            return ["the simulated bench has ended unexpectedly; no simulated device is left to make safe"]
-        faults = []
-        for fault, action in actions.items():
+            return lost_ends(
+                "the simulated bench has ended unexpectedly; no simulated device is left to make safe"
+            )
+        actions: Mapping[DeviceName, tuple[str, Callable[[Any], str]]] = {
+            "stage": ("the stage did not confirm its stop", _stopped),
+            "light": ("the light did not confirm that it is off", _dark),
+            "camera": ("the camera did not confirm that it stopped", _without_recording),
+        }
+        ends = []
+        for name, (fault, action) in actions.items():
+            device = getattr(self, name, None)
+            if device is None:
+                continue
             try:
-                action()
+                ends.append(DeviceEnd(name, "confirmed safe", action(device)))
             except DriverError as error:
-                faults.append(f"{fault}: {error}")
-        return faults
+                ends.append(DeviceEnd(name, "not confirmed", f"{fault}: {error}"))
+        return ends
+
+    @contextmanager
+    def _left_safe(self) -> Iterator[None]:
+        """Make the devices safe that are open already, if a further one cannot be opened; the error tells of them."""
+        try:
+            yield
+        except BaseException as error:
+            with self._clock.shielded():
+                setattr(error, LEFT_DEVICES, self.make_each_safe())
+            raise
 
     def close(self) -> None:
         """Close all devices. Nothing moves."""
@@ -142,6 +172,44 @@ class Devices:
             known = ", ".join(SIMULATED_PREFIX + e for e in self._simulation.endpoints)
             raise SimulationError(f"The simulated bench has no {name}.", remedy=f"It has {known}.")
         return endpoint
+
+
+def left_devices(error: BaseException) -> list[DeviceEnd]:
+    """Return how an opening that failed left the devices that were open before.
+
+    Parameters
+    ----------
+    error
+        The error of the opening.
+
+    Returns
+    -------
+    list of DeviceEnd
+        Empty if none was open.
+    """
+    return list(getattr(error, LEFT_DEVICES, ()))
+
+
+def _stopped(stage: Stage) -> str:
+    """Stop the stage; return what it answered."""
+    stage.stop()
+    try:
+        angles = ", ".join(f"{axis} {angle:.3f}" for axis, angle in stage.position_deg().items())
+    except DriverError:
+        return "it confirmed the stop; its position could not be read afterwards"
+    return f"it confirmed the stop, at {angles} deg"
+
+
+def _dark(light: Light) -> str:
+    """Switch the light off; return what it answered."""
+    light.off()
+    return "it was read back as off"
+
+
+def _without_recording(camera: Camera) -> str:
+    """Stop the camera; return what it answered."""
+    camera.stop()
+    return "no recording is in progress"
 
 
 def make_orphans_safe(station: Station, clock: BenchClock) -> list[str]:

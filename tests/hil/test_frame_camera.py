@@ -323,5 +323,5 @@ def test_a_fault_in_mid_run_ends_it_in_our_words_and_safely(tmp_path, home, faul
     said = starbench("run", "nine_pose", "-s", station, "-o", folder, home=home)
     assert said.returncode == 1
     assert "Traceback" not in said.stderr
-    assert "The bench is safe: stage stopped, light off." in said.stderr
+    assert "light: confirmed safe: it was read back as off." in said.stderr
     assert not (folder / "results.json").exists()

@@ -13,9 +13,11 @@ from bench.commands.calibration_output import show_run
 from bench.records.events import Event
 from bench.records.history import replay
 from bench.records.journal import read_journal
+from bench.run.journal_text import line_text
 from bench.run.runner import RunEnd
+from bench.stations.device_ends import DeviceEnd
 from calib.errors import CalibrationError
-from drivers.errors import DriverError, MoveFailed
+from drivers.errors import DriverError, MoveFailed, ReplyTimeout
 from sequences.errors import SequencesError
 from simulators.errors import SimulatorError
 
@@ -68,8 +70,8 @@ def test_a_run_that_failed_keeps_kind_place_and_remedy_up_to_journal_and_json(tm
 @pytest.mark.parametrize(
     ("where", "opened", "text"),
     [
-        ("open", False, "No device was used; nothing was moved or switched."),
-        ("stage.move_to", True, "The bench is safe: stage stopped, light off."),
+        ("open", False, "No device was opened: this run moved nothing and switched nothing."),
+        ("stage.move_to", True, "The bench is safe; each device confirmed it:"),
     ],
 )
 def test_a_failed_run_is_called_safe_only_if_devices_were_opened(tmp_path, capsys, where, opened, text):
@@ -83,8 +85,42 @@ def test_a_failed_run_is_called_safe_only_if_devices_were_opened(tmp_path, capsy
     assert (end.how, end.opened) == ("failed", opened)
     assert show_run(end, as_json=False) == 1
     assert text in capsys.readouterr().err.splitlines()
-    assert show_run(replace(end, unsafe=["the light"]), as_json=False) == 1
-    assert ("safe" in capsys.readouterr().err) is False
+    ends = [DeviceEnd("stage", "confirmed safe", "at rest"), DeviceEnd("light", "not confirmed", "no answer")]
+    assert show_run(replace(end, devices=ends), as_json=False) == 1
+    said = capsys.readouterr().err
+    assert "The bench is safe" not in said
+    assert "  light: not confirmed: no answer. The light may be on." in said.splitlines()
+    assert "  stage: confirmed safe: at rest." in said.splitlines()
+
+
+def test_how_each_device_was_left_stands_in_the_journal_and_in_json(tmp_path, capsys):
+    def hook(name):
+        if name == "stage.move_to":
+            raise MoveFailed(SLIPPED["what"])
+        if name == "light.off":
+            raise ReplyTimeout("no complete reply within 2 s.")
+
+    scene = Scene(tmp_path)
+    scene.hook = hook
+    end = scene.run()
+    (told,) = scene.told(Event.RUN_ENDED)
+    states = {one["device"]: one["state"] for one in told["devices"]}
+    assert states == {"stage": "confirmed safe", "light": "not confirmed", "camera": "confirmed safe"}
+    assert show_run(end, as_json=True) == 1
+    said = json.loads(capsys.readouterr().out)
+    assert said["devices"] == told["devices"]
+    assert "no complete reply" in said["devices"][1]["said"]
+    assert said["unsafe"] == [said["devices"][1]["said"]]
+    assert line_text(read_journal(scene.folder / "journal.jsonl")[0][-1]).endswith("The light may be on.")
+
+
+def test_a_finished_run_states_what_each_device_confirmed(tmp_path):
+    scene = Scene(tmp_path)
+    assert scene.run().how == "finished"
+    (told,) = scene.told(Event.RUN_ENDED)
+    assert [one["state"] for one in told["devices"]] == ["confirmed safe"] * 3
+    assert told["devices"][0]["said"].startswith("it confirmed the stop, at pan ")
+    assert told["devices"][1]["said"] == "it was read back as off"
 
 
 def test_what_is_not_known_of_devices_never_opened_is_said(capsys, tmp_path):
@@ -97,8 +133,13 @@ def test_what_is_not_known_of_devices_never_opened_is_said(capsys, tmp_path):
 
 
 def test_a_sequence_without_a_report_step_has_not_failed(capsys, tmp_path):
+    (tmp_path / "captures").mkdir()
+    for name in ("pose-001-attempt-1.raw", "pose-002-attempt-1.raw"):
+        (tmp_path / "captures" / name).touch()
     assert show_run(RunEnd("finished", "", tmp_path, None, opened=True), as_json=False) == 0
     said = capsys.readouterr()
+    assert "Recordings (2):\n  captures/pose-001-attempt-1.raw\n  captures/pose-002" in said.out
+    assert f"starbench calibrate {tmp_path} --output" in said.out
     assert "finished and sealed. Its sequence has no report step, so there is no result." in said.out
     assert "resume" not in said.out + said.err
     assert "failed" not in said.out + said.err

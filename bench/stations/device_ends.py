@@ -1,0 +1,114 @@
+"""How a run left each device: what confirmed a safe state, what did not, and what was never opened. Uses no device.
+
+Nothing is claimed that no device has answered. The same states stand in the journal, the JSON output, the terminal and
+the messages.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Final, Literal, cast
+
+DeviceName = Literal["stage", "light", "camera"]
+EndState = Literal["confirmed safe", "not confirmed", "never opened"]
+
+DEVICES: Final[tuple[DeviceName, ...]] = ("stage", "light", "camera")
+_MAY_BE: Final[Mapping[DeviceName, str]] = {
+    "stage": "The stage may be moving.",
+    "light": "The light may be on.",
+    "camera": "",
+}
+_UNTOUCHED: Final[Mapping[DeviceName, str]] = {
+    "stage": "This run did not move it.",
+    "light": "This run did not switch it. The light may be on.",
+    "camera": "",
+}
+
+
+@dataclass(frozen=True)
+class DeviceEnd:
+    """How one device was left.
+
+    Attributes
+    ----------
+    device
+        The device.
+    state
+        What is known of it.
+    said
+        What it answered, or why it did not; empty if it was never opened.
+    """
+
+    device: DeviceName
+    state: EndState
+    said: str = ""
+
+    @property
+    def text(self) -> str:
+        """The state as a line for people; it says what may be the case where nothing was confirmed."""
+        said = f": {self.said}" if self.said else ""
+        advice = ""
+        if self.state != "confirmed safe":
+            advice = (_MAY_BE if self.state == "not confirmed" else _UNTOUCHED)[self.device]
+        stop = "" if said.endswith((".", "!")) else "."
+        return f"{self.device}: {self.state}{said}{stop}{f' {advice}' if advice else ''}"
+
+    def to_dict(self) -> dict[str, str]:
+        """Return the state as the journal and JSON hold it.
+
+        Returns
+        -------
+        dict
+            ``device``, ``state``, ``said``.
+        """
+        return {"device": self.device, "state": self.state, "said": self.said}
+
+    @classmethod
+    def from_dict(cls, data: Mapping[str, str]) -> DeviceEnd:
+        """Read what `to_dict` wrote.
+
+        Parameters
+        ----------
+        data
+            ``device``, ``state`` and ``said``.
+
+        Returns
+        -------
+        DeviceEnd
+            The state.
+        """
+        return cls(cast("DeviceName", data["device"]), cast("EndState", data["state"]), data.get("said", ""))
+
+
+def all_ends(known: Sequence[DeviceEnd]) -> list[DeviceEnd]:
+    """Add the devices that were never opened.
+
+    Parameters
+    ----------
+    known
+        States of some devices.
+
+    Returns
+    -------
+    list of DeviceEnd
+        One for stage, light and camera, in this order.
+    """
+    by_name = {end.device: end for end in known}
+    return [by_name.get(name, DeviceEnd(name, "never opened")) for name in DEVICES]
+
+
+def lost_ends(why: str) -> list[DeviceEnd]:
+    """Return the states of devices that cannot be asked any more.
+
+    Parameters
+    ----------
+    why
+        Why they cannot be asked.
+
+    Returns
+    -------
+    list of DeviceEnd
+        All of them not confirmed.
+    """
+    return [DeviceEnd(name, "not confirmed", why) for name in DEVICES]
