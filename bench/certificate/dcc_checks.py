@@ -272,7 +272,8 @@ def _verdict_faults(
         if margin >= 0:
             allowed.add("pass" if margin >= guard else "conditionalPass")
         else:
-            allowed.add("fail" if -margin >= guard else "conditionalFail")
+            allowed |= {"fail"} if -margin >= guard else set()
+            allowed |= {"conditionalFail"} if -margin <= guard else set()
     if verdict not in allowed:
         yield (
             f"{line}: the verdict on {result.name} is {short(verdict)}, but {result.value} with these limits and the"

@@ -38,6 +38,7 @@ _STATEMENT_NAMES = {
     "uncertainty": "Measurement uncertainty",
     "traceability": "Metrological traceability",
     "model": "Model of the camera",
+    "verification": "Verification of the run",
     "adjustment": "Adjustment",
     "accreditation": "Accreditation",
     "customer_data": "Data of the customer",
