@@ -15,7 +15,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from bench.base.errors import EvidenceError
-from bench.evidence.safe_files import refuse_writable_by_others
+from bench.evidence.safe_files import read_list
 from bench.evidence.signers import make_private_folder, parse_time, read_public_key, time_text
 from bench.evidence.ssh_keys import fingerprint, key_type_of
 from bench.records.storage import storage_errors, write_atomic
@@ -77,16 +77,8 @@ def read_revoked(path: Path) -> list[RevokedKey]:
     """
     if not path.exists():
         return []
-    try:
-        refuse_writable_by_others(path, "the list of revoked keys")
-        lines = path.read_text(encoding="utf-8").splitlines()
-    except (OSError, UnicodeDecodeError) as error:
-        reason = error.strerror if isinstance(error, OSError) else "it is not text"
-        raise EvidenceError(
-            f"The list of revoked keys cannot be read: {reason}.",
-            where=str(path),
-            remedy="Expected is a list of public keys, one a line; a binary list (KRL) is not supported.",
-        ) from error
+    with storage_errors(path):
+        lines = read_list(path, "the list of revoked keys").splitlines()
     revoked = []
     for number, line in enumerate(lines, start=1):
         if line.strip() and not line.lstrip().startswith("#"):

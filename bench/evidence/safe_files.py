@@ -13,6 +13,7 @@ from pathlib import Path
 from bench.base.errors import EvidenceError
 
 _WRITABLE_BY_OTHERS = 0o022
+_MOST_BYTES = 16 << 20
 _ANY_ACCESS_BY_OTHERS = 0o077
 
 
@@ -46,6 +47,45 @@ def refuse_writable_by_others(path: Path, what: str) -> None:
                 where=str(place),
                 remedy=f"If nobody has changed it: chmod go-w '{place}'. Otherwise get it again.",
             )
+
+
+def read_list(path: Path, what: str) -> str:
+    """Read a list on which the trust rests.
+
+    Parameters
+    ----------
+    path
+        The file.
+    what
+        What it is, for the message: ``the list of trusted keys``.
+
+    Returns
+    -------
+    str
+        Its text.
+
+    Raises
+    ------
+    EvidenceError
+        When other users can change it, it is larger than 16 MB, or it is not text.
+    OSError
+        When it cannot be read.
+    """
+    refuse_writable_by_others(path, what)
+    with path.open("rb") as stream:
+        data = stream.read(_MOST_BYTES + 1)
+    try:
+        text = data.decode("utf-8")
+        if len(data) <= _MOST_BYTES:
+            return text
+        why = f"it has more than {_MOST_BYTES >> 20} MB"
+    except UnicodeDecodeError:
+        why = "it is not text"
+    raise EvidenceError(
+        f"{what[0].upper()}{what[1:]} cannot be read: {why}.",
+        where=str(path),
+        remedy="Expected is one key a line, in OpenSSH's format; a binary list (KRL) is not supported.",
+    )
 
 
 def refuse_readable_by_others(path: Path) -> None:

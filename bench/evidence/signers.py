@@ -15,7 +15,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from bench.base.errors import EvidenceError
-from bench.evidence.safe_files import refuse_writable_by_others
+from bench.evidence.safe_files import read_list
 from bench.evidence.ssh_keys import KEY_TYPES, PublicKey, fingerprint, key_type_of
 from bench.records.storage import make_folder, storage_errors, write_atomic
 
@@ -130,12 +130,10 @@ def read_signers(path: Path) -> list[Signer]:
         line.
     """
     try:
-        refuse_writable_by_others(path, "the list of trusted keys")
-        lines = path.read_text(encoding="utf-8").splitlines()
-    except (OSError, UnicodeDecodeError) as error:
-        reason = error.strerror if isinstance(error, OSError) else "it is not text"
+        lines = read_list(path, "the list of trusted keys").splitlines()
+    except OSError as error:
         raise EvidenceError(
-            f"The list of trusted keys cannot be read: {reason}.",
+            f"The list of trusted keys cannot be read: {error.strerror}.",
             where=str(path),
             remedy="Get the file allowed_signers from the laboratory, and name it.",
         ) from error
@@ -173,7 +171,7 @@ def read_signer(line: str) -> Signer:
     key_fields = fields[2:4] if options_text else fields[1:3]
     options = dict(_OPTION.findall(options_text))
     try:
-        _refuse_unknown(options, options_text)
+        _refuse_unknown(options, options_text, fields)
         public_key = read_public_key(" ".join(key_fields))
         after, before = (
             parse_time(options[name]) if name in options else None for name in ("valid-after", "valid-before")
@@ -187,9 +185,11 @@ def read_signer(line: str) -> Signer:
     return Signer(fields[0], public_key, namespaces, after, before)
 
 
-def _refuse_unknown(options: Mapping[str, str], text: str) -> None:
+def _refuse_unknown(options: Mapping[str, str], text: str, fields: Sequence[str]) -> None:
     if set(options) - _OPTIONS or _OPTION.sub("", text):
         raise ValueError("it has an unknown option")
+    if not all(map(str.isprintable, fields[:2])):
+        raise ValueError("it has characters that cannot be printed")
 
 
 def read_public_key(text: str) -> bytes:
@@ -317,8 +317,7 @@ def _read_list(path: Path) -> str:
     with storage_errors(path):
         if not path.exists():
             return ""
-        refuse_writable_by_others(path, "the list of trusted keys")
-        return path.read_text(encoding="utf-8")
+        return read_list(path, "the list of trusted keys")
 
 
 def _refuse_two_purposes(path: Path, signer: Signer) -> None:

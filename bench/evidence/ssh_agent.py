@@ -127,7 +127,7 @@ def agent_keys(agent: str) -> list[AgentKey]:
             where=agent,
             remedy="Start the agent again.",
         ) from error
-    return [AgentKey(public_key, comment, agent) for public_key, comment in found if _is_known(public_key)]
+    return [AgentKey(key, _printable(comment), agent) for key, comment in found if _is_known(key)]
 
 
 def read_identities(answer: bytes) -> list[tuple[bytes, str]]:
@@ -185,6 +185,10 @@ def read_sign_response(answer: bytes) -> bytes:
     signature = reader.string()
     reader.end()
     return signature
+
+
+def _printable(comment: str) -> str:
+    return "".join(c if c.isprintable() else "?" for c in comment)
 
 
 def _is_known(public_key: bytes) -> bool:

@@ -10,6 +10,8 @@ from pathlib import Path
 
 import pytest
 from authorising import needs_ssh_keygen
+from hypothesis import given
+from hypothesis import strategies as st
 
 from bench.base.errors import EvidenceError
 from bench.evidence.key_trust import Moments, Trust, judge_key, read_trust
@@ -131,6 +133,12 @@ def test_patterns_are_those_of_ssh(patterns, namespace, may):
 def test_a_time_of_another_form_is_refused(text):
     with pytest.raises(EvidenceError, match="not a line of a trusted key"):
         read_signer(Signer("b@l", KEY).line.replace(" ssh", f' valid-before="{text}" ssh'))
+
+
+@pytest.mark.parametrize("name", ["\x1b[2Jada@lab", "ada\x7f@lab", "\u202eada@lab"])
+def test_a_name_that_cannot_be_printed_is_refused(name):
+    with pytest.raises(EvidenceError, match="cannot be printed"):
+        read_signer(Signer(name, KEY).line)
 
 
 def test_a_line_is_read_as_written():
@@ -372,3 +380,30 @@ def test_the_revoked_keys_beside_named_trusted_keys_are_used(tmp_path, key):
     (tmp_path / "lab" / "revoked_keys").write_text(RevokedKey(key.public_key, day(1), "lost").line + "\n")
     assert read_trust(tmp_path / "home").revoked == []
     assert len(read_trust(tmp_path / "home", allowed_signers=tmp_path / "lab" / "signers").revoked) == 1
+
+
+def test_a_list_that_is_no_list_is_refused(tmp_path):
+    path = tmp_path / "signers"
+    for data, why in (
+        (b"#" * (17 << 20), "more than 16 MB"),
+        (b"\xff\xfe", "not text"),
+        (b"\0" * 9, "signers:1"),
+    ):
+        path.write_bytes(data)
+        with pytest.raises(EvidenceError, match=why):
+            read_signers(path)
+
+
+@given(st.text(max_size=200))
+def test_any_line_is_a_trusted_key_or_refused(text):
+    for line in (
+        text,
+        f"a@b {text}",
+        f'a@b namespaces="{text}" ssh-ed25519 AAAA',
+        f"{text} {Signer('b@l', KEY).line}",
+    ):
+        try:
+            signer = read_signer(line)
+        except EvidenceError:
+            continue
+        assert read_signer(signer.line).public_key == signer.public_key
