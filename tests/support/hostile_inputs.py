@@ -279,9 +279,9 @@ def odd_folders(run: Path) -> Iterator[Case]:
 
     def capture_elsewhere(folder):
         _copy_run(run, folder / "bad")
-        capture = next((folder / "bad" / "captures").iterdir())
-        capture.unlink()
-        capture.symlink_to("/dev/zero")
+        for capture in list((folder / "bad" / "captures").iterdir()):
+            capture.unlink()
+            capture.symlink_to("/dev/zero")
         return ["calibrate", "bad"]
 
     def options(*words):
