@@ -256,10 +256,13 @@ def require_usable(folder: Path, key: BenchKey, when: datetime) -> None:
     if revoked is not None:
         rejections = [f"the key was revoked {revoked.text}"]
     if rejections and None not in rejections:
+        is_early = all(one.valid_after is not None and when < one.valid_after for one in known)
         raise EvidenceError(
             f"The bench's key {key.fingerprint} cannot seal: {rejections[0]}.",
             where=str(path),
-            remedy="Make a new key with `starbench keys rotate`.",
+            remedy=f"Check the clock of this computer: it is {when:%Y-%m-%d %H:%M} UTC."
+            if is_early and revoked is None
+            else "Make a new key with `starbench keys rotate`.",
         )
 
 

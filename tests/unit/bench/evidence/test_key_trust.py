@@ -257,6 +257,16 @@ def test_a_key_that_was_replaced_during_a_run_is_loaded_again(tmp_path):
         key_to_seal(home, old, later)
 
 
+def test_a_clock_that_was_set_back_is_told(tmp_path):
+    now = datetime.now(UTC)
+    create_key(tmp_path / "home")
+    rotate(tmp_path / "home", now, passphrase=None, keep_old=False)
+    with pytest.raises(
+        EvidenceError, match=r"not valid before.*Check the clock of this computer: it is 2001-02-03"
+    ):
+        usable_key(tmp_path / "home", datetime(2001, 2, 3, tzinfo=UTC))
+
+
 def test_there_must_be_a_key_to_replace(tmp_path):
     with pytest.raises(EvidenceError, match="no key to replace"):
         rotate(tmp_path, datetime.now(UTC), passphrase=None, keep_old=True)
