@@ -154,8 +154,8 @@ class Statement:
     Attributes
     ----------
     id
-        ``simulated``, ``authorisation``, ``accreditation``, ``items``, ``reproduction``, ``model``, ``uncertainty``,
-        ``notes``, ``not_included``, ``traceability``, ``verification``, ``adjustment``, ``customer_data``,
+        ``simulated``, ``authorisation``, ``accreditation``, ``items``, ``identity``, ``reproduction``,
+        ``model``, ``uncertainty``, ``notes``, ``not_included``, ``traceability``, ``verification``, ``adjustment``, ``customer_data``,
         ``recalibration`` or ``also``.
     text
         The text.

@@ -113,6 +113,25 @@ def _value(lab: Any, path: Path) -> Any:
     return lab
 
 
+_ITEM = (
+    "item.condition",
+    "item.lens.maker",
+    "item.lens.model",
+    "item.lens.serial",
+    "item.lens.focus",
+    "item.lens.focus_locked",
+    "item.lens.aperture",
+    "item.lens.aperture_locked",
+)
+
+
+def _item(lab: LabConfig, results: Json) -> Sequence[Path]:
+    """A camera that does not report its serial number is identified by the laboratory."""
+    unnamed = not results["devices"]["camera"].get("serial")
+    own = ("item.maker", "item.model", "item.serial") if unnamed else ()
+    return _keys(*own, *_ITEM)(lab, results)
+
+
 def _conditions(lab: LabConfig, results: Json) -> Sequence[Path]:
     del results
     if lab.conditions is None:
@@ -167,16 +186,7 @@ CLAUSES = (
         "description, identification and condition of the item",
         "item",
         f"item; camera, firmware and biases: {RUN}",
-        _keys(
-            "item.condition",
-            "item.lens.maker",
-            "item.lens.model",
-            "item.lens.serial",
-            "item.lens.focus",
-            "item.lens.focus_locked",
-            "item.lens.aperture",
-            "item.lens.aperture_locked",
-        ),
+        _item,
     ),
     Clause("7.8.2.1 h", "date of receipt", "received", "item.received", _keys("item.received")),
     Clause("7.8.2.1 i", "dates of the calibration", "begun_utc, ended_utc", RUN),

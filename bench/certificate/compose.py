@@ -219,7 +219,7 @@ def _contact(one: ContactConfig | None) -> Contact:
 def _item(found: Json, lab: LabConfig) -> Item:
     lens = lab.item.lens
     return Item(
-        camera=run_facts.camera_identity(found),
+        camera=run_facts.camera_identity(found, lab.item),
         lens=Lens(
             maker=lens.maker or "",
             model=lens.model or "",

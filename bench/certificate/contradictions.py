@@ -9,6 +9,7 @@ from typing import Any
 from bench.certificate.budget_rows import row_names
 from bench.certificate.clauses import unanswered
 from bench.certificate.lab_config import LabConfig, PreviousConfig
+from bench.certificate.run_facts import is_unnamed
 from calib.uncertainty.budget_parts import PASSPORT
 from sequences.reader import Located
 from sequences.tree import DocumentPath, Fault
@@ -43,9 +44,13 @@ def faults_of_lab(lab: Located[LabConfig], found: Json) -> list[Fault]:
 
 
 def _contradictions(lab: LabConfig, found: Json) -> Iterator[tuple[DocumentPath, str]]:
-    serial = str(found["devices"]["camera"]["serial"])
-    if lab.item.serial is not None and lab.item.serial != serial:
-        yield ("item", "serial"), f"the run calibrated camera {serial}, not {lab.item.serial}."
+    if not is_unnamed(found):
+        serial = str(found["devices"]["camera"]["serial"])
+        if lab.item.serial is not None and lab.item.serial != serial:
+            yield ("item", "serial"), f"the run calibrated camera {serial}, not {lab.item.serial}."
+        for name in ("maker", "model"):
+            if getattr(lab.item, name) is not None:
+                yield ("item", name), f"the camera {serial} identified itself in the run; leave it out."
     yield from _dates(lab, found)
     symbols = list(found["calibration"]["camera"])
     for at, rule in enumerate(lab.decision_rules or ()):

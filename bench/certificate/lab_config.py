@@ -155,6 +155,12 @@ class ItemConfig(StrictModel):
         Annotated[Serial, AfterValidator(_plain)] | None,
         Field(description="Serial number of the camera; must be that of the run."),
     ] = None
+    maker: Annotated[
+        Text | None, Field(description="Only for a camera that does not report its serial number.")
+    ] = None
+    model: Annotated[
+        Text | None, Field(description="Only for a camera that does not report its serial number.")
+    ] = None
     lens: LensConfig = LensConfig()
     customer_id: Text | None = None
     received: Annotated[Date | None, Field(description="Date of receipt.")] = None

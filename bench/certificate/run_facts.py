@@ -21,6 +21,7 @@ from bench.certificate.certificate_data import (
     Result,
     sha256,
 )
+from bench.certificate.lab_config import ItemConfig
 from bench.certificate.rounding import print_plain, print_result, with_unit
 from bench.report.camera_values import camera_covariance, camera_of
 from calib.uncertainty.projection_uncertainty import projection_uncertainty
@@ -192,8 +193,8 @@ def _further(id_: str, name: str, value: float, unit: str) -> FurtherResult:
     return FurtherResult(id_, name, _digits(value), unit, with_unit(print_plain(value), unit))
 
 
-def camera_identity(found: Json) -> Camera:
-    """Return the camera as it identified itself in the run.
+def is_unnamed(found: Json) -> bool:
+    """Return whether the camera did not report a serial number. The laboratory then identifies it.
 
     Parameters
     ----------
@@ -202,10 +203,30 @@ def camera_identity(found: Json) -> Camera:
 
     Returns
     -------
+    bool
+        Whether it has none.
+    """
+    return not found["devices"]["camera"].get("serial")
+
+
+def camera_identity(found: Json, item: ItemConfig) -> Camera:
+    """Return the camera as it identified itself in the run, or else as the laboratory identified it.
+
+    Parameters
+    ----------
+    found
+        Content of results.json.
+    item
+        Section ``item`` of lab.yaml.
+
+    Returns
+    -------
     Camera
         The camera.
     """
-    camera = found["devices"]["camera"]
+    camera = dict(found["devices"]["camera"])
+    if is_unnamed(found):
+        camera |= {"maker": item.maker, "model": item.model, "serial": item.serial or ""}
     conditions = (found.get("conditions") or {}).get("camera") or {}
     biases = conditions.get("biases") or {}
     stated = json.dumps(biases, sort_keys=True, separators=(",", ":")).encode()

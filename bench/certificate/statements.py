@@ -7,6 +7,7 @@ from typing import Any
 
 from bench.certificate.certificate_data import Statement
 from bench.certificate.lab_config import NONE, LabConfig
+from bench.certificate.run_facts import is_unnamed
 from calib.model.lens import is_fisheye
 
 Json = Mapping[str, Any]
@@ -16,6 +17,9 @@ _SIMULATED = (
     " of a real camera."
 )
 _ITEMS = "The results relate only to the item calibrated, in the condition and with the settings described."
+_READ_FROM_THE_ITEM = (
+    "The camera does not report maker, model and serial number; the laboratory read them from the item."
+)
 _REPRODUCTION = (
     "This certificate shall not be reproduced except in full, unless the laboratory approves in writing."
 )
@@ -77,6 +81,7 @@ def statements_of(found: Json, lab: LabConfig, *, also: str, verified: str) -> t
         ("authorisation", _AUTHORISATION),
         ("accreditation", _NOT_ACCREDITED if lab.laboratory.accreditation == NONE else ""),
         ("items", _ITEMS),
+        ("identity", _READ_FROM_THE_ITEM if is_unnamed(found) else ""),
         ("reproduction", _REPRODUCTION),
         ("model", _FISHEYE if is_fisheye(calibration["camera"]) else _BROWN),
         ("uncertainty", _UNCERTAINTY),

@@ -4,10 +4,11 @@ import json
 from pathlib import Path
 
 import pytest
-from certificate_sample import LAB, sample_lab, sample_results
+from certificate_sample import LAB, identity, sample_lab, sample_results
 
 from bench.certificate.certificate_data import Certificate
 from bench.certificate.clauses import CLAUSES, table, unanswered
+from bench.certificate.compose import compose
 from bench.certificate.contradictions import faults_of_lab
 from bench.certificate.lab_config import EXAMPLE, LabConfig, read_lab
 from sequences.errors import DocumentFaults
@@ -114,3 +115,25 @@ def test_a_fault_of_lab_yaml_is_named_with_its_place(old, new, named):
         sample_lab(LAB.replace(old, new))
     lines = [str(fault) for fault in found.value.faults]
     assert any(named in line and line.startswith("lab.yaml:") for line in lines), lines
+
+
+def test_a_camera_without_a_number_is_identified_by_the_laboratory():
+    camera = {
+        **sample_results()["devices"]["camera"],
+        "serial": "",
+        "maker": "OpenCV",
+        "model": "/dev/video0",
+    }
+    unnamed = {**sample_results(), "devices": {**sample_results()["devices"], "camera": camera}}
+    keys = [fault.path for fault in faults_of_lab(sample_lab(), unnamed)]
+    assert keys == ["item.maker", "item.model"]
+    named = sample_lab(
+        LAB.replace("  serial: 00050423", "  serial: 00050423\n  maker: Basler\n  model: ace 2")
+    )
+    assert faults_of_lab(named, unnamed) == []
+    certificate = compose(unnamed, named.value, identity())
+    assert certificate.item.camera.maker == "Basler"
+    assert "laboratory read them from the item" in certificate.statement("identity")
+    lines = [str(fault) for fault in faults_of_lab(named, sample_results())]
+    assert len(lines) == 2
+    assert "item.maker: the camera 00050423 identified itself in the run; leave it out." in lines[0]
