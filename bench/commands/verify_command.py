@@ -31,9 +31,10 @@ if TYPE_CHECKING:
 )
 @click.option(
     "--at",
+    metavar="DATE",
     type=click.DateTime(["%Y-%m-%d", "%Y-%m-%dT%H:%M:%S", "%Y-%m-%d %H:%M"]),
-    help="Day, or UTC time, for which the keys must have been valid.  [default: when the folder was sealed, by the"
-    " bench's own clock]",
+    help="Day or time in UTC, as 2026-03-01 or 2026-03-01T12:00:00, for which the keys must have been valid.  [default:"
+    " when the folder was sealed, by the bench's own clock]",
 )
 @click.option("--serial", help="Serial number that the calibrated camera must have.")
 @click.option(
