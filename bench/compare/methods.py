@@ -27,6 +27,8 @@ CERTIFICATE_MM = (255.0, 0.05)
 #: How far the entrance pupil stands before the pivot, where it is known; other collimators have no bound of parallax.
 _OFF_PIVOT_MM = {"ideal": 0.0, "S3": 0.0, "like-bench": 2.0}
 _FEWEST_VIEWS = 2
+#: Radius at which the flatness of a reticle is stated, mm; its radial coefficient is bow r / R^2, rectangular.
+_FLAT_AT_MM = 40.0
 _ACROSS = 17
 #: Coverage factor of methods that state sigmas only.
 _K = 2.0
@@ -154,10 +156,12 @@ def _options(column: ColumnConfig, images: Images, seed: int) -> CalibrationOpti
     if column.collimator in _OFF_PIVOT_MM:
         stated = float(images.truth["collimator"]["defocus"]) + defocus
         bound = ParallaxBound(stated, 0.01, _OFF_PIVOT_MM[column.collimator] + off_pivot, 0.5)
+    flat = None if column.flatness_um is None else 1e-3 * column.flatness_um * r / _FLAT_AT_MM**2 / 3.0**0.5
     angles = tuple(dict(one) for one in images.readings_deg)
     return CalibrationOptions(
         model="auto",
         distortion=column.lens,
+        radial_sigma=flat,
         passport=Passport.of_radius(certified, sigma) if column.passport else None,
         gimbal=GimbalReadings(angles, 0.002, 2e-4, 0.001, bound, "drawn") if column.readings else None,
     )

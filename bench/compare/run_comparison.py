@@ -66,7 +66,9 @@ def row_key(column: ColumnConfig, seed: int) -> str:
     str
         Hexadecimal.
     """
-    content = json.dumps([column.model_dump(exclude={"name"}), seed, __version__], sort_keys=True)
+    content = json.dumps(
+        [column.model_dump(exclude={"name"}, exclude_none=True), seed, __version__], sort_keys=True
+    )
     return hashlib.sha256(content.encode()).hexdigest()[:24]
 
 

@@ -55,6 +55,10 @@ class ColumnConfig(StrictModel):
     method: Method
     collimator: Annotated[Collimator, Field(description="Collimator of the star methods.")] = "ideal"
     bow_um: Annotated[float, Field(ge=0, le=1000, description="Bow of the reticle at 40 mm, um.")] = 0.0
+    flatness_um: Annotated[
+        float | None,
+        Field(gt=0, le=1000, description="Flatness of the reticle at 40 mm that the station states, um."),
+    ] = None
     noise: Noise = "typical"
     images: Annotated[int, Field(ge=2, le=50)] = 3
     passport: Annotated[

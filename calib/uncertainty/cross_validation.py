@@ -26,6 +26,9 @@ MIN_VIEWS = 3
 _TOLERANCE = 1e-8
 #: With as many others, one Newton step from the optimum of all ends within some hundredths of a sigma of theirs.
 _STEP_VIEWS = 9
+#: Behind a collimator the centres of the views agree to a few per cent of the radius. If they scatter by more than this
+#: share of their distance, the target is a board that was placed anew for each view.
+_PLACED_BY_HAND = 0.1
 
 
 @dataclass(frozen=True)
@@ -91,7 +94,7 @@ def leave_one_out(bundle: Bundle, parameters: AdjustmentParameters, loss: Loss) 
             without = refine(fewer, start, loss, tolerance=_TOLERANCE).parameters
         values.append(without.values(bundle.names))
         for i in left_out:
-            residuals = _alone(bundle, without, parameters.rotations[i], i)
+            residuals = _alone(bundle, without, parameters.rotations[i], parameters.centres[i], i)
             rms.append(np.sqrt((residuals**2).sum(axis=1).mean()))
             stars.append(len(residuals))
     return CrossValidation(np.array(values), np.array(rms), np.array(stars))
@@ -129,12 +132,16 @@ def _cost(bundle: Bundle, parameters: AdjustmentParameters, loss: Loss) -> float
     return cost if np.isfinite(cost) else float("inf")
 
 
-def _alone(bundle: Bundle, others: AdjustmentParameters, rotation: Array, i: int) -> Array:
-    """Return the residuals, (N, 2) px, of a view of which only the rotation is adjusted."""
-    collimator = others.collimator
+def _alone(bundle: Bundle, others: AdjustmentParameters, rotation: Array, centre: Array, i: int) -> Array:
+    """Return the residuals, (N, 2) px, of a view of which only the rotation is adjusted; of a board, its whole pose."""
+    collimator, own = others.collimator, np.zeros((1, 3))
+    by_hand = False
     if bundle.free_centres and not bundle.has_drift_prior:
         x, y, z = others.centres.mean(axis=0)
         collimator = Collimator(float(x), float(y), float(-z))
-    view = replace(bundle.subset([i]), names=(), free_centres=False, prior=None, gimbal=None)
-    start = AdjustmentParameters(others.camera, collimator, rotation[None], np.zeros((1, 3)))
+        by_hand = bool(np.linalg.norm(others.centres.std(axis=0)) > _PLACED_BY_HAND * abs(z))
+    view = replace(bundle.subset([i]), names=(), free_centres=by_hand, prior=None, gimbal=None)
+    if by_hand:
+        own = centre[None] - collimator.centre
+    start = AdjustmentParameters(others.camera, collimator, rotation[None], own)
     return view.residuals_px(refine(view, start, Loss("l2"), tolerance=_TOLERANCE).parameters)
