@@ -154,9 +154,9 @@ class Statement:
     Attributes
     ----------
     id
-        ``simulated``, ``authorisation``, ``accreditation``, ``items``, ``identity``, ``reproduction``,
-        ``model``, ``uncertainty``, ``notes``, ``not_included``, ``traceability``, ``verification``, ``adjustment``, ``customer_data``,
-        ``recalibration`` or ``also``.
+        ``simulated``, ``authorisation``, ``accreditation``, ``items``, ``identity``, ``reproduction``, ``model``,
+        ``uncertainty``, ``notes``, ``not_included``, ``traceability``, ``verification``, ``adjustment``,
+        ``customer_data``, ``recalibration`` or ``also``.
     text
         The text.
     """
