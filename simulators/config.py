@@ -22,10 +22,16 @@ from simulators.world.truth_config import truth_from_config
 from simulators.world.world import AxisName
 
 #: Kinds of stages, with the usual number of counts per degree.
-STAGE_KINDS: Final[Mapping[str, int]] = {"zaber": 6400, "ximc": 25_600, "grbl": 640, "esp301": 10_000}
+STAGE_KINDS: Final[Mapping[str, int]] = {
+    "zaber": 6400,
+    "ximc": 25_600,
+    "grbl": 640,
+    "esp301": 10_000,
+    "flir_ptu": 800,
+}
 
-#: Kinds of light drivers: makes of function generators, and a strobe controller.
-LIGHT_KINDS: Final = ("keysight", "rigol", "siglent", "gardasoft")
+#: Kinds of light drivers: makes of function generators, a strobe controller, and a microcontroller.
+LIGHT_KINDS: Final = ("keysight", "rigol", "siglent", "gardasoft", "microcontroller")
 
 _PORTS: Final = ("pty", "tcp")
 

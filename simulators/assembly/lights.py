@@ -11,6 +11,7 @@ from typing import Protocol
 from simulators.config import LightConfig
 from simulators.faults.fault_injection import Light
 from simulators.lights.gardasoft import GardasoftRt
+from simulators.lights.microcontroller import MicrocontrollerLight
 from simulators.lights.scpi_generator import GeneratorModel, ScpiGenerator
 from simulators.lights.siglent_generator import SiglentGenerator
 from simulators.ports.serial_device import Dialect
@@ -42,6 +43,8 @@ def make_light(
     """
     if config.kind == "gardasoft":
         return GardasoftRt(clock, drive)
+    if config.kind == "microcontroller":
+        return MicrocontrollerLight(config.serial, clock, drive)
     if config.kind == "siglent":
         return SiglentGenerator(config.serial, clock, drive)
     if config.kind == "rigol":

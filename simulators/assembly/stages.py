@@ -15,6 +15,7 @@ from simulators.config import AxisConfig
 from simulators.faults.fault_injection import AxisController
 from simulators.ports.serial_device import Dialect
 from simulators.stages.esp301 import EspAxisModel, EspController
+from simulators.stages.flir_ptu import PtuAxisModel, PtuController
 from simulators.stages.grbl import GrblAxis, GrblController
 from simulators.stages.grbl_planner import GrblAxisModel
 from simulators.stages.mechanics import Mechanics
@@ -61,7 +62,7 @@ def make_stage(kind: str, axes: Axes, clock: Clock, publish: Publish) -> Stage:
     Parameters
     ----------
     kind
-        "zaber", "ximc", "grbl" or "esp301"; the configuration has checked it.
+        "zaber", "ximc", "grbl", "esp301" or "flir_ptu"; the configuration has checked it.
     axes
         Its axes, in the order of their addresses.
     clock
@@ -176,9 +177,28 @@ def _esp301(axes: Axes, clock: Clock, publish: Publish) -> Stage:
     return Stage({"gimbal": controller}, controllers, dict.fromkeys(axes, "gimbal"))
 
 
+def _flir_ptu(axes: Axes, clock: Clock, publish: Publish) -> Stage:
+    """Build one unit for the first two axes, lettered P and T in their order."""
+    names = dict(zip("PT", axes, strict=False))
+    models = {
+        letter: PtuAxisModel(
+            _mechanics(axes[name], notices_stalls=False),
+            axes[name].limit_deg,
+            speed_deg_s=axes[name].speed_deg_s,
+            acceleration_deg_s2=axes[name].acceleration_deg_s2,
+        )
+        for letter, name in names.items()
+    }
+    serial = next(iter(axes.values())).serial
+    unit = PtuController(models, serial, clock, lambda letter, pointing: publish(names[letter], pointing))
+    controllers = {str(name): unit.axes[letter] for letter, name in names.items()}
+    return Stage({"gimbal": unit}, controllers, dict.fromkeys(controllers, "gimbal"))
+
+
 _MAKERS: Final[Mapping[str, Callable[[Axes, Clock, Publish], Stage]]] = {
     "zaber": _zaber,
     "ximc": _ximc,
     "grbl": _grbl,
     "esp301": _esp301,
+    "flir_ptu": _flir_ptu,
 }

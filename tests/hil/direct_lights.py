@@ -7,9 +7,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from bench.stations.device_description import find_description, read_light_protocol
 from drivers.light import Light
 from drivers.light.gardasoft import GardasoftLight
 from drivers.light.scpi import ScpiLight
+from drivers.light.text import TextLight
 from simulators.assembly.lights import LightDriver, make_light
 from simulators.config import LightConfig
 from simulators.faults.catalogue import fault_order_from_text
@@ -45,11 +47,14 @@ class DirectLight:
         fault_action(fault_order_from_text(f"light {text}"), parts)()
 
 
+MICROCONTROLLER = read_light_protocol(find_description("microcontroller_light", None)).value.for_driver()
+
 OPENED: dict[str, Callable[..., Light]] = {
     "keysight": lambda line, clock: ScpiLight(line, serial="SG0042", clock=clock),
     "rigol": lambda line, clock: ScpiLight(line, serial="SG0042", clock=clock, dialect="numbered"),
     "siglent": lambda line, clock: ScpiLight(line, serial="SG0042", clock=clock, dialect="siglent"),
     "gardasoft": lambda line, clock: GardasoftLight(line, clock=clock),
+    "microcontroller": lambda line, clock: TextLight(line, MICROCONTROLLER, serial="SG0042", clock=clock),
 }
 
 

@@ -9,16 +9,19 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from bench.stations.device_description import find_description, read_stage_protocol
 from drivers.errors import PortLost
 from drivers.stage import AxisLimits, Stage
 from drivers.stage.esp import EspAxis, EspStage
 from drivers.stage.grbl import GrblAxis, GrblStage
+from drivers.stage.text import TextAxis, TextStage
 from drivers.stage.ximc import XimcAxis, XimcStage
 from drivers.stage.zaber import ZaberAxis, ZaberStage
 from simulators.faults.catalogue import fault_order_from_text
 from simulators.faults.fault_injection import AxisController, BenchParts, fault_action
 from simulators.faults.line_faults import FaultLine
 from simulators.stages.esp301 import EspAxisModel, EspController
+from simulators.stages.flir_ptu import PtuAxisModel, PtuController
 from simulators.stages.grbl import GrblAxis as BoardAxis
 from simulators.stages.grbl import GrblController
 from simulators.stages.grbl_planner import GrblAxisModel
@@ -126,6 +129,10 @@ class DirectStage:
         )
         fault_action(fault_order_from_text(text), parts)()
 
+    def present_deg(self) -> float:
+        """Where the axis points now."""
+        return self.controller.axis.pointing.angle_deg(self.line.clock.now_s)
+
     def true_deg(self) -> float:
         """Where the axis really points, once it has settled."""
         return self.controller.axis.pointing.angle_deg(self.line.clock.now_s + 1.0)
@@ -163,4 +170,16 @@ def esp(clock: VirtualClock, rng: np.random.Generator) -> DirectStage:
     return DirectStage(EspStage(line, [axis], clock=clock), line, controller.axes[1])
 
 
-FAMILIES = {"zaber": zaber, "ximc": ximc, "esp": esp, "grbl": grbl}
+FLIR_PTU = read_stage_protocol(find_description("flir_ptu", None)).value.for_driver()
+
+
+def flir(clock: VirtualClock, rng: np.random.Generator) -> DirectStage:
+    model = PtuAxisModel(mechanics(800.0, stall_detection=False), 15.0)
+    unit = PtuController({"P": model}, "E1042", clock.monotonic)
+    axis = TextAxis(name="pan", address="P", counts_per_deg=800.0, limits=LIMITS)
+    line = DirectLine(FaultLine(unit, clock.monotonic, rng), clock)
+    stage = TextStage(line, [axis], FLIR_PTU, serial="E1042", clock=clock)
+    return DirectStage(stage, line, unit.axes["P"])
+
+
+FAMILIES = {"zaber": zaber, "ximc": ximc, "esp": esp, "grbl": grbl, "flir": flir}

@@ -13,7 +13,7 @@ from tests.hil.direct_stages import FAMILIES, DirectStage, VirtualClock
 LONGEST_S = 20.0
 """Of the bench's own time, from the order to its end: the move itself takes 1.2 s."""
 
-WITHOUT_ENCODER = {"grbl"}
+WITHOUT_ENCODER = {"grbl", "flir"}
 UNSEEN_WITHOUT_ENCODER = {"stall", "slip"}
 """Of a move; a controller that counts the steps it sends knows no better. The stars do: see the runs' tests."""
 
@@ -139,7 +139,7 @@ def test_a_line_that_is_bad_for_ever_is_an_error_or_the_truth(rig, fault) -> Non
 
 
 def test_another_baud_rate_is_an_error_and_nothing_moves(rig) -> None:
-    rig.order("gimbal baud rate=9600")
+    rig.order("gimbal baud rate=4800")
     assert isinstance(move(rig), ReplyError)
     assert rig.true_deg() == pytest.approx(10.0, abs=0.01)
 

@@ -15,6 +15,8 @@ from simulators.faults.line_faults import LineFault
 from tests.hil.direct_lights import OPENED, direct_light
 from tests.hil.direct_stages import FAMILIES, DirectLine, VirtualClock
 
+UNGUARDED = {"flir"}
+"""Families whose queries are one bit away from commands that move: PP, the position, from RP, a homing."""
 LONGEST_S = 60.0
 """Of the bench's own time: no call may take longer, whatever the line does."""
 
@@ -36,8 +38,12 @@ def test_no_position_and_no_arrival_is_ever_wrong(family, exchanges) -> None:
         with spoiled(line, clock, rng):
             try:
                 told = go_and_read(stage, goal) if kind == "move" else stage.position_deg()["pan"]
-                assert told == pytest.approx(goal, abs=0.002)
-                where = goal
+                if family in UNGUARDED and kind == "read":  # a disturbed query may have become a motion
+                    assert told == pytest.approx(rig.present_deg(), abs=0.01)
+                    goal = None
+                else:
+                    assert told == pytest.approx(goal, abs=0.002)
+                where = told
                 good[kind] += 1
             except DriverError:
                 bad += 1

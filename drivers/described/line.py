@@ -1,0 +1,385 @@
+"""Talk to a device by its description: every reply is matched, every other one is refused, no old one is accepted.
+
+A reply that does not have the described form leaves the line out of step. The line is then drained, the device forgets
+an incomplete request, the form of the replies is set again, and the identity is asked for until exactly the known one
+comes and nothing follows it.
+"""
+
+from __future__ import annotations
+
+import re
+import threading
+from collections.abc import Mapping
+from functools import reduce
+
+from drivers.clock import Clock
+from drivers.described.description import Exchange, LineDescription, Notice, Switch
+from drivers.described.template import Value
+from drivers.errors import DeviceRefused, ReplyGarbled, WrongDevice
+from drivers.link import Link, ReplyReader
+from drivers.retry import TRIES, repeat, resynchronise
+from drivers.serial_port import Port
+from drivers.wire_log import WireLog
+
+_LONGEST_DRAIN_S = 2.0
+_SHOWN = 80
+
+
+class DescribedLine:
+    """A line to one device. Opening sets the form of the replies and asks for the identity, nothing else.
+
+    Parameters
+    ----------
+    port
+        The open port.
+    description
+        What the device understands.
+    clock, wire_log
+        See ``drivers.link.Link``.
+
+    Attributes
+    ----------
+    identity
+        Values of the answer to the identity query, by name.
+
+    Raises
+    ------
+    ReplyTimeout, ReplyGarbled
+        The device does not identify itself.
+    PortLost
+        The port is gone.
+    """
+
+    def __init__(
+        self, port: Port, description: LineDescription, *, clock: Clock, wire_log: WireLog | None = None
+    ) -> None:
+        self._description = description
+        self._notices: list[Notice] = []
+        self._known = ""
+        self._link = Link(
+            port,
+            clock=clock,
+            resynchronise=self._resynchronise,
+            terminator=description.reply_end,
+            wire_log=wire_log,
+        )
+        self.identity: Mapping[str, Value] = {}
+        self._drain()
+        self._clear_device()
+        self.identity = repeat(self._identify, before_next=self._clear_device)
+
+    @property
+    def name(self) -> str:
+        """The port's name."""
+        return self._link.name
+
+    @property
+    def lock(self) -> threading.RLock:
+        """While a thread holds it, no other thread can send."""
+        return self._link.lock
+
+    def query(
+        self, exchange: Exchange, values: Mapping[str, Value] | None = None, *, tries: int = TRIES
+    ) -> dict[str, Value]:
+        """Send a request and read its reply; repeat it when no valid reply comes. For what does no harm twice.
+
+        Parameters
+        ----------
+        exchange
+            The request and its reply.
+        values
+            Values of the request, by name.
+        tries
+            How often it is sent in all: 1 for what moves something.
+
+        Returns
+        -------
+        dict
+            Values of the reply, by name.
+
+        Raises
+        ------
+        DeviceRefused
+            The device refuses the request.
+        ReplyTimeout, ReplyGarbled
+            No valid reply came at the last attempt.
+        PortLost
+            The port is gone.
+        """
+        return repeat(lambda: self._exchange(exchange, values or {}), tries=tries)
+
+    def query_urgent(self, exchange: Exchange) -> None:
+        """Send a request at once, without resynchronising, and read its reply: for stopping and switching off.
+
+        Parameters
+        ----------
+        exchange
+            The request and its reply.
+
+        Raises
+        ------
+        DeviceRefused, ReplyTimeout, ReplyGarbled, PortLost
+            See ``query``. The request is out.
+        """
+        self._exchange(exchange, {}, urgent=True)
+
+    def switch(self, switch: Switch, values: Mapping[str, Value] | None = None) -> tuple[bool, str]:
+        """Ask for a state.
+
+        Parameters
+        ----------
+        switch
+            The query and its words.
+        values
+            Values of the request, by name.
+
+        Returns
+        -------
+        tuple
+            Whether the answer is one of the switch's words, and the answer.
+        """
+        state = self.query(switch.query, values)["state"]
+        if isinstance(state, float):
+            return state in {float(word) for word in switch.true_words}, f"{state:g}"
+        return state in switch.true_words, state
+
+    def send_without_reply(self, exchange: Exchange, values: Mapping[str, Value]) -> str:
+        """Send a request whose reply comes much later; ``poll`` reads it.
+
+        Parameters
+        ----------
+        exchange
+            The request.
+        values
+            Values of the request, by name.
+
+        Returns
+        -------
+        str
+            The request as it was sent, without its end.
+        """
+        request = exchange.send.render(values)
+        with self._link.lock:
+            self._link.bring_into_step()
+            self._link.send(self._encode(request))
+        return request
+
+    def poll(self, exchange: Exchange, request: str, values: Mapping[str, Value]) -> bool:
+        """Look whether the late reply to a request has come. Does not wait.
+
+        Parameters
+        ----------
+        exchange
+            The request and its reply.
+        request
+            What ``send_without_reply`` returned.
+        values
+            Values of the request, by name.
+
+        Returns
+        -------
+        bool
+            Whether the reply has come.
+
+        Raises
+        ------
+        DeviceRefused, ReplyGarbled
+            Another reply came.
+        """
+        with self._link.lock:
+            self._link.receive(0.0)
+            line = self._link.take_line()
+            while line is not None:
+                text = self._text(line)
+                if text:
+                    self._match(exchange, request, text, values)
+                    return True
+                line = self._link.take_line()
+        return False
+
+    def give_up_waiting(self) -> None:
+        """Let an outstanding late reply be thrown away before the next request."""
+        self._link.mark_out_of_step()
+
+    def take_notices(self) -> list[str]:
+        """Return what the device said without being asked since the last call.
+
+        Returns
+        -------
+        list of str
+            The meanings that concern a move.
+        """
+        found, self._notices = self._notices, []
+        return list(dict.fromkeys(notice.means for notice in found if notice.means))
+
+    def read_serial(self, expected: str) -> str:
+        """Ask for the serial number and compare it with the one in the station file.
+
+        Parameters
+        ----------
+        expected
+            The serial number by the station file; empty to compare nothing.
+
+        Returns
+        -------
+        str
+            The serial number; empty if the device has none.
+
+        Raises
+        ------
+        WrongDevice
+            It is another one.
+        """
+        serial = self._description.serial
+        found = str(self.query(serial)["serial"]).strip() if serial is not None else ""
+        if expected and found != expected:
+            raise WrongDevice(
+                f"the station file names serial {expected}, but the device answers"
+                f" '{found or 'no serial number'}'. Nothing was moved or switched.",
+                where=self.name,
+                remedy="Check the port and the serial in the station file.",
+            )
+        return found
+
+    def garbled_reply(self, what: str) -> ReplyGarbled:
+        """Mark the line as out of step.
+
+        Parameters
+        ----------
+        what
+            What is wrong with the reply.
+
+        Returns
+        -------
+        ReplyGarbled
+            The error, for the caller to raise.
+        """
+        self._link.mark_out_of_step()
+        return ReplyGarbled(
+            what, where=self.name, remedy="Check the cable, the baud rate and the device's description."
+        )
+
+    def listen(self, duration_s: float) -> None:
+        """Wait for bytes on the line. No clock interrupts this wait: it is for stopping only.
+
+        Parameters
+        ----------
+        duration_s
+            Longest wait, in seconds.
+        """
+        with self._link.lock:
+            self._link.receive(duration_s)
+
+    def close(self) -> None:
+        """Close the port."""
+        self._link.close()
+
+    # ------------------------------------------------------------ inside
+
+    def _exchange(
+        self, exchange: Exchange, values: Mapping[str, Value], *, urgent: bool = False
+    ) -> dict[str, Value]:
+        request = exchange.send.render(values)
+        deadline_s = self._description.reply_s
+
+        def read_reply(reader: ReplyReader) -> str:
+            text = ""
+            while exchange.reply is not None and not text:
+                text = self._text(reader.read_line())
+            return text
+
+        with self._link.lock:
+            text = self._link.exchange(
+                self._encode(request), read_reply, deadline_s=deadline_s, urgent=urgent
+            )
+            return self._match(exchange, request, text, values) if exchange.reply is not None else {}
+
+    def _match(
+        self, exchange: Exchange, request: str, text: str, values: Mapping[str, Value]
+    ) -> dict[str, Value]:
+        """Return the values of a reply; raise for a refusal, and for a reply of another form."""
+        known = {**values, "request": request}
+        for refusal in self._description.refusals:
+            said = refusal.reply.match(text, known)
+            if said is not None:
+                code = said.get("code", "")
+                code = f"{code:g}" if isinstance(code, float) else code
+                meaning = refusal.codes.get(code, "") or refusal.means or str(said.get("message", "")).strip()
+                raise DeviceRefused(
+                    f"the device refuses '{request}': {meaning or text!r} ('{text}').",
+                    where=self.name,
+                    remedy="Check the limits and ranges in the station file and in the device's description.",
+                )
+        assert exchange.reply is not None
+        found = exchange.reply.match(text, known)
+        if found is None:
+            raise self.garbled_reply(
+                f"'{request}' was answered by {text[:_SHOWN]!r}, not as described ({exchange.reply.text})."
+            )
+        return found
+
+    def _encode(self, request: str) -> bytes:
+        if self._description.checksum == "xor":
+            request = f"{request}*{_xor(request.encode('ascii')):02X}"
+        return request.encode("ascii") + self._description.request_end
+
+    def _text(self, line: bytes) -> str:
+        """Return the text of a line without notices; empty if nothing else is in it. Checks the checksum."""
+        body = line.removesuffix(self._description.reply_end).strip(b"\r\n")
+        body = self._take_from(body)
+        if not re.fullmatch(rb"[ -~]*", body):
+            raise self.garbled_reply(f"not a reply: {line[:_SHOWN]!r}.")
+        if body and self._description.checksum == "xor":
+            body, star, digits = body.rpartition(b"*")
+            if not star or digits != b"%02X" % _xor(body):
+                raise self.garbled_reply(f"a reply without its checksum: {line[:_SHOWN]!r}.")
+        return body.decode("ascii").rstrip()
+
+    def _take_from(self, data: bytes) -> bytes:
+        """Keep the notices in some bytes, and return the rest."""
+        for notice in self._description.notices:
+            mark = notice.text.encode("ascii")
+            if mark in data:
+                self._notices.append(notice)
+                data = data.replace(mark, b"")
+        return data
+
+    def _drain(self) -> bytes:
+        return self._link.drain(self._description.quiet_s, _LONGEST_DRAIN_S)
+
+    def _clear_device(self) -> None:
+        """Make an incomplete request invalid, set the form of the replies, and throw away the answers."""
+        self._link.send(self._description.clear + self._description.request_end)
+        self._take_from(self._drain())
+        for command in self._description.setup:
+            self._link.send(self._encode(command.render({})))
+            self._take_from(self._drain())
+
+    def _identify(self) -> dict[str, Value]:
+        found = self._exchange(self._description.identity, {}, urgent=True)
+        self._known = repr(sorted(found.items()))
+        return found
+
+    def _resynchronise(self) -> None:
+        if not self._known:
+            return  # _identify asks for it at this moment
+
+        def is_known() -> bool:
+            found = self._exchange(self._description.identity, {}, urgent=True)
+            return repr(sorted(found.items())) == self._known
+
+        if not resynchronise(
+            self._link,
+            is_known,
+            quiet_s=self._description.quiet_s,
+            limit_s=_LONGEST_DRAIN_S,
+            clear_device=self._clear_device,
+            inspect_old=self._take_from,
+        ):
+            raise self.garbled_reply(
+                f"no clear answer to '{self._description.identity.send.text}', though the device answered it before."
+            )
+
+
+def _xor(data: bytes) -> int:
+    return reduce(lambda one, other: one ^ other, data, 0)

@@ -1,0 +1,422 @@
+"""Stages whose controller has a described text protocol, in degrees.
+
+`drivers.described.description` says what such a protocol may be; the bench reads it from a file. A position is the
+controller's counts by the scale of the station file. All settings that were written are read again before and after
+each move: another value means that the controller has restarted, and the reference is lost. The module moves nothing
+but by ``home`` and ``move_to``; ``drivers.stage.watched`` watches the moves.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+from drivers.clock import Clock
+from drivers.described.description import AxisSetting, Exchange, StageDescription
+from drivers.described.line import DescribedLine
+from drivers.described.template import Value
+from drivers.errors import DeviceRefused, NotHomed, OutsideLimits, ReplyError
+from drivers.readings import read_until_agreed
+from drivers.serial_port import Port, SerialPort
+from drivers.stage import AxisIdentity, AxisLimits, motion
+from drivers.stage.watched import AxisState, StopCheck, WatchedStage
+from drivers.wire_log import WireLog
+
+_SCALE_SLACK = 2e-4
+"""Largest relative difference between the scale of the station file and the controller's: it prints few digits."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class TextAxis:
+    """One axis as the station file describes it.
+
+    Attributes
+    ----------
+    name
+        "pan", "tilt" or "roll".
+    address
+        The controller's word for the axis, which stands for ``{address}`` in the description.
+    counts_per_deg
+        Scale; negative when the counter falls as the angle grows.
+    limits
+        Soft limits, speed and acceleration.
+    zero_deg
+        Angle at which the counter is 0, in degrees.
+    tolerance_deg
+        Largest distance of the counter from its target at rest, in degrees.
+    encoder_tolerance_deg
+        Largest difference between encoder and counter, in degrees.
+    """
+
+    name: str
+    address: str
+    counts_per_deg: float
+    limits: AxisLimits
+    zero_deg: float = 0.0
+    tolerance_deg: float = 0.002
+    encoder_tolerance_deg: float = 0.05
+
+    def to_counts(self, angle_deg: float) -> float:
+        """Return the counter at an angle.
+
+        Parameters
+        ----------
+        angle_deg
+            Angle, in degrees.
+
+        Returns
+        -------
+        float
+            Counts, not rounded.
+        """
+        return (angle_deg - self.zero_deg) * self.counts_per_deg
+
+    def to_angle_deg(self, counts: float) -> float:
+        """Return the angle at a counter.
+
+        Parameters
+        ----------
+        counts
+            Counts.
+
+        Returns
+        -------
+        float
+            Angle, in degrees.
+        """
+        return self.zero_deg + counts / self.counts_per_deg
+
+
+class TextStage(WatchedStage[TextAxis]):
+    """A stage of one to three axes on one controller. Implements ``drivers.stage.Stage``.
+
+    Open it with ``TextStage.open``; the constructor takes a port that is open already.
+
+    Parameters
+    ----------
+    port
+        The open port.
+    axes
+        The axes, in the order of the station file.
+    description
+        What the controller understands.
+    serial
+        Serial number of the controller; empty when it is not checked.
+    clock
+        Every wait between two requests goes through it.
+    wire_log
+        Records every byte; None for no record.
+
+    Raises
+    ------
+    WrongDevice
+        The serial number differs; nothing was set.
+    OutsideLimits
+        The limits or the scale of the station file contradict the controller's.
+    DeviceRefused
+        The controller refuses a setting.
+    ReplyError, PortLost
+        The controller does not answer as described.
+    """
+
+    def __init__(
+        self,
+        port: Port,
+        axes: Sequence[TextAxis],
+        description: StageDescription,
+        *,
+        serial: str = "",
+        clock: Clock,
+        wire_log: WireLog | None = None,
+    ) -> None:
+        super().__init__(axes, clock=clock, where=port.name)
+        self._description = description
+        self._serial = serial
+        self._homed = False
+        self._awaited: list[tuple[TextAxis, str]] = []
+        """Axes whose late reply to ``home`` has not come, with what was sent."""
+        self._rest_deg: dict[str, float] = {}
+        """Where each axis came to rest after a motion of this driver."""
+        try:
+            self._line = DescribedLine(port, description.line, clock=clock, wire_log=wire_log)
+            self.identify()
+            self._bring_to_rest()
+            for axis in axes:
+                self._program(axis)
+            self._line.take_notices()
+        except BaseException:
+            port.close()
+            raise
+
+    @classmethod
+    def open(
+        cls,
+        port: str,
+        axes: Sequence[TextAxis],
+        description: StageDescription,
+        *,
+        serial: str = "",
+        baudrate: int | None = None,
+        clock: Clock,
+        wire_log: WireLog | None = None,
+    ) -> TextStage:
+        """Open the port, check the serial number, and set limits, speed and acceleration. Moves nothing.
+
+        Parameters
+        ----------
+        port
+            Address of the port; see ``drivers.serial_port.SerialPort``, which raises the errors of opening.
+        baudrate
+            Bits per second; None for the description's.
+        axes, description, serial, clock, wire_log
+            See the class, which raises the other errors.
+
+        Returns
+        -------
+        TextStage
+            The open stage.
+        """
+        opened = SerialPort(port, baudrate=baudrate or description.line.baudrate)
+        return cls(opened, axes, description, serial=serial, clock=clock, wire_log=wire_log)
+
+    def identify(self) -> Sequence[AxisIdentity]:
+        """See `Stage.identify`.
+
+        Raises
+        ------
+        WrongDevice
+            The serial number is not the one in the station file.
+        """
+        line = self._description.line
+        serial = self._line.read_serial(self._serial)
+        firmware = str(self._line.identity.get("firmware", ""))
+        return tuple(AxisIdentity(name, line.maker, line.model, serial, firmware) for name in self._axes)
+
+    def _has_reference(self) -> bool:
+        """Whether the controller says so, or this driver has homed; and nothing has changed since.
+
+        Without a checksum, a query that is disturbed on its way can become a command. So an axis that does not stand
+        where this driver left it counts as not homed.
+        """
+        reference = self._description.reference
+        if reference is None and not self._homed:
+            return False
+        for axis in self._axes.values():
+            if reference is not None and not self._line.switch(reference, self._of(axis))[0]:
+                return False
+        return not self._changed_settings() and not self._has_wandered()
+
+    def _has_wandered(self) -> bool:
+        """Whether an axis stands elsewhere than this driver left it."""
+        for name, rest_deg in self._rest_deg.items():
+            axis = self._axes[name]
+            counts = self._number(self._description.position, axis, "counts")
+            if abs(axis.to_angle_deg(counts) - rest_deg) > axis.tolerance_deg:
+                self._position_doubt = f"{name} has moved, and this program has not started it"
+                return True
+        return False
+
+    def faults(self) -> Sequence[str]:
+        """See `Stage.faults`. Returns what the controller said unasked, and the faults that it reports."""
+        found = self._line.take_notices()
+        if (faults := self._description.faults) is not None:
+            for axis in self._axes.values():
+                fine, answer = self._line.switch(faults, self._of(axis))
+                found += [] if fine else [f"{axis.name}: {answer}"]
+        return found
+
+    def close(self) -> None:
+        """See `Stage.close`."""
+        self._line.close()
+
+    # ------------------------------------------------------------ on the wire
+
+    def _of(self, axis: TextAxis, **values: Value) -> dict[str, Value]:
+        return {"address": axis.address, **values}
+
+    def _check_ready(self, axis: TextAxis) -> None:
+        if not self._has_reference():
+            raise NotHomed(
+                "the axis has no reference, or its controller has restarted. Nothing was moved.",
+                where=axis.name,
+                remedy="Home the stage first.",
+            )
+        self._line.take_notices()
+
+    def _clear_faults(self, axis: TextAxis) -> None:
+        """Write the settings again: a restart has undone them."""
+        self._line.take_notices()
+        self._program(axis)
+
+    def _reachable_deg(self, axis: TextAxis, angle_deg: float) -> float:
+        counts = axis.to_counts(angle_deg)
+        sent = self._description.move.send.render(self._of(axis, target=counts))
+        read = self._description.move.send.match(sent, self._of(axis))
+        return axis.to_angle_deg(float(read["target"]) if read is not None else counts)
+
+    def _start(self, goals_deg: Mapping[str, float], check_not_stopped: StopCheck) -> None:
+        for name, angle_deg in goals_deg.items():
+            axis = self._axes[name]
+            self._rest_deg.pop(name, None)
+            with self._line.lock:
+                check_not_stopped()
+                self._line.query(
+                    self._description.move, self._of(axis, target=axis.to_counts(angle_deg)), tries=1
+                )
+
+    def _start_homing(self, check_not_stopped: StopCheck) -> None:
+        self._homed = False
+        self._awaited = []
+        self._rest_deg = {}
+        for axis in self._axes.values():
+            with self._line.lock:
+                check_not_stopped()
+                if not self._description.home_replies_at_end:
+                    self._line.query(self._description.home, self._of(axis), tries=1)
+                    continue
+                if not self._awaited:
+                    self._awaited.append((axis, self._send_home(axis)))
+                else:
+                    self._awaited.append((axis, ""))
+
+    def _send_home(self, axis: TextAxis) -> str:
+        return self._line.send_without_reply(self._description.home, self._of(axis))
+
+    def _still_homing(self) -> bool:
+        """Look for the late reply to ``home``; then start the next axis."""
+        axis, request = self._awaited[0]
+        if not self._line.poll(self._description.home, request, self._of(axis)):
+            return True
+        self._awaited.pop(0)
+        if self._awaited:
+            self._awaited[0] = self._awaited[0][0], self._send_home(self._awaited[0][0])
+        return bool(self._awaited)
+
+    def _read_state(self, axis: TextAxis, *, homing: bool = False) -> AxisState:
+        """Ask whether the axis is idle, then where it is: the position of an idle axis is then one at rest."""
+        if self._awaited:
+            with self._line.lock:
+                if self._still_homing():
+                    return AxisState(math.nan, busy=True)
+        idle, _ = self._line.switch(self._description.idle, self._of(axis))
+        counts = self._line.query(self._description.position, self._of(axis))["counts"]
+        problem = "" if homing else "; ".join(self._line.take_notices())
+        return AxisState(axis.to_angle_deg(float(counts)), not idle, problem)
+
+    def _read_final_state(self, axis: TextAxis, *, homing: bool) -> AxisState:
+        """Read the settings and the faults too: a restart undoes the settings."""
+        state = self._read_state(axis, homing=homing)
+        if self._changed_settings():
+            return state._replace(problem="the controller restarted during the move: its position is lost")
+        if homing:
+            self._line.take_notices()  # a search of the reference may touch the limit switches
+        self._rest_deg[axis.name] = state.position_deg
+        faults = self.faults()
+        return state._replace(problem=state.problem or "; ".join(faults))
+
+    def _read_encoder(self, axis: TextAxis) -> AxisState | None:
+        if self._description.encoder is None:
+            return None
+        idle, _ = self._line.switch(self._description.idle, self._of(axis))
+        counts = self._line.query(self._description.encoder, self._of(axis))["counts"]
+        return AxisState(axis.to_angle_deg(float(counts)), not idle)
+
+    def _finish_homing(self, axis: TextAxis) -> None:  # noqa: ARG002 - one controller, one reference
+        self._homed = True
+
+    def _send_stop(self) -> None:
+        """Stop at once; when the reply is bad, or another one was awaited, once more on a clean line."""
+        if self._awaited:
+            self._awaited = []
+            self._homed = False
+            self._line.give_up_waiting()
+        try:
+            self._line.query_urgent(self._description.stop)
+        except ReplyError:
+            self._line.query(self._description.stop)
+
+    def _listen(self, duration_s: float) -> None:
+        self._line.listen(duration_s)
+
+    # ------------------------------------------------------------ settings
+
+    def _program(self, axis: TextAxis) -> None:
+        """Check scale and travel; write the settings where they differ; read them back."""
+        self._check_scale(axis)
+        ends = sorted(map(axis.to_counts, (axis.limits.lowest_deg, axis.limits.highest_deg)))
+        lowest, highest = (
+            None if query is None else self._number(query, axis, "counts")
+            for query in (self._description.lowest, self._description.highest)
+        )
+        motion.check_travel(axis.name, (ends[0], ends[1]), (lowest, highest), "counts", slack=1.0)
+        for setting in self._description.settings:
+            self._set(axis, setting)
+        for command in self._description.setup:
+            self._line.query(command, self._of(axis))
+
+    def _check_scale(self, axis: TextAxis) -> None:
+        if self._description.scale is None:
+            return
+        told = self._number(self._description.scale, axis, "scale")
+        if told <= 0:
+            raise self._line.garbled_reply(f"the controller reports a scale of {told:g}.")
+        counts = {
+            "counts_per_deg": told,
+            "deg_per_count": 1.0 / told,
+            "arcsec_per_count": 3600.0 / told,
+        }[self._description.scale_unit]
+        if abs(abs(axis.counts_per_deg) - counts) > _SCALE_SLACK * counts:
+            raise OutsideLimits(
+                f"the station file gives {abs(axis.counts_per_deg):g} counts per degree, the controller"
+                f" {counts:.6g}. Nothing was set.",
+                where=axis.name,
+                remedy="Correct counts_per_deg in the station file; its sign is the direction.",
+            )
+
+    def _number(self, query: Exchange, axis: TextAxis, name: str) -> float:
+        """Read a number until two readings agree."""
+        return read_until_agreed(
+            lambda: float(self._line.query(query, self._of(axis))[name]), what=name, where=self._where
+        )
+
+    def _wanted(self, axis: TextAxis, setting: AxisSetting) -> float:
+        """Return a setting in the controller's units, rounded as it is sent."""
+        limits, scale = axis.limits, abs(axis.counts_per_deg)
+        ends = sorted(map(axis.to_counts, (limits.lowest_deg, limits.highest_deg)))
+        value = {
+            "speed": limits.speed_deg_s * scale,
+            "acceleration": limits.acceleration_deg_s2 * scale,
+            "lowest": ends[0],
+            "highest": ends[1],
+            "constant": setting.constant,
+        }[setting.quantity]
+        sent = setting.set.send.match(setting.set.send.render(self._of(axis, value=value)), self._of(axis))
+        return float(sent["value"]) if sent is not None else value
+
+    def _differs(self, axis: TextAxis, setting: AxisSetting) -> float | None:
+        """Return the value that a setting reads, if it is not the wanted one."""
+        wanted = self._wanted(axis, setting)
+        got = self._number(setting.query, axis, "value")
+        slack = abs(wanted) * setting.tolerance_percent / 100.0 + 1e-9
+        return got if abs(got - wanted) > slack else None
+
+    def _set(self, axis: TextAxis, setting: AxisSetting) -> None:
+        if self._differs(axis, setting) is None:
+            return
+        wanted = self._wanted(axis, setting)
+        self._line.query(setting.set, self._of(axis, value=wanted))
+        if (got := self._differs(axis, setting)) is not None:
+            raise DeviceRefused(
+                f"the {setting.quantity} was set to {wanted:g}, but reads {got:g}.",
+                where=axis.name,
+                remedy="Change the station file to what the controller supports.",
+            )
+
+    def _changed_settings(self) -> bool:
+        """Whether a setting that was written has another value now, as after a restart."""
+        return any(
+            self._differs(axis, setting) is not None
+            for axis in self._axes.values()
+            for setting in self._description.settings
+        )

@@ -1,0 +1,395 @@
+"""A simulated FLIR (Directed Perception) E series pan-tilt unit with the axes pan and tilt.
+
+    PP1000 SP        a command; blank, CR or LF end it
+    PP1000 * CR LF   its answer: the command as an echo (EE), ``*`` for done or ``!`` and a reason
+    PP SP            a query; verbose (FV) ``PP * Current Pan position is 1000``, terse (FT) ``PP * 1000``
+
+There is no checksum and no message id. A limit switch prints ``!P`` or ``!T`` without a line end. A reset (``R``,
+``RP``, ``RT``) is answered when it has ended; commands wait meanwhile, ``H`` does not. At power-up echo and verbose
+answers are on, and nothing is calibrated (as after ``RD``). The unit counts steps and has no encoder.
+
+Reference: FLIR, "E Series Pan-Tilt Command Reference Manual", and the D46 and D300 user's manuals, section 4. What
+``H`` does in a reset, the banner, and the wording of rare answers were written without a unit at hand.
+"""
+
+from __future__ import annotations
+
+import re
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Final
+
+from simulators.stages.axis_motion import Axis
+from simulators.stages.mechanics import Mechanics
+from simulators.world.load import LoadTrajectory
+
+_COMMAND: Final = re.compile(r"([A-Z]+?)(-?\d+)?")
+_MAX_LINE: Final = 64
+_BOOT_S: Final = 2.0
+_NAMES: Final = {"P": "Pan", "T": "Tilt"}
+_BASE_SPEED: Final = 57
+_LARGEST: Final = 10**9
+
+
+class _PtuError(Exception):
+    """A refused command, with the text after the exclamation mark."""
+
+
+@dataclass(frozen=True)
+class PtuAxisModel:
+    """One axis: its mechanics, and its settings at power-up.
+
+    Attributes
+    ----------
+    mechanics
+        Mechanical properties; a count is a position of the unit.
+    limit_deg
+        Limit in both directions that a reset finds, degrees.
+    speed_deg_s, acceleration_deg_s2
+        Ramp settings, degrees/s and degrees/s^2.
+    most_speed_deg_s
+        Largest speed, degrees/s.
+    """
+
+    mechanics: Mechanics
+    limit_deg: float
+    speed_deg_s: float = 40.0
+    acceleration_deg_s2: float = 200.0
+    most_speed_deg_s: float = 100.0
+
+
+@dataclass
+class PtuAxis:
+    """State of one axis.
+
+    Attributes
+    ----------
+    unit
+        The unit of the axis.
+    letter
+        P or T.
+    model
+        Mechanics and settings at power-up.
+    axis
+        Motion of the axis.
+    settings
+        Values by the letters after the axis's letter.
+    """
+
+    unit: PtuController
+    letter: str
+    model: PtuAxisModel
+    axis: Axis
+    settings: dict[str, int] = field(default_factory=dict)
+
+    def power_up(self) -> None:
+        """Set the settings of a power-up."""
+        scale = self.model.mechanics.counts_per_deg
+        end = round(self.model.limit_deg * scale)
+        self.settings = {
+            "S": round(self.model.speed_deg_s * scale),
+            "A": round(self.model.acceleration_deg_s2 * scale),
+            "B": _BASE_SPEED,
+            "U": round(self.model.most_speed_deg_s * scale),
+            "L": 0,
+            "N": -end,
+            "X": end,
+            "NU": -end,
+            "XU": end,
+        }
+
+    def restart(self, t_s: float) -> None:
+        """See `AxisController.restart`. The restart affects both axes."""
+        self.unit.restart(t_s)
+
+    def emergency_stop(self, t_s: float, *, released: bool = False) -> None:
+        """See `AxisController.emergency_stop`. The button cuts the power of the unit."""
+        self.unit.cut_power(t_s, restored=released)
+
+    def exchange(self, serial: str, t_s: float) -> None:
+        """Replace the unit by another one, fresh from power-up.
+
+        Parameters
+        ----------
+        serial
+            Serial number of the new unit.
+        t_s
+            Time, s.
+        """
+        self.unit.serial = serial
+        self.unit.restart(t_s)
+
+
+class PtuController:
+    """The unit, as a dialect of a serial line.
+
+    Parameters
+    ----------
+    models
+        Its axes by letter, P and T.
+    serial
+        Answer to ``VS``.
+    clock
+        Returns the time in seconds.
+    publish
+        Called with the letter of an axis and each new trajectory of it.
+    baud
+        Baud rate of the port.
+
+    Attributes
+    ----------
+    axes
+        Its axes, by letter.
+    serial
+        Its serial number.
+    """
+
+    def __init__(
+        self,
+        models: dict[str, PtuAxisModel],
+        serial: str,
+        clock: Callable[[], float],
+        publish: Callable[[str, LoadTrajectory], None] = lambda _letter, _pointing: None,
+        baud: int = 9600,
+    ) -> None:
+        self._clock = clock
+        self.serial = serial
+        self.baud = baud
+
+        def publisher(letter: str) -> Callable[[LoadTrajectory], None]:
+            return lambda pointing: publish(letter, pointing)
+
+        self.axes = {
+            letter: PtuAxis(self, letter, model, Axis(model.mechanics, clock(), publisher(letter)))
+            for letter, model in models.items()
+        }
+        self._powered = True
+        self._boot_ends_s = clock()
+        self._banner = b""
+        self._power_up()
+
+    def _power_up(self) -> None:
+        self._buffer = ""
+        self._waiting: deque[str] = deque()
+        self._resetting: tuple[str, list[PtuAxis]] | None = None
+        self._pending = b""
+        self._echo = self._verbose = True
+        self._limits = "factory"
+        for one in self.axes.values():
+            one.power_up()
+
+    # ------------------------------------------------------------------ the line
+    def receive(self, data: bytes) -> bytes:
+        """See `Dialect.receive`."""
+        if not self._powered or self._clock() < self._boot_ends_s:
+            return b""
+        *commands, rest = re.split(r"[ \r\n]", self._buffer + data.decode("ascii", "replace"))
+        self._buffer = rest[-_MAX_LINE:]
+        halting = [command for command in commands if command.upper() in {"H", "HP", "HT"}]
+        if halting and self._resetting is not None:
+            self._waiting.clear()
+            self._resetting = None
+        self._waiting.extend(command for command in commands if command)
+        return self._run()
+
+    def unsolicited(self) -> bytes:
+        """See `Dialect.unsolicited`. These are limit switches, ends of resets, and the banner."""
+        if not self._powered or self._clock() < self._boot_ends_s:
+            return b""
+        said, self._banner = self._banner, b""
+        return said + self._run()
+
+    def _run(self) -> bytes:
+        now = self._clock()
+        self._take_events(now)
+        said, self._pending = self._pending, b""
+        if now < self._boot_ends_s:
+            return b""
+        while True:
+            if self._resetting is not None:
+                _, axes = self._resetting
+                if any(one.axis.reports_busy(now) for one in axes):
+                    break
+                hits = "".join(f"!{one.letter}!{one.letter}" for one in reversed(axes))
+                said += f"{hits}*\r\n".encode("ascii", "replace")
+                self._resetting = None
+            if not self._waiting:
+                break
+            said += self._execute(self._waiting.popleft(), now)
+        return said
+
+    def _execute(self, command: str, now: float) -> bytes:
+        echo = f"{command} " if self._echo else ""
+        try:
+            answer = self._answer(command.upper(), now)
+        except _PtuError as error:
+            answer = f"! {error}"
+        end = "" if self._resetting is not None else "\r\n"
+        return f"{echo}{answer}{end}".encode("ascii", "replace")
+
+    # ------------------------------------------------------------------ commands
+    def _answer(self, command: str, now: float) -> str:
+        if command in {"EE", "ED", "FV", "FT", "LE", "LD", "LU", "CI", "I", "RD", "RE"}:
+            return self._set_mode(command)
+        if command in {"R", "RP", "RT"}:
+            return self._reset(command, now)
+        if command in {"H", "HP", "HT"}:
+            return self._halt(command, now)
+        told = {
+            "V": "Pan-Tilt Controller v3.1.2(C17/E), (C)1991-2014 FLIR Commercial Systems, Inc., All Rights Reserved",
+            "VV": "3.1.2",
+            "VM": "PTU-D48E",
+            "VS": self.serial,
+            "E": "Echoing ON" if self._echo else "Echoing OFF",
+            "F": "ASCII verbose mode" if self._verbose else "ASCII terse mode",
+            "L": f"Limit bounds are {'DISABLED' if self._limits == 'off' else 'ENABLED'} ({self._limits} limits)",
+            "C": "PTU is in independent speed control mode",
+            "O": "Input 24 VDC @ 86 degF",
+        }
+        if command in told:
+            return f"* {told[command]}"
+        match = _COMMAND.fullmatch(command)
+        if match is None or match[1][0] not in self.axes or len(match[1]) < 2:
+            raise _PtuError("Illegal command entered")
+        value = None if match[2] is None else int(match[2])
+        if value is not None and abs(value) > _LARGEST:
+            raise _PtuError("Illegal command argument")
+        return self._axis_command(self.axes[match[1][0]], match[1][1:], value, now)
+
+    def _set_mode(self, command: str) -> str:
+        if command[0] == "E":
+            self._echo = command == "EE"
+        elif command[0] == "F":
+            self._verbose = command == "FV"
+        elif command[0] == "L":
+            self._limits = {"E": "factory", "D": "off", "U": "user"}[command[1]]
+        return "*"
+
+    def _axis_command(self, one: PtuAxis, name: str, value: int | None, now: float) -> str:
+        axis_name = _NAMES[one.letter]
+        if name == "P" and value is not None:
+            return self._move(one, value, now)
+        if name == "O" and value is not None:
+            return self._move(one, value + round(one.axis.counter(now)), now)
+        if name in one.settings and value is not None:
+            return self._set(one, name, value)
+        if value is not None:
+            raise _PtuError("Illegal command argument")
+        speed = one.axis.velocity(now)
+        told: dict[str, tuple[str, Callable[[], int | str], str]] = {
+            "P": ("Current {} position is", lambda: round(one.axis.counter(now)), ""),
+            "O": ("Target {} position is", lambda: round(one.axis.rest_counter(now)), ""),
+            "D": ("Current {} speed is", lambda: self._speed(one, speed, now), " positions/sec"),
+            "S": ("Target {} speed is", lambda: one.settings["S"], " positions/sec"),
+            "A": ("{} acceleration is", lambda: one.settings["A"], " positions/sec^2"),
+            "B": ("{} base speed is", lambda: one.settings["B"], " positions/sec"),
+            "U": ("Maximum {} speed is", lambda: one.settings["U"], " positions/sec"),
+            "L": ("Minimum {} speed is", lambda: one.settings["L"], " positions/sec"),
+            "N": ("Minimum {} position is", lambda: one.settings["N"], ""),
+            "X": ("Maximum {} position is", lambda: one.settings["X"], ""),
+            "NU": ("Minimum {} position is", lambda: one.settings["NU"], ""),
+            "XU": ("Maximum {} position is", lambda: one.settings["XU"], ""),
+            "R": (
+                "",
+                lambda: f"{3600.0 / one.model.mechanics.counts_per_deg:.6f}",
+                " seconds arc per position",
+            ),
+        }
+        if name not in told:
+            raise _PtuError("Illegal command entered")
+        words, read, unit = told[name]
+        if not self._verbose:
+            return f"* {read()}"
+        return f"* {words.format(axis_name)} {read()}{unit}".replace("*  ", "* ")
+
+    def _speed(self, one: PtuAxis, speed: float, now: float) -> int:
+        """Return the present speed, which is 0 only at rest."""
+        if not one.axis.reports_busy(now):
+            return 0
+        return round(speed) or one.settings["B"]
+
+    def _set(self, one: PtuAxis, name: str, value: int) -> str:
+        if name in {"N", "X"}:
+            raise _PtuError("Illegal command argument")
+        if name == "S" and value > one.settings["U"]:
+            raise _PtuError(f"{_NAMES[one.letter]} speed cannot exceed {one.settings['U']} pos/sec")
+        if name in {"S", "A", "B", "U"} and value <= 0:
+            raise _PtuError("Illegal command argument")
+        if (name == "NU" and not one.settings["N"] <= value <= 0) or (
+            name == "XU" and not 0 <= value <= one.settings["X"]
+        ):
+            raise _PtuError("User limit is outside of the factory limits")
+        one.settings[name] = value
+        return "*"
+
+    def _move(self, one: PtuAxis, target: int, now: float) -> str:
+        name = _NAMES[one.letter]
+        lowest, highest = {
+            "factory": (one.settings["N"], one.settings["X"]),
+            "user": (one.settings["NU"], one.settings["XU"]),
+            "off": (-_LARGEST, _LARGEST),
+        }[self._limits]
+        if target > highest:
+            raise _PtuError(f"Maximum allowable {name} position is {highest}")
+        if target < lowest:
+            raise _PtuError(f"Minimum allowable {name} position is {lowest}")
+        one.axis.move_to(float(target), now, float(one.settings["S"]), float(one.settings["A"]))
+        return "*"
+
+    def _reset(self, command: str, now: float) -> str:
+        axes = [one for letter, one in self.axes.items() if command in {"R", f"R{letter}"}]
+        for one in axes:
+            speed = 20.0 * one.model.mechanics.counts_per_deg
+            one.axis.home(now, speed, speed / 10.0, float(one.settings["A"]))
+        self._resetting = command, axes
+        return ""
+
+    def _halt(self, command: str, now: float) -> str:
+        for letter, one in self.axes.items():
+            if command in {"H", f"H{letter}"} and one.axis.busy(now):
+                one.axis.stop(now, float(one.settings["A"]))
+        return "*"
+
+    # ------------------------------------------------------------------ events outside the protocol
+    def _take_events(self, now: float) -> None:
+        for one in self.axes.values():
+            event = one.axis.take_event(now)
+            if event is None:
+                continue
+            if event.kind == "restart":
+                self.restart(event.t_s)
+                return
+            self._pending += f"!{one.letter}".encode("ascii", "replace")
+
+    def restart(self, t_s: float) -> None:
+        """Reboot: no answers for 2 s, then a banner; all settings are those of a power-up, counters are 0.
+
+        Parameters
+        ----------
+        t_s
+            Time of the reboot, s.
+        """
+        for one in self.axes.values():
+            one.axis.restart(t_s)
+        self._power_up()
+        self._boot_ends_s = t_s + _BOOT_S
+        self._banner = b"### Pan-Tilt Controller ###\r\n"
+
+    def cut_power(self, t_s: float, *, restored: bool = False) -> None:
+        """Cut the power of the unit, or restore it.
+
+        Parameters
+        ----------
+        t_s
+            Time, s.
+        restored
+            Whether the power comes back; nothing happens if it was never cut.
+        """
+        if restored and not self._powered:
+            self._powered = True
+            self.restart(t_s)
+        elif not restored:
+            self._powered = False
+            for one in self.axes.values():
+                one.axis.halt(t_s)
