@@ -172,8 +172,8 @@ def reading_notes(gimbal: GimbalEstimate | None) -> tuple[str, ...]:
     text = (
         f"The gimbal's readings contradict the stars: {gimbal.rms_deg:.3f} degrees rms, chi-square "
         f"{gimbal.chi_square:.0f} with {gimbal.degrees_of_freedom} degrees of freedom. They did not enter. Check the "
-        "sign and the scale of each axis, the stated bounds, and whether an axis slipped. A camera that stands elsewhere "
-        "in the beam from pose to pose does the same: then the collimator's errors differ from view to view."
+        "sign and the scale of each axis, the stated bounds, and whether an axis slipped. A camera that moves across "
+        "the beam from pose to pose does the same: the collimator's errors then differ from view to view."
     )
     if gimbal.entered:
         text = (
