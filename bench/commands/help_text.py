@@ -180,6 +180,7 @@ _SHORT = {
     "passport": "Calibrate a collimator once, then cameras from 1 to 3 views.",
     "rig": "Calculate the rotation between two cameras of a rig.",
     "study": "Check stated uncertainties by simulation.",
+    "compare": "Compare calibration methods where the truth is known.",
     "convert": "Convert event files.",
     "devices": "List connected devices.",
     "station": "Create a station file.",
