@@ -192,7 +192,7 @@ def test_documents_of_another_version_are_no_fault_but_named(copied):
     )
 
 
-@pytest.mark.parametrize("name", ["a value", "a verdict", "simulated"])
+@pytest.mark.parametrize("name", ["a value", "a verdict", "simulated", "the customer", "the rule"])
 def test_no_version_takes_other_numbers(copied, name):
     file, old, new = MUTATIONS[name]
     (copied / file).write_bytes((copied / file).read_bytes().replace(old, new, 1))
