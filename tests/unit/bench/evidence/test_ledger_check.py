@@ -79,6 +79,21 @@ def test_after_a_rollback_of_everything_here_the_sealed_runs_show_it(bench, tmp_
     assert len(strangers(bench)) == 2
 
 
+def test_a_failed_run_cannot_be_hidden_by_a_ledger_that_was_written_anew(bench, tmp_path):
+    """Whoever computes all hashes anew and changes ledger_high as well has changed the lines of the later runs."""
+    for name, how in (("a", "finished"), ("b", "failed"), ("c", "finished")):
+        bench.run(tmp_path / name, how=how)
+    assert [one.how for one in bench.ledger.runs()] == ["finished", "failed", "finished"]
+    forged = Ledger(tmp_path / "forged", **CLOCKS)
+    for name in ("a", "c"):
+        place = forged.begin(run_id=name, folder=tmp_path / name, camera="1", simulated=True)
+        forged.end(place["number"], how="finished", folder=tmp_path / name)
+    for file in ("ledger.jsonl", "ledger_high"):
+        shutil.copy(forged.home / file, bench.ledger.home / file)
+    assert strangers(bench) == [f"The sealed run {tmp_path / 'c'} is not in the ledger."]
+    assert ledger_faults_of_run(tmp_path / "c", bench.ledger)
+
+
 def test_two_sealed_runs_with_one_number_are_named(bench, tmp_path):
     place = bench.run(tmp_path / "kept")
     bench.run(tmp_path / "other", place={**place, "head": "e" * 64})
