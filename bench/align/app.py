@@ -22,6 +22,7 @@ from starlette.responses import FileResponse, JSONResponse, Response
 from starlette.routing import Route
 from starlette.types import Receive, Scope, Send
 
+from bench.align.live_picture import LivePicture
 from bench.align.page_requests import PageFiles, actions, read_page
 from bench.align.session import Session
 from bench.base.errors import UsageError
@@ -73,6 +74,7 @@ class _Pages:
         # A stop has threads of its own, so that it never waits for other work.
         self._stops = ThreadPoolExecutor(4, thread_name_prefix="align-stop")
         self._work = ThreadPoolExecutor(4, thread_name_prefix="align-work")
+        self._texts = _Texts(session)
 
     async def page(self, _request: Request) -> Response:
         return FileResponse(PAGE / "align.html", media_type="text/html")
@@ -115,19 +117,44 @@ class _Pages:
         page = request.query_params.get("page", "")
         page = read_page({"page": page})
         client = request.client.host if request.client else ""
-        return _Stream(
-            self._session, page, _browser(request.headers.get("user-agent", ""), client), self._stops
-        )
+        browser = _browser(request.headers.get("user-agent", ""), client)
+        return _Stream(self._session, page, browser, self._stops, self._texts)
+
+
+class _Texts:
+    """What the pages are sent, made once for all of them. Used by the server's own thread."""
+
+    def __init__(self, session: Session) -> None:
+        self._session = session
+        self._state = -1, ""
+        self._picture = LivePicture(), ""
+
+    def state(self) -> str:
+        """Return the state, made after the last change at the earliest."""
+        known = self._session.changes.number
+        if known != self._state[0]:
+            self._state = known, json.dumps(self._session.state(), allow_nan=False)
+        return self._state[1]
+
+    def picture(self) -> str:
+        """Return the newest picture's figures."""
+        picture = self._session.picture()
+        if picture is not self._picture[0]:
+            self._picture = picture, json.dumps(_picture_data(self._session), allow_nan=False)
+        return self._picture[1]
 
 
 class _Stream:
     """The stream of one page. When it ends, the page is gone: a motion that the page started is stopped."""
 
-    def __init__(self, session: Session, page: str, what: str, stops: ThreadPoolExecutor) -> None:
+    def __init__(
+        self, session: Session, page: str, what: str, stops: ThreadPoolExecutor, texts: _Texts
+    ) -> None:
         self._session = session
         self._page = page
         self._what = what
         self._stops = stops
+        self._texts = texts
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Send the stream, as the ASGI specification defines it."""
@@ -143,14 +170,14 @@ class _Stream:
         session, shown, number = self._session, "", -1
         known = session.changes.number
         while True:
-            text = json.dumps(session.state(), allow_nan=False)
+            text = self._texts.state()
             if text != shown:
                 shown = text
                 yield Message(text, "state")
             picture = session.picture()
             if picture.number != number:
                 number = picture.number
-                yield Message(json.dumps(_picture_data(session), allow_nan=False), "picture")
+                yield Message(self._texts.picture(), "picture")
             known = await session.changes.after(known)
 
 

@@ -104,6 +104,7 @@ def identification(results: Json) -> list[tuple[str, str]]:
         ("Firmware", value_text(camera.get("firmware"))),
         ("Lens", value_text(camera.get("lens"))),
         *([("Collimator", _collimator(collimator))] if collimator else []),
+        *([("Target", _target(run["target"]))] if run.get("target") else []),
         ("Laboratory", value_text(run.get("laboratory"))),
         ("Operator", value_text(run.get("operator"))),
         ("Sequence", value_text(run.get("sequence"))),
@@ -155,6 +156,12 @@ def _collimator(details: Json) -> str:
     if "temperature_c" in details:
         parts.append(f"at {details['temperature_c']:g} °C")
     return ", ".join(parts) or NOTHING
+
+
+def _target(details: Json) -> str:
+    """Return in one line what the station file says about the target as an object."""
+    serial = [f"serial number {details['serial']}"] if "serial" in details else []
+    return ", ".join([*serial, *([str(details["description"])] if "description" in details else [])])
 
 
 def software(results: Json) -> list[tuple[str, str]]:

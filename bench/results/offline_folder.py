@@ -27,7 +27,7 @@ from bench.report.view_picture import ViewPicture
 from bench.results.exports import exports
 from bench.results.offline import OfflineResult
 from bench.results.projection_facts import projection_facts
-from bench.results.results_content import collimator_data, software
+from bench.results.results_content import collimator_data, software, target_data
 from bench.results.view_sources import PHOTOGRAPHS, ViewSource
 from bench.views.views_file import VIEWS, views_file
 from calib.view import View
@@ -165,6 +165,7 @@ def offline_results(
             "operator": started.get("operator"),
             "laboratory": job.laboratory if job else None,
             "collimator": collimator_data(job) if job else None,
+            **({"target": stated} if job and (stated := target_data(job)) else {}),
             "simulated": any(one.simulated for one in jobs),
             "camera": "frame" if frames else "event",
             "software": software(),

@@ -107,6 +107,7 @@ def journal_content(job: Job, history: History, views: Sequence[ViewSummary]) ->
             "operator": started["operator"],
             "laboratory": job.laboratory,
             "collimator": collimator_data(job),
+            **({"target": stated} if (stated := target_data(job)) else {}),
             "simulated": job.simulated,
             "camera": kind.name,
             "resumed": history.resumed,
@@ -156,6 +157,24 @@ def collimator_data(job: Job) -> dict[str, Any] | None:
         None if the station states nothing.
     """
     return job.station.collimator.model_dump(mode="json", exclude_none=True) or None
+
+
+def target_data(job: Job) -> dict[str, str]:
+    """Return what the station of a run states about the target as an object, as results.json holds it.
+
+    Parameters
+    ----------
+    job
+        Task of the run.
+
+    Returns
+    -------
+    dict
+        ``serial`` and ``description``, as far as stated; its geometry is in the station file.
+    """
+    target = job.station.target
+    stated = {"serial": target.serial, "description": target.description}
+    return {name: text for name, text in stated.items() if text}
 
 
 def software() -> dict[str, str]:

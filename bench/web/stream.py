@@ -11,6 +11,7 @@ import threading
 from collections.abc import AsyncIterator
 from contextlib import suppress
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any
 
 from starlette.requests import Request
@@ -59,10 +60,16 @@ class Message:
         >>> Message("a\nb", "state", "7").encoded()
         b'id: 7\nevent: state\ndata: a\ndata: b\n\n'
         """
-        lines = [f"id: {self.id}"] if self.id else []
-        lines += [f"event: {self.event}"] if self.event != "message" else []
-        lines += [f"data: {line}" for line in self.data.replace("\r\n", "\n").replace("\r", "\n").split("\n")]
-        return ("\n".join(lines) + "\n\n").encode()
+        return _encoded(self.data, self.event, self.id)
+
+
+@lru_cache(maxsize=32)
+def _encoded(data: str, event: str, number: str) -> bytes:
+    """Return the bytes of a message; the pages that get the same one share them."""
+    lines = [f"id: {number}"] if number else []
+    lines += [f"event: {event}"] if event != "message" else []
+    lines += [f"data: {line}" for line in data.replace("\r\n", "\n").replace("\r", "\n").split("\n")]
+    return ("\n".join(lines) + "\n\n").encode()
 
 
 def last_id(request: Request) -> str:

@@ -51,6 +51,14 @@ def test_the_collimator_is_told_as_the_station_file_does(data, html):
     assert "Collimator" not in printed_text(render_report(ReportData(results)))
 
 
+def test_the_target_is_told_as_the_station_file_does(data, html):
+    assert "Target" not in printed_text(html)
+    results = copy.deepcopy(dict(data.results))
+    results["run"]["target"] = {"serial": "R-7", "description": "chrome on glass"}
+    words = printed_text(render_report(ReportData(results)))
+    assert words[words.index("Target") + 1] == "serial number R-7, chrome on glass"
+
+
 def test_refused_recordings_deviations_and_gates_are_told(html):
     words = " ".join(printed_text(html))
     assert "stars 31, wanted >= 40" in words
