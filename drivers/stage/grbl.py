@@ -168,9 +168,30 @@ class GrblStage(WatchedStage[GrblAxis]):
 
     def faults(self) -> Sequence[str]:
         """See `Stage.faults`. Names a state that blocks moves, and a missing reference."""
+        try:
+            self._board.query_status()
+        except MoveFailed as error:  # the board waits for a reset, which homing sends
+            return [f"board: {error.what}", "board: no reference"]
         state = self._board.query_status().state
         found = [f"board: {self._describe(state)}"] if state in grbl_protocol.BLOCKING_STATES else []
         return found if self._homed_at == self._history() else [*found, "board: no reference"]
+
+    def home(self) -> None:
+        """See `Stage.home`.
+
+        A board that has stopped at a limit switch is reset first: its motion has ended, and its reference is lost.
+        """
+        if self._board.needs_reset:
+            self._board.wake()
+        super().home()
+
+    def stop(self) -> None:
+        """See `Stage.stop`. A board that has stopped at a limit switch has stopped already."""
+        try:
+            super().stop()
+        except MoveFailed:
+            if not self._board.needs_reset:
+                raise
 
     def close(self) -> None:
         """See `Stage.close`."""

@@ -6,10 +6,12 @@ Degrees belong to ``drivers.stage.grbl``, the forms of lines to ``drivers.stage.
 from __future__ import annotations
 
 import threading
-from collections.abc import Sequence
+import time
+from collections.abc import Callable, Sequence
+from typing import TypeVar
 
 from drivers.clock import Clock
-from drivers.errors import DeviceRefused, MoveTimeout, ReplyGarbled
+from drivers.errors import DeviceRefused, MoveFailed, MoveTimeout, ReplyGarbled, ReplyTimeout
 from drivers.link import Link, ReplyReader
 from drivers.retry import repeat, resynchronise
 from drivers.serial_port import Port
@@ -27,6 +29,12 @@ _INVALID_LINE = b"Q\n"
 """A letter without a number. The board refuses it, whatever beginning of a line it holds already."""
 _LONGEST_REPLY = 100
 """Most lines of one reply."""
+_HALTING_ALARMS = frozenset({1, 2})
+"""Alarms of a limit: after them the firmware waits in a loop that serves nothing but a reset."""
+_WAKE_S = 3.0
+"""Longest wait for the welcome message after a reset, in seconds."""
+
+T = TypeVar("T")
 
 
 class GrblController:
@@ -45,6 +53,8 @@ class GrblController:
         How often the board has sent its welcome message, since it was opened.
     alarms
         Codes of the alarms that the board has raised since then, oldest first.
+    needs_reset
+        Whether the board waits for a reset after a limit: until then it answers nothing, not even ``?``.
 
     Raises
     ------
@@ -55,6 +65,7 @@ class GrblController:
     def __init__(self, port: Port, *, clock: Clock, wire_log: WireLog | None = None) -> None:
         self.restarts = 0
         self.alarms: list[int] = []
+        self.needs_reset = False
         self._clock = clock
         self._link = Link(
             port,
@@ -131,9 +142,52 @@ class GrblController:
         PortLost
             The port is gone.
         """
-        return self._link.exchange(
+        return self._exchange(
             f"{line}\n".encode("ascii"), lambda reader: self._read_reply(line, reader), deadline_s=_REPLY_S
         )
+
+    def require_awake(self) -> None:
+        """Refuse an exchange with a board that waits for a reset.
+
+        Raises
+        ------
+        MoveFailed
+            The board has stopped at a limit, and answers nothing until it is reset; homing resets it.
+        """
+        if self.needs_reset:
+            code = self.alarms[-1] if self.alarms else 1
+            raise MoveFailed(
+                f"{grbl_protocol.ALARMS.get(code, 'unknown alarm')} (ALARM:{code}). The board stopped all axes and"
+                " waits for a reset.",
+                where=self.name,
+                remedy="Move the axis off its limit switch by hand if it stands on it, then home the stage.",
+            )
+
+    def wake(self) -> None:
+        """Reset a board that waits for a reset. Its motion has ended and its reference is lost already.
+
+        Raises
+        ------
+        ReplyTimeout
+            The board sends no welcome message.
+        PortLost
+            The port is gone.
+        """
+        restarts = self.restarts
+        with self._link.lock:
+            self._link.send(grbl_protocol.RESET)
+            end_s = time.monotonic() + _WAKE_S
+            while self.restarts == restarts and time.monotonic() < end_s:
+                self._link.receive(_QUIET_S)
+                while self._next_line() is not None:
+                    pass
+            self._link.mark_out_of_step()
+        if self.restarts == restarts:
+            raise ReplyTimeout(
+                "the board does not answer, and a reset brings no welcome message.",
+                where=self.name,
+                remedy="Check that the board is switched on, its cable, and that the station file has its baud rate.",
+            )
 
     def start_homing(self) -> None:
         """Start homing. The board answers nothing until homing has ended.
@@ -146,6 +200,7 @@ class GrblController:
             The port is gone.
         """
         with self._link.lock:
+            self.require_awake()
             self._link.bring_into_step()
             self._link.send(b"$H\n")
             self._link.mark_out_of_step()
@@ -167,6 +222,7 @@ class GrblController:
         while self._clock.monotonic() < end_s:
             self._clock.sleep(motion.POLL_S)
             line = self._next_line()
+            self.require_awake()
             if line is not None and grbl_protocol.parse_response(line) is not None:
                 self._raise_if_error("$H", line)
                 return
@@ -248,7 +304,23 @@ class GrblController:
                 )
             return report
 
-        return self._link.exchange(grbl_protocol.STATUS, read_reply, deadline_s=deadline_s, urgent=urgent)
+        return self._exchange(grbl_protocol.STATUS, read_reply, deadline_s=deadline_s, urgent=urgent)
+
+    def _exchange(
+        self, request: bytes, read: Callable[[ReplyReader], T], *, deadline_s: float, urgent: bool = False
+    ) -> T:
+        """Make an exchange; raise MoveFailed as soon as it is known that the board waits for a reset."""
+        self.require_awake()
+
+        def read_awake(reader: ReplyReader) -> T:
+            self.require_awake()  # the alarm came with the old lines, just before this request
+            try:
+                return read(reader)
+            except ReplyTimeout:
+                self.require_awake()
+                raise
+
+        return self._link.exchange(request, read_awake, deadline_s=deadline_s, urgent=urgent)
 
     def _read_reply(self, sent: str, reader: ReplyReader) -> list[bytes]:
         lines = []
@@ -282,23 +354,30 @@ class GrblController:
     def _take_push_message(self, line: bytes) -> bool:
         if grbl_protocol.is_welcome(line):
             self.restarts += 1
+            self.needs_reset = False
             return True
         alarm = grbl_protocol.parse_alarm(line)
         if alarm is not None:
             self.alarms.append(alarm)
+            self.needs_reset |= alarm in _HALTING_ALARMS
         return alarm is not None or grbl_protocol.is_informational(line)
 
     def _wait_for_boot(self) -> None:
-        repeat(self._query_status_once, tries=_BOOT_TRIES)
+        try:
+            repeat(self._query_status_once, tries=_BOOT_TRIES)
+        except (ReplyTimeout, MoveFailed):
+            # A board that moves by jog or program answers ?. A mute one waits for a reset after a limit, or is homing
+            # for a program that has ended. This driver has no reference yet, so a reset loses nothing.
+            self.wake()
         self._link.mark_out_of_step()  # the board may hold the beginning of a line that another program sent
 
     def _resynchronise(self) -> None:
         """Spoil the beginning of a line that the board may hold; then get one ``ok`` to an empty line, alone."""
 
         def exchange_marker() -> bool:
-            self._link.exchange(_INVALID_LINE, self._read_to_error, deadline_s=_REPLY_S, urgent=True)
+            self._exchange(_INVALID_LINE, self._read_to_error, deadline_s=_REPLY_S, urgent=True)
             self._query_status_once(deadline_s=_MARKER_S, urgent=True)
-            self._link.exchange(b"\n", self._read_single_ok, deadline_s=_MARKER_S, urgent=True)
+            self._exchange(b"\n", self._read_single_ok, deadline_s=_MARKER_S, urgent=True)
             return True
 
         if not resynchronise(

@@ -29,6 +29,7 @@ from simulators.world.load import LoadTrajectory
 
 State = Literal["Idle", "Run", "Jog", "Home", "Alarm"]
 
+_RESET_BYTE: Final = 0x18
 _WELCOME: Final = "\r\nGrbl 1.1h ['$' for help]\r\n"
 _LOCKED: Final = "[MSG:'$H'|'$X' to unlock]\r\n"
 _MAX_LINE: Final = 80
@@ -82,7 +83,7 @@ class GrblController:
             ord("?"): self._report,
             ord("!"): self._hold,
             ord("~"): self._resume,
-            0x18: self._reset,
+            _RESET_BYTE: self._reset,
             0x85: self._cancel_jog,
         }
 
@@ -114,7 +115,9 @@ class GrblController:
         self._advance()
         for byte in data if not self._in_reset else b"":
             if byte in self._real_time:
-                self._real_time[byte]()
+                # After ALARM:1 or 2 the firmware waits in a loop that serves nothing but a reset, not even ?.
+                if not self._must_reset or byte == _RESET_BYTE:
+                    self._real_time[byte]()
             elif byte in b"\r\n":
                 self._pending_lines.append(self._line)
                 self._line = ""

@@ -254,7 +254,13 @@ def test_a_limit_switch_is_an_alarm(homed: Board):
     homed.device.axes["X"].arm(MotionFault("limit"))
     homed.say("G0 X-21")
     assert "ALARM:1\r\n[MSG:Reset to continue]\r\n" in homed.wait()
+    assert homed.press(b"?") == ""  # the firmware's loop serves nothing but a reset
+    assert homed.say("$X", "$$") == homed.press(b"!") == homed.press(b"\x85") == ""
+    assert homed.press(b"\x18") == BANNER + LOCKED
     assert homed.report()[0] == "Alarm"
+    homed.say("$H")
+    assert homed.wait() == "ok\r\n"
+    assert homed.report()[0] == "Idle"
 
 
 def test_a_stall_is_not_detected(homed: Board):

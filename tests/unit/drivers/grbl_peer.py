@@ -40,6 +40,7 @@ class GrblPeer(PeerPort):
         self.homed_at_s = math.inf
         self.homes = True
         self.pending = b""
+        self.mute = False  # after a limit the firmware waits in a loop that serves a reset only
 
     # ------------------------------------------------------------ physics
     def share(self) -> float:
@@ -73,6 +74,9 @@ class GrblPeer(PeerPort):
         self.halt()
         self.state = "Alarm"
         self.say(f"ALARM:{code}")
+        if code in (1, 2):
+            self.say("[MSG:Reset to continue]")
+            self.mute = True
 
     # ------------------------------------------------------------ words
     def say(self, text: str) -> None:
@@ -88,12 +92,15 @@ class GrblPeer(PeerPort):
             elif byte == b"\n":
                 line, self.pending = self.pending.decode("latin-1"), b""
                 self.before(line)
-                if self.homed_at_s == math.inf:
+                if self.homed_at_s == math.inf and not self.mute:
                     self.serve(line)
             else:
                 self.pending += byte
 
     def realtime(self, byte: bytes) -> None:
+        if self.mute and byte != b"\x18":
+            return
+        self.mute = False
         if byte == b"?" and self.homed_at_s == math.inf:
             self.say(f"<{self.now()}|MPos:{','.join(f'{x:.3f}' for x in self.machine())}|FS:0,0>")
         elif byte == b"\x85":

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import time
 from collections.abc import Callable
 
 import numpy as np
@@ -17,9 +18,10 @@ from drivers.errors import (
     OutsideLimits,
     ReplyError,
     ReplyGarbled,
+    ReplyTimeout,
     WrongDevice,
 )
-from drivers.stage import AxisLimits
+from drivers.stage import AxisLimits, grbl_controller
 from drivers.stage.grbl import GrblAxis, GrblStage
 from drivers.stage.grbl_protocol import parse_report
 from tests.unit.drivers.grbl_peer import GrblPeer
@@ -218,6 +220,47 @@ def test_a_move_that_goes_wrong_is_noticed(homed, peer, event, message) -> None:
     once_moving(peer, lambda: event(peer))
     with pytest.raises(MoveFailed, match=message):
         homed.move_to({"pan": -9.0, "tilt": -9.0})
+
+
+@pytest.mark.parametrize("code", [1, 2])
+def test_a_board_that_waits_for_a_reset_at_a_limit_is_named_at_once_and_homing_resets_it(
+    homed, peer, code
+) -> None:
+    """After these alarms the firmware answers nothing, not even ``?``; the switch was never named."""
+    once_moving(peer, lambda: peer.alarm(code))
+    begin = time.monotonic()
+    with pytest.raises(MoveFailed, match=rf"\(ALARM:{code}\)\. The board stopped all axes") as caught:
+        homed.move_to({"pan": -9.0, "tilt": -9.0})
+    assert time.monotonic() - begin < 2.0
+    assert "limit switch" in caught.value.remedy
+    assert b"\x18" not in peer.sent
+    homed.stop()  # it has stopped already
+    fault, reference = homed.faults()
+    assert f"ALARM:{code}" in fault
+    assert reference == "board: no reference"
+    with pytest.raises(MoveFailed, match=f"ALARM:{code}"):
+        homed.move_to({"pan": 0.0})
+    homed.home()
+    assert peer.sent.count(b"\x18") == 1
+    assert homed.faults() == []
+    homed.move_to({"pan": -9.0, "tilt": -9.0})
+
+
+def test_a_board_that_is_mute_at_opening_is_reset(peer, clock) -> None:
+    peer.mute = True
+    stage = GrblStage(peer, axes(), clock=clock)
+    assert peer.sent.count(b"\x18") == 1
+    assert "board: no reference" in stage.faults()
+    stage.home()
+    stage.move_to({"pan": -9.0})
+
+
+def test_a_board_that_stays_mute_is_told_with_every_cause(peer, clock, monkeypatch) -> None:
+    monkeypatch.setattr(grbl_controller, "_WAKE_S", 0.1)
+    monkeypatch.setattr(peer, "write", lambda data: None)
+    with pytest.raises(ReplyTimeout, match="a reset brings no welcome message") as caught:
+        GrblStage(peer, axes(), clock=clock)
+    assert "baud rate" in caught.value.remedy
 
 
 def test_a_restart_is_noticed_even_when_its_banner_is_lost(homed, peer) -> None:
