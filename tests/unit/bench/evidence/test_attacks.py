@@ -435,6 +435,8 @@ ATTACKS = [
     Attack("views replaced, told", told(write("views.h5", b"x" * 1000)), "views.h5", "views", "h5ls"),
     Attack("residual of a star", in_views(lambda h: h["pose-001/residuals_px"].__setitem__(0, (9.0, 9.0))), "views.h5", "views"),
     Attack("hidden data in the views", in_views(lambda h: h.create_dataset("secret", data=[1])), "views.h5", "views", "h5ls"),
+    Attack("hidden data in a pose", in_views(lambda h: h["pose-001"].create_dataset("secret", data=[1])), "views.h5", "views", "h5ls -r"),
+    Attack("hidden bytes after the views", told(lambda f: f.replace("views.h5", (f / "views.h5").read_bytes(), (f / "views.h5").read_bytes() + b"x")), "views.h5", "views"),
     Attack("name of a pose in the views", in_views(lambda h: h["pose-001"].attrs.__setitem__("name", "x")), "views.h5", "views", "h5dump"),
     # exports
     *(
@@ -812,12 +814,16 @@ def test_the_command_lists_every_fault_and_ends_with_1(forger, bench_home):
     assert "results.json: by the journal, it is another file than the one that was written" in said.stderr
 
 
-def test_the_command_ends_with_4_if_a_part_was_not_compared(forger, bench_home):
+def test_the_command_ends_with_4_if_a_part_was_not_compared(forger, bench_home, tmp_path):
     by_another_program(forger, report_form="0" * 16)
     forger.replace("report.html", "Calibration report", "Report of a calibration")
     forger.tell_of_files()
     forger.seal()
+    signers = str(bench_home / "allowed_signers")
     said = told_by_command(forger.folder, bench_home, "--json")
+    assert said.return_value == 1  # the ledger of the bench holds the hash of the first seal
+    assert {fault["kind"] for fault in json.loads(said.stdout)["faults"]} == {"ledger"}
+    said = told_by_command(forger.folder, tmp_path / "elsewhere", "--allowed-signers", signers, "--json")
     assert said.return_value == 4
     found = json.loads(said.stdout)
     assert (found["ok"], found["complete"]) == (True, False)

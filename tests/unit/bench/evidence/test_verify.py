@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from bench.base.errors import RunFolderError
 from bench.evidence.keys import NAMESPACE, Signer, create_key, read_signers
-from bench.evidence.seal import make_manifest, seal
+from bench.evidence.seal import make_manifest, seal, seal_folder
 from bench.evidence.sshsig import read_signature, sign
 from bench.evidence.verify import verify_folder
 from tests.unit.bench.evidence.resealed import kinds, reseal
@@ -252,6 +252,21 @@ def test_a_folder_without_a_seal_is_a_draft(sealed, signers):
     (sealed / "SHA256SUMS.sig").unlink()
     assert verify_folder(sealed, signers).state == "DRAFT"
     assert verify_folder(sealed, signers).to_dict()["ok"] is False
+
+
+def test_of_a_folder_of_another_kind_only_the_seal_is_verified_and_that_is_told(tmp_path, key, signers):
+    (tmp_path / "passport.txt").write_text("R 255 mm")
+    seal_folder(tmp_path, key)
+    found = verify_folder(tmp_path, signers, derivations={})
+    assert (found.kind, found.ok, found.complete) == ("files", True, False)
+    assert verify_folder(tmp_path, signers).complete  # nothing was to be derived
+
+
+@pytest.mark.parametrize("name", ["results.json", "report.html", "plan.json", "station.yaml"])
+def test_files_of_a_run_without_a_journal_are_found(tmp_path, key, signers, name):
+    (tmp_path / name).write_text("{}")
+    seal_folder(tmp_path, key)
+    assert ("kind", "journal.jsonl") in kinds(verify_folder(tmp_path, signers))
 
 
 def test_what_is_no_run_folder_is_an_error(tmp_path):
