@@ -24,7 +24,7 @@ Json = dict[str, Any]
 
 _KEPT_OF_CAPTURE = ("pose", "pose_name", "attempt")
 _KEPT_OF_CHECK = ("pose", "attempt", "accepted", "reasons", "stars")
-_CLOCK_TEXT = len("12:34:56  ")
+_CLOCK_TEXT = len("12:34:56 UTC  ")
 
 
 @dataclass(frozen=True)

@@ -38,7 +38,7 @@ def line_text(entry: Entry) -> str:
     """
     make_text = _ENTRY_TEXTS.get(entry.event)
     text = make_text(entry.data) if make_text is not None else ""
-    return f"{entry.utc[11:19]}  {text}" if text else ""
+    return f"{entry.utc[11:19]} UTC  {text}" if text else ""
 
 
 def _resumed_text(data: RunResumed) -> str:

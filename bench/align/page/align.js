@@ -225,7 +225,7 @@ function showLog() {
   if (holder.dataset.key === key) return;
   holder.dataset.key = key;
   fill(holder, ...state.messages.slice().reverse().map((m) => el("li", {},
-    el("time", {}, new Date(m.time_s * 1000).toLocaleTimeString("en-GB")), m.text)));
+    el("time", {}, `${new Date(m.time_s * 1000).toISOString().slice(11, 19)} UTC`), m.text)));
 }
 
 function showAdvice(lines) {

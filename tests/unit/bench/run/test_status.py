@@ -113,7 +113,8 @@ def test_the_last_lines_are_shown_as_text(run):
     run.tell(Event.ATTEMPT_CHECKED, pose=1, attempt=1, accepted=False, reasons=["dark", "shaky"])
     run.tell(Event.LEFT_OFF, state="recording", error="PortLost: gone")
     run.tell(Event.POSE_SKIPPED, pose=1, pose_name="left", what="Pose 1 was skipped: so.")
-    assert [line[10:] for line in run.status().last] == [
+    assert all(line[9:14] == "UTC  " for line in run.status().last)
+    assert [line[14:] for line in run.status().last] == [
         "checking at pose 1",
         "stored captures/a.raw",
         "attempt 1 at pose 1: dark; shaky",
