@@ -131,7 +131,7 @@ def test_the_end_is_shown_once(run, how, why, told):
     run.tell(Event.ENTERING, state="reporting", pose=None)
     run.tell(Event.ENTERING, state=how, pose=None)
     run.tell(Event.RUN_ENDED, how=how, why=why)
-    assert [line[10:] for line in run.status().last[-2:]] == ["reporting", told]
+    assert [line[14:] for line in run.status().last[-2:]] == ["reporting", told]
 
 
 def test_following_shows_each_change_and_ends_with_the_run(run):
