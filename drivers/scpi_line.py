@@ -68,7 +68,12 @@ class ScpiLine(TextLine):
 
     def __init__(self, port: Port, *, clock: Clock, wire_log: WireLog | None = None) -> None:
         super().__init__(
-            port, identity_query="*IDN?", is_identity=_is_identity, clock=clock, wire_log=wire_log
+            port,
+            identity_query="*IDN?",
+            is_identity=_is_identity,
+            identity_form="'maker, model, serial number, firmware', the four fields of IEEE 488.2,",
+            clock=clock,
+            wire_log=wire_log,
         )
         self.has_error_queue = True
         self.has_error_queue = self._find_error_queue()

@@ -39,6 +39,8 @@ class TextLine:
         Query whose answer identifies the device and never changes.
     is_identity
         Whether an answer to that query has the right form; the query is repeated after another one.
+    identity_form
+        The right form, in words.
     request_end, reply_end
         Bytes at the end of each request and of each reply.
     reply_s
@@ -65,6 +67,7 @@ class TextLine:
         *,
         identity_query: str,
         is_identity: Callable[[str], bool],
+        identity_form: str = "another form",
         clock: Clock,
         request_end: bytes = b"\n",
         reply_end: bytes = b"\n",
@@ -74,6 +77,7 @@ class TextLine:
     ) -> None:
         self._identity_query = identity_query
         self._is_identity = is_identity
+        self._identity_form = identity_form
         self._request_end = request_end
         self._reply_end = reply_end
         self._reply_s = reply_s
@@ -280,7 +284,9 @@ class TextLine:
         def query_identity() -> str:
             text = self._query_once(self._identity_query, PROMPT_S)
             if not self._is_identity(text):
-                raise self.garbled_reply(f"{self._identity_query} answered {text!r}, which is no identity.")
+                raise self.garbled_reply(
+                    f"{self._identity_query} answered {text!r}; {self._identity_form} was expected."
+                )
             return text
 
         return repeat(query_identity, before_next=lambda: self._link.drain(_QUIET_S, _LONGEST_DRAIN_S))

@@ -1,6 +1,31 @@
-"""Names of interlocks as text, for status lines and messages."""
+"""Names and causes of interlocks as text, for status lines and messages."""
 
 from __future__ import annotations
+
+from drivers.errors import DriverError
+
+
+def loss_text(error: DriverError) -> str:
+    """Return how a device was lost, for a run that holds: it continues by itself, so nobody has to resume it.
+
+    Parameters
+    ----------
+    error
+        What the driver reported.
+
+    Returns
+    -------
+    str
+        Place, what is wrong, and remedy.
+
+    Examples
+    --------
+    >>> loss_text(DriverError("It is gone.", where="camera 7", remedy="Check the cable, then resume the run."))
+    'camera 7: It is gone. Check its cable and power.'
+    """
+    place = f"{error.where}: " if error.where else ""
+    remedy = "Check its cable and power." if "resume" in error.remedy.lower() else error.remedy
+    return f"{place}{error.what} {remedy}".strip()
 
 
 def interlock_text(name: str) -> str:

@@ -15,6 +15,7 @@ from bench.records.events import Event
 from bench.records.run_folder import RunFolder
 from bench.records.run_log import RunLog
 from bench.records.storage import storage_errors
+from bench.run.interlock_text import loss_text
 from bench.stations.device_ends import DeviceEnd, all_ends, lost_ends
 from bench.stations.devices import Devices, left_devices
 from drivers.camera import EventCamera
@@ -192,7 +193,7 @@ class RunDevices:
         except WrongDevice:
             raise
         except DriverError as error:
-            return str(error)
+            return loss_text(error)
         self.come_to_rest()
         return ""
 

@@ -28,6 +28,7 @@ from bench.run.control import CommandInbox
 from bench.run.heartbeat import HeartbeatWriter
 from bench.run.holding import Holding, HoldNotifier
 from bench.run.interlock_kinds import interlocks_of
+from bench.run.interlock_text import loss_text
 from bench.run.interlocks import Interlocks, Trip
 from bench.run.machine import RunMachine
 from bench.run.resumption import pose_names, poses_crashed_too_often, steps_to_do
@@ -310,7 +311,7 @@ class Runner:
             except Interrupted:
                 self._hold_for(self._interlocks.take_interruption(), step)
             except LOST_DEVICE_ERRORS as error:
-                trip = self._interlocks.device_lost(str(error))
+                trip = self._interlocks.device_lost(loss_text(error))
                 if trip is None:
                     raise
                 self._hold_for(trip, step)

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import importlib
 import math
+import re
 import threading
 from collections.abc import Mapping
 from contextlib import suppress
@@ -35,6 +36,9 @@ from drivers.errors import (
 
 SILENCE_S: Final = 5.0
 """Longest silence before the camera counts as lost, s. A sensor that streams sends its clock every 16 us."""
+
+LEAST_MBIT_S: Final = 5000
+"""Slowest connection that is used, Mbit/s: that of USB 3."""
 
 _POLL_S: Final = 0.001
 
@@ -131,7 +135,7 @@ class MetavisionEvk4:
         WrongDevice
             If another camera answers.
         CameraSettingRefused
-            If the camera does not send EVT3.
+            If the camera does not send EVT3, or is connected by USB 2.
         """
         hal = _vendor_software()
         lock = CameraLock(event_camera_name(serial)) if serial else None
@@ -140,6 +144,7 @@ class MetavisionEvk4:
             camera._device = cls._opened(hal, serial)
             identity = camera.identify()
             camera._check_encoding()
+            camera._check_speed()
             if lock is None:
                 camera._lock = CameraLock(event_camera_name(identity.serial))
         except BaseException:
@@ -163,7 +168,8 @@ class MetavisionEvk4:
             raise CameraNotFound(
                 f"Cannot open {f'camera {serial}' if serial else 'any camera'}{reason}; connected cameras: {seen}.",
                 remedy="Check the camera's cable and power, the serial number in the station file, the udev rules, "
-                "and that no other program uses the camera.",
+                "that no other program uses the camera, and that its firmware is 3.8 or newer: the maker's software "
+                "refuses an older one, and says so on standard error only.",
             )
         return device
 
@@ -365,6 +371,21 @@ class MetavisionEvk4:
                 f"The camera sends {encoding or 'an unknown format'}, not EVT3.",
                 where=self._where,
                 remedy="Update the camera's firmware, or use a camera that sends EVT3.",
+            )
+
+    def _check_speed(self) -> None:
+        """Refuse a camera on USB 2, which loses events at the rates of a measurement. Raises CameraSettingRefused."""
+        try:
+            about = dict(self._facility("get_i_hw_identification", "identification").get_system_info())
+        except RuntimeError as error:
+            raise self._lost(error) from error
+        stated = next((str(text) for key, text in about.items() if key.endswith(" Speed")), "")
+        speed = re.match(r"\d+", stated)
+        if speed is not None and int(speed[0]) < LEAST_MBIT_S:
+            raise CameraSettingRefused(
+                f"The camera is connected at {speed[0]} Mbit/s (USB 2); it would lose events.",
+                where=self._where,
+                remedy=f"Use a USB 3 port and cable ({LEAST_MBIT_S} Mbit/s or more).",
             )
 
     def _lost(self, error: Exception, path: Path | None = None) -> CameraLost:

@@ -5,15 +5,21 @@ A camera may lack some facilities of the HAL. Their getters then return None, an
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from typing import Any, Final
 
 from drivers.camera import CameraSettings
-from drivers.errors import CameraSettingRefused
+from drivers.errors import CameraLost, CameraSettingRefused
 
 BIASES: Final = ("bias_diff_on", "bias_diff_off", "bias_fo", "bias_hpf", "bias_refr")
 """The biases that CameraSettings may name. ``bias_diff`` is the reference of two of them and is never changed."""
+
+_CONNECTION: Final = re.compile(
+    r"libusb|\busb\b|connection|disconnected|no such device|i/o error", re.IGNORECASE
+)
+"""Words of the HAL's message when the camera has gone, whatever was asked of it."""
 
 
 def read_biases(device: Any, *, where: str) -> dict[str, int]:
@@ -35,6 +41,8 @@ def read_biases(device: Any, *, where: str) -> dict[str, int]:
     ------
     CameraSettingRefused
         If the camera fails to answer.
+    CameraLost
+        If the connection has failed.
     """
     facility = device.get_i_ll_biases()
     if facility is None:
@@ -64,6 +72,8 @@ def read_filters(device: Any, hal: Any, *, where: str) -> dict[str, bool]:
     ------
     CameraSettingRefused
         If the camera fails to answer.
+    CameraLost
+        If the connection has failed.
     """
     found = {}
     with _refusal("read its filters", where):
@@ -127,6 +137,8 @@ def apply_settings(device: Any, hal: Any, settings: CameraSettings, *, where: st
     ------
     CameraSettingRefused
         If the camera does not accept a setting, or another value is read back.
+    CameraLost
+        If the connection has failed.
     """
     _set_biases(device, settings.biases, where)
     for getter in ("get_i_antiflicker_module", "get_i_event_trail_filter_module", "get_i_erc_module"):
@@ -243,11 +255,17 @@ def _set_trigger_in(device: Any, hal: Any, on: bool, where: str) -> bool:
 
 @contextmanager
 def _refusal(doing: str, where: str) -> Iterator[None]:
-    """Convert the HAL's RuntimeError to CameraSettingRefused."""
+    """Convert the HAL's RuntimeError to CameraLost if the connection has failed, else to CameraSettingRefused."""
     try:
         yield
     except RuntimeError as error:
         reason = " ".join(str(error).split())
+        if _CONNECTION.search(reason):
+            raise CameraLost(
+                f"The connection to the camera is lost ({reason}); it could not {doing}.",
+                where=where,
+                remedy="Check the camera's cable and power, then resume the run.",
+            ) from error
         raise CameraSettingRefused(
             f"The camera refused to {doing} ({reason}).",
             where=where,

@@ -101,3 +101,26 @@ def test_a_closed_camera_is_told_as_such(camera):
     with pytest.raises(metavision_driver.CameraError, match="cannot be reached"):
         camera.identify()
     assert camera.temperature_c() is None
+
+
+@pytest.mark.parametrize(
+    ("stated", "refused"),
+    [("480", True), ("480 Mbit/s", True), ("5000", False), ("10000", False), ("", False)],
+)
+def test_a_camera_on_usb_2_is_refused_when_it_is_opened(devices, clock, monkeypatch, stated, refused):
+    identification = devices[SERIAL].facilities["hw_identification"]
+    monkeypatch.setattr(type(identification), "get_system_info", lambda _self: {"EVK4 Speed": stated})
+    if not refused:
+        MetavisionEvk4.open(serial=SERIAL, clock=clock).close()
+        return
+    with pytest.raises(CameraSettingRefused, match=r"480 Mbit/s \(USB 2\)") as caught:
+        MetavisionEvk4.open(serial=SERIAL, clock=clock)
+    assert "USB 3" in caught.value.remedy
+    monkeypatch.undo()
+
+
+def test_an_old_firmware_is_among_the_causes(devices, clock):
+    devices.clear()
+    with pytest.raises(CameraNotFound) as caught:
+        MetavisionEvk4.open(clock=clock)
+    assert "firmware is 3.8 or newer" in caught.value.remedy

@@ -3,7 +3,7 @@
 import pytest
 
 from drivers.camera import CameraSettings
-from drivers.errors import CameraSettingRefused
+from drivers.errors import CameraLost, CameraSettingRefused
 from tests.unit.drivers.metavision.fake_hal import Channel, RoiMode, Trail, TrailType
 
 
@@ -104,3 +104,22 @@ def test_biases_that_are_missing_are_told_when_needed(device, camera):
     device.facilities["ll_biases"] = None
     with pytest.raises(CameraSettingRefused, match="no biases"):
         camera.apply(CameraSettings({"bias_fo": 3}, trigger_in=False))
+
+
+def gone(*_):
+    raise RuntimeError("------\nMetavision HAL exception\n\nLibUSB error: LIBUSB_ERROR_NO_DEVICE (-4)\n")
+
+
+@pytest.mark.parametrize("method", ["set", "get", "get_all_biases"])
+def test_a_camera_that_has_gone_is_lost_not_a_refused_setting(device, camera, monkeypatch, method):
+    """The run was told to correct its bias, and failed instead of holding."""
+    monkeypatch.setattr(device.facilities["ll_biases"], method, gone)
+    with pytest.raises(CameraLost, match="LIBUSB_ERROR_NO_DEVICE") as caught:
+        camera.apply(CameraSettings({"bias_diff_on": 0}))
+    assert "cable" in caught.value.remedy
+
+
+def test_filters_of_a_camera_that_has_gone_are_a_loss_too(device, camera, monkeypatch):
+    monkeypatch.setattr(device.facilities["antiflicker_module"], "is_enabled", gone)
+    with pytest.raises(CameraLost, match="read its filters"):
+        camera.filters()
