@@ -205,14 +205,14 @@ def station() -> None:
 @click.option("--name", default="My bench", show_default=True, help="Name of the bench.")
 @click.option(
     "--stage",
-    type=click.Choice(["zaber_ascii", "ximc", "grbl", "esp30x"]),
+    type=click.Choice(["zaber_ascii", "ximc", "grbl", "esp30x", "text"]),
     default="zaber_ascii",
     show_default=True,
     help="Kind of stage.",
 )
 @click.option(
     "--light",
-    type=click.Choice(["scpi", "gardasoft"]),
+    type=click.Choice(["scpi", "gardasoft", "text"]),
     default="scpi",
     show_default=True,
     help="Kind of light: a function generator, or a strobe controller.",
@@ -301,7 +301,7 @@ def _exit_status(command: Callable[[], Any], arguments: list[str]) -> int:
             print_json({"error": {"kind": "UsageError", "message": error.format_message(), "remedy": ""}})
         from bench.terminal.encoding import printable
 
-        error.message = printable(error.message)
+        error.message = printable(error.message)  # type: ignore[misc]
         error.show()
         return error.exit_code
     except KeyboardInterrupt:
