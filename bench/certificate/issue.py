@@ -24,7 +24,7 @@ from bench.certificate.folder import (
 )
 from bench.certificate.lab_config import LabConfig, read_lab
 from bench.certificate.sealed_run import Source, Verify, read_sealed_run
-from bench.certificate.series import Wanted, enter_issued, one_at_a_time, reserve
+from bench.certificate.series import Wanted, enter_issued, one_at_a_time, refuse_second, reserve
 from bench.certificate.series_numbers import Numbered, numbers, open_numbers
 from bench.evidence.keys import BenchKey
 from bench.records.ledger import Ledger
@@ -113,6 +113,7 @@ def issue(run: Path, lab_file: Path, folder: Path, laboratory: Laboratory, *, al
     require_libraries()
     refuse_occupied(folder)
     lab = read_lab(lab_file)
+    _refuse_second_early(run, laboratory.ledger, also)
     source = read_sealed_run(run, laboratory.verify)
     return make_certificate(source, lab, folder, laboratory, also=also)
 
@@ -182,6 +183,17 @@ def make_certificate(
         seal = write_sealed(folder, files, key)
         _enter(laboratory.ledger, certificate, seal)
     return Issued(certificate, folder, seal, tuple(completed))
+
+
+def _refuse_second_early(run: Path, ledger: Ledger, also: str) -> None:
+    """Refuse a second certificate before the run is verified, which takes seconds."""
+    with storage_errors(run):
+        if not (run / MANIFEST).is_file():
+            return
+        seal = sha256_of(run / MANIFEST)
+    found = numbers(ledger.entries())
+    if not open_numbers(found):  # an open number may be that of the first certificate
+        refuse_second(found, Wanted("", False, seal, "", "", also=also))
 
 
 def complete_open(ledger: Ledger) -> list[str]:

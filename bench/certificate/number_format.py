@@ -93,20 +93,18 @@ def series_of(text: str, *, year: int, simulated: bool) -> str:
     return (SIMULATED if simulated else "") + text.replace("{year}", str(year))
 
 
-def number_pattern(text: str, year: str) -> re.Pattern[str]:
+def number_pattern(text: str) -> re.Pattern[str]:
     """Return what a number of a series looks like.
 
     Parameters
     ----------
     text
         Format of the series.
-    year
-        Year of issue, four digits.
 
     Returns
     -------
     Pattern
-        Matches the numbers of this year.
+        Matches the numbers of any year: a number may be used in the year after it was reserved.
 
     Raises
     ------
@@ -115,11 +113,13 @@ def number_pattern(text: str, year: str) -> re.Pattern[str]:
 
     Examples
     --------
-    >>> bool(number_pattern("SB-{year}-{number:05d}", "2026").fullmatch("SB-2026-00017"))
+    >>> bool(number_pattern("SB-{year}-{number:05d}").fullmatch("SB-2026-00017"))
     True
     """
     match = _FORMAT.fullmatch(text)
     if match is None:
         raise ValueError(text)
-    before, after = (re.escape(match[name].replace("{year}", year)) for name in ("before", "after"))
+    before, after = (
+        "[0-9]{4}".join(map(re.escape, match[name].split("{year}"))) for name in ("before", "after")
+    )
     return re.compile(f"{before}[0-9]{{{match['digits'] or 1},9}}{after}")

@@ -117,8 +117,8 @@ def reserve(ledger: Ledger, wanted: Wanted, now: datetime) -> Numbered:
         found = numbers(journal.entries)
         _refuse_clock(journal.entries, now, ledger.path)
         own = _own_open_number(found, wanted)
+        refuse_second(found, wanted)
         if own is None:
-            refuse_second(found, wanted)
             own = _next(ledger, journal, found, wanted, now)
         reserved = _enter(journal, wanted, now, own)
         _write_highest(ledger.home, own.series, own.count)
@@ -187,12 +187,15 @@ def _own_open_number(found: Mapping[str, Numbered], wanted: Wanted) -> Numbered 
     """Return the open number of the same run and purpose; refuse while another one is open."""
     for one in open_numbers(found):
         if (one.run_seal, one.amends) == (wanted.run_seal, wanted.amends):
-            return one
+            year = int(one.issued_utc[:4])
+            if one.series == series_of(wanted.number_format, year=year, simulated=wanted.simulated):
+                return one
         raise EvidenceError(
             f"The certificate number {one.number} was reserved for the run {one.run_id} on"
             f" {one.issued_utc[:16]}, and was not issued: that command was stopped or failed.",
             where=one.folder,
-            remedy=f"Issue the certificate of that run, which takes this number, or declare it void:"
+            remedy="Issue the certificate of that run with the same numbers.format, which takes this number, or"
+            f" declare it void:"
             f" `starbench certificate void {one.number} --reason TEXT`.",
         )
     return None
@@ -217,6 +220,8 @@ def refuse_second(found: Mapping[str, Numbered], wanted: Wanted) -> None:
         refuse_old(found, wanted.amends)
         return
     first = next((one for one in found.values() if one.run_seal == wanted.run_seal and one.is_newest), None)
+    if first is None and wanted.also:
+        raise EvidenceError("The run has no certificate yet.", remedy="Leave out --also.")
     if first is not None and not wanted.also:
         raise EvidenceError(
             f"The run has a certificate already: {first.number} of {first.issued_utc[:10]}.",

@@ -65,6 +65,24 @@ def test_a_number_left_open_goes_to_the_next_certificate_of_the_same_run(bench):
     assert bench.issue("b") == "SB-2026-00002"
 
 
+def test_a_number_left_open_in_the_old_year_is_used_in_the_new_one(bench):
+    left = bench.reserve("a").number
+    bench.now = NOW.replace(year=2027)
+    assert bench.issue("a") == left == "SB-2026-00001"
+    assert bench.issue("b") == "SB-2027-00001"
+
+
+def test_a_number_left_open_is_not_used_for_another_series(bench):
+    bench.reserve("a")
+    with pytest.raises(EvidenceError, match=r"with the same numbers\.format"):
+        bench.reserve("a", number_format="X-{number}")
+
+
+def test_a_further_certificate_needs_a_first_one(bench):
+    with pytest.raises(EvidenceError, match=r"has no certificate yet\. Leave out --also"):
+        bench.reserve("a", also="x")
+
+
 def test_a_number_left_open_stops_other_runs_until_it_is_void(bench):
     left = bench.reserve("a").number
     with pytest.raises(EvidenceError, match=f"{left} was reserved.*not issued.*certificate void {left}"):
@@ -185,9 +203,7 @@ class Laboratory(RuleBasedStateMachine):
     @rule(run=st.sampled_from("abc"), killed=st.booleans(), also=st.booleans())
     def issue(self, run, killed, also):
         facts = {"also": "wanted"} if also else {}
-        refused = (self.left and self.left[1:] != (run, "")) or (
-            not self.left and run in self.newest and not also
-        )
+        refused = (self.left and self.left[1:] != (run, "")) or (run in self.newest) != also
         self.attempt(run, "", killed, facts, refused=bool(refused))
 
     @precondition(lambda self: self.newest)
