@@ -10,6 +10,7 @@ from collections.abc import Mapping
 from bench.base.errors import ControlRefused
 from bench.stations.station import Station
 from bench.stations.station_lights import GardasoftLightConfig, ScpiLightConfig
+from bench.stations.station_text import TextLightConfig
 from sequences.tree import DocumentPath
 
 
@@ -69,7 +70,7 @@ def station_values(
             case ScpiLightConfig() as light:
                 high_v = light.low_v + (light.high_v - light.low_v) * level_percent / 100
                 values["light", "high_v"] = plain_number(high_v, 4)
-            case GardasoftLightConfig() as light:
+            case GardasoftLightConfig() | TextLightConfig() as light:
                 values["light", "full_percent"] = plain_number(light.full_percent * level_percent / 100, 3)
         notes.append(f"The present level, {level_percent:g} %, becomes 100 % of this station.")
     return values, notes

@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 
+from bench.stations.sections import AxisConfig
 from bench.stations.station import Station
 from bench.stations.station_cameras import FrameCameraConfig
-from bench.stations.station_stages import AxisConfig
 from bench.views.recording_window import recording_duration_s
 from sequences.script import (
     ChooseStep,

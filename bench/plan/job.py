@@ -16,6 +16,7 @@ from bench.plan.plan import DEFAULT_MODEL, Plan, load_documents, make_plan
 from bench.records.run_folder import PASSPORT_COPY, SEQUENCE_COPY, STATION_COPY
 from bench.simulated import SimulatedBench
 from bench.stations.station import Station
+from bench.stations.station_text import description_documents
 from bench.views.camera_kinds import CameraKind, camera_kind
 from bench.views.gates import Gate, at_most
 from calib.calibration import CalibrationOptions
@@ -402,12 +403,13 @@ def documents_of(plan: Plan) -> dict[str, bytes]:
     Returns
     -------
     dict
-        Bytes by name of the file: sequence, station and, if the run uses one, the collimator's passport.
+        Bytes by name of the file: sequence, station and, if the run uses them, the collimator's passport and the
+        descriptions of devices.
     """
     documents = {SEQUENCE_COPY: plan.sequence.text, STATION_COPY: plan.station.text}
     if plan.passport.in_use is not None:
         documents[PASSPORT_COPY] = plan.passport.in_use.data
-    return documents
+    return documents | description_documents(plan.station.value)
 
 
 def calibration_options(

@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 
 from bench.report.until_text import meaning_of_goal
 from bench.results.forecasts import expected_bench
+from bench.stations.sections import AxisConfig
 from bench.stations.station import Station
-from bench.stations.station_stages import AxisConfig
 from calib.engine import Calibration
 from calib.model.collimator import Collimator
 from calib.model.gimbal_readings import GimbalReadings

@@ -36,6 +36,11 @@ def template(text: str, known: frozenset[str], readable: frozenset[str] | None) 
     -------
     Template
         The template.
+
+    Raises
+    ------
+    PydanticCustomError
+        When it cannot be used.
     """
     try:
         return parse_template(text, known=known, readable=readable)
@@ -134,7 +139,13 @@ class Command(StrictModel):
     reply: Annotated[Line, AfterValidator(reply_check(NOTHING))]
 
     def exchange(self) -> of.Exchange:
-        """Return the exchange for the driver."""
+        """Return the exchange for the driver.
+
+        Returns
+        -------
+        Exchange
+            As the driver takes it.
+        """
         return make_exchange(self.send, self.reply, NOTHING)
 
 
@@ -161,7 +172,13 @@ class StateQuery(StrictModel):
         return self
 
     def switch(self) -> of.Switch:
-        """Return the query for the driver."""
+        """Return the query for the driver.
+
+        Returns
+        -------
+        Switch
+            As the driver takes it.
+        """
         return of.Switch(make_exchange(self.send, self.reply, ADDRESS), tuple(self.when))
 
 
@@ -228,7 +245,13 @@ class Described(StrictModel):
     notices: Annotated[tuple[NoticeConfig, ...], Field(max_length=20)] = ()
 
     def of_line(self) -> of.LineDescription:
-        """Return the line for the driver."""
+        """Return the line for the driver.
+
+        Returns
+        -------
+        LineDescription
+            As the driver takes it.
+        """
         return of.LineDescription(
             maker=self.maker,
             model=self.model,

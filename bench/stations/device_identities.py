@@ -10,6 +10,7 @@ from collections.abc import Iterable, Iterator
 from contextlib import ExitStack, contextmanager
 
 from bench.stations import station_lights, station_stages
+from bench.stations.sections import LightSection, StageSection
 from bench.stations.station import Station
 from bench.stations.station_fields import SIMULATED_PREFIX
 from drivers.device_hold import DeviceHold
@@ -47,6 +48,11 @@ def serial_devices(station: Station) -> tuple[str, ...]:
         for port, family, serial in found
         if serial and not port.startswith(SIMULATED_PREFIX)
     ]
+    for section in (station.stage, station.light):
+        if isinstance(section, StageSection | LightSection) and not any(
+            port.startswith(SIMULATED_PREFIX) for port in section.ports
+        ):
+            real += section.device_names
     return tuple(dict.fromkeys(real))
 
 

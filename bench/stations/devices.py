@@ -17,6 +17,7 @@ from bench.simulated import SimulatedBench
 from bench.stations import station_cameras, station_lights, station_stages
 from bench.stations.device_ends import DeviceEnd, DeviceName, lost_ends
 from bench.stations.device_identities import hold_serial_devices
+from bench.stations.sections import EventCameraSection, FrameCameraSection, LightSection, StageSection
 from bench.stations.station import Station
 from bench.stations.station_fields import SIMULATED_PREFIX
 from drivers.camera import EventCamera
@@ -312,6 +313,8 @@ def open_stage(station: Station, port: PortName, clock: BenchClock, wire_log: Wi
             return EspStage.open(
                 port(config.port), esp, baudrate=config.baudrate, clock=clock, wire_log=wire_log
             )
+        case StageSection() as config:
+            return config.open_device(port, clock=clock, wire_log=wire_log)
 
 
 def open_light(station: Station, port: PortName, clock: BenchClock, wire_log: WireLog | None) -> Light:
@@ -361,9 +364,11 @@ def open_light(station: Station, port: PortName, clock: BenchClock, wire_log: Wi
                 clock=clock,
                 wire_log=wire_log,
             )
+        case LightSection() as config:
+            return config.open_device(port, clock=clock, wire_log=wire_log)
 
 
-def open_camera(station: Station, port: PortName, clock: BenchClock) -> Camera:
+def open_camera(station: Station, port: PortName, clock: BenchClock) -> Camera:  # noqa: PLR0911 - one for each driver
     """Open the camera of a station. Nothing moves, and nothing is switched on.
 
     Parameters
@@ -402,3 +407,5 @@ def open_camera(station: Station, port: PortName, clock: BenchClock) -> Camera:
             return OpenCvFrameCamera.open(source, serial=config.serial, clock=clock, shown_as=hidden)
         case station_cameras.PictureFolderConfig() as config:
             return FolderFrameCamera.open(config.path, serial=config.serial, clock=clock)
+        case EventCameraSection() | FrameCameraSection() as config:
+            return config.open_device(port, clock=clock)

@@ -16,6 +16,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BeforeValidator, Field
 
+from bench.stations.sections import AxisConfig
 from bench.stations.station_budget import BudgetConfig
 from bench.stations.station_cameras import CameraConfig, PictureFolderConfig, RecordedCameraConfig
 from bench.stations.station_collimator import CollimatorConfig, GimbalConfig
@@ -25,8 +26,9 @@ from bench.stations.station_interlocks import InterlocksConfig
 from bench.stations.station_ledger import LedgerConfig
 from bench.stations.station_lights import LightConfig
 from bench.stations.station_messages import MessagesConfig
-from bench.stations.station_stages import AxisConfig, StageConfig
+from bench.stations.station_stages import StageConfig
 from bench.stations.station_target import TargetConfig
+from bench.stations.station_text import use_descriptions
 from sequences.reader import Located, find_document, read_document
 from sequences.schema import Name
 from sequences.strict_model import StrictModel
@@ -132,4 +134,6 @@ def load_station(name_or_path: str, settings: Mapping[str, str] | None = None) -
     DocumentFaults
         When the file is not valid, with all faults.
     """
-    return read_document(find_document(name_or_path, SHIPPED_STATIONS), Station, settings)
+    station = read_document(find_document(name_or_path, SHIPPED_STATIONS), Station, settings)
+    use_descriptions(station)
+    return station

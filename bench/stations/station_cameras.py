@@ -5,48 +5,36 @@ from __future__ import annotations
 import os
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 from pydantic import Field, model_validator
 from pydantic_core import PydanticCustomError
 
 from bench.base.errors import UsageError
-from bench.stations.station_fields import Port, Serial, Text, Variable, VideoSource
+from bench.stations.plugins import with_plugins
+from bench.stations.sections import (
+    BiasesConfig,
+    EventCameraConfig,
+    EventCameraSection,
+    FrameCameraConfig,
+    FrameCameraSection,
+)
+from bench.stations.station_fields import Port, Variable, VideoSource
 from drivers.camera.frames import FrameSettings
 from drivers.port_address import SOURCE_REMEDY, refused_source
-from sequences.strict_model import StrictModel
 
-NotNegative = Annotated[int, Field(ge=0, le=8191)]
-Pixels = Annotated[int, Field(gt=0, le=8192)]
-
-
-class BiasesConfig(StrictModel):
-    """Bias offsets from the factory values, within the ranges of the IMX636. The default is 0."""
-
-    bias_diff_on: Annotated[int, Field(ge=-150, le=200)] = 0
-    bias_diff_off: Annotated[int, Field(ge=-150, le=200)] = 0
-    bias_fo: Annotated[int, Field(ge=-150, le=200)] = 0
-    bias_hpf: Annotated[int, Field(ge=0, le=255)] = 0
-    bias_refr: Annotated[int, Field(ge=-50, le=255)] = 0
-
-
-class EventCameraConfig(StrictModel):
-    """Keys of every event camera."""
-
-    serial: Serial
-    biases: BiasesConfig = BiasesConfig()
-    roi: Annotated[
-        tuple[NotNegative, NotNegative, Pixels, Pixels] | None,
-        Field(
-            description="Region of interest: column, row, width, height, px. Only the driver `metavision` sets it."
-        ),
-    ] = None
-    lens: Text | None = None
-
-    @property
-    def ports(self) -> tuple[str, ...]:
-        """Ports of the camera; a camera on USB has none."""
-        return ()
+__all__ = [
+    "BiasesConfig",
+    "CameraConfig",
+    "EventCameraConfig",
+    "FrameCameraConfig",
+    "MetavisionConfig",
+    "NeuromorphicEvk4Config",
+    "OpenCvCameraConfig",
+    "PictureFolderConfig",
+    "RecordedCameraConfig",
+    "SimulatedEvk4Config",
+]
 
 
 class SimulatedEvk4Config(EventCameraConfig):
@@ -78,33 +66,6 @@ class RecordedCameraConfig(EventCameraConfig):
 
     driver: Literal["recorded"]
     path: Path
-
-
-class FrameCameraConfig(StrictModel):
-    """Keys of every frame camera. Its light is steady."""
-
-    serial: Annotated[
-        str, Field(max_length=64, description="Serial number on USB. If it is empty, any camera is accepted.")
-    ] = ""
-    lens: Text | None = None
-    pictures: Annotated[
-        int, Field(ge=1, le=1000, description="Number of pictures that are averaged at each pose.")
-    ] = 8
-
-    @property
-    def ports(self) -> tuple[str, ...]:
-        """Ports of the camera; most have none."""
-        return ()
-
-    def settings(self) -> FrameSettings:
-        """Return the settings for the driver.
-
-        Returns
-        -------
-        FrameSettings
-            Exposure and gain in the units of the camera's driver; None leaves them unchanged.
-        """
-        return FrameSettings()
 
 
 class OpenCvCameraConfig(FrameCameraConfig):
@@ -174,12 +135,24 @@ class PictureFolderConfig(FrameCameraConfig):
     path: Path
 
 
-CameraConfig = Annotated[
-    SimulatedEvk4Config
-    | MetavisionConfig
-    | NeuromorphicEvk4Config
-    | RecordedCameraConfig
-    | OpenCvCameraConfig
-    | PictureFolderConfig,
-    Field(discriminator="driver"),
-]
+if TYPE_CHECKING:
+    CameraConfig = (
+        SimulatedEvk4Config
+        | MetavisionConfig
+        | NeuromorphicEvk4Config
+        | RecordedCameraConfig
+        | OpenCvCameraConfig
+        | PictureFolderConfig
+        | EventCameraSection
+        | FrameCameraSection
+    )
+else:
+    _BUILT_IN = (
+        SimulatedEvk4Config,
+        MetavisionConfig,
+        NeuromorphicEvk4Config,
+        RecordedCameraConfig,
+        OpenCvCameraConfig,
+        PictureFolderConfig,
+    )
+    CameraConfig = with_plugins("camera", _BUILT_IN)

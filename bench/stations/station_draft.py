@@ -52,6 +52,15 @@ STAGE_SECTIONS = {
     pan: {{{{number: 1, serial: {UNKNOWN_SERIAL}, {_AXIS_END}}}}}
     tilt: {{{{number: 2, serial: {UNKNOWN_SERIAL}, {_AXIS_END}}}}}
 """,
+    "text": f"""\
+  driver: text
+  protocol: flir_ptu   # or a file of your own that describes the device: docs/devices-by-description.md
+  port: {{stage_port}}
+  serial: {UNKNOWN_SERIAL}
+  axes:   # counts_per_deg: 3600 / resolution in arc seconds; negative if the counter falls
+    pan: {{{{address: P, counts_per_deg: {UNKNOWN_NUMBER}, {_AXIS_END}}}}}
+    tilt: {{{{address: T, counts_per_deg: {UNKNOWN_NUMBER}, {_AXIS_END}}}}}
+""",
 }
 
 
@@ -70,6 +79,12 @@ LIGHT_SECTIONS = {
   # model: RT420F-20   # other models on this port are then refused
   channel: 1   # the lamp's channel
   sync_channel: 2   # the channel that goes to the camera's trigger input
+""",
+    "text": f"""\
+  driver: text
+  protocol: microcontroller_light   # or a file of your own: docs/devices-by-description.md
+  port: {{light_port}}
+  serial: {UNKNOWN_SERIAL}
 """,
 }
 """Sections of the light by driver."""

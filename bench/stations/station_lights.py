@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 from pydantic import Field, model_validator
 from pydantic_core import PydanticCustomError
 
 from bench.stations.placeholders import ToFillIn
+from bench.stations.plugins import with_plugins
+from bench.stations.sections import Hertz, LightSection
 from bench.stations.station_fields import Port, Serial, Text
+from bench.stations.station_text import TextLightConfig
 from drivers.light import LightSettings
 from drivers.light.scpi_dialects import DialectName, Load
 from sequences.plain_number import Within
@@ -16,7 +19,6 @@ from sequences.script import Flicker
 from sequences.strict_model import StrictModel
 
 Volts = Annotated[float, Field(ge=-20, le=20)]
-Hertz = Annotated[float, Within(0.001, 1e7, "Hz")]
 Percent = Annotated[float, Within(0.01, 1000, "%")]
 _BAUD_RATES = Within(50, 20_000_000, "Bd")
 
@@ -121,4 +123,7 @@ class GardasoftLightConfig(StrictModel):
         )
 
 
-LightConfig = Annotated[ScpiLightConfig | GardasoftLightConfig, Field(discriminator="driver")]
+if TYPE_CHECKING:
+    LightConfig = ScpiLightConfig | GardasoftLightConfig | LightSection
+else:
+    LightConfig = with_plugins("light", (ScpiLightConfig, GardasoftLightConfig, TextLightConfig))

@@ -5,16 +5,18 @@ The keys of an axis are the parameter names of the driver's axis, so that the va
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from pydantic import AfterValidator, Field, field_validator
 from pydantic_core import PydanticCustomError
 
 from bench.stations.placeholders import ToFillIn
+from bench.stations.plugins import with_plugins
+from bench.stations.sections import AxisConfig, StageSection
 from bench.stations.station_fields import Port, Serial
-from drivers.stage import AxisLimits
+from bench.stations.station_text import TextStageConfig
 from sequences.plain_number import Within
-from sequences.schema import Angle, Axis
+from sequences.schema import Axis
 from sequences.strict_model import StrictModel
 
 
@@ -27,48 +29,6 @@ def _not_zero(scale: float) -> float:
 _SCALES = Within(0.01, 1e9, "counts/deg", either_sign=True)
 _BAUD_RATES = Within(50, 20_000_000, "Bd")
 Scale = Annotated[float, AfterValidator(_not_zero), _SCALES, ToFillIn]
-
-
-class AxisConfig(StrictModel):
-    """Keys of every rotary axis. Each driver has a scale in its own counts; it is never guessed from a name."""
-
-    zero_deg: Annotated[Angle, Field(description="Angle at which the counter of the controller is 0.")] = 0.0
-    limits_deg: Annotated[
-        tuple[Angle, Angle], Field(description="Lowest and highest angle allowed on the bench.")
-    ]
-    speed_deg_s: Annotated[float, Within(0.001, 1000, "deg/s")]
-    acceleration_deg_s2: Annotated[float, Within(0.001, 100_000, "deg/s^2")]
-    tolerance_deg: Annotated[
-        float,
-        Within(1e-6, 1, "deg"),
-        Field(description="Largest distance from the target at the end of a move."),
-    ] = 0.002
-
-    @field_validator("limits_deg")
-    @classmethod
-    def _in_order(cls, limits: tuple[float, float]) -> tuple[float, float]:
-        if limits[0] >= limits[1]:
-            raise PydanticCustomError("limits_order", "the lower limit must be below the upper one.")
-        if not limits[0] <= 0 <= limits[1]:
-            raise PydanticCustomError(
-                "no_zero", "0 degrees must be within the limits: the stage is parked there."
-            )
-        return limits
-
-    @property
-    def limits(self) -> AxisLimits:
-        """Limits, speed and acceleration for the driver."""
-        return AxisLimits(*self.limits_deg, self.speed_deg_s, self.acceleration_deg_s2)
-
-    def driver_options(self) -> dict[str, Any]:
-        """Return the values besides the limits, as parameters of the driver's axis.
-
-        Returns
-        -------
-        dict
-            Values by parameter name.
-        """
-        return self.model_dump(exclude={"limits_deg", "speed_deg_s", "acceleration_deg_s2"})
 
 
 def _differing(*keys: str) -> AfterValidator:
@@ -197,6 +157,8 @@ class EspStageConfig(StrictModel):
         return (self.port,)
 
 
-StageConfig = Annotated[
-    ZaberStageConfig | XimcStageConfig | GrblStageConfig | EspStageConfig, Field(discriminator="driver")
-]
+if TYPE_CHECKING:
+    StageConfig = ZaberStageConfig | XimcStageConfig | GrblStageConfig | EspStageConfig | StageSection
+else:
+    _BUILT_IN = (ZaberStageConfig, XimcStageConfig, GrblStageConfig, EspStageConfig, TextStageConfig)
+    StageConfig = with_plugins("stage", _BUILT_IN)

@@ -65,7 +65,7 @@ def test_serial_numbers_stay_text_zeros_included():
 @pytest.mark.parametrize(
     ("old", "new", "fault"),
     [
-        ("driver: scpi", "driver: scpy", "light.driver: must be one of 'scpi', 'gardasoft' (got 'scpy')."),
+        ("driver: scpi", "driver: scpy", "light.driver: must be one of 'scpi', 'gardasoft', 'text' (got 'scpy')."),
         (
             "driver: simulated_evk4",
             "driver: evk5",
@@ -180,7 +180,7 @@ def test_simulated_ports_are_refused_where_nothing_is_simulated():
     ("stage", "fault"),
     [
         ("{driver: esp30x, port: a, axes: {}}", "stage.axes: must have 1 or more entries."),
-        ("{driver: esp, port: a}", "stage.driver: must be one of 'zaber_ascii', 'ximc', 'grbl', 'esp30x' (got 'esp')."),
+        ("{driver: esp, port: a}", "stage.driver: must be one of 'zaber_ascii', 'ximc', 'grbl', 'esp30x', 'text' (got 'esp')."),
         ("{driver: grbl, port: a, axes: {pan: {letter: Q}}}", "stage.axes.pan.letter: must be 'X', 'Y', 'Z', 'A', 'B' or 'C'"),
         ("{driver: esp30x, port: a, axes: {pan: {direction: 0}}}", "stage.axes.pan.direction: must be 1 or -1 (got '0')."),
         ("{driver: ximc, axes: {pan: {steps_per_deg: 0}}}", "stage.axes.pan.steps_per_deg: a scale of 0 moves nothing."),

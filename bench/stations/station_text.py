@@ -1,0 +1,259 @@
+"""The sections of a stage and of a light with driver ``text``: a description of their protocol, ports, scales.
+
+A description is a shipped one, by its name, or a file. A run folder keeps a copy of each description beside the copy of
+the station file, and a run that is resumed or derived again reads that copy.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any, Final, Literal
+
+from pydantic import AfterValidator, Field, PrivateAttr
+from pydantic_core import PydanticCustomError
+
+from bench.stations.description_fields import Described
+from bench.stations.device_description import find_description, read_light_protocol, read_stage_protocol
+from bench.stations.light_description import LightProtocol
+from bench.stations.placeholders import ToFillIn
+from bench.stations.sections import AxisConfig, LightSection, PortName, StageSection
+from bench.stations.stage_description import StageProtocol
+from bench.stations.station_fields import Port, Serial
+from drivers.clock import Clock
+from drivers.light import Light
+from drivers.light.text import TextLight
+from drivers.stage import Stage
+from drivers.stage.text import TextAxis, TextStage
+from drivers.wire_log import WireLog
+from sequences.errors import DocumentFaults
+from sequences.plain_number import Within
+from sequences.reader import Located
+from sequences.schema import Axis
+from sequences.tree import Fault
+
+PROTOCOL_COPIES: Final = {"stage": "protocol-stage.yaml", "light": "protocol-light.yaml"}
+"""Byte-exact copies of the descriptions in a run folder, by section."""
+_STATION_COPY: Final = "station.yaml"
+
+_BaudRate = Annotated[int, Within(50, 20_000_000, "Bd")]
+_Protocol = Annotated[
+    str,
+    Field(
+        min_length=1,
+        max_length=1000,
+        description="Name of a shipped description, or path of a file, relative to the station file.",
+    ),
+]
+
+
+def _not_zero(scale: float) -> float:
+    if scale == 0:
+        raise PydanticCustomError("no_scale", "a scale of 0 moves nothing.")
+    return scale
+
+
+class TextAxisConfig(AxisConfig):
+    """One axis of a stage with a described protocol."""
+
+    address: Annotated[
+        str,
+        Field(
+            max_length=20,
+            pattern=r"^[!-z|~]*$",
+            description="The controller's word for the axis: {address} of the description.",
+        ),
+    ] = ""
+    counts_per_deg: Annotated[
+        float,
+        AfterValidator(_not_zero),
+        Within(1e-6, 1e9, "counts/deg", either_sign=True),
+        ToFillIn,
+        Field(description="Negative if the counter decreases; 1 if the controller counts in degrees."),
+    ]
+    encoder_tolerance_deg: Annotated[float, Within(1e-6, 5, "deg")] = 0.05
+
+
+def _different(axes: dict[Axis, TextAxisConfig]) -> dict[Axis, TextAxisConfig]:
+    if len({axis.address for axis in axes.values()}) < len(axes):
+        raise PydanticCustomError("same_address", "two axes have the same address.")
+    return axes
+
+
+class TextStageConfig(StageSection):
+    """One to three rotary axes on a controller whose text protocol a file describes."""
+
+    driver: Literal["text"]
+    protocol: _Protocol
+    port: Port
+    baudrate: Annotated[_BaudRate | None, Field(description="Default: that of the description.")] = None
+    serial: Annotated[
+        Serial | None, Field(description="Of the controller. Without it, any such device is accepted.")
+    ] = None
+    axes: Annotated[dict[Axis, TextAxisConfig], Field(min_length=1, max_length=3), AfterValidator(_different)]
+    _read: tuple[StageProtocol, bytes] | None = PrivateAttr(default=None)
+
+    @property
+    def ports(self) -> tuple[str, ...]:
+        """Port of the device."""
+        return (self.port,)
+
+    @property
+    def described(self) -> StageProtocol:
+        """The description; read from the working directory's point of view unless `use_descriptions` has read it."""
+        if self._read is None:
+            found = read_stage_protocol(find_description(self.protocol, None))
+            self._read = found.value, found.text
+        return self._read[0]
+
+    @property
+    def device_names(self) -> tuple[str, ...]:
+        """Maker and serial number."""
+        return (f"{self.described.maker} {self.serial}",) if self.serial else ()
+
+    def open_device(self, port: PortName, *, clock: Clock, wire_log: WireLog | None) -> Stage:
+        """See `StageSection.open_device`."""
+        axes = [
+            TextAxis(name=name, limits=axis.limits, **axis.driver_options())
+            for name, axis in self.axes.items()
+        ]
+        return TextStage.open(
+            port(self.port),
+            axes,
+            self.described.for_driver(),
+            serial=self.serial or "",
+            baudrate=self.baudrate,
+            clock=clock,
+            wire_log=wire_log,
+        )
+
+
+class TextLightConfig(LightSection):
+    """A light whose text protocol a file describes."""
+
+    driver: Literal["text"]
+    protocol: _Protocol
+    port: Port
+    baudrate: Annotated[_BaudRate | None, Field(description="Default: that of the description.")] = None
+    serial: Annotated[
+        Serial | None, Field(description="Of the controller. Without it, any such device is accepted.")
+    ] = None
+    full_percent: Annotated[
+        float, Within(0.01, 1000, "%"), Field(description="Level of the light at level 100 %.")
+    ] = 100.0
+    _read: tuple[LightProtocol, bytes] | None = PrivateAttr(default=None)
+
+    @property
+    def ports(self) -> tuple[str, ...]:
+        """Port of the device."""
+        return (self.port,)
+
+    @property
+    def described(self) -> LightProtocol:
+        """The description; see `TextStageConfig.described`."""
+        if self._read is None:
+            found = read_light_protocol(find_description(self.protocol, None))
+            self._read = found.value, found.text
+        return self._read[0]
+
+    @property
+    def device_names(self) -> tuple[str, ...]:
+        """Maker and serial number."""
+        return (f"{self.described.maker} {self.serial}",) if self.serial else ()
+
+    def open_device(self, port: PortName, *, clock: Clock, wire_log: WireLog | None) -> Light:
+        """See `LightSection.open_device`."""
+        return TextLight.open(
+            port(self.port),
+            self.described.for_driver(),
+            serial=self.serial or "",
+            full_percent=self.full_percent,
+            baudrate=self.baudrate,
+            clock=clock,
+            wire_log=wire_log,
+        )
+
+
+def use_descriptions(station: Located[Any]) -> None:
+    """Read the descriptions that a station file names, and check that they fit its sections.
+
+    Parameters
+    ----------
+    station
+        The station file.
+
+    Raises
+    ------
+    DocumentFaults
+        With every fault of the descriptions, and of the sections against them.
+    """
+    faults: list[Fault] = []
+    for name in PROTOCOL_COPIES:
+        section = getattr(station.value, name)
+        if isinstance(section, TextStageConfig | TextLightConfig):
+            try:
+                faults += _use(station, name, section)
+            except DocumentFaults as error:
+                faults += error.faults
+    if faults:
+        raise DocumentFaults(faults, station.tree)
+
+
+def description_documents(station: Any) -> dict[str, bytes]:
+    """Return the descriptions that a run folder keeps.
+
+    Parameters
+    ----------
+    station
+        The station.
+
+    Returns
+    -------
+    dict
+        Bytes by name of the file; empty if no section has driver ``text``.
+    """
+    found = {}
+    for name, copy in PROTOCOL_COPIES.items():
+        section = getattr(station, name)
+        if isinstance(section, TextStageConfig | TextLightConfig) and section.described and section._read:  # noqa: SLF001 - same module
+            found[copy] = section._read[1]  # noqa: SLF001 - same module
+    return found
+
+
+def _use(station: Located[Any], name: str, section: TextStageConfig | TextLightConfig) -> list[Fault]:
+    """Read the description of one section; return the faults of the section against it."""
+    path = _copy_in_run_folder(station, name)
+    if path is None:
+        folder = Path(station.file_at((name, "protocol"), "x")).parent
+        path = find_description(section.protocol, folder)
+        if not path.is_file():
+            return [station.fault((name, "protocol"), f"there is no file {path}.")]
+    faults = []
+    if isinstance(section, TextStageConfig):
+        stage = read_stage_protocol(path)
+        section._read = stage.value, stage.text  # noqa: SLF001 - same module
+        if len(section.axes) > 1 and not stage.value.has_addresses:
+            faults.append(
+                station.fault((name, "axes"), "this device has one axis: its moves name no {address}.")
+            )
+        for axis, config in section.axes.items():
+            if stage.value.has_addresses and not config.address:
+                faults.append(
+                    station.fault((name, "axes", axis), "address is missing; the description uses {address}.")
+                )
+    else:
+        light = read_light_protocol(path)
+        section._read = light.value, light.text  # noqa: SLF001 - same module
+        if section.sync_output and not light.value.has_sync:
+            faults.append(station.fault((name,), "this light has no sync output; write sync_output: false."))
+    described: Described = section.described
+    if section.serial and described.serial is None:
+        faults.append(station.fault((name, "serial"), "the description has no query for a serial number."))
+    return faults
+
+
+def _copy_in_run_folder(station: Located[Any], name: str) -> Path | None:
+    """Return the run folder's copy of a description, if the station file is a run folder's copy too."""
+    if station.folder is None or Path(station.file).name != _STATION_COPY:
+        return None
+    copy = station.folder / PROTOCOL_COPIES[name]
+    return copy if copy.is_file() else None
