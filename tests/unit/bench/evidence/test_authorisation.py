@@ -17,6 +17,7 @@ from bench.evidence.beside_seal import add_beside
 from bench.evidence.key_trust import Trust
 from bench.evidence.keys import create_key
 from bench.evidence.seal import RESERVED, seal_folder
+from bench.evidence.sealed_time import stated_time
 from bench.evidence.shown_state import shown_state
 from bench.evidence.signers import AUTHORISATION_NAMESPACE, NAMESPACE, Signer
 from bench.evidence.ssh_keys import fingerprint
@@ -242,3 +243,68 @@ def test_what_a_killed_process_left_behind_is_removed(sealed_once, tmp_path):
     add_beside(folder, RESERVED[0], b"signature")
     assert not (folder / f".{RESERVED[0]}.tmp").exists()
     assert stat.S_IMODE(folder.stat().st_mode) == 0o555
+
+
+@pytest.mark.parametrize("broken", ["list", "purpose"])
+def test_an_authorisation_does_not_mend_a_seal_that_does_not_hold(sealed, ada, trust, key, broken):
+    signature = sealed / "SHA256SUMS.sig"
+    if broken == "purpose":
+        signature.write_bytes(sign(key.private, (sealed / "SHA256SUMS").read_bytes(), "git"))
+    authorise(sealed, ada[0], trust, NOW)
+    if broken == "list":
+        (sealed / "SHA256SUMS").chmod(0o644)
+        (sealed / "SHA256SUMS").write_text("")
+    found = standing_of(sealed, trust, NOW)
+    assert (found.state, found.person) == (State.DRAFT, None)
+    assert [(fault.kind, fault.where) for fault in found.faults] == [("signature", "SHA256SUMS.sig")]
+    assert shown_state(sealed, trust, NOW).text == "DRAFT: the seal does not hold; see `starbench verify`"
+
+
+def test_a_person_who_left_stays_the_authorising_person_and_one_who_came_later_never_was(
+    sealed, signers, ada
+):
+    authorise(sealed, ada[0], Trust((*signers, ada[1])), NOW)  # the run ended on 2026-03-01
+    left = Signer(**{**vars(ada[1]), "valid_before": datetime(2026, 4, 1, tzinfo=UTC)})
+    found = standing_of(sealed, Trust((*signers, left)), NOW)
+    assert found.state is State.AUTHORISED
+    assert "may have been authorised then. No trusted time stamp proves it" in found.remarks[0]
+    gone = Signer(**{**vars(ada[1]), "valid_before": datetime(2026, 2, 1, tzinfo=UTC)})
+    assert "expired 2026-02-01" in faults(sealed, Trust((*signers, gone)))[0][2]
+    later = Signer(**{**vars(ada[1]), "valid_after": NOW + timedelta(days=1)})
+    assert "not valid before" in faults(sealed, Trust((*signers, later)))[0][2]
+
+
+def test_what_is_added_can_be_read_by_everybody_whatever_the_umask(sealed):
+    before = os.umask(0o077)
+    try:
+        add_beside(sealed, RESERVED[1], b"stamp")
+    finally:
+        os.umask(before)
+    assert stat.S_IMODE((sealed / RESERVED[1]).stat().st_mode) == 0o444
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "stated"),
+    [
+        ("certificate.json", '{"issued_utc": "2026-03-02T01:00:00+01:00"}', datetime(2026, 3, 2, tzinfo=UTC)),
+        ("certificate.json", '{"issued_utc": "2026-03-02T00:00:00"}', None),
+        ("certificate.json", '{"issued_utc": 7}', None),
+        ("certificate.json", "[" * 100_000, None),
+        (
+            "results.json",
+            '{"run": {"calibrated_utc": "2026-03-02T00:00:00.000Z"}}',
+            datetime(2026, 3, 2, tzinfo=UTC),
+        ),
+        ("results.json", '{"run": []}', None),
+        (
+            "journal.jsonl",
+            '{"utc": "x"}\n{"utc": "2026-03-02T00:00:00Z"}\n',
+            datetime(2026, 3, 2, tzinfo=UTC),
+        ),
+        ("journal.jsonl", '{"utc": "2026-03-02T00:00:00Z"}\n{"ut', None),
+        ("journal.jsonl", "", None),
+    ],
+)
+def test_the_time_that_a_folder_states(tmp_path, name, text, stated):
+    (tmp_path / name).write_text(text)
+    assert stated_time(tmp_path) == stated

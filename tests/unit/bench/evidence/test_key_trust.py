@@ -19,7 +19,15 @@ from bench.evidence.keys import BenchKey, create_key, key_to_seal, load_key, req
 from bench.evidence.revocation import RevokedKey, read_revoked, revoke
 from bench.evidence.rotation import rotate
 from bench.evidence.seal import seal_folder
-from bench.evidence.signers import NAMESPACE, Signer, read_signer, read_signers, time_text, trust
+from bench.evidence.signers import (
+    NAMESPACE,
+    Signer,
+    read_signer,
+    read_signers,
+    replace_lines,
+    time_text,
+    trust,
+)
 from bench.evidence.states import standing_of
 from bench.evidence.timestamp import Stamp
 
@@ -265,6 +273,14 @@ def test_a_clock_that_was_set_back_is_told(tmp_path):
         EvidenceError, match=r"not valid before.*Check the clock of this computer: it is 2001-02-03"
     ):
         usable_key(tmp_path / "home", datetime(2001, 2, 3, tzinfo=UTC))
+
+
+def test_a_validity_that_ends_earlier_is_not_prolonged(tmp_path):
+    lines = [Signer("b@l", KEY, (NAMESPACE,), None, day(end)).line for end in (3, 9)]
+    (tmp_path / "allowed_signers").write_text("\n".join(["# kept", *lines, ""]))
+    replace_lines(tmp_path, KEY, day(5), [])
+    assert (tmp_path / "allowed_signers").read_text().startswith("# kept\n")
+    assert [one.valid_before for one in read_signers(tmp_path / "allowed_signers")] == [day(3), day(5)]
 
 
 def test_there_must_be_a_key_to_replace(tmp_path):

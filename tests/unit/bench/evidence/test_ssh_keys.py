@@ -136,3 +136,10 @@ def test_numbers_are_read_as_written(number):
     reader = Reader(encode_mpint(number))
     assert mpint(reader.string()) == number
     reader.end()
+
+
+def test_a_signature_must_be_of_the_type_of_its_key():
+    good = string(b"ssh-ed25519") + string(_KEY.sign(b"data"))
+    assert _PUBLIC[0].is_valid(good, b"data")
+    with pytest.raises(ValueError, match="type of the signature"):
+        _PUBLIC[0].is_valid(good.replace(b"ssh-ed25519", b"ssh-ed25518"), b"data")

@@ -7,6 +7,7 @@ from contextlib import contextmanager, suppress
 from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 from http.server import BaseHTTPRequestHandler, HTTPServer
+from types import SimpleNamespace
 
 import pytest
 from authorising import Authority, make_key, needs_openssl, person
@@ -14,7 +15,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from bench.base.errors import EvidenceError, UsageError
-from bench.evidence import tsa_client
+from bench.evidence import timestamp, tsa_client
 from bench.evidence.authorisation import authorise
 from bench.evidence.beside_seal import add_beside
 from bench.evidence.key_trust import Trust
@@ -155,6 +156,16 @@ def test_each_bit_of_a_reply_counts(reply, others):
         except EvidenceError:
             continue
     assert kept < len(reply) // 2 // 3
+
+
+def test_a_second_certificate_of_the_authority_is_refused(reply, authority):
+    """It could be a forged one with another name."""
+    response = timestamp.read_reply(timestamp.stamp_library(), reply)
+    (own,) = map(bytes, response.signed_data.certificates)
+    for certificates in ([own, own], []):
+        signed = SimpleNamespace(signer_infos=response.signed_data.signer_infos, certificates=certificates)
+        with pytest.raises(EvidenceError, match=f"holds {len(certificates)} certificates"):
+            timestamp._authority_name(SimpleNamespace(signed_data=signed))
 
 
 @given(st.binary(max_size=300))
