@@ -39,7 +39,17 @@ def _plain(text: str) -> str:
     return text.strip()
 
 
-Text = Annotated[str, Field(min_length=1, max_length=300), AfterValidator(_plain)]
+Text = Annotated[
+    str,
+    Field(
+        min_length=1,
+        max_length=300,
+        json_schema_extra={
+            "type": ["string", "number"]
+        },  # an editor may read 38116 as a number; Starbench reads it as text
+    ),
+    AfterValidator(_plain),
+]
 LongText = Annotated[str, Field(min_length=1, max_length=3000), AfterValidator(_plain)]
 Sha256 = Annotated[str, Field(pattern=r"^[0-9a-f]{64}$", description="SHA-256 of the certificate's file.")]
 Number = Annotated[float, Field(ge=-1e12, le=1e12)]
@@ -54,6 +64,11 @@ def _none_or_values(value: Any) -> str:
 def _nothing(value: Any) -> Any:
     """Read ``none`` as an empty list."""
     return () if value == NONE else value
+
+
+def _list_or_none() -> Any:
+    """Return the field of a list that may be written as ``none``."""
+    return Field(max_length=100, json_schema_extra={"type": ["array", "string"]})
 
 
 class AddressConfig(StrictModel):
@@ -263,7 +278,7 @@ class AuthorConfig(StrictModel):
     ]
 
 
-_Texts = Annotated[tuple[LongText, ...], BeforeValidator(_nothing), Field(max_length=100)]
+_Texts = Annotated[tuple[LongText, ...], BeforeValidator(_nothing), _list_or_none()]
 
 
 class LabConfig(StrictModel):
@@ -281,9 +296,9 @@ class LabConfig(StrictModel):
     conditions: Annotated[tuple[ConditionConfig, ...], Field(max_length=100)] | None = None
     sources: Annotated[tuple[SourceConfig, ...], Field(max_length=100)] = ()
     traceability: LongText | None = None
-    decision_rules: (
-        Annotated[tuple[RuleConfig, ...], BeforeValidator(_nothing), Field(max_length=100)] | None
-    ) = None
+    decision_rules: Annotated[tuple[RuleConfig, ...], BeforeValidator(_nothing), _list_or_none()] | None = (
+        None
+    )
     previous_certificate: (
         Annotated[
             Annotated[Literal["none"], Tag(NONE)] | Annotated[PreviousConfig, Tag("values")],
@@ -292,7 +307,7 @@ class LabConfig(StrictModel):
         | None
     ) = None
     customer_supplied: (
-        Annotated[tuple[SuppliedConfig, ...], BeforeValidator(_nothing), Field(max_length=100)] | None
+        Annotated[tuple[SuppliedConfig, ...], BeforeValidator(_nothing), _list_or_none()] | None
     ) = None
     external: _Texts | None = None
     opinions: _Texts = ()

@@ -1,9 +1,11 @@
 """The clauses of ISO/IEC 17025: each is answered or named; the table of the documentation is that of the program."""
 
 import json
+import re
 from pathlib import Path
 
 import pytest
+import yaml
 from certificate_sample import LAB, identity, sample_lab, sample_results
 
 from bench.certificate.certificate_data import Certificate
@@ -74,9 +76,20 @@ def test_the_example_has_every_section_and_names_every_placeholder():
 
 
 def test_the_schema_of_lab_yaml_takes_what_the_reader_takes():
+    """An editor reads numbers, dates and booleans; Starbench reads text."""
     jsonschema = pytest.importorskip("jsonschema")
-    schema = json.loads(json.dumps(LabConfig.model_json_schema()))
+    schema = LabConfig.model_json_schema()
     jsonschema.Draft202012Validator.check_schema(schema)
+    check = jsonschema.Draft202012Validator(schema)
+    nothing = re.sub(r"(deviations|external): \[.*\]", r"\1: none", LAB).replace(
+        "accreditation: {body: DAkkS, number: D-K-00000-01-00, scope: Geometric calibration of cameras}",
+        "accreditation: none",
+    )
+    for text in (LAB, nothing):
+        document = json.loads(json.dumps(yaml.safe_load(text), default=str))
+        assert [error.message for error in check.iter_errors(document)] == []
+        assert sample_lab(text).value.format == "starbench/lab/1"
+    assert not check.is_valid({"format": "starbench/lab/1", "customer": {"nam": "x"}})
 
 
 @pytest.mark.parametrize(
