@@ -52,7 +52,7 @@ def solve(column: ColumnConfig, images: Images, seed: int) -> dict[str, Any]:
         Values, stated sigmas, errors and residuals; or ``error``, the reason why there is no result.
     """
     row: dict[str, Any] = {"views": len(images.views), "missed": list(images.missed)}
-    if len(images.views) < _FEWEST_VIEWS:
+    if len(images.views) < (1 if column.known_collimator else _FEWEST_VIEWS):
         reasons = "; ".join(dict.fromkeys(images.missed)) or "no image"
         return row | {"error": f"{len(images.views)} views with a target: {reasons}"}
     began = time.process_time()
@@ -157,6 +157,10 @@ def _options(column: ColumnConfig, images: Images, seed: int) -> CalibrationOpti
         stated = float(images.truth["collimator"]["defocus"]) + defocus
         bound = ParallaxBound(stated, 0.01, _OFF_PIVOT_MM[column.collimator] + off_pivot, 0.5)
     flat = None if column.flatness_um is None else 1e-3 * column.flatness_um * r / _FLAT_AT_MM**2 / 3.0**0.5
+    if column.known_collimator and images.reference is not None:
+        first = column.model_copy(update={"known_collimator": None, "passport": True, "readings": True})
+        known = calibrate(images.reference.views, _options(first, images.reference, seed))
+        return CalibrationOptions(model="auto", distortion=column.lens, passport=known.passport({}))
     angles = tuple(dict(one) for one in images.readings_deg)
     return CalibrationOptions(
         model="auto",

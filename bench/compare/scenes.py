@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -36,6 +36,8 @@ _THREE = ((-6.0, 2.0), (6.0, 2.0), (0.0, -3.0))
 _GOLDEN_ANGLE = math.pi * (3.0 - math.sqrt(5.0))
 _MARGIN_PX = 12.0
 _MOST_DRAWS = 200
+#: Images of the other camera that calibrates the collimator, and what is added to its seeds.
+_REFERENCE_IMAGES, _OTHER_CAMERA = 9, 500_000
 
 
 @dataclass(frozen=True)
@@ -54,6 +56,8 @@ class Images:
         True parameters by part.
     missed
         For each image without a view, the reason.
+    reference
+        Views of another camera before the same collimator, for its passport; None if they were not asked for.
     """
 
     views: tuple[View, ...]
@@ -61,6 +65,7 @@ class Images:
     camera: CameraModel
     truth: Mapping[str, Any]
     missed: tuple[str, ...]
+    reference: Images | None = None
 
 
 def recordings_key(column: ColumnConfig) -> tuple[Any, ...]:
@@ -77,7 +82,8 @@ def recordings_key(column: ColumnConfig) -> tuple[Any, ...]:
         Hashable.
     """
     if column.method in STAR_METHODS:
-        return ("stars", column.collimator, column.bow_um, column.noise, column.images)
+        key = ("stars", column.collimator, column.bow_um, column.noise, column.images)
+        return (*key, "reference") if column.known_collimator else key
     return ("board", column.noise, column.images, *column.board.model_dump().values())
 
 
@@ -95,12 +101,15 @@ class Recordings:
         For each image the readings of the gimbal, degrees; empty for a board.
     truth
         True parameters by part; those of the camera are focused as before the collimator.
+    reference
+        Images of another camera before the same collimator; None if they were not asked for.
     """
 
     images: Sequence[NDArray[np.float32]]
     names: Sequence[str]
     readings_deg: Sequence[Mapping[str, float]]
     truth: Mapping[str, Any]
+    reference: Recordings | None = None
 
 
 def record(column: ColumnConfig, seed: int) -> Recordings:
@@ -123,7 +132,13 @@ def record(column: ColumnConfig, seed: int) -> Recordings:
     calib.errors.CalibrationError
         If a board does not fit into the picture.
     """
-    return _record_stars(column, seed) if column.method in STAR_METHODS else _record_boards(column, seed)
+    if column.method not in STAR_METHODS:
+        return _record_boards(column, seed)
+    own = _record_stars(column, seed, seed)
+    if not column.known_collimator:
+        return own
+    other = column.model_copy(update={"images": _REFERENCE_IMAGES})
+    return replace(own, reference=_record_stars(other, seed, seed + _OTHER_CAMERA))
 
 
 def find_targets(column: ColumnConfig, recorded: Recordings) -> Images:
@@ -157,7 +172,8 @@ def find_targets(column: ColumnConfig, recorded: Recordings) -> Images:
         kept.append(number)
     readings = tuple(recorded.readings_deg[i] for i in kept) if recorded.readings_deg else ()
     truth = recorded.truth
-    return Images(tuple(views), readings, true_camera(truth["camera"]), truth, tuple(missed))
+    reference = None if recorded.reference is None else find_targets(column, recorded.reference)
+    return Images(tuple(views), readings, true_camera(truth["camera"]), truth, tuple(missed), reference)
 
 
 def star_poses(count: int) -> list[tuple[float, float]]:
@@ -208,16 +224,16 @@ def gimbal_section(seed: int) -> dict[str, Any]:
     }
 
 
-def _record_stars(column: ColumnConfig, seed: int) -> Recordings:
+def _record_stars(column: ColumnConfig, seed: int, camera_seed: int) -> Recordings:
     section = {
         "collimator": {"profile": column.collimator, "glass_seed": 1000 + seed},
         "gimbal": gimbal_section(seed),
         "noise": column.noise,
         "reticle": {"bow_mm": 1e-3 * column.bow_um},
     }
-    camera = virtual_camera(section, seed)
+    camera = virtual_camera(section, camera_seed)
     poses = [{"pan": pan, "tilt": tilt} for pan, tilt in star_poses(column.images)]
-    images = [_event_image(camera, pose, 1000 * seed + number) for number, pose in enumerate(poses, 1)]
+    images = [_event_image(camera, pose, 1000 * camera_seed + number) for number, pose in enumerate(poses, 1)]
     names = [f"pose {number}" for number in range(1, len(poses) + 1)]
     readings = [{f"{axis}_deg": angle for axis, angle in pose.items()} for pose in poses]
     return Recordings(images, names, readings, camera.truth())

@@ -9,7 +9,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated, Literal
 
-from pydantic import Field, field_validator
+from pydantic import Field, field_validator, model_validator
 from pydantic_core import PydanticCustomError
 
 from bench.base.errors import ScriptError, UsageError
@@ -22,6 +22,7 @@ SHIPPED = Path(__file__).parent / "specs"
 Method = Literal["starbench", "recipe", "zhang", "checkerboard"]
 """``starbench``: this project's engine. ``recipe``: the published recipe. ``zhang``: OpenCV's planar calibration of the
 same star images. ``checkerboard``: a board on a flickering screen, placed by hand for each image."""
+_FEWEST = 2
 STAR_METHODS: tuple[Method, ...] = ("starbench", "recipe", "zhang")
 Detector = Literal["symmetry", "sectors", "subpixel"]
 Collimator = Literal["ideal", "like-real", "like-bench", "S1", "S2", "S3"]
@@ -60,10 +61,17 @@ class ColumnConfig(StrictModel):
         Field(gt=0, le=1000, description="Flatness of the reticle at 40 mm that the station states, um."),
     ] = None
     noise: Noise = "typical"
-    images: Annotated[int, Field(ge=2, le=50)] = 3
+    images: Annotated[int, Field(ge=1, le=50)] = 3
     passport: Annotated[
         bool, Field(description="Give a certificate of the collimator's radius: 255 +- 0.05 mm (1 sigma).")
     ] = False
+    known_collimator: Annotated[
+        bool | None,
+        Field(
+            description="Calibrate the collimator first: nine images of another camera make its passport. One image of "
+            "the camera is then enough."
+        ),
+    ] = None
     readings: Annotated[
         bool, Field(description="Give the readings of the gimbal, with the bounds of parallax.")
     ] = False
@@ -73,6 +81,15 @@ class ColumnConfig(StrictModel):
     ] = "symmetry"
     lens: Annotated[str, Field(pattern=r"^[a-z0-9]{2,30}$", description="Distortion coefficients.")] = "k1k2"
     board: BoardConfig = BoardConfig()
+
+    @model_validator(mode="after")
+    def _enough_images(self) -> ColumnConfig:
+        if self.images < _FEWEST and not (self.known_collimator and self.method == "starbench"):
+            raise PydanticCustomError(
+                "images",
+                "needs two images or more. One is enough with known_collimator and the method starbench.",
+            )
+        return self
 
 
 class ComparisonConfig(StrictModel):

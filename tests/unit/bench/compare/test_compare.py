@@ -186,3 +186,15 @@ def test_a_board_that_does_not_fit_is_named_in_its_row():
     big = board.model_copy(update={"board": board.board.model_copy(update={"square_mm": 90.0})})
     (found,) = run_task(Task((big,), 0, 1)).values()
     assert "does not fit" in found["error"]
+
+
+def test_one_image_needs_a_known_collimator(tmp_path):
+    file = tmp_path / "spec.yaml"
+    text = "format: starbench/comparison/1\nname: x\ncolumns:\n  - {name: a, method: METHOD, images: 1MORE}\n"
+    for method, more in (("starbench", ""), ("zhang", ", known_collimator: true")):
+        file.write_text(text.replace("METHOD", method).replace("MORE", more))
+        with pytest.raises(ScriptError, match="two images or more"):
+            read_spec(str(file))
+    file.write_text(text.replace("METHOD", "starbench").replace("MORE", ", known_collimator: true"))
+    (column,) = read_spec(str(file)).value.columns
+    assert recordings_key(column) != recordings_key(column.model_copy(update={"known_collimator": None}))
