@@ -214,3 +214,13 @@ def test_a_key_that_cannot_seal_stops_a_run_before_its_folder_is_made(home, tmp_
     monkeypatch.setattr(RunFolder, "create", None)  # it would fail otherwise than expected
     call("run", "three_pose", "--station", "simulated", "-o", tmp_path / "new", fails=says)
     assert not (tmp_path / "new").exists()
+
+
+def test_a_locked_key_stops_a_batch_before_its_folder_is_made(home, tmp_path):
+    (home / "bench_key").unlink()
+    create_key(home, passphrase=b"a secret")
+    (tmp_path / "queue.yaml").write_text("format: starbench/queue/1\n")
+    call(
+        "batch", tmp_path / "queue.yaml", "-o", tmp_path / "night", fails="there is no terminal to ask for it"
+    )
+    assert not (tmp_path / "night").exists()
