@@ -8,18 +8,23 @@ Its true parameters are read once, after the calibration, for the final comparis
 from __future__ import annotations
 
 import json
+import mmap
 import queue
+import struct
 import subprocess
 import sys
 import tempfile
 import threading
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, Self
 
 from bench.base.errors import SimulationError
+from drivers.lateness import BUSY_S, Deadline, busy_text, follow_clock, follow_no_clock
+from drivers.lateness import REMEDY as BUSY_REMEDY
 
 if TYPE_CHECKING:
     from simulators.rehearsed_world import RehearsedWorld as RehearsedWorld  # noqa: PLC0414 - exported, as a type
@@ -52,6 +57,7 @@ class SimulatedBench:
 
     def __init__(self, config: Mapping[str, Any], seed: int) -> None:
         self._ordering = threading.Lock()
+        self.endpoints: dict[str, str] = {}
         self._folder = tempfile.TemporaryDirectory(prefix="starbench-")
         folder = Path(self._folder.name)
         config_path = folder / "config.json"
@@ -76,17 +82,32 @@ class SimulatedBench:
             text=True,
             start_new_session=True,
         )
+        starting = Deadline(_START_TIMEOUT_S)
         try:
             ready = json.loads(self._first_line())
-            self.endpoints: dict[str, str] = dict(ready["endpoints"])
+            self.endpoints = dict(ready["endpoints"])
             self._truth_path = Path(ready["truth"])
+            self._follow_its_clock(Path(ready["pulse"]))
         except (json.JSONDecodeError, KeyError, SimulationError) as error:
             last_line = self._last_log_line()
             self.close()
+            busy = not last_line and starting.late_s() > BUSY_S
+            why = busy_text(starting.late_s()) if busy else last_line or error
             raise SimulationError(
-                f"The simulated bench did not start: {last_line or error}",
-                remedy="Check the simulation section of the station file.",
+                f"The simulated bench did not start: {why}",
+                remedy=BUSY_REMEDY if busy else "Check the simulation section of the station file.",
             ) from error
+
+    def _follow_its_clock(self, path: Path) -> None:
+        """Let the deadlines of the devices follow the time that the process of the simulated bench could use."""
+        with path.open("rb") as file:
+            shared = mmap.mmap(file.fileno(), 8, access=mmap.ACCESS_READ)
+
+        def lived_s() -> float:
+            return float(struct.unpack_from("<d", shared)[0])
+
+        for address in self.endpoints.values():
+            follow_clock(address, lived_s)
 
     def _first_line(self) -> str:
         stdout = self._process.stdout
@@ -94,10 +115,11 @@ class SimulatedBench:
         lines: queue.SimpleQueue[str] = queue.SimpleQueue()
         # A thread waits, because not every system can wait for a pipe with a time limit.
         threading.Thread(target=lambda: lines.put(stdout.readline()), daemon=True).start()
-        try:
-            return lines.get(timeout=_START_TIMEOUT_S)
-        except queue.Empty:
-            raise SimulationError(f"it was not ready within {_START_TIMEOUT_S:.0f} s") from None
+        starting = Deadline(_START_TIMEOUT_S)
+        while (left_s := starting.left_s()) > 0:
+            with suppress(queue.Empty):
+                return lines.get(timeout=left_s)
+        raise SimulationError(f"it was not ready within {_START_TIMEOUT_S:.0f} s")
 
     def _last_log_line(self) -> str:
         try:
@@ -161,6 +183,8 @@ class SimulatedBench:
 
     def close(self) -> None:
         """End the process and remove its files and ports."""
+        for address in self.endpoints.values():
+            follow_no_clock(address)
         if self._process.stdin is not None:
             self._process.stdin.close()
         try:

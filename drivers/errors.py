@@ -82,7 +82,19 @@ class ReplyError(DriverError):
 
 
 class ReplyTimeout(ReplyError):
-    """No complete reply came before the deadline."""
+    """No complete reply came before the deadline.
+
+    Parameters
+    ----------
+    what, where, remedy
+        See `DriverError`.
+    late_s
+        How late a busy computer was during the wait, s; 0 where the computer is not to blame.
+    """
+
+    def __init__(self, what: str, *, where: str = "", remedy: str = "", late_s: float = 0.0) -> None:
+        self.late_s = late_s
+        super().__init__(what, where=where, remedy=remedy)
 
 
 class ReplyGarbled(ReplyError):

@@ -6,7 +6,8 @@ the line, and a function that recognises unsolicited messages.
 A reply that is late, cut or garbled leaves the line *out of step*: the next reply might be an old one. The link then
 resynchronises before it sends the next request, so no reply is ever taken for the answer to another request.
 
-The wait for a reply runs on the system's own clock and ends at its deadline. The operator cannot interrupt it, because
+The wait for a reply runs on the system's own clock and ends at its deadline, which a busy computer stretches
+(`drivers.lateness`). The operator cannot interrupt it, because
 an exchange that is broken off would leave the line out of step; drivers wait *between* exchanges, through their clock.
 An urgent exchange (a stop) is sent without resynchronising. It therefore waits for one exchange of another thread at
 most, together with the resynchronising of that exchange when the line was out of step.
@@ -21,11 +22,17 @@ from typing import TypeVar
 
 from drivers.clock import Clock
 from drivers.errors import ReplyGarbled, ReplyTimeout
+from drivers.lateness import REMEDY as BUSY_REMEDY
+from drivers.lateness import Deadline, busy_text
 from drivers.serial_port import Port
 from drivers.wire_log import Direction, WireLog
 
 LONGEST_LINE = 4096
 """Longest line, in bytes. A longer one comes from a device that sends without pause, or from another protocol."""
+
+_LONGEST_WAIT_S = 0.25
+"""Longest single wait after a deadline was stretched, in seconds. After each the link uses its clock, as a sign of
+life."""
 
 T = TypeVar("T")
 
@@ -44,7 +51,7 @@ class ReplyReader:
     def __init__(self, link: Link, deadline_s: float) -> None:
         self._link = link
         self._deadline_s = deadline_s
-        self._end = time.monotonic() + deadline_s
+        self._deadline = Deadline(deadline_s, link.name)
 
     def read_line(self) -> bytes:
         """Read the next line that is no unsolicited message.
@@ -93,15 +100,27 @@ class ReplyReader:
             self._wait_for_more()
 
     def _wait_for_more(self) -> None:
-        remaining = self._end - time.monotonic()
-        if remaining <= 0 or not self._link.receive(remaining):
-            have = self._link.unread
-            cut = f"; only {have[:40]!r} came" if have else ""
+        left_s = self._deadline.left_s()
+        while left_s > 0:
+            if self._link.receive(left_s):
+                return
+            late_s = self._deadline.late_s()  # where nothing was late, the deadline is over
+            left_s = min(self._deadline.left_s(), _LONGEST_WAIT_S) if late_s > 0 else 0.0
+        have = self._link.unread
+        cut = f"; only {have[:40]!r} came" if have else ""
+        late_s = self._deadline.starved_s()
+        if late_s:
             raise ReplyTimeout(
-                f"no complete reply within {self._deadline_s:g} s{cut}.",
+                f"no complete reply within {self._deadline_s:g} s{cut}; {busy_text(late_s)}.",
                 where=self._link.name,
-                remedy="Check that the device is switched on and that the station file has its baud rate.",
+                remedy=BUSY_REMEDY,
+                late_s=late_s,
             )
+        raise ReplyTimeout(
+            f"no complete reply within {self._deadline_s:g} s{cut}.",
+            where=self._link.name,
+            remedy="Check that the device is switched on and that the station file has its baud rate.",
+        )
 
 
 def no_unsolicited(_line: bytes) -> bool:
@@ -311,6 +330,7 @@ class Link:
             The port is gone.
         """
         data = self._port.read(timeout_s)
+        self._clock.monotonic()
         if data:
             self._note("<", data)
             self._buffer += data

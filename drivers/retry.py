@@ -9,10 +9,12 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Final, Protocol, TypeVar
 
-from drivers.errors import ReplyError
+from drivers.errors import ReplyError, ReplyTimeout
 
 TRIES: Final = 3
 """How often a request is sent in all, before its last error is passed on."""
+TRIES_WHEN_LATE: Final = 3
+"""How much more often a request is sent when time-outs came from a computer that is too busy."""
 RESYNCHRONISE_TRIES: Final = 2
 
 T = TypeVar("T")
@@ -32,7 +34,7 @@ def repeat(
     attempt
         Sends one request and returns what it reads. Another call is made only after a ReplyError.
     tries
-        How often ``attempt`` is called in all, at least once.
+        How often ``attempt`` is called in all, at least once; more often where the computer was too busy.
     before_next
         Called between a failure and the next attempt.
 
@@ -56,10 +58,19 @@ def repeat(
     >>> repeat(ask)
     '17'
     """
+    late = False
     for _ in range(tries - 1):
         try:
             return attempt()
-        except ReplyError:
+        except ReplyError as error:
+            before_next()
+            late = late or (isinstance(error, ReplyTimeout) and error.late_s > 0)
+    for _ in range(TRIES_WHEN_LATE if late else 0):
+        try:
+            return attempt()
+        except ReplyTimeout as error:
+            if not error.late_s:
+                raise
             before_next()
     return attempt()
 

@@ -42,6 +42,7 @@ from simulators.optics.lens_focus import truth_record
 from simulators.pixels.sensor_stream import CameraState, SensorStream
 from simulators.ports.serial_device import Dialect, Port, SerialDevice
 from simulators.ports.tcp_port import TcpPort
+from simulators.pulse import Pulse
 from simulators.world.camera_setup import with_setup
 from simulators.world.load import LoadTrajectory
 from simulators.world.truth import Truth
@@ -264,11 +265,15 @@ def main(words: Sequence[str] | None = None) -> int:
         arguments.folder.mkdir(parents=True, exist_ok=True)
         with Bench(arguments.folder, _read_config(arguments.config), arguments.seed) as bench:
             ready = {"endpoints": bench.endpoints, "truth": str(bench.truth_path), "pid": os.getpid()}
+            pulse_path = arguments.folder / "pulse"
+            pulse = Pulse(pulse_path)
+            ready["pulse"] = str(pulse_path)
             print_answer(ready)
             threading.Thread(target=_warm_up, args=(bench.world.truth,), name="warm-up", daemon=True).start()
             ended = ending.set if arguments.until_eof else lambda: None
             threading.Thread(target=take_orders, args=(partial(_execute, bench), ended), daemon=True).start()
             ending.wait()
+            pulse.close()
     except (SimulatorError, OSError) as error:
         sys.stderr.write(f"{error}\n")
         return 2

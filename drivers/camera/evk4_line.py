@@ -17,6 +17,8 @@ from typing import Any, Final, NamedTuple
 
 from drivers.clock import Clock
 from drivers.errors import CameraError, CameraLost, CameraNotFound, DeviceRefused, ReplyGarbled, ReplyTimeout
+from drivers.lateness import MOST_STRETCH_S, Deadline, busy_text
+from drivers.lateness import REMEDY as BUSY_REMEDY
 
 MAX_FRAME_BYTES: Final = 1 << 26
 """Largest payload. No frame of 2 ms comes near it; a longer one comes from a peer that uses another protocol."""
@@ -28,6 +30,9 @@ computer it compiles its pixel model."""
 POLL_S: Final = 0.02
 """Longest wait for bytes between two calls of the clock's ``sleep``, s."""
 
+_START_AGAIN: Final = (
+    "If the run started the simulated bench itself, resume the run; otherwise start the simulated bench again first."
+)
 _ONE_VERSION: Final = "Check that a simulated EVK4 of this version of Starbench listens at that address."
 
 _HEAD: Final = struct.Struct("<cI")
@@ -70,6 +75,7 @@ class Evk4Line:
         self._last_id = 0
         self._heard_s = clock.monotonic()
         self._idle_s = 0.0
+        self._quiet = Deadline(silence_s, address)
         self._sending = threading.Lock()
         self._socket = _connect(address, silence_s)
 
@@ -117,11 +123,7 @@ class Evk4Line:
                 if answer.get("id") == number:
                     return self._checked_answer(command, answer)
             if self.silent_s() > silence_s or self._clock.monotonic() > deadline:
-                raise ReplyTimeout(
-                    f'The camera did not answer "{command}"; it has sent nothing for {self.silent_s():.1f} s.',
-                    where=self._where,
-                    remedy="Restart the simulated bench.",
-                )
+                raise self._no_answer(command)
 
     def silent_s(self) -> float:
         """Measure the silence while something is expected. Polls count too, as a test's clock may stand still.
@@ -129,9 +131,10 @@ class Evk4Line:
         Returns
         -------
         float
-            Time, s.
+            Time, s, without the time that a busy computer did not let the camera or this process use.
         """
-        return max(self._clock.monotonic() - self._heard_s, self._idle_s)
+        silent_s = max(self._clock.monotonic() - self._heard_s, self._idle_s)
+        return max(0.0, silent_s - min(self._quiet.late_s(), MOST_STRETCH_S))
 
     def check_alive(self) -> None:
         """Check that the camera still sends.
@@ -142,7 +145,9 @@ class Evk4Line:
             If nothing has come for ``silence_s``.
         """
         if self.silent_s() > self.silence_s:
-            raise self._lost(f"it has sent nothing for {self.silence_s:g} s")
+            late_s = self._quiet.starved_s()
+            how = f"it has sent nothing for {self.silence_s:g} s"
+            raise self._lost(f"{how}; {busy_text(late_s)}" if late_s else how, busy=late_s > 0)
 
     def receive(self) -> Frame | None:
         """Wait a short time for the next frame.
@@ -206,6 +211,7 @@ class Evk4Line:
     def _restart_silence(self) -> None:
         """Measure the silence from now on, because something was received or is expected."""
         self._heard_s, self._idle_s = self._clock.monotonic(), 0.0
+        self._quiet = Deadline(self.silence_s, self.address)
 
     def _take_frame(self) -> Frame | None:
         if len(self._received) < _HEAD.size:
@@ -246,7 +252,7 @@ class Evk4Line:
         raise DeviceRefused(
             f'The camera refused "{command}": {reason}',
             where=self._where,
-            remedy="Correct that setting, or restart the simulated bench.",
+            remedy="Correct that setting.",
         )
 
     def _handle_notification(self, notification: Mapping[str, Any]) -> None:
@@ -258,11 +264,20 @@ class Evk4Line:
                 remedy="Remove the cause, then record again.",
             )
 
-    def _lost(self, how: str) -> CameraLost:
+    def _no_answer(self, command: str) -> ReplyTimeout:
+        late_s = self._quiet.starved_s()
+        what = f'The camera did not answer "{command}"; it has sent nothing for {self.silent_s():.1f} s'
+        if late_s:
+            return ReplyTimeout(
+                f"{what}, and {busy_text(late_s)}.", where=self._where, remedy=BUSY_REMEDY, late_s=late_s
+            )
+        return ReplyTimeout(f"{what}.", where=self._where, remedy=_START_AGAIN)
+
+    def _lost(self, how: str, *, busy: bool = False) -> CameraLost:
         return CameraLost(
             f"The connection to the camera is lost ({how}).",
             where=self._where,
-            remedy="Start the simulated bench again, then resume the run.",
+            remedy=BUSY_REMEDY if busy else _START_AGAIN,
         )
 
 

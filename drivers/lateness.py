@@ -1,0 +1,243 @@
+"""Measure how late a busy computer wakes this program, and let deadlines of replies follow that.
+
+A reply may be there and this process may get no chance to read it; a simulated device may have no chance to write it.
+Neither is a fault of the device. A thread therefore asks to be woken 50 times a second and adds up how late it was.
+``Deadline`` counts only the time that this process, and the process that simulates the device, could use.
+
+This module opens nothing, sends nothing, and moves nothing.
+"""
+
+from __future__ import annotations
+
+import os
+import threading
+import time
+from collections.abc import Callable, Mapping, Sequence
+from functools import cache
+from typing import Any, Final
+
+PERIOD_S: Final = 0.02
+"""The thread asks to be woken after this time, s."""
+NOTED_S: Final = 0.005
+"""Delays below this are usual on an idle computer, and are not counted, s."""
+BINS_S: Final = (0.01, 0.03, 0.1, 0.3, 1.0, 3.0)
+"""Upper ends of the classes of delays, s; one more class is above the last one."""
+MOST_STRETCH_S: Final = 30.0
+"""A deadline is stretched by this time at most, s: a stopped process must not keep the bench waiting for ever."""
+BUSY_SHARE: Final = 0.3
+"""A wait in which this share of the time was lost is told as the fault of the computer."""
+BUSY_S: Final = 0.3
+"""It is told so only if at least this time was lost, s."""
+REMEDY: Final = (
+    "End other programs on this computer, or start fewer runs at the same time; then resume the run."
+)
+
+
+class Lateness:
+    """Adds up how late this process is woken.
+
+    Parameters
+    ----------
+    now_s
+        Returns the time, s.
+
+    Attributes
+    ----------
+    longest_s
+        Longest single delay, s.
+    """
+
+    def __init__(self, now_s: Callable[[], float] = time.monotonic) -> None:
+        self._now_s = now_s
+        self._noting = threading.Lock()
+        self._due_s = now_s() + PERIOD_S
+        self._lost_s = 0.0
+        self._counts = [0] * (len(BINS_S) + 1)
+        self.longest_s = 0.0
+
+    def woken(self) -> None:
+        """Note that the thread was woken, and when it was due."""
+        with self._noting:
+            now_s = self._now_s()
+            delay_s = max(0.0, now_s - self._due_s)
+            self._counts[sum(delay_s > end for end in BINS_S)] += 1
+            self.longest_s = max(self.longest_s, delay_s)
+            self._lost_s += delay_s if delay_s > NOTED_S else 0.0
+            self._due_s = now_s + PERIOD_S
+
+    def lost_s(self) -> float:
+        """Return the time that this process has lost since it began to measure.
+
+        Returns
+        -------
+        float
+            Seconds, with a delay that has not ended yet.
+        """
+        with self._noting:
+            overdue_s = self._now_s() - self._due_s
+            return self._lost_s + (overdue_s if overdue_s > NOTED_S else 0.0)
+
+    def histogram(self) -> Mapping[str, Any]:
+        """Return the delays, as a journal and a status hold them.
+
+        Returns
+        -------
+        mapping
+            ``period_s``; ``bins_s``, upper ends of the classes; ``counts``, one more than ``bins_s``; ``lost_s``,
+            ``longest_s``; ``load``, of the last minute, or None where the system has none.
+        """
+        with self._noting:
+            counts: Sequence[int] = tuple(self._counts)
+        return {
+            "period_s": PERIOD_S,
+            "bins_s": list(BINS_S),
+            "counts": list(counts),
+            "lost_s": round(self.lost_s(), 3),
+            "longest_s": round(self.longest_s, 3),
+            "load": _load(),
+        }
+
+
+def _load() -> float | None:
+    try:
+        return round(os.getloadavg()[0], 2)
+    except (AttributeError, OSError):
+        return None
+
+
+@cache
+def own_lateness() -> Lateness:
+    """Return the measurement of this process; the first call begins it.
+
+    Returns
+    -------
+    Lateness
+        The same object at each call.
+    """
+    lateness = Lateness()
+
+    def wake() -> None:
+        while True:
+            time.sleep(PERIOD_S)
+            lateness.woken()
+
+    threading.Thread(target=wake, name="lateness", daemon=True).start()
+    return lateness
+
+
+# ------------------------------------------------------------ devices that another process simulates
+
+_clocks: dict[str, Callable[[], float]] = {}
+
+
+def follow_clock(address: str, lived_s: Callable[[], float]) -> None:
+    """Let the deadlines of a device follow the clock of the process that simulates it.
+
+    Parameters
+    ----------
+    address
+        Address of the device, as its driver opens it.
+    lived_s
+        Returns the time that the process could use, s. It stands still while the process waits for a processor.
+    """
+    _clocks[address] = lived_s
+
+
+def follow_no_clock(address: str) -> None:
+    """End what `follow_clock` began.
+
+    Parameters
+    ----------
+    address
+        Address of the device.
+    """
+    _clocks.pop(address, None)
+
+
+class Deadline:
+    """A deadline that counts only the time that the processes at both ends could use.
+
+    Parameters
+    ----------
+    seconds
+        Time until the deadline on an idle computer, s.
+    address
+        Address of the device; see `follow_clock`.
+    now_s
+        Returns the time, s.
+    lateness
+        Measurement of this process; by default `own_lateness`.
+    """
+
+    def __init__(
+        self,
+        seconds: float,
+        address: str = "",
+        *,
+        now_s: Callable[[], float] = time.monotonic,
+        lateness: Lateness | None = None,
+    ) -> None:
+        self._seconds = seconds
+        self._now_s = now_s
+        self._lateness = lateness or own_lateness()
+        self._peer_s = _clocks.get(address)
+        self._began_s = now_s()
+        self._lost_before_s = self._lateness.lost_s()
+        self._peer_before_s = self._peer_s() if self._peer_s is not None else 0.0
+
+    def late_s(self) -> float:
+        """Return the time since the beginning that one of the two processes could not use.
+
+        Returns
+        -------
+        float
+            Seconds; the larger of the two.
+        """
+        own_s = self._lateness.lost_s() - self._lost_before_s
+        peer_s = 0.0
+        if self._peer_s is not None:  # the peer's clock moves in steps of two periods at most
+            peer_s = self._now_s() - self._began_s - (self._peer_s() - self._peer_before_s) - 2.0 * PERIOD_S
+        return max(0.0, own_s, peer_s)
+
+    def left_s(self) -> float:
+        """Return the time that is left.
+
+        Returns
+        -------
+        float
+            Seconds; 0 or less when the deadline is over.
+        """
+        return self._seconds - (self._now_s() - self._began_s) + min(self.late_s(), MOST_STRETCH_S)
+
+    def starved_s(self) -> float:
+        """Return how late the computer was, where that may be why no reply came.
+
+        Returns
+        -------
+        float
+            Seconds; 0 where the computer is not to blame.
+        """
+        late_s = self.late_s()
+        waited_s = self._now_s() - self._began_s
+        return late_s if late_s >= max(BUSY_S, BUSY_SHARE * waited_s) else 0.0
+
+
+def busy_text(late_s: float) -> str:
+    """Return the sentence about a computer that is too busy.
+
+    Parameters
+    ----------
+    late_s
+        How late it was, s.
+
+    Returns
+    -------
+    str
+        The sentence, without a capital letter and without a full stop.
+
+    Examples
+    --------
+    >>> busy_text(2.345)
+    'this computer is too busy: it was 2.3 s late'
+    """
+    return f"this computer is too busy: it was {late_s:.1f} s late"

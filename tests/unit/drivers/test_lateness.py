@@ -1,0 +1,142 @@
+"""Lateness of a busy computer: measured, told, and no reason to give a wrong remedy."""
+
+import pytest
+
+from drivers import lateness
+from drivers.clock import SystemClock
+from drivers.errors import ReplyTimeout
+from drivers.lateness import Deadline, Lateness, follow_clock, follow_no_clock
+from drivers.link import Link
+from drivers.retry import TRIES, TRIES_WHEN_LATE, repeat
+
+
+class Time:
+    """A time that a test sets."""
+
+    def __init__(self):
+        self.now_s = 0.0
+
+    def __call__(self):
+        return self.now_s
+
+
+def test_a_delay_is_counted_while_it_lasts_and_once_afterwards():
+    now = Time()
+    measured = Lateness(now)
+    now.now_s = 2.02
+    assert measured.lost_s() == pytest.approx(2.0)
+    measured.woken()
+    assert measured.lost_s() == pytest.approx(2.0)
+    now.now_s += 0.021  # one millisecond late: as on an idle computer
+    measured.woken()
+    told = measured.histogram()
+    assert (told["lost_s"], told["longest_s"]) == (2.0, 2.0)
+    assert told["counts"] == [1, 0, 0, 0, 0, 1, 0]
+
+
+def test_a_deadline_does_not_count_what_this_process_could_not_use():
+    now = Time()
+    measured = Lateness(now)
+    deadline = Deadline(1.0, now_s=now, lateness=measured)
+    now.now_s = 5.0
+    assert deadline.left_s() == pytest.approx(1.0 - 0.02)
+    assert deadline.starved_s() == pytest.approx(4.98)
+    measured.woken()
+    for _ in range(50):
+        now.now_s += 0.02
+        measured.woken()
+    assert deadline.left_s() < 0
+
+
+def test_a_deadline_follows_the_process_that_simulates_the_device_but_not_for_ever():
+    now, lived = Time(), Time()
+    measured = Lateness(now)
+    follow_clock("there", lived)
+    try:
+        deadline = Deadline(1.0, "there", now_s=now, lateness=measured)
+        for _ in range(500):  # 10 s, of which the other process could use 0.1 s
+            now.now_s += 0.02
+            measured.woken()
+        lived.now_s = 0.1
+        assert deadline.left_s() > 0.8
+        assert deadline.starved_s() > 9.0
+        for _ in range(2000):  # it is stopped
+            now.now_s += 0.02
+            measured.woken()
+        assert deadline.left_s() < 0
+    finally:
+        follow_no_clock("there")
+
+
+def test_a_slow_device_on_an_idle_computer_is_not_blamed_on_the_computer():
+    now = Time()
+    measured = Lateness(now)
+    deadline = Deadline(1.0, now_s=now, lateness=measured)
+    for _ in range(100):
+        now.now_s += 0.021
+        measured.woken()
+    assert deadline.left_s() < 0
+    assert deadline.starved_s() == 0.0
+
+
+class SilentPort:
+    """A port on which nothing comes."""
+
+    name = "silent"
+
+    def read(self, timeout_s):
+        del timeout_s
+        return b""
+
+    def write(self, data):
+        pass
+
+    def close(self):
+        pass
+
+
+def _ask_silent_port():
+    link = Link(SilentPort(), clock=SystemClock(), resynchronise=lambda: None)
+    with pytest.raises(ReplyTimeout) as caught:
+        link.exchange(b"?\n", lambda reader: reader.read_line(), deadline_s=0.01)
+    return caught.value
+
+
+def test_a_time_out_on_a_busy_computer_says_so(monkeypatch):
+    class Late:
+        def __init__(self):
+            self._lost_s = 0.0
+
+        def lost_s(self):
+            self._lost_s += 40.0
+            return self._lost_s
+
+    monkeypatch.setattr(lateness, "own_lateness", Late)
+    monkeypatch.setattr(lateness, "MOST_STRETCH_S", 0.1)
+    error = _ask_silent_port()
+    assert "this computer is too busy: it was" in error.what
+    assert "baud rate" not in str(error)
+    assert error.late_s > 0
+
+
+def test_a_time_out_on_an_idle_computer_names_the_line(monkeypatch):
+    monkeypatch.setattr(lateness, "own_lateness", lambda: Lateness(Time()))
+    error = _ask_silent_port()
+    assert "baud rate" in error.remedy
+    assert error.late_s == 0.0
+
+
+@pytest.mark.parametrize(
+    ("tries", "late_s", "asked"),
+    [(TRIES, 0.0, TRIES), (TRIES, 2.0, TRIES + TRIES_WHEN_LATE), (1, 2.0, 1)],
+)
+def test_what_is_repeated_is_repeated_more_often_when_late_but_a_motion_never(tries, late_s, asked):
+    calls = []
+
+    def ask():
+        calls.append(1)
+        raise ReplyTimeout("no reply.", late_s=late_s)
+
+    with pytest.raises(ReplyTimeout):
+        repeat(ask, tries=tries)
+    assert len(calls) == asked
