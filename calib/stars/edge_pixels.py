@@ -285,11 +285,31 @@ def edge_scores(
             a, level, e = at - i, pixels.level[m], pixels.edge[m]
             gradient = (1.0 - a) * tables.score[level, i] + a * tables.score[level, i + 1]
             information = (1.0 - a) * tables.fisher[i] + a * tables.fisher[i + 1]
-            for p in range(EDGE_UNKNOWNS):
-                d = pixels.slope[m, p]
-                score[k, e, p] += gradient * d
-                for q in range(p + 1):
-                    fisher[k, e, p, q] += information * d * pixels.slope[m, q]
+            # Written out: the unknowns of a star are few, and the loop over them takes longer than the sums.
+            row, s, f = pixels.slope[m], score[k, e], fisher[k, e]
+            d0, d1, d2, d3, d4 = row[0], row[1], row[2], row[3], row[4]
+            s[0] += gradient * d0
+            s[1] += gradient * d1
+            s[2] += gradient * d2
+            s[3] += gradient * d3
+            s[4] += gradient * d4
+            w0, w1, w2 = information * d0, information * d1, information * d2
+            w3, w4 = information * d3, information * d4
+            f[0, 0] += w0 * d0
+            f[1, 0] += w1 * d0
+            f[1, 1] += w1 * d1
+            f[2, 0] += w2 * d0
+            f[2, 1] += w2 * d1
+            f[2, 2] += w2 * d2
+            f[3, 0] += w3 * d0
+            f[3, 1] += w3 * d1
+            f[3, 2] += w3 * d2
+            f[3, 3] += w3 * d3
+            f[4, 0] += w4 * d0
+            f[4, 1] += w4 * d1
+            f[4, 2] += w4 * d2
+            f[4, 3] += w4 * d3
+            f[4, 4] += w4 * d4
         for e in range(edges):
             for p in range(EDGE_UNKNOWNS):
                 for q in range(p):
