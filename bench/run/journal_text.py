@@ -69,7 +69,8 @@ def _command_text(data: Commanded) -> str:
 
 def _end_text(data: RunEnded) -> str:
     ends = [DeviceEnd.from_dict(end) for end in data.get("devices", ())]
-    unsure = "".join(f"; {end.text}" for end in ends if end.state == "not confirmed")
+    used = any(end.state != "never opened" for end in ends)
+    unsure = "".join(f"; {end.text}" for end in ends if used and end.state != "confirmed safe")
     return f"{data['how']}{': ' if data['why'] else ''}{data['why']}{unsure}"
 
 

@@ -198,7 +198,7 @@ def _stopped(stage: Stage) -> str:
         angles = ", ".join(f"{axis} {angle:.3f}" for axis, angle in stage.position_deg().items())
     except DriverError:
         return "it confirmed the stop; its position could not be read afterwards"
-    return f"it confirmed the stop, at {angles} deg"
+    return f"it confirmed the stop and reads {angles} deg"
 
 
 def _dark(light: Light) -> str:

@@ -119,7 +119,7 @@ def test_a_finished_run_states_what_each_device_confirmed(tmp_path):
     assert scene.run().how == "finished"
     (told,) = scene.told(Event.RUN_ENDED)
     assert [one["state"] for one in told["devices"]] == ["confirmed safe"] * 3
-    assert told["devices"][0]["said"].startswith("it confirmed the stop, at pan ")
+    assert told["devices"][0]["said"].startswith("it confirmed the stop and reads pan ")
     assert told["devices"][1]["said"] == "it was read back as off"
 
 

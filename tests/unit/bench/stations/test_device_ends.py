@@ -65,7 +65,7 @@ class MuteStage(Stage):
 @pytest.mark.parametrize(
     ("stage", "state", "said"),
     [
-        (Stage(), "confirmed safe", "it confirmed the stop, at pan 1.250 deg"),
+        (Stage(), "confirmed safe", "it confirmed the stop and reads pan 1.250 deg"),
         (MuteStage(), "not confirmed", "the stage did not confirm its stop: no complete reply within 2 s."),
     ],
 )
