@@ -118,6 +118,7 @@ class LedgerFile:
         StorageError
             When it cannot be read or written.
         """
+        self.warnings = []
         with self._held():
             refuse(list(find_breaks(self.entries(), self._own_mark()).what), self.path)
             with self._opened() as journal:
