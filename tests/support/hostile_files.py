@@ -396,3 +396,21 @@ PASSPORTS = {
     "no-covariance": json.dumps(PASSPORT),
     "deep": '{"a":' * 50_000,
 }
+
+# ---------------------------------------------------------------- XML
+
+_DCC = "https://ptb.de/dcc"
+XML = {
+    "external-entity": '<?xml version="1.0"?><!DOCTYPE a [<!ENTITY b SYSTEM "file:///etc/passwd">]><a>&b;</a>',
+    "external-dtd": '<?xml version="1.0"?><!DOCTYPE a SYSTEM "file:///dev/zero"><a/>',
+    "parameter-entity": '<!DOCTYPE a [<!ENTITY % b SYSTEM "file:///dev/random"> %b;]><a/>',
+    "deep-xml": "<a>" * 200_000,
+    "wide-xml": "<a>" + "<b/>" * 500_000 + "</a>",
+    "attributes": "<a " + " ".join(f'b{n}="1"' for n in range(100_000)) + "/>",
+    "long-text": f"<a>{'x' * 20_000_000}</a>",
+    "other-root": "<html><body/></html>",
+    "only-dcc": f'<digitalCalibrationCertificate xmlns="{_DCC}" schemaVersion="3.2.1"/>',
+    "include": '<a xmlns:xi="http://www.w3.org/2001/XInclude"><xi:include href="file:///etc/passwd"/></a>',
+    "stylesheet": '<?xml-stylesheet href="file:///etc/passwd"?><a/>',
+    "utf-7": '<?xml version="1.0" encoding="UTF-7"?><a/>',
+}

@@ -24,7 +24,7 @@ from pathlib import Path
 
 import h5py
 import numpy as np
-from hostile_files import HDF5, NPZ, PASSPORTS, PICTURES, POINTS, RAW, WRONG, YAML, write_hdf5, write_npz
+from hostile_files import HDF5, NPZ, PASSPORTS, PICTURES, POINTS, RAW, WRONG, XML, YAML, write_hdf5, write_npz
 from station_texts import PLAIN
 
 MOST_MB, MOST_CPU_S, MOST_WALL_S = 200, 10, 30
@@ -75,6 +75,10 @@ READERS = {
     "convert-raw": (("convert", "{}", "out.hdf5"), "bad.raw"),
     "passport-show": (("passport", "show", "{}"), "bad.json"),
     "signers": (("verify", "RUN", "--allowed-signers", "{}"), "bad.signers"),
+    "certificate-check": (("certificate", "check", "{}"), "bad.xml"),
+    "certificate-from-dcc": (("certificate", "from-dcc", "{}"), "bad.xml"),
+    "certificate-show": (("certificate", "show", "{}"), "bad"),
+    "certificate-config": (("certificate", "issue", "RUN", "--config", "{}", "--output", "out"), "bad.yaml"),
     "folder-verify": (("verify", "{}"), "bad"),
     "folder-status": (("status", "{}"), "bad"),
 }
@@ -109,6 +113,9 @@ def spoilt_files() -> Iterator[Case]:
         yield Case(f"calibrate-raw:{name}", _file(*READERS["calibrate-raw"], text(content)))
         may_work = (0, 1, 2) if name in _CONVERTIBLE else (1, 2)
         yield Case(f"convert-raw:{name}", _file(*READERS["convert-raw"], text(content)), may_work)
+    for name, content in XML.items():
+        for reader in ("certificate-check", "certificate-from-dcc"):
+            yield Case(f"{reader}:{name}", _file(*READERS[reader], text(content)))
     for name in HDF5:
         for end in ("out.raw", "out.npz"):
             words = ("convert", "{}", end)
