@@ -171,8 +171,21 @@ def _compare_documents(
     except UsageError as error:
         found.not_compared.append(f"{PDF} and {DCC}: {error.what} {error.remedy}".rstrip("."))
         return
+    from bench.certificate.dcc_signature import verify_signature, without_signature
+
+    stored = (folder / DCC).read_bytes()
+    signature = verify_signature(stored, DCC)
+    if signature is not None:
+        found.remarks.append(
+            f"{DCC} has a valid signature of {signature.signer}; whether you trust that certificate was not checked:"
+            " starbench certificate check --trusted"
+        )
+
+    def signed(dcc: bytes) -> bytes:
+        return stored if without_signature(stored) == dcc else dcc
+
     plots = {path.stem: path.read_text("utf-8") for path in sorted((folder / PLOTS).glob("*.svg"))}
-    files = certificate_files(certificate, json.loads(results), results, lab.text, plots)
+    files = certificate_files(certificate, json.loads(results), results, lab.text, plots, sign=signed)
     for name in (DCC, PDF):
         if files[name] == (folder / name).read_bytes():
             continue

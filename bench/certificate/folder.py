@@ -7,7 +7,7 @@ leaves no half certificate.
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -45,7 +45,12 @@ def require_libraries() -> None:
 
 
 def certificate_files(
-    certificate: Certificate, found: Mapping[str, Any], results: bytes, lab: bytes, plots: Mapping[str, str]
+    certificate: Certificate,
+    found: Mapping[str, Any],
+    results: bytes,
+    lab: bytes,
+    plots: Mapping[str, str],
+    sign: Callable[[bytes], bytes] | None = None,
 ) -> dict[str, bytes]:
     """Return the files of a certificate's folder, without those of its seal. Same input, same bytes.
 
@@ -59,6 +64,8 @@ def certificate_files(
         Bytes of results.json and lab.yaml.
     plots
         SVG by name.
+    sign
+        Returns the DCC with a signature in it; None for none.
 
     Returns
     -------
@@ -83,6 +90,7 @@ def certificate_files(
             where=DCC,
             remedy="Correct lab.yaml where it is named; otherwise report this.",
         )
+    dcc = dcc if sign is None else sign(dcc)
     attachments = {DCC: dcc, RESULTS: results}
     return {
         CERTIFICATE: certificate.to_json(),

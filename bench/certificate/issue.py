@@ -15,6 +15,7 @@ from bench.base.errors import EvidenceError
 from bench.certificate.certificate_data import CERTIFICATE, Amends, Certificate
 from bench.certificate.compose import Identity, compose
 from bench.certificate.contradictions import faults_of_lab
+from bench.certificate.dcc import render_dcc
 from bench.certificate.folder import (
     certificate_files,
     refuse_occupied,
@@ -48,12 +49,15 @@ class Laboratory:
         Returns the present time, with its time zone.
     verify
         Verifies a sealed folder.
+    sign_dcc
+        Signs a DCC with the laboratory's key, given the time of signing; None for DCCs without a signature.
     """
 
     ledger: Ledger
     key: Callable[[], BenchKey]
     utc_now: Callable[[], datetime]
     verify: Verify
+    sign_dcc: Callable[[bytes, datetime], bytes] | None = None
 
 
 @dataclass(frozen=True)
@@ -173,13 +177,18 @@ def make_certificate(
         completed = complete_open(laboratory.ledger)
         key = laboratory.key()
         now = laboratory.utc_now()
+        if laboratory.sign_dcc is not None:  # a key that cannot sign is refused before a number is taken
+            laboratory.sign_dcc(render_dcc(trial), now)
         replaced = None if amended is None else amended(trial)
         number = reserve(laboratory.ledger, _wanted(source, lab.value, folder, amends, also), now)
         identity = replace(
             trial_identity, number=number.number, issued_utc=number.issued_utc, amends=replaced
         )
         certificate = compose(source.found, lab.value, identity)
-        files = certificate_files(certificate, source.found, source.results, lab.text, source.plots)
+        sign = _signer(laboratory, number.issued_utc)
+        files = certificate_files(
+            certificate, source.found, source.results, lab.text, source.plots, sign=sign
+        )
         seal = write_sealed(folder, files, key)
         _enter(laboratory.ledger, certificate, seal)
     return Issued(certificate, folder, seal, tuple(completed))
@@ -254,6 +263,12 @@ def finished_certificate(one: Numbered) -> Certificate | None:
         data = (folder / CERTIFICATE).read_bytes()
     certificate = Certificate.from_json(data, str(folder / CERTIFICATE))
     return certificate if certificate.number == one.number else None
+
+
+def _signer(laboratory: Laboratory, utc: str) -> Callable[[bytes], bytes] | None:
+    """Return what signs a DCC at a time; None if DCCs are not signed."""
+    sign = laboratory.sign_dcc
+    return None if sign is None else lambda dcc: sign(dcc, datetime.fromisoformat(utc))
 
 
 def _wanted(source: Source, lab: LabConfig, folder: Path, amends: str, also: str) -> Wanted:

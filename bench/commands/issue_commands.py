@@ -6,6 +6,7 @@ from pathlib import Path
 
 import click
 
+from bench.base.errors import UsageError
 from bench.commands.options import JSON, ExistingFile, ExistingFolder, NewFile, OutputFolder
 
 _CONFIG = click.option(
@@ -19,6 +20,20 @@ _CONFIG = click.option(
 )
 _OUTPUT = click.option(
     "--output", "-o", required=True, type=OutputFolder(), help="New folder for the certificate."
+)
+
+
+_XADES_KEY = click.option(
+    "--xades-key",
+    type=ExistingFile(),
+    metavar="PEM",
+    help="Key of the laboratory that signs the digital certificate (XAdES).",
+)
+_XADES_CERTIFICATE = click.option(
+    "--xades-certificate",
+    type=ExistingFile(),
+    metavar="PEM",
+    help="Certificate of that key, and the chain to one that your customers trust.",
 )
 
 
@@ -36,8 +51,18 @@ def new(output: Path) -> int:
 @_CONFIG
 @_OUTPUT
 @click.option("--also", metavar="REASON", default="", help="Issue a further certificate of the same run.")
+@_XADES_KEY
+@_XADES_CERTIFICATE
 @JSON
-def issue(run_folder: Path, lab_file: Path, output: Path, also: str, as_json: bool) -> int:
+def issue(
+    run_folder: Path,
+    lab_file: Path,
+    output: Path,
+    also: str,
+    xades_key: Path | None,
+    xades_certificate: Path | None,
+    as_json: bool,
+) -> int:
     """Issue the calibration certificate of a sealed RUN, by ISO/IEC 17025.
 
     The run is verified first. A clause of the standard that neither the run nor LAB.YAML answers is named, with the key
@@ -45,7 +70,14 @@ def issue(run_folder: Path, lab_file: Path, output: Path, also: str, as_json: bo
     """
     from bench.commands.issue_output import issue_certificate
 
-    return issue_certificate(run_folder, lab_file, output, also=also, as_json=as_json)
+    return issue_certificate(
+        run_folder,
+        lab_file,
+        output,
+        also=also,
+        dcc_key=_dcc_key(xades_key, xades_certificate),
+        as_json=as_json,
+    )
 
 
 @click.command("amend")
@@ -53,8 +85,18 @@ def issue(run_folder: Path, lab_file: Path, output: Path, also: str, as_json: bo
 @_CONFIG
 @click.option("--reason", required=True, help="Reason of the amendment; it is printed.")
 @_OUTPUT
+@_XADES_KEY
+@_XADES_CERTIFICATE
 @JSON
-def amend(folder: Path, lab_file: Path, reason: str, output: Path, as_json: bool) -> int:
+def amend(
+    folder: Path,
+    lab_file: Path,
+    reason: str,
+    output: Path,
+    xades_key: Path | None,
+    xades_certificate: Path | None,
+    as_json: bool,
+) -> int:
     """Replace the certificate in FOLDER by a new one with a number of its own.
 
     The new certificate names the old one by number and hash, and lists every field that changed. The old one stays as
@@ -62,7 +104,26 @@ def amend(folder: Path, lab_file: Path, reason: str, output: Path, as_json: bool
     """
     from bench.commands.issue_output import amend_certificate
 
-    return amend_certificate(folder, lab_file, output, reason=reason, as_json=as_json)
+    return amend_certificate(
+        folder,
+        lab_file,
+        output,
+        reason=reason,
+        dcc_key=_dcc_key(xades_key, xades_certificate),
+        as_json=as_json,
+    )
+
+
+def _dcc_key(key: Path | None, certificate: Path | None) -> tuple[Path, Path] | None:
+    """Return both files of the signature in the DCC, or none."""
+    if key is None and certificate is None:
+        return None
+    if key is None or certificate is None:
+        raise UsageError(
+            "The signature in the digital certificate needs a key and its certificate.",
+            remedy="Give both --xades-key and --xades-certificate, or neither.",
+        )
+    return key, certificate
 
 
 @click.command("void")

@@ -24,6 +24,8 @@ if TYPE_CHECKING:
     from bench.evidence.key_trust import Trust
     from bench.records.ledger import Ledger
 
+DccKey = tuple[Path, Path] | None
+"""Files of the key and of the certificates for the signature in the DCC; None for none."""
 NOT_FOUND = "NOT FOUND"
 """State of a certificate that was issued, and that is not in its folder."""
 
@@ -56,7 +58,9 @@ def write_example(path: Path) -> int:
     return 0
 
 
-def issue_certificate(run: Path, lab_file: Path, folder: Path, *, also: str, as_json: bool) -> int:
+def issue_certificate(
+    run: Path, lab_file: Path, folder: Path, *, also: str, dcc_key: DccKey, as_json: bool
+) -> int:
     """Issue a certificate, and print its number and results.
 
     Parameters
@@ -65,6 +69,8 @@ def issue_certificate(run: Path, lab_file: Path, folder: Path, *, also: str, as_
         The run, the configuration, and the new folder.
     also
         Why a further certificate of the run is issued; empty if it is the first one.
+    dcc_key
+        Files of the key and of the certificates that sign the DCC; None for a DCC without a signature.
     as_json
         Whether to print JSON.
 
@@ -75,10 +81,14 @@ def issue_certificate(run: Path, lab_file: Path, folder: Path, *, also: str, as_
     """
     from bench.certificate.issue import issue
 
-    return _show_issued(issue(run, lab_file, folder, _laboratory(), also=also.strip()), as_json=as_json)
+    return _show_issued(
+        issue(run, lab_file, folder, _laboratory(dcc_key), also=also.strip()), as_json=as_json
+    )
 
 
-def amend_certificate(old: Path, lab_file: Path, folder: Path, *, reason: str, as_json: bool) -> int:
+def amend_certificate(
+    old: Path, lab_file: Path, folder: Path, *, reason: str, dcc_key: DccKey, as_json: bool
+) -> int:
     """Amend a certificate, and print what changed.
 
     Parameters
@@ -87,6 +97,8 @@ def amend_certificate(old: Path, lab_file: Path, folder: Path, *, reason: str, a
         Folder of the certificate, the configuration, and the new folder.
     reason
         Reason of the amendment.
+    dcc_key
+        Files of the key and of the certificates that sign the DCC; None for a DCC without a signature.
     as_json
         Whether to print JSON.
 
@@ -103,7 +115,9 @@ def amend_certificate(old: Path, lab_file: Path, folder: Path, *, reason: str, a
     from bench.certificate.amend import amend
 
     _require_reason(reason)
-    return _show_issued(amend(old, lab_file, folder, _laboratory(), reason=reason.strip()), as_json=as_json)
+    return _show_issued(
+        amend(old, lab_file, folder, _laboratory(dcc_key), reason=reason.strip()), as_json=as_json
+    )
 
 
 def void_number(number: str, *, reason: str, by: str | None, as_json: bool) -> int:
@@ -322,7 +336,7 @@ def _listed_state(one: Numbered, trust: Trust, now: datetime) -> str:
         return NOT_FOUND
 
 
-def _laboratory() -> Laboratory:
+def _laboratory(dcc_key: DccKey) -> Laboratory:
     from bench.certificate.issue import Laboratory
     from bench.evidence.keys import BenchKey, ensure_key, require_usable
 
@@ -331,7 +345,12 @@ def _laboratory() -> Laboratory:
         require_usable(home_folder(), found, datetime.now(UTC))
         return found
 
-    return Laboratory(_ledger(), key, lambda: datetime.now(UTC), _verify)
+    sign = None
+    if dcc_key is not None:
+        from bench.certificate.dcc_signature import signer_of_files
+
+        sign = signer_of_files(*dcc_key, ask_passphrase=ask_passphrase)
+    return Laboratory(_ledger(), key, lambda: datetime.now(UTC), _verify, sign)
 
 
 def _verify(folder: Path) -> Verification:

@@ -68,7 +68,7 @@ class Lab:
         return [str(fault) for fault in found.value.faults]
 
 
-def quick_files(certificate, found, results, lab, plots):
+def quick_files(certificate, found, results, lab, plots, sign=None):
     """The files without PDF, DCC and plots, which take half a second."""
     return {"certificate.json": certificate.to_json(), "results.json": results, "lab.yaml": lab}
 
