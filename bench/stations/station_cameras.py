@@ -136,7 +136,7 @@ class PictureFolderConfig(FrameCameraConfig):
 
 
 if TYPE_CHECKING:
-    CameraConfig = (
+    _Cameras = (
         SimulatedEvk4Config
         | MetavisionConfig
         | NeuromorphicEvk4Config
@@ -155,4 +155,6 @@ else:
         OpenCvCameraConfig,
         PictureFolderConfig,
     )
-    CameraConfig = with_plugins("camera", _BUILT_IN)
+    _Cameras = with_plugins("camera", _BUILT_IN)
+
+CameraConfig = _Cameras

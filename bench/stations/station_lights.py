@@ -124,6 +124,8 @@ class GardasoftLightConfig(StrictModel):
 
 
 if TYPE_CHECKING:
-    LightConfig = ScpiLightConfig | GardasoftLightConfig | LightSection
+    _Lights = ScpiLightConfig | GardasoftLightConfig | LightSection
 else:
-    LightConfig = with_plugins("light", (ScpiLightConfig, GardasoftLightConfig, TextLightConfig))
+    _Lights = with_plugins("light", (ScpiLightConfig, GardasoftLightConfig, TextLightConfig))
+
+LightConfig = _Lights

@@ -158,7 +158,9 @@ class EspStageConfig(StrictModel):
 
 
 if TYPE_CHECKING:
-    StageConfig = ZaberStageConfig | XimcStageConfig | GrblStageConfig | EspStageConfig | StageSection
+    _Stages = ZaberStageConfig | XimcStageConfig | GrblStageConfig | EspStageConfig | StageSection
 else:
     _BUILT_IN = (ZaberStageConfig, XimcStageConfig, GrblStageConfig, EspStageConfig, TextStageConfig)
-    StageConfig = with_plugins("stage", _BUILT_IN)
+    _Stages = with_plugins("stage", _BUILT_IN)
+
+StageConfig = _Stages

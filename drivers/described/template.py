@@ -165,6 +165,8 @@ def parse_template(text: str, *, known: frozenset[str], readable: frozenset[str]
     >>> reply.match("POS=-120", {}) is None
     True
     """
+    if not text:
+        raise TemplateFault("must not be empty.")
     if len(text) > LONGEST:
         raise TemplateFault(f"must have {LONGEST} or fewer characters.")
     if not all(" " <= letter <= "~" for letter in text):

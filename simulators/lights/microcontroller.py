@@ -1,8 +1,8 @@
 """A simulated microcontroller light with Starbench's own line protocol, version 1.
 
-    FREQ 50*1C LF             a command, with the XOR of the bytes before the star as two hexadecimal digits
-    FREQ 50 ok*5C CR LF       its answer: the command, then ok, a value after =, or err and a number
-    FREQ? = 50.000000*.. CR LF
+    FREQ 50*25 LF             a command, with the XOR of the bytes before the star as two hexadecimal digits
+    FREQ 50 ok*01 CR LF       its answer: the command, then ok, a value after =, or err and a number
+    FREQ? = 50.000000*29 CR LF
 
 A timer of 16 bits at 16 MHz makes the flicker, so a frequency is rounded to whole ticks and is read back as it is.
 After ``DOG`` seconds without a valid command the light goes dark. At power-up it is dark.

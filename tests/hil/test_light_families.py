@@ -14,11 +14,14 @@ from drivers.errors import PortBusy, PortLost, ReplyError, SettingRefused
 from drivers.light import Light, LightSettings
 from drivers.light.gardasoft import GardasoftLight
 from drivers.light.scpi import ScpiLight
+from drivers.light.text import TextLight
 from simulators.lights.gardasoft import GardasoftRt
+from simulators.lights.microcontroller import MicrocontrollerLight
 from simulators.lights.scpi_generator import GeneratorModel, ScpiGenerator
 from simulators.lights.siglent_generator import SiglentGenerator
 from simulators.ports.pseudo_terminal import PseudoTerminal
 from simulators.ports.serial_device import SerialDevice
+from tests.hil.direct_lights import MICROCONTROLLER
 
 FLICKER = LightSettings("square", 50.0, 40.0, 0.0, 3.0, sync_output=True)
 
@@ -44,13 +47,19 @@ def gardasoft(drive: Callable) -> tuple[object, Callable[..., Light]]:
     return GardasoftRt(time.monotonic, drive), GardasoftLight.open
 
 
+def microcontroller(drive: Callable) -> tuple[object, Callable[..., Light]]:
+    return MicrocontrollerLight("SB1", time.monotonic, drive), lambda port, **more: TextLight.open(
+        port, MICROCONTROLLER, **more
+    )
+
+
 @pytest.fixture
 def states() -> list:
     """What the lamp was driven to, in turn."""
     return []
 
 
-EVERY = [keysight, numbered, siglent, gardasoft]
+EVERY = [keysight, numbered, siglent, gardasoft, microcontroller]
 each_in_turn = pytest.mark.parametrize(
     "device", [keysight, *(pytest.param(make, marks=pytest.mark.slow) for make in EVERY[1:])], indirect=True
 )

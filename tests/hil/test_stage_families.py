@@ -27,6 +27,7 @@ from drivers.serial_port import SerialPort
 from drivers.stage import AxisLimits, Stage
 from drivers.stage.esp import EspAxis, EspStage
 from drivers.stage.grbl import GrblAxis, GrblStage
+from drivers.stage.text import TextAxis, TextStage
 from drivers.stage.ximc import XimcAxis, XimcStage
 from drivers.stage.zaber import ZaberAxis, ZaberStage
 from simulators.faults.line_faults import FaultLine, LineFault
@@ -35,6 +36,7 @@ from simulators.ports.serial_device import SerialDevice
 from simulators.ports.tcp_port import TcpPort
 from simulators.stages.axis_motion import Axis
 from simulators.stages.esp301 import EspAxisModel, EspController
+from simulators.stages.flir_ptu import PtuAxisModel, PtuController
 from simulators.stages.grbl import GrblAxis as BoardAxis
 from simulators.stages.grbl import GrblController
 from simulators.stages.grbl_planner import GrblAxisModel
@@ -44,11 +46,12 @@ from simulators.stages.ximc import XimcController, XimcModel
 from simulators.stages.zaber import ZaberChain
 from simulators.stages.zaber_controller import ZaberController
 from simulators.stages.zaber_model import ZaberModel
+from tests.hil.direct_stages import FLIR_PTU
 
 ENDS = {"pan": 15.0, "tilt": 10.0}
 STARTS = {"pan": 2.4, "tilt": -1.7}
 LIMITS = {name: AxisLimits(-end, end, 20.0, 100.0) for name, end in ENDS.items()}
-FAMILIES = ["zaber", "ximc", "grbl", "esp"]
+FAMILIES = ["zaber", "ximc", "grbl", "esp", "flir"]
 
 
 def mechanics(name: str, counts_per_deg: float, **more) -> Mechanics:
@@ -175,7 +178,28 @@ def esp(plug: Callable) -> Rig:
     return Rig(opened, [device], [line], {n: c.axis for n, c in controllers.items()}, controllers)
 
 
-MAKERS = {"zaber": zaber, "ximc": ximc, "grbl": grbl, "esp": esp}
+def flir(plug: Callable) -> Rig:
+    models = {
+        letter: PtuAxisModel(mechanics(name, 800.0, stall_detection=False), ENDS[name])
+        for letter, name in (("P", "pan"), ("T", "tilt"))
+    }
+    unit = PtuController(models, "100101", time.monotonic, baud=57_600)
+    device, line = plug(unit)
+
+    def opened(serial: str = "100101", baudrate: int = 57_600) -> Stage:
+        axes = [
+            TextAxis(name=name, address=letter, counts_per_deg=800.0, limits=LIMITS[name])
+            for letter, name in (("P", "pan"), ("T", "tilt"))
+        ]
+        return TextStage.open(
+            device.address, axes, FLIR_PTU, serial=serial, baudrate=baudrate, clock=SystemClock()
+        )
+
+    controllers = {"pan": unit.axes["P"], "tilt": unit.axes["T"]}
+    return Rig(opened, [device], [line], {n: c.axis for n, c in controllers.items()}, controllers)
+
+
+MAKERS = {"zaber": zaber, "ximc": ximc, "grbl": grbl, "esp": esp, "flir": flir}
 
 
 @pytest.fixture

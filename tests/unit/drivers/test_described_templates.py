@@ -1,0 +1,90 @@
+"""Templates of described devices: read in one way only, bounded, and refused with what to write instead."""
+
+from __future__ import annotations
+
+import time
+from contextlib import suppress
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from drivers.described.template import TemplateFault, parse_template
+
+NONE: frozenset[str] = frozenset()
+
+
+def reply(text: str):
+    return parse_template(text, known=frozenset({"request"}), readable=None)
+
+
+@pytest.mark.parametrize(
+    ("template", "line", "found"),
+    [
+        ("POS={counts:integer}", "POS=-12", {"counts": -12.0}),
+        ("POS={counts:integer}", "POS=-12 ", None),
+        ("POS={counts:integer}", "POS=1.5", None),
+        ("{request} * {counts:number}", "PP * 1.5e3", {"counts": 1500.0}),
+        ("{request} * {counts:number}", "PD * 15", None),
+        ("{request} = {a:word},{b:text}", "PP = on,all is well", {"a": "on", "b": "all is well"}),
+        ("{request} *", "PP *", {}),
+        ("{x:number}", "nan", None),
+        ("{x:number}", "1e999", None),
+    ],
+)
+def test_a_line_is_read_or_refused(template, line, found) -> None:
+    assert reply(template).match(line, {"request": "PP"}) == found
+
+
+@pytest.mark.parametrize(
+    ("template", "fault"),
+    [
+        ("{counts}", "needs a kind"),
+        ("{counts:real}", "is no kind"),
+        ("{counts:integer}{state:word}", "text must stand between"),
+        ("{counts:integer}00", "the end of {counts} is not clear"),
+        ("{all:text}!", "nothing may follow"),
+        ("{counts:integer} {counts:integer}", "stands twice"),
+        ("{counts:integer", "no partner"),
+        ("{Counts:integer}", "is no placeholder"),
+        ("{counts:integer.2}", "decimals are written"),
+        ("{counts:number.12}", "at most 9"),
+        ("\t", "printable ASCII"),
+        ("x" * 201, "200 or fewer"),
+        ("{__class__:text}", "is no placeholder"),
+    ],
+)
+def test_a_template_that_could_be_read_in_two_ways_is_refused(template, fault) -> None:
+    with pytest.raises(TemplateFault, match=fault):
+        reply(template)
+
+
+def test_a_request_takes_known_values_only() -> None:
+    template = parse_template(
+        "{address}P{target:integer}", known=frozenset({"address"}), readable=frozenset({"target"})
+    )
+    assert template.render({"address": "P", "target": -1000.4}) == "PP-1000"
+    with pytest.raises(TemplateFault, match="no value 'goal' here"):
+        parse_template("{goal:integer}", known=NONE, readable=frozenset({"target"}))
+
+
+def test_no_line_takes_long_to_refuse() -> None:
+    template = reply("{a:number} {b:number} {c:number} {d:number}x")
+    began_s = time.perf_counter()
+    for line in ("1" * 4096, "1 " * 2048, "1e" * 2048, "." * 4096, "1.1.1.1" * 500):
+        assert template.match(line, {}) is None
+    assert time.perf_counter() - began_s < 0.1
+
+
+@given(st.floats(-1e9, 1e9), st.integers(0, 9))
+def test_what_is_sent_reads_back_as_it_was_sent(value, decimals) -> None:
+    template = parse_template(f"SET {{value:number.{decimals}}}", known=NONE, readable=frozenset({"value"}))
+    read = template.match(template.render({"value": value}), {})
+    assert read is not None
+    assert read["value"] == pytest.approx(value, abs=0.51 * 10.0**-decimals, rel=1e-12)
+
+
+@given(st.text(max_size=60))
+def test_any_text_is_a_template_or_a_fault(text) -> None:
+    with suppress(TemplateFault):
+        assert reply(text).match("", {"request": "x"}) in (None, {})
