@@ -14,9 +14,12 @@ from __future__ import annotations
 import queue
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from datetime import UTC, datetime, timedelta
+from typing import Any
+
+from drivers.lateness import own_lateness
 
 
 class Aborted(Exception):
@@ -172,6 +175,16 @@ class BenchClock:
         """
         return 0.0 if self._asleep else max(0.0, time.monotonic() - self._asked_s)
 
+    def lateness(self) -> Mapping[str, Any]:
+        """Return how late a busy computer woke this process; the first call begins to measure.
+
+        Returns
+        -------
+        mapping
+            As `drivers.lateness.Lateness.histogram`; empty for a virtual clock.
+        """
+        return own_lateness().histogram()
+
     def request_stop(self, reason: str) -> None:
         """Ask the run to stop at its next wait. Safe to call from a signal handler or another thread.
 
@@ -295,3 +308,7 @@ class VirtualClock(BenchClock):
         """
         self.check()
         self._now_s += max(0.0, seconds)
+
+    def lateness(self) -> Mapping[str, Any]:
+        """See `BenchClock.lateness`."""
+        return {}

@@ -332,8 +332,8 @@ def _tone(entry: Entry) -> str:
             return "bad"
         case Event.DEVIATION | Event.POSE_SKIPPED | Event.ASKED | Event.RUN_RESUMED | Event.ATTEMPT_LOST:
             return "warn"
-        case Event.ENTERING:
-            return "warn" if data["state"] in {"holding", "aborting", "failed"} else ""
+        case Event.ENTERING | Event.COMPUTER_BUSY:
+            return "warn" if data.get("state", "holding") in {"holding", "aborting", "failed"} else ""
         case _:
             return ""
 

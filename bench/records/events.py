@@ -53,6 +53,7 @@ class Event(StrEnum):
     INTERLOCK_RELEASED = "interlock_released"
     """An interlock that held the run releases it."""
     SUPERVISOR_LOST = "supervisor_lost"
+    COMPUTER_BUSY = "computer_busy"
     """The process that watched this one is gone; the run goes on to its own end."""
     DEVIATION = "deviation"
     """The run departed from its sequence; printed in the report."""
@@ -409,6 +410,14 @@ class SupervisorLost(TypedDict):
     """Payload of ``supervisor_lost``: nothing."""
 
 
+class ComputerBusy(TypedDict):
+    """Payload of ``computer_busy``: lateness of the last ``window_s``, and a histogram of all (`drivers.lateness`)."""
+
+    late_s: float
+    window_s: float
+    lateness: Mapping[str, Any]
+
+
 class Deviation(TypedDict):
     """Payload of ``deviation``."""
 
@@ -428,7 +437,8 @@ class RunEnded(TypedDict):
     """Payload of ``run_ended``; ``error`` where the run failed, ``crashed`` where the error was not foreseen.
 
     ``devices`` states how each device was left: ``device``, ``state`` (confirmed safe, not confirmed, never opened) and
-    ``said``, what it answered.
+    ``said``, what it answered. ``lateness`` states how late this process was woken, as in ``computer_busy``; a run on a
+    virtual clock has none.
     """
 
     how: Literal["finished", "aborted", "failed"]
@@ -436,3 +446,4 @@ class RunEnded(TypedDict):
     error: NotRequired[FailureData]
     crashed: NotRequired[bool]
     devices: NotRequired[Sequence[Mapping[str, str]]]
+    lateness: NotRequired[Mapping[str, Any]]

@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from types import MappingProxyType
-from typing import TypedDict, cast
+from typing import Any, TypedDict, cast
 
 from bench.base.errors import JournalBroken
 from bench.records.events import (
@@ -111,6 +111,10 @@ class History:
     """Why a pose is skipped, by pose index."""
     ledger: LedgerPlace = field(default_factory=lambda: cast("LedgerPlace", {}))
     """Its place in the laboratory's ledger (`bench.records.ledger`)."""
+    lateness: Mapping[str, Any] = field(default_factory=dict)
+    """How late a busy computer woke the process, by its last line about it (`drivers.lateness`); empty before one."""
+    busy: str = ""
+    """How late the computer was when the journal last said that it is too busy, as text; empty if it never was."""
     solved: Solved = field(default_factory=lambda: cast("Solved", {}))
     """Main numbers of its calibration; empty while it has none."""
     decisions: list[UntilDecided] = field(default_factory=list)
@@ -319,6 +323,7 @@ def apply_entry(history: History, entry: Entry) -> None:
     """
     data = entry.data
     history.count_time(entry)
+    _apply_lateness(history, entry)
     match entry.event:
         case Event.RUN_STARTED:
             history.started, history.started_utc = cast("RunStarted", data), entry.utc
@@ -353,6 +358,15 @@ def apply_entry(history: History, entry: Entry) -> None:
             count_crash(history, data.get("crashed"))
         case _:
             _apply_pose_entry(history, entry)
+
+
+def _apply_lateness(history: History, entry: Entry) -> None:
+    """Keep how late the computer was; the end of a run states it too."""
+    data = entry.data
+    if "lateness" in data:
+        history.lateness = data["lateness"]
+    if entry.event == Event.COMPUTER_BUSY:
+        history.busy = f"{data['late_s']:.1f} s late in {data['window_s']:.0f} s"
 
 
 def _apply_pose_entry(history: History, entry: Entry) -> None:

@@ -17,6 +17,7 @@ from bench.records.events import (
     AttemptLost,
     CaptureStored,
     Commanded,
+    ComputerBusy,
     Deviation,
     DevicesFound,
     Entering,
@@ -103,6 +104,8 @@ class RunLog:
     def write(self, event: Literal[Event.INTERLOCK_RELEASED], **data: Unpack[InterlockReleased]) -> None: ...
     @overload
     def write(self, event: Literal[Event.SUPERVISOR_LOST], **data: Unpack[SupervisorLost]) -> None: ...
+    @overload
+    def write(self, event: Literal[Event.COMPUTER_BUSY], **data: Unpack[ComputerBusy]) -> None: ...
     @overload
     def write(self, event: Literal[Event.DEVIATION], **data: Unpack[Deviation]) -> None: ...
     @overload

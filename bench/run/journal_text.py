@@ -9,6 +9,7 @@ from bench.records.events import (
     Asked,
     AttemptChecked,
     Commanded,
+    ComputerBusy,
     Entering,
     Event,
     InterlockReleased,
@@ -82,6 +83,13 @@ def _interlock_released_text(data: InterlockReleased) -> str:
     return f"the {interlock_text(data['rule'])} interlock cleared after {data['held_s']:.0f} s"
 
 
+def _busy_text(data: ComputerBusy) -> str:
+    load = data["lateness"].get("load")
+    at_load = "" if load is None else f" (load {load:g})"
+    late = f"it was {data['late_s']:.1f} s late in {data['window_s']:.0f} s"
+    return f"this computer is too busy: {late}{at_load}; deadlines are stretched"
+
+
 def _at_pose(pose: int | None) -> str:
     return f" at pose {pose}" if pose else ""
 
@@ -101,6 +109,7 @@ _ENTRY_TEXTS: Mapping[str, Callable[[Any], str]] = {
     Event.ASKED: _question_text,
     Event.ANSWERED: lambda data: f"answer: {data['answer']} ({data['by']})",
     Event.INTERLOCK_RELEASED: _interlock_released_text,
+    Event.COMPUTER_BUSY: _busy_text,
     Event.SUPERVISOR_LOST: lambda _data: "the supervisor of this process has ended; the run continues",
 }
 """Text of each kind of journal line that people read."""

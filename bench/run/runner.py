@@ -6,11 +6,11 @@ The runner takes the remaining steps through the state machine and journals each
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal, NotRequired, TypedDict
 
 from bench.base.clock import Aborted, BenchClock, Interrupted
 from bench.base.errors import StorageError
@@ -24,6 +24,7 @@ from bench.report.until_text import decision_text
 from bench.results.interim import Decisions
 from bench.results.result import Outcome, ResultWriter
 from bench.run.attempts import Attempts
+from bench.run.busy import BusyWatch
 from bench.run.control import CommandInbox
 from bench.run.heartbeat import HeartbeatWriter
 from bench.run.holding import Holding, HoldNotifier
@@ -46,6 +47,13 @@ LOST_DEVICE_ERRORS = (PortLost, CameraLost, ReplyTimeout)
 """Errors of a device that was lost, or no longer answers."""
 
 End = Literal["finished", "aborted", "failed"]
+
+
+class _EndData(TypedDict):
+    """What every end of a run adds to its line of the journal."""
+
+    devices: Sequence[Mapping[str, str]]
+    lateness: NotRequired[Mapping[str, Any]]
 
 
 @dataclass(frozen=True)
@@ -141,7 +149,12 @@ class Runner:
         )
         self._heartbeat = HeartbeatWriter(folder.path, clock)
         self._names = pose_names(job, log.history)
-        round_tasks = (self._heartbeat.beat, self._report_lost_supervisor, self._interlocks.check_door)
+        round_tasks = (
+            self._heartbeat.beat,
+            self._report_lost_supervisor,
+            BusyWatch(log, clock).look,
+            self._interlocks.check_door,
+        )
         self._inbox = CommandInbox(folder.path, log, self._names, clock, round_tasks)
 
     def run(self) -> RunEnd:
@@ -162,7 +175,7 @@ class Runner:
                 self._do_remaining_steps()
             with self._clock.shielded():
                 self._devices.make_safe()
-            self._log.write(Event.RUN_ENDED, how="finished", why="", devices=self._device_data())
+            self._log.write(Event.RUN_ENDED, how="finished", why="", **self._end_data())
         except Aborted as stop:
             return self._end_early("aborted", stop.reason)
         except FORESEEN as error:
@@ -223,13 +236,16 @@ class Runner:
             how, why, self._folder.path, outcome, devices.unsafe, failure, devices.was_opened, devices.ends()
         )
 
-    def _device_data(self) -> list[dict[str, str]]:
-        """Return how the run leaves each device, as the journal holds it."""
-        return [end.to_dict() for end in self._devices.ends()]
+    def _end_data(self) -> _EndData:
+        """Return how the run leaves each device, and how late the computer was, as the journal holds it."""
+        data: _EndData = {"devices": [end.to_dict() for end in self._devices.ends()]}
+        if lateness := self._clock.lateness():
+            data["lateness"] = lateness
+        return data
 
     def _write_end(self, how: End, why: str, failure: Failure | None, *, crashed: bool) -> None:
         if failure is None:
-            self._log.write(Event.RUN_ENDED, how=how, why=why, devices=self._device_data())
+            self._log.write(Event.RUN_ENDED, how=how, why=why, **self._end_data())
             return
         error: FailureData = {
             "kind": failure.kind,
@@ -237,11 +253,11 @@ class Runner:
             "where": failure.where,
             "remedy": failure.remedy,
         }
-        devices = self._device_data()
+        data = self._end_data()
         if crashed:
-            self._log.write(Event.RUN_ENDED, how=how, why=why, error=error, crashed=True, devices=devices)
+            self._log.write(Event.RUN_ENDED, how=how, why=why, error=error, crashed=True, **data)
         else:
-            self._log.write(Event.RUN_ENDED, how=how, why=why, error=error, devices=devices)
+            self._log.write(Event.RUN_ENDED, how=how, why=why, error=error, **data)
 
     # ------------------------------------------------------------------ which steps
 

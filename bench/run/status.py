@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 from datetime import UTC, datetime
 from itertools import islice
 from pathlib import Path
@@ -78,6 +78,8 @@ class Status:
         Last journal lines as text, the newest last.
     advice
         What to do next.
+    busy, lateness
+        How late a busy computer was, as text and as a histogram (`drivers.lateness`); empty if the journal has none.
     ledger_number, ledger_head
         Number of the run in its bench's ledger, and the hash of its line there; None for a rehearsal.
     """
@@ -107,6 +109,8 @@ class Status:
     deviations: Sequence[str]
     last: Sequence[str]
     advice: str
+    busy: str = ""
+    lateness: Mapping[str, Any] = field(default_factory=dict)
     ledger_number: int | None = None
     ledger_head: str | None = None
 
@@ -296,6 +300,8 @@ def _status(folder: Path, entries: Sequence[Entry], now: datetime, *, running: b
         deviations=tuple(history.deviations),
         last=_last_lines(entries),
         advice=_advice(folder, history, running=running, sealed=sealed),
+        busy=history.busy,
+        lateness=history.lateness,
         ledger_number=history.ledger.get("number"),
         ledger_head=history.ledger.get("head"),
     )
@@ -416,14 +422,14 @@ def head_lines(status: Status) -> list[str]:
     list of str
         Lines of text.
     """
-    most = "at most " if status.most_poses > status.poses else ""
-    poses = f"{most}{status.most_poses}"
+    poses = f"{'at most ' if status.most_poses > status.poses else ''}{status.most_poses}"
     counts = f"{status.accepted} of {poses} poses recorded, {counted(status.attempts, 'recording')}"
     counts += f", {status.skipped} skipped" if status.skipped else ""
     counts += f", resumed {times(status.resumed)}" if status.resumed else ""
     lines = [f"Run {status.run_id}{'  SIMULATED' if status.simulated else ''}", _state(status, poses), counts]
     lines += [f"Uncertainty after {status.uncertainty}"] if status.uncertainty else []
     lines += [f"Result: {status.result}"] if status.result else []
+    lines += [f"This computer was too busy: {status.busy}"] if status.busy else []
     lines += [f"Evidence: {status.evidence}"] if status.ended and not status.running else []
     return [*lines, *(f"Deviation: {what}" for what in status.deviations)]
 

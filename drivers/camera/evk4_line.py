@@ -31,7 +31,7 @@ POLL_S: Final = 0.02
 """Longest wait for bytes between two calls of the clock's ``sleep``, s."""
 
 _START_AGAIN: Final = (
-    "If the run started the simulated bench itself, resume the run; otherwise start the simulated bench again first."
+    "Resume the run. A simulated bench that was started separately must be started again first."
 )
 _ONE_VERSION: Final = "Check that a simulated EVK4 of this version of Starbench listens at that address."
 
