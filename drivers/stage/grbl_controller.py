@@ -6,7 +6,6 @@ Degrees belong to ``drivers.stage.grbl``, the forms of lines to ``drivers.stage.
 from __future__ import annotations
 
 import threading
-import time
 from collections.abc import Callable, Sequence
 from typing import TypeVar
 
@@ -31,8 +30,8 @@ _LONGEST_REPLY = 100
 """Most lines of one reply."""
 _HALTING_ALARMS = frozenset({1, 2})
 """Alarms of a limit: after them the firmware waits in a loop that serves nothing but a reset."""
-_WAKE_S = 3.0
-"""Longest wait for the welcome message after a reset, in seconds."""
+_WAKE_SILENCES = 30
+"""How often the line may be silent for ``_QUIET_S`` after a reset until the welcome message."""
 
 T = TypeVar("T")
 
@@ -176,11 +175,11 @@ class GrblController:
         restarts = self.restarts
         with self._link.lock:
             self._link.send(grbl_protocol.RESET)
-            end_s = time.monotonic() + _WAKE_S
-            while self.restarts == restarts and time.monotonic() < end_s:
-                self._link.receive(_QUIET_S)
+            silences = 0
+            while self.restarts == restarts and silences < _WAKE_SILENCES:
+                silences += not self._link.receive(_QUIET_S)
                 while self._next_line() is not None:
-                    pass
+                    silences += 1  # a board that babbles is no board that has restarted
             self._link.mark_out_of_step()
         if self.restarts == restarts:
             raise ReplyTimeout(
