@@ -33,7 +33,7 @@ def show_devices(found: Discovery, *, as_json: bool) -> int:
         Exit status, 0.
     """
     if as_json:
-        print_json(found.to_dict())
+        print_json({**found.to_dict(), "plugins": _plugins()})
         return 0
     for port in found.ports:
         note = f"  ({port.note})" if port.note else ""
@@ -43,12 +43,32 @@ def show_devices(found: Discovery, *, as_json: bool) -> int:
         keys = {"driver": camera.driver, "source": camera.source, "serial": camera.serial}
         entry = "  ".join(f"{name}: {value}" for name, value in keys.items() if value)
         click.echo(f"camera       {entry}  # {camera.description}{trouble}")
+    for plugin in _plugins():
+        click.echo(
+            f"plug-in      {plugin['driver']}  {plugin['kind']}  # {plugin['package']}{plugin['trouble']}"
+        )
     for sentence in found.missing:
         click.echo(f"missing      {sentence}")
     click.echo(
         "simulated    -s simulated, simulated_frames, simulated_ideal, simulated_unaligned: stations without devices"
     )
     return 0
+
+
+def _plugins() -> list[dict[str, str]]:
+    """Return the drivers that other packages bring; a trouble is in brackets, as after a camera."""
+    from bench.stations.plugins import GROUPS, plugins
+
+    return [
+        {
+            "driver": plugin.name,
+            "kind": kind,
+            "package": plugin.package,
+            "trouble": f"  (cannot be used: {plugin.trouble})" if plugin.trouble else "",
+        }
+        for kind in GROUPS
+        for plugin in plugins(kind)
+    ]
 
 
 def write_station(

@@ -144,7 +144,9 @@ def _functions(body: Sequence[ast.stmt], around: str, place: str) -> Iterator[Pu
     for node in body:
         if isinstance(node, ast.ClassDef) and not node.name.startswith("_"):
             yield from _functions(node.body, f"{around}{node.name}.", place)
-        elif isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef) and not node.name.startswith("_"):
+        elif isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef) and not node.name.startswith(
+            ("_", "test_")
+        ):
             decorators = " ".join(ast.unparse(d) for d in node.decorator_list)
             text = ast.get_docstring(node) or ""
             if (

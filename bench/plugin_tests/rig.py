@@ -1,0 +1,195 @@
+"""A simulated device on a line of faults, and a station whose section opens the driver for it."""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final, Protocol
+
+import numpy as np
+import pytest
+
+from bench.stations.station import Station
+from drivers.errors import DriverError
+from sequences.reader import check_document
+from simulators.faults.line_faults import FaultLine, LineFault
+from simulators.ports.pseudo_terminal import PseudoTerminal
+from simulators.ports.serial_device import SerialDevice
+
+PORT: Final = "PORT"
+"""Stands in a section for the port of the simulated device."""
+SPOILT: Final = ("lost", "truncated", "garbled", "nul", "doubled", "late", "request_lost")
+"""What happens to a message on a disturbed line."""
+LONGEST_S: Final = 20.0
+"""An error must come within this time, whatever the line does; in seconds."""
+
+_OTHERS: Final[Mapping[str, Any]] = {
+    "stage": {
+        "driver": "grbl",
+        "port": "/dev/null",
+        "axes": {
+            "pan": {
+                "letter": "X",
+                "steps_per_deg": 100,
+                "limits_deg": [-1, 1],
+                "speed_deg_s": 1,
+                "acceleration_deg_s2": 1,
+            }
+        },
+    },
+    "light": {"driver": "scpi", "port": "/dev/null"},
+    "camera": {"driver": "metavision", "serial": "1"},
+}
+
+
+class SimulatedDevice(Protocol):
+    """A device that answers bytes."""
+
+    @property
+    def baud(self) -> int:
+        """Baud rate at which it listens."""
+        ...
+
+    def receive(self, data: bytes) -> bytes:
+        """Take bytes as they arrive, in pieces of any size.
+
+        Parameters
+        ----------
+        data
+            Bytes from the computer.
+
+        Returns
+        -------
+        bytes
+            Answers that are ready now.
+        """
+        ...
+
+    def unsolicited(self) -> bytes:
+        """Return what it sends without a request, and late answers.
+
+        Returns
+        -------
+        bytes
+            May be empty.
+        """
+        ...
+
+
+class SimulatedStage(SimulatedDevice, Protocol):
+    """A simulated stage."""
+
+    def angles_deg(self) -> Mapping[str, float]:
+        """Return where the axes really are.
+
+        Returns
+        -------
+        mapping
+            Angle by axis, in degrees.
+        """
+        ...
+
+
+class SimulatedLight(SimulatedDevice, Protocol):
+    """A simulated light."""
+
+    def is_lit(self) -> bool:
+        """Return whether the light is really on, flickering or steady.
+
+        Returns
+        -------
+        bool
+            Whether it is.
+        """
+        ...
+
+
+@dataclass
+class Rig:
+    """A simulated device, its line, and the station that names it.
+
+    Attributes
+    ----------
+    plugged
+        The device on its port.
+    line
+        The line of faults.
+    station
+        Returns the station, with changed keys of the section.
+    """
+
+    plugged: SerialDevice
+    line: FaultLine
+    station: Callable[[Mapping[str, Any]], Station]
+
+    def spoil(self, kind: str, count: int | None = 1) -> None:
+        """Spoil messages to come.
+
+        Parameters
+        ----------
+        kind
+            One of `SPOILT`, or ``stranger``.
+        count
+            Number of messages; None for all.
+        """
+        self.line.inject(LineFault(kind, count=count, delay_s=1.2))
+
+
+@contextmanager
+def rig(kind: str, section: Mapping[str, Any], device: SimulatedDevice, folder: Path) -> Iterator[Rig]:
+    """Put a device on a port.
+
+    Parameters
+    ----------
+    kind
+        "stage" or "light".
+    section
+        Section of the station file, with `PORT` as its port.
+    device
+        The simulated device.
+    folder
+        A folder for the port.
+
+    Yields
+    ------
+    Rig
+        While the device answers.
+    """
+    line = FaultLine(device, time.monotonic, np.random.default_rng(1))
+    with SerialDevice(PseudoTerminal(folder / "port"), line) as plugged:
+
+        def station(changes: Mapping[str, Any]) -> Station:
+            filled = {key: plugged.address if value == PORT else value for key, value in section.items()}
+            document = {"format": "starbench/station/1", "name": "Contract tests", **_OTHERS}
+            text = json.dumps({**document, kind: {**filled, **changes}}, indent=1)
+            return check_document(text.encode(), "contract.yaml", Station).value
+
+        yield Rig(plugged, line, station)
+
+
+def fails_in_time(act: Callable[[], object], kind: type[DriverError] = DriverError) -> DriverError:
+    """Check that an act ends in an error of a driver, in bounded time.
+
+    Parameters
+    ----------
+    act
+        The act.
+    kind
+        Class of the error.
+
+    Returns
+    -------
+    DriverError
+        The error. It says what is wrong, where, and what to do.
+    """
+    began_s = time.monotonic()
+    with pytest.raises(kind) as caught:
+        act()
+    assert time.monotonic() - began_s < LONGEST_S
+    assert caught.value.what
+    assert caught.value.remedy, "an error must say what the operator should do"
+    return caught.value

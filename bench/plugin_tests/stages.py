@@ -1,0 +1,228 @@
+"""The contract tests of a stage: what every driver of a stage must do, with any device."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import closing, suppress
+from pathlib import Path
+from typing import Any, ClassVar
+
+import pytest
+
+from bench.plugin_tests.rig import SPOILT, Rig, SimulatedStage, fails_in_time, rig
+from bench.stations.devices import open_stage
+from bench.stations.station import Station
+from drivers.clock import SystemClock
+from drivers.errors import (
+    DriverError,
+    MoveFailed,
+    NotHomed,
+    OutsideLimits,
+    PortBusy,
+    PortLost,
+    ReplyError,
+    WrongDevice,
+)
+from drivers.stage import Stage
+
+
+class _Clock(SystemClock):
+    """The system's clock, as a run's."""
+
+    def utc_now(self) -> str:
+        return time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime())
+
+
+class StageContract:
+    """Derive from this class, name it ``Test...``, and give ``section`` and ``device``.
+
+    Attributes
+    ----------
+    section
+        The section of the station file, with ``PORT`` for the port. All axes need limits that contain 0.
+    other_serial
+        A serial number that the simulated device does not have; empty if the device has none.
+    tolerance_deg
+        Largest difference between a reading and the simulated axis, in degrees.
+    """
+
+    section: ClassVar[Mapping[str, Any]]
+    other_serial: ClassVar[str] = ""
+    tolerance_deg: ClassVar[float] = 0.01
+
+    def device(self, clock: Callable[[], float]) -> SimulatedStage:
+        """Return a simulated device, fresh from power-up. Write it by the maker's manual, not by the driver.
+
+        Parameters
+        ----------
+        clock
+            Returns the time in seconds.
+
+        Returns
+        -------
+        SimulatedStage
+            The device.
+
+        Raises
+        ------
+        NotImplementedError
+            If a subclass does not write it.
+        """
+        raise NotImplementedError
+
+    @pytest.fixture
+    def simulated(self) -> SimulatedStage:
+        """The simulated device."""
+        return self.device(time.monotonic)
+
+    @pytest.fixture
+    def rig(self, simulated: SimulatedStage, tmp_path: Path) -> Iterator[Rig]:
+        """The device on its port."""
+        with rig("stage", self.section, simulated, tmp_path) as made:
+            yield made
+
+    @pytest.fixture
+    def stage(self, rig: Rig) -> Iterator[Stage]:
+        """The open stage."""
+        with closing(_opened(rig.station({}))) as stage:
+            yield stage
+
+    @pytest.fixture
+    def homed(self, stage: Stage) -> Stage:
+        """The open stage with its reference."""
+        stage.home()
+        return stage
+
+    def test_opening_and_closing_move_nothing(self, rig: Rig, simulated: SimulatedStage) -> None:
+        """Opening and closing move nothing."""
+        before = dict(simulated.angles_deg())
+        for _ in range(2):
+            _opened(rig.station({})).close()
+        assert dict(simulated.angles_deg()) == pytest.approx(before, abs=1e-6)
+
+    def test_the_axes_are_those_of_the_section(self, rig: Rig, stage: Stage) -> None:
+        """The axes are those of the section."""
+        names = list(rig.station({}).axes)
+        assert list(stage.axes) == names
+        assert [axis.name for axis in stage.identify()] == names
+        assert list(stage.limits) == names
+
+    def test_without_a_reference_nothing_moves(self, stage: Stage, simulated: SimulatedStage) -> None:
+        """Without a reference nothing moves."""
+        if stage.is_homed():
+            pytest.skip("this device knows its position from power-up on")
+        before = dict(simulated.angles_deg())
+        fails_in_time(lambda: stage.move_to({stage.axes[0]: 1.0}), NotHomed)
+        assert dict(simulated.angles_deg()) == pytest.approx(before, abs=1e-6)
+
+    def test_homing_and_moves_end_where_the_readings_say(
+        self, homed: Stage, simulated: SimulatedStage
+    ) -> None:
+        """Homing and moves end where the readings say."""
+        assert homed.is_homed()
+        for share in (0.5, -0.7, 0.0):
+            goal = {name: round(_at(homed, name, share), 2) for name in homed.axes}
+            homed.move_to(goal)
+            assert dict(homed.position_deg()) == pytest.approx(goal, abs=self.tolerance_deg)
+            assert dict(simulated.angles_deg()) == pytest.approx(goal, abs=self.tolerance_deg)
+        assert list(homed.faults()) == []
+
+    def test_a_target_outside_the_limits_moves_nothing(self, homed: Stage, simulated: SimulatedStage) -> None:
+        """A target outside the limits moves nothing."""
+        before = dict(simulated.angles_deg())
+        for name in homed.axes:
+            fails_in_time(
+                lambda name=name: homed.move_to({name: homed.limits[name].highest_deg + 0.5}),  # type: ignore[misc]
+                OutsideLimits,
+            )
+        fails_in_time(lambda: homed.move_to({"no such axis": 0.0}), OutsideLimits)
+        assert dict(simulated.angles_deg()) == pytest.approx(before, abs=1e-6)
+
+    def test_a_stop_from_another_thread_ends_a_move(self, homed: Stage, simulated: SimulatedStage) -> None:
+        """A stop from another thread ends a move."""
+        name = homed.axes[0]
+        homed.move_to({name: _at(homed, name, -1.0)})
+        failed: list[DriverError] = []
+
+        def move() -> None:
+            try:
+                homed.move_to({name: _at(homed, name, 1.0)})
+            except DriverError as error:
+                failed.append(error)
+
+        start, end_s = simulated.angles_deg()[name], time.monotonic() + 10.0
+        mover = threading.Thread(target=move)
+        mover.start()
+        while abs(simulated.angles_deg()[name] - start) < 1e-3 and time.monotonic() < end_s:
+            time.sleep(0.002)
+        homed.stop()
+        rest = simulated.angles_deg()[name]
+        mover.join()
+        assert [type(error) for error in failed] == [MoveFailed]
+        assert simulated.angles_deg()[name] == pytest.approx(rest, abs=0.05)
+        assert rest < _at(homed, name, 1.0) - 0.1, "the stop came too late: the axis was at its target"
+
+    def test_another_serial_number_is_refused(self, rig: Rig, simulated: SimulatedStage) -> None:
+        """Another serial number is refused."""
+        if not self.other_serial:
+            pytest.skip("this device has no serial number")
+        before = dict(simulated.angles_deg())
+        fails_in_time(lambda: _opened(rig.station({"serial": self.other_serial})), WrongDevice)
+        assert dict(simulated.angles_deg()) == pytest.approx(before, abs=1e-6)
+
+    def test_a_second_opening_is_refused(self, rig: Rig, stage: Stage) -> None:
+        """A second opening is refused."""
+        fails_in_time(lambda: _opened(rig.station({})), PortBusy)
+        assert stage.position_deg()
+
+    @pytest.mark.parametrize("kind", SPOILT)
+    def test_one_spoilt_message_never_becomes_a_wrong_position(
+        self, rig: Rig, homed: Stage, simulated: SimulatedStage, kind: str
+    ) -> None:
+        """One spoilt message never becomes a wrong position."""
+        homed.move_to({name: round(_at(homed, name, 0.5), 2) for name in homed.axes})
+        rig.spoil(kind)
+        told = []
+        for _ in range(3):
+            with suppress(ReplyError):
+                told.append(dict(homed.position_deg()))
+        assert told, "the line must be usable again after one spoilt message"
+        for position in told:
+            assert position == pytest.approx(dict(simulated.angles_deg()), abs=self.tolerance_deg)
+
+    def test_a_silent_device_is_an_error_in_bounded_time(self, rig: Rig, homed: Stage) -> None:
+        """A silent device is an error in bounded time."""
+        rig.spoil("lost", count=None)
+        fails_in_time(homed.position_deg, ReplyError)
+        fails_in_time(homed.stop)
+
+    def test_a_stranger_on_the_port_is_refused(self, rig: Rig) -> None:
+        """A stranger on the port is refused."""
+        rig.spoil("stranger", count=None)
+        fails_in_time(lambda: _opened(rig.station({})))
+
+    def test_a_pulled_cable_is_a_lost_port_and_nothing_moves_when_it_is_back(
+        self, rig: Rig, homed: Stage, simulated: SimulatedStage
+    ) -> None:
+        """A pulled cable is a lost port and nothing moves when it is back."""
+        rig.plugged.unplug()
+        fails_in_time(homed.position_deg, PortLost)
+        homed.close()
+        rig.plugged.replug()
+        before = dict(simulated.angles_deg())
+        with closing(_opened(rig.station({}))) as again:
+            again.identify()
+        assert dict(simulated.angles_deg()) == pytest.approx(before, abs=1e-4)
+
+
+def _opened(station: Station) -> Stage:
+    clock: Any = _Clock()
+    return open_stage(station, str, clock, None)
+
+
+def _at(stage: Stage, name: str, share: float) -> float:
+    """Return an angle inside the limits: 1 is the highest, -1 the lowest, less a little."""
+    limits = stage.limits[name]
+    return 0.99 * share * (limits.highest_deg if share > 0 else -limits.lowest_deg)

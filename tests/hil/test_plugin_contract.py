@@ -1,0 +1,60 @@
+"""The contract suite for plug-ins, on two of our own devices: it passes, and fails for a driver that does wrong."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping
+from typing import Any, ClassVar
+
+import pytest
+
+from bench.plugin_tests import LightContract, StageContract
+from simulators.lights.microcontroller import MicrocontrollerLight
+from simulators.stages.flir_ptu import PtuAxisModel, PtuController
+from simulators.stages.mechanics import Mechanics
+
+AXIS = {"counts_per_deg": 800, "limits_deg": [-15, 15], "speed_deg_s": 40, "acceleration_deg_s2": 200}
+
+
+class Unit(PtuController):
+    def angles_deg(self) -> Mapping[str, float]:
+        names = {"P": "pan", "T": "tilt"}
+        return {
+            names[letter]: one.axis.pointing.angle_deg(time.monotonic()) for letter, one in self.axes.items()
+        }
+
+
+class Lamp(MicrocontrollerLight):
+    def is_lit(self) -> bool:
+        return self._light.output and self._light.high > 0
+
+
+@pytest.mark.slow
+class TestFlirPtu(StageContract):
+    section: ClassVar[Mapping[str, Any]] = {
+        "driver": "text",
+        "protocol": "flir_ptu",
+        "port": "PORT",
+        "serial": "E1042",
+        "baudrate": 57600,
+        "axes": {"pan": {"address": "P", **AXIS}, "tilt": {"address": "T", **AXIS}},
+    }
+    other_serial = "E9"
+
+    def device(self, clock: Callable[[], float]) -> Unit:
+        model = PtuAxisModel(Mechanics(800.0, -17.0, 17.0, start_deg=2.4, stall_detection=False), 15.0)
+        return Unit({"P": model, "T": model}, "E1042", clock, baud=57_600)
+
+
+@pytest.mark.slow
+class TestMicrocontrollerLight(LightContract):
+    section: ClassVar[Mapping[str, Any]] = {
+        "driver": "text",
+        "protocol": "microcontroller_light",
+        "port": "PORT",
+        "serial": "SB7",
+    }
+    other_serial = "SB8"
+
+    def device(self, clock: Callable[[], float]) -> Lamp:
+        return Lamp("SB7", clock)

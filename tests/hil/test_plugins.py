@@ -1,0 +1,157 @@
+"""Plug-ins: the example package, installed into a folder of its own, and packages that are broken in every way."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+import tomllib
+import zipfile
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+EXAMPLE = ROOT / "docs" / "plugins" / "starbench_turntable"
+STATION = """\
+format: starbench/station/1
+name: Bench
+stage:
+  driver: turntable
+  port: /dev/ttyUSB7
+  serial: T7
+  axes: {pan: {limits_deg: [-90, 90], speed_deg_s: 30, acceleration_deg_s2: 1000}}
+light: {driver: scpi, port: /dev/ttyUSB1}
+camera: {driver: metavision, serial: 00051234}
+"""
+SECTION = """\
+from typing import Literal
+from bench.stations.sections import StageSection
+class Section(StageSection):
+    driver: Literal['NAME']
+"""
+READ = """
+import sys
+from bench.stations.station import load_station
+from sequences.errors import DocumentFaults
+for name in sys.argv[1:]:
+    try:
+        print(type(load_station(name).value.stage).__name__)
+    except DocumentFaults as error:
+        print(error)
+"""
+
+
+def wheel(source: Path, folder: Path) -> Path:
+    """Build a wheel of a pure package as a build tool does, so that no build tool is needed here."""
+    project = tomllib.loads((source / "pyproject.toml").read_text())["project"]
+    name, version = project["name"].replace("-", "_"), project["version"]
+    info = f"{name}-{version}.dist-info"
+    files = {str(path.relative_to(source)): path.read_text() for path in (source / name).glob("*.py")}
+    files[f"{info}/METADATA"] = f"Metadata-Version: 2.1\nName: {project['name']}\nVersion: {version}\n"
+    files[f"{info}/WHEEL"] = "Wheel-Version: 1.0\nRoot-Is-Purelib: true\nTag: py3-none-any\n"
+    files[f"{info}/entry_points.txt"] = "".join(
+        f"[{group}]\n" + "".join(f"{key} = {value}\n" for key, value in entries.items())
+        for group, entries in project["entry-points"].items()
+    )
+    files[f"{info}/RECORD"] = "".join(f"{file},,\n" for file in [*files, f"{info}/RECORD"])
+    path = folder / f"{name}-{version}-py3-none-any.whl"
+    with zipfile.ZipFile(path, "w") as archive:
+        for file, text in files.items():
+            archive.writestr(file, text)
+    return path
+
+
+@pytest.fixture(scope="module")
+def installed(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The example, installed by pip into a folder."""
+    folder = tmp_path_factory.mktemp("plugin")
+    shutil.copytree(EXAMPLE, folder / "source")
+    options = [
+        "--quiet",
+        "--no-deps",
+        "--no-index",
+        "--disable-pip-version-check",
+        "--target",
+        folder / "site",
+    ]
+    made = wheel(EXAMPLE, folder)
+    subprocess.run([sys.executable, "-m", "pip", "install", *options, made], check=True, capture_output=True)
+    (folder / "source" / "starbench_turntable").rename(folder / "not_here")
+    return folder
+
+
+def run(site: Path, *arguments: str | Path, cwd: Path = ROOT) -> str:
+    environment = {**os.environ, "PYTHONPATH": f"{site}{os.pathsep}{ROOT}", "PYTHONDONTWRITEBYTECODE": "1"}
+    done = subprocess.run(
+        [sys.executable, *arguments], env=environment, cwd=cwd, capture_output=True, text=True, check=False
+    )
+    return done.stdout + done.stderr
+
+
+def package(site: Path, code: str, name: str = "turntable", distribution: str = "badly") -> None:
+    """Write a package with one entry point, as an installer would leave it."""
+    (site / f"{distribution}.py").write_text(code)
+    info = site / f"{distribution}-0.3.dist-info"
+    info.mkdir(parents=True)
+    (info / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {distribution}\nVersion: 0.3\n")
+    (info / "entry_points.txt").write_text(f"[starbench.stages]\n{name} = {distribution}:Section\n")
+
+
+def test_the_example_is_a_driver_like_any_other(installed, tmp_path) -> None:
+    path = tmp_path / "bench.yaml"
+    path.write_text(STATION)
+    (tmp_path / "wrong.yaml").write_text(STATION.replace("serial: T7", "serail: T7"))
+    said = run(installed / "site", "-c", READ, path, tmp_path / "wrong.yaml")
+    assert said.startswith("TurntableConfig\n")
+    assert "wrong.yaml:6:3: stage.serail: unknown key. Did you mean 'serial'?" in said
+    assert "TurntableConfig" in run(installed / "site", "-m", "bench", "schema", "station")
+    assert "turntable" in run(installed / "site", "-m", "bench", "devices")
+
+
+@pytest.mark.slow
+def test_the_example_passes_the_contract_tests(installed) -> None:
+    said = run(installed / "site", "-m", "pytest", "-q", "tests", cwd=installed / "source")
+    assert "18 passed" in said, said
+
+
+@pytest.mark.parametrize(
+    ("code", "reason"),
+    [
+        ("raise RuntimeError('no library')", "RuntimeError: no library"),
+        ("import sys; sys.exit(3)", "SystemExit: 3"),
+        ("import nothing_of_that_name", "ModuleNotFoundError"),
+        ("Section = 5", "5 is not a class that derives from StageSection"),
+        ("", "has no attribute 'Section'"),
+        (
+            SECTION.replace("NAME", "other"),
+            "its key driver must be Literal['turntable']",
+        ),
+        (
+            SECTION.replace("NAME", "turntable"),
+            "it does not implement open_device, ports",
+        ),
+    ],
+)
+def test_a_broken_plugin_is_named_and_breaks_nothing_else(tmp_path, code, reason) -> None:
+    site = tmp_path / "site"
+    site.mkdir()
+    package(site, code)
+    (tmp_path / "bench.yaml").write_text(STATION)
+    said = run(site, "-c", READ, tmp_path / "bench.yaml", "simulated").splitlines()
+    assert "the plug-in 'turntable' of badly 0.3 cannot be used: " in said[0]
+    assert reason in said[0]
+    assert "bench.yaml:4:3: stage" in said[0] or "bench.yaml:3:" in said[0]
+    assert said[-1] == "ZaberStageConfig"
+
+
+def test_two_packages_of_one_name_are_both_named_and_a_built_in_driver_stays(installed, tmp_path) -> None:
+    site = tmp_path / "site"
+    shutil.copytree(installed / "site", site)
+    package(site, "raise RuntimeError")
+    package(site, "raise RuntimeError", name="zaber_ascii", distribution="thief")
+    (tmp_path / "bench.yaml").write_text(STATION)
+    said = run(site, "-c", READ, tmp_path / "bench.yaml", "simulated").splitlines()
+    assert "two packages bring this driver" in said[0]
+    assert said[-1] == "ZaberStageConfig"
