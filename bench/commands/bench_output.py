@@ -44,9 +44,8 @@ def show_devices(found: Discovery, *, as_json: bool) -> int:
         entry = "  ".join(f"{name}: {value}" for name, value in keys.items() if value)
         click.echo(f"camera       {entry}  # {camera.description}{trouble}")
     for plugin in _plugins():
-        click.echo(
-            f"plug-in      {plugin['driver']}  {plugin['kind']}  # {plugin['package']}{plugin['trouble']}"
-        )
+        trouble = f"  (cannot be used: {plugin['trouble']})" if plugin["trouble"] else ""
+        click.echo(f"plug-in      {plugin['driver']}  {plugin['kind']}  # {plugin['package']}{trouble}")
     for sentence in found.missing:
         click.echo(f"missing      {sentence}")
     click.echo(
@@ -56,7 +55,7 @@ def show_devices(found: Discovery, *, as_json: bool) -> int:
 
 
 def _plugins() -> list[dict[str, str]]:
-    """Return the drivers that other packages bring; a trouble is in brackets, as after a camera."""
+    """Return the drivers that other packages bring, with the trouble of those that cannot be used."""
     from bench.stations.plugins import GROUPS, plugins
 
     return [
@@ -64,7 +63,7 @@ def _plugins() -> list[dict[str, str]]:
             "driver": plugin.name,
             "kind": kind,
             "package": plugin.package,
-            "trouble": f"  (cannot be used: {plugin.trouble})" if plugin.trouble else "",
+            "trouble": plugin.trouble,
         }
         for kind in GROUPS
         for plugin in plugins(kind)

@@ -305,8 +305,9 @@ class DescribedLine:
                 code = said.get("code", "")
                 code = f"{code:g}" if isinstance(code, float) else code
                 meaning = refusal.codes.get(code, "") or refusal.means or str(said.get("message", "")).strip()
+                raw = "" if not meaning or meaning in text else f" ('{text}')"
                 raise DeviceRefused(
-                    f"the device refuses '{request}': {meaning or text!r} ('{text}').",
+                    f"the device refuses '{request}': {meaning or text}{raw}.",
                     where=self.name,
                     remedy="Check the limits and ranges in the station file and in the device's description.",
                 )

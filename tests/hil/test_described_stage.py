@@ -1,0 +1,138 @@
+"""Stages by description, beyond what every family is tried with: what opening sends, stops while homing, scales."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from drivers.described.description import Exchange
+from drivers.described.template import parse_template
+from drivers.errors import DeviceRefused, NotHomed, OutsideLimits, ReplyError
+from drivers.stage import AxisLimits
+from drivers.stage.text import TextAxis, TextStage
+from simulators.faults.line_faults import LineFault
+from tests.hil.direct_stages import FLIR_PTU, LIMITS, DirectStage, VirtualClock, flir
+
+
+class Interrupted(Exception):
+    """What a run's clock raises when the operator aborts."""
+
+
+@pytest.fixture
+def clock() -> VirtualClock:
+    return VirtualClock()
+
+
+@pytest.fixture
+def rig(clock) -> DirectStage:
+    return flir(clock, np.random.default_rng(2))
+
+
+def again(rig: DirectStage, axis: TextAxis, description=FLIR_PTU) -> TextStage:
+    return TextStage(rig.line, [axis], description, serial="E1042", clock=rig.line.clock)
+
+
+def axis(**more) -> TextAxis:
+    return TextAxis(**{"name": "pan", "address": "P", "counts_per_deg": 800.0, "limits": LIMITS, **more})
+
+
+def spied(rig: DirectStage) -> list[bytes]:
+    sent: list[bytes] = []
+    write = rig.line.write
+    rig.line.write = lambda data: (sent.append(data), write(data))[1]
+    return sent
+
+
+def test_opening_asks_and_sets_and_sends_nothing_that_moves(rig) -> None:
+    sent = spied(rig)
+    again(rig, axis())
+    words = {data.decode().strip().rstrip("-0123456789") for data in sent}
+    assert words == {"?", "EE", "FT", "V", "VS", "PD", "PP", "PR", "PN", "PX", "PNU", "PXU", "PA", "PS", "LU"}
+    assert not any(data.startswith(b"PP") and data != b"PP " for data in sent)
+
+
+def test_a_stop_while_homing_reaches_the_axis_and_leaves_no_reference(rig, clock, monkeypatch) -> None:
+    sleeps = iter(range(1000))
+
+    def sleep(seconds: float) -> None:
+        clock.now_s += seconds
+        if next(sleeps) == 4:
+            raise Interrupted
+
+    monkeypatch.setattr(clock, "sleep", sleep)
+    with pytest.raises(Interrupted):
+        rig.stage.home()
+    before_deg = rig.present_deg()
+    rig.stage.stop()
+    stopped_deg = rig.present_deg()
+    assert abs(stopped_deg - before_deg) < 3.0
+    clock.now_s += 5.0
+    assert rig.present_deg() == pytest.approx(stopped_deg, abs=0.01)
+    assert abs(stopped_deg) > 0.01
+    assert not rig.stage.is_homed()
+    rig.stage.home()
+    rig.stage.move_to({"pan": 5.0})
+    assert rig.true_deg() == pytest.approx(5.0, abs=0.002)
+
+
+def test_a_homing_whose_end_is_never_told_ends_in_an_error(rig, clock) -> None:
+    rig.line.device.inject(LineFault("lost", count=None))
+    began_s = clock.now_s
+    with pytest.raises((ReplyError, NotHomed)):
+        rig.stage.home()
+    assert clock.now_s - began_s < 60.0
+    rig.line.device.clear()
+    assert not rig.stage.is_homed()
+
+
+def test_a_query_that_became_a_command_is_noticed_before_the_next_move(rig) -> None:
+    rig.stage.home()
+    rig.stage.move_to({"pan": 10.0})
+    rig.line.write(b"RP ")  # PP, with one bit changed on its way
+    rig.line.clock.sleep(10.0)
+    assert rig.stage.position_deg()["pan"] == pytest.approx(rig.true_deg(), abs=0.01)
+    with pytest.raises(NotHomed):
+        rig.stage.move_to({"pan": 1.0})
+    assert rig.stage.faults() == []
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({"counts_per_deg": 801.0}, "the station file gives 801 counts per degree, the controller 800"),
+        ({"limits": AxisLimits(-15.0, 15.5, 20.0, 100.0)}, "reach beyond the controller's"),
+        ({"zero_deg": 3.0}, "reach beyond the controller's"),
+    ],
+)
+def test_a_station_that_contradicts_the_device_is_refused(rig, changes, said) -> None:
+    with pytest.raises(OutsideLimits, match=said):
+        again(rig, axis(**changes))
+
+
+def test_a_reversed_axis_turns_the_other_way(rig) -> None:
+    stage = again(rig, axis(counts_per_deg=-800.0))
+    stage.home()
+    stage.move_to({"pan": 5.0})
+    assert stage.position_deg()["pan"] == pytest.approx(5.0)
+    assert rig.true_deg() == pytest.approx(-5.0, abs=0.002)
+
+
+def test_a_refusal_says_what_the_device_said_and_an_unknown_setting_is_one(rig) -> None:
+    fast = axis(limits=AxisLimits(-15.0, 15.0, 150.0, 100.0))
+    with pytest.raises(DeviceRefused, match="Pan speed cannot exceed 80000 pos/sec"):
+        again(rig, fast)
+    wrong = parse_template("QQ", known=frozenset(), readable=None)
+    with pytest.raises(DeviceRefused, match="refuses 'QQ': Illegal command entered"):
+        again(rig, axis(), replace(FLIR_PTU, setup=(Exchange(wrong, wrong),)))
+
+
+def test_another_program_that_moves_the_stage_is_stopped_at_opening(rig) -> None:
+    rig.line.write(b"PP12000 ")
+    rig.line.clock.sleep(0.2)
+    again(rig, axis())
+    at_deg = rig.present_deg()
+    rig.line.clock.sleep(5.0)
+    assert rig.present_deg() == pytest.approx(at_deg, abs=0.05)  # the load settles
+    assert at_deg < 16.0  # its target was 17.4
