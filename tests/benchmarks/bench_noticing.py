@@ -25,7 +25,7 @@ FAULTS = {
     "idle said once in mid-move": ("pan idle_flicker", ""),
     "cable pulled": ("pan unplug", ""),
     "another device in its place": ("pan exchange serial=777", ""),
-    "another baud rate": ("gimbal baud rate=9600", ""),
+    "another baud rate": ("gimbal baud rate=4800", ""),
     "a reply lost": ("gimbal lost skip=8", ""),
     "a reply late": ("gimbal late skip=8 delay_s=1.2", "2 of 5 wrong for good"),
     "a reply truncated": ("gimbal truncated skip=8", ""),
