@@ -11,7 +11,16 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
-from bench.commands.options import JSON, SEED, ExistingFile, ExistingPath, NewFile, Number, OutputFolder
+from bench.commands.options import (
+    JSON,
+    SEED,
+    EventFile,
+    ExistingFile,
+    ExistingPath,
+    NewFile,
+    Number,
+    OutputFolder,
+)
 
 if TYPE_CHECKING:
     from datetime import datetime
@@ -363,7 +372,7 @@ def study(sequence: str, station: str, plot: Path | None, as_json: bool, **optio
 
 
 @click.command()
-@click.argument("source", type=ExistingFile())
+@click.argument("source", type=EventFile())
 @click.argument("output", type=NewFile())
 @click.option(
     "--as",
@@ -374,7 +383,8 @@ def study(sequence: str, station: str, plot: Path | None, as_json: bool, **optio
 def convert(source: Path, output: Path, kind: str | None) -> int:
     """Convert an event file SOURCE to a new file OUTPUT of another format. The format of SOURCE is detected.
 
-    Formats: RAW (EVT3), Metavision's HDF5 (ECF), plain HDF5, NumPy's .npz. The header of a converted RAW file states
+    Formats: RAW (EVT3), Metavision's HDF5 (ECF), plain HDF5, NumPy's .npz. SOURCE may also be RAW with EVT2 words, DAT,
+    AEDAT4, or a bag of ROS 1 or ROS 2 (file or folder); AEDAT4 and bags need starbench[formats]. The header of a converted RAW file states
     that it was converted, so it cannot be taken for a camera's original file.
     """
     from datetime import UTC, datetime

@@ -109,6 +109,21 @@ class ExistingFile(_Path):
         _require_no_device(path)
 
 
+class EventFile(ExistingFile):
+    """A file of events, or the folder of a ROS 2 bag."""
+
+    def check(self, path: Path) -> None:
+        """See `ExistingFile.check`; a folder with ``metadata.yaml`` is a bag.
+
+        Parameters
+        ----------
+        path
+            Path to check.
+        """
+        if not (path / "metadata.yaml").is_file():
+            super().check(path)
+
+
 class ExistingFolder(_Path):
     """A folder that exists."""
 

@@ -8,8 +8,10 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
+from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any, cast
 
 from numpy.typing import NDArray
@@ -29,6 +31,8 @@ from calib.errors import TooFewStars
 from calib.stars.detect import detect_view
 from calib.stars.vignetting import downweight_vignetted
 from calib.view import View
+from drivers.camera.formats.event_conversion import convert
+from drivers.camera.formats.prophesee_words import is_evt2_file
 from drivers.camera.frames import mean_frame
 from drivers.camera.image_size import require_bounded_images
 from drivers.camera.raw_file import RawFile
@@ -39,7 +43,8 @@ from sequences.script import RecordStep
 RECORDINGS = {".raw"}
 PHOTOGRAPHS = {".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".pgm"}
 POINTS = {".txt", ".csv"}
-_KNOWN = RECORDINGS | PHOTOGRAPHS | POINTS
+OTHER_RECORDINGS = {".dat", ".aedat4", ".bag", ".db3", ".mcap", ".hdf5", ".h5", ".npz"}
+_KNOWN = RECORDINGS | OTHER_RECORDINGS | PHOTOGRAPHS | POINTS
 _JPEG = {".jpg", ".jpeg"}
 _LARGEST_JPEG_BYTES = 100_000_000
 _JPEG_BEGINS, _JPEG_SCAN, _JPEG_ENDS = b"\xff\xd8", b"\xff\xda", b"\xff\xd9"
@@ -165,6 +170,8 @@ def _view_of_run(job: Job, path: Path, step: RecordStep, expected_grid: Expected
 
 def _file_source(path: Path, choices: OfflineOptions) -> ViewSource:
     ending = path.suffix.lower()
+    if ending in OTHER_RECORDINGS or (ending in RECORDINGS and is_evt2_file(path)):
+        return ViewSource(path, partial(_view_of_other_recording, path, choices))
     if ending in RECORDINGS:
         return ViewSource(path, partial(_view_of_recording, path, choices))
     if ending in PHOTOGRAPHS:
@@ -180,6 +187,14 @@ def _file_source(path: Path, choices: OfflineOptions) -> ViewSource:
         where=str(path),
         remedy=f"Known file extensions are {', '.join(sorted(_KNOWN))}.",
     )
+
+
+def _view_of_other_recording(path: Path, choices: OfflineOptions) -> View:
+    """Read a recording of another program through a RAW file that exists only meanwhile."""
+    with TemporaryDirectory(prefix="starbench-") as folder:
+        raw = Path(folder) / f"{path.stem}.raw"
+        convert(path, raw, "raw", utc_now=lambda: datetime.now(UTC))
+        return _view_of_recording(raw, choices)
 
 
 def _view_of_recording(path: Path, choices: OfflineOptions) -> View:

@@ -1,5 +1,6 @@
 """Convert a file of events to another format: RAW, Metavision's HDF5, plain HDF5, NumPy; each to each.
 
+Files of other programs are read too: EVT2, DAT, AEDAT4, ROS bags.
 A RAW file made here does not hold a camera's own bytes, and its header says so. All files are read piece by piece; only
 for a new NumPy file all events are in memory. What the new format cannot represent is lost: the sensor's counters
 outside RAW, back-steps of its clock in Metavision's HDF5.
@@ -19,11 +20,13 @@ import numpy as np
 from drivers.camera import CameraIdentity
 from drivers.camera.event_arrays import Triggers, empty_events
 from drivers.camera.formats.event_files import ExportSummary, export_hdf5, export_metavision, export_numpy
-from drivers.camera.formats.event_import import EventSource, open_events
+from drivers.camera.formats.event_import import open_events
 from drivers.camera.formats.evt3_encode import Evt3Encoder
 from drivers.camera.formats.new_file import new_file, write_error
+from drivers.camera.formats.prophesee_words import header_fields, is_dat, is_evt2
+from drivers.camera.formats.streamed import EventSource
 from drivers.camera.raw_file import RawFile
-from drivers.camera.raw_header import MAX_SIDE_PX, render_header
+from drivers.camera.raw_header import MAX_HEADER_BYTES, MAX_SIDE_PX, render_header
 from drivers.camera.whole_file import require_regular
 from drivers.errors import NotARecording, RecordingFileError
 
@@ -87,7 +90,7 @@ def convert(source: Path, target: Path, kind: Kind, *, utc_now: Callable[[], dat
     RecordingFileError
         If the source cannot be read, the target exists or cannot be written, or EVT3 cannot represent the contents.
     """
-    if _is_raw(source):
+    if is_evt3(source):
         if kind == "raw":
             raise NotARecording(
                 "The file is a RAW recording already.",
@@ -173,13 +176,27 @@ def _folder_beside(target: Path) -> TemporaryDirectory[str]:
         raise write_error(target, error) from error
 
 
-def _is_raw(path: Path) -> bool:
+def is_evt3(path: Path) -> bool:
+    """Return whether a file is a RAW recording with EVT3 words, or pretends to be one.
+
+    Parameters
+    ----------
+    path
+        The file.
+
+    Returns
+    -------
+    bool
+        False too where it cannot be read.
+    """
     try:
         require_regular(path)
         with path.open("rb") as file:
-            return file.read(2) == b"% "
-    except OSError:
+            start = file.read(MAX_HEADER_BYTES)
+        fields = header_fields(start)[0]
+    except (OSError, ValueError):
         return False  # open_events reports the reason
+    return start.startswith(b"% ") and not is_dat(start) and not is_evt2(fields)
 
 
 def _edges(triggers: Triggers, begin: int, end: int) -> Triggers:

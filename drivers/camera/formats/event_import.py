@@ -1,5 +1,7 @@
-"""Import events from files for analysis: Metavision's HDF5, plain HDF5 and NumPy (layouts: see ``event_files``).
+"""Import events from files for analysis, of any program.
 
+Metavision's HDF5, plain HDF5 and NumPy (layouts: see ``event_files``) are read here; for others see `prophesee_words`,
+`aedat4` and `ros_bags`.
 The events are read piece by piece, with bounded memory, and only from the file itself (`hdf5_reading`, `npz_reading`).
 """
 
@@ -7,7 +9,7 @@ from __future__ import annotations
 
 import zipfile
 import zlib
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.camera.event_arrays import Events, Triggers, empty_events
-from drivers.camera.formats import ecf
+from drivers.camera.formats import aedat4, ecf, prophesee_words, ros_bags
 from drivers.camera.formats.event_files import CD_TYPE
 from drivers.camera.formats.hdf5_reading import (
     ChunkDamaged,
@@ -32,14 +34,13 @@ from drivers.camera.formats.hdf5_reading import (
     whole,
 )
 from drivers.camera.formats.npz_reading import NpzFile
+from drivers.camera.formats.streamed import MOST_TRIGGERS, EventSource
+from drivers.camera.raw_header import MAX_HEADER_BYTES
 from drivers.camera.whole_file import require_regular, require_whole
 from drivers.errors import NotARecording, RecordingCorrupt, RecordingFileError
 
-MOST_TRIGGERS: Final = 5_000_000
-"""Largest number of trigger edges: a day of 28 Hz, or six hours of 115 Hz."""
-
 _AGAIN: Final = "Export it again from the RAW recording."
-_EVENT_FILES: Final = "Give a Metavision HDF5, a plain HDF5 or an .npz file of events."
+_EVENT_FILES: Final = "Give a file of events: RAW, HDF5, .npz, DAT, AEDAT4 or a ROS bag."
 _PIECE_EVENTS: Final = 500_000
 _NAMES: Final = ("t", "x", "y", "p")
 _TRIGGER_NAMES: Final = ("t", "value", "id")
@@ -72,32 +73,6 @@ class ImportedEvents:
     header: Mapping[str, str]
 
 
-@dataclass(frozen=True)
-class EventSource:
-    """An open file of events.
-
-    Attributes
-    ----------
-    count
-        Number of events, as the file states it.
-    triggers
-        All trigger edges, in the order of the file.
-    width, height
-        Size of the sensor, px.
-    header
-        Other keys and texts that the file holds about the recording.
-    pieces
-        Reads the events in the order of the file. It raises as `open_events` does.
-    """
-
-    count: int
-    triggers: Triggers
-    width: int
-    height: int
-    header: Mapping[str, str]
-    pieces: Callable[[], Iterator[Events]]
-
-
 @contextmanager
 def open_events(path: Path | str) -> Iterator[EventSource]:
     """Open a file of events. Its contents decide the format, not its name.
@@ -115,7 +90,7 @@ def open_events(path: Path | str) -> Iterator[EventSource]:
     Raises
     ------
     NotARecording
-        If it has none of the three formats, lacks a part, keeps data in another file, or an event lies outside the
+        If it has none of the formats, lacks a part, keeps data in another file, or an event lies outside the
         sensor.
     RecordingCorrupt
         If a chunk of events cannot be decompressed.
@@ -125,21 +100,14 @@ def open_events(path: Path | str) -> Iterator[EventSource]:
     path = Path(path)
     with ExitStack() as opened:
         with _told(path):
-            require_regular(path)
-            with path.open("rb") as file:
-                start = file.read(8)
-            require_whole(path)
-            if start == b"\x89HDF\r\n\x1a\n":
+            start = _start(path)
+            if start.startswith(b"\x89HDF\r\n\x1a\n"):
                 hdf5 = opened.enter_context(h5py.File(path, "r"))
                 source = _from_metavision(hdf5) if has_member(hdf5, "CD") else _from_hdf5(hdf5)
             elif start[:4] == b"PK\x03\x04":
                 source = _from_numpy(opened.enter_context(NpzFile(path)))
             else:
-                raise NotARecording(
-                    "The format of this file is unknown: it is not RAW, HDF5 or .npz.",
-                    where=str(path),
-                    remedy=_EVENT_FILES,
-                )
+                source = _from_others(path, start)
 
         def pieces() -> Iterator[Events]:
             with _told(path):
@@ -202,6 +170,35 @@ def _told(path: Path) -> Iterator[None]:
             where=str(path),
             remedy="Check the path and the file.",
         ) from error
+
+
+def _start(path: Path) -> bytes:
+    """Return the first bytes of a file that is whole; nothing for the folder of a ROS 2 bag."""
+    if ros_bags.is_bag(path, b""):
+        return b""
+    require_regular(path)
+    with path.open("rb") as file:
+        start = file.read(MAX_HEADER_BYTES)
+    require_whole(path)
+    return start
+
+
+def _from_others(path: Path, start: bytes) -> EventSource:
+    """Open a recording of another program than Metavision and Starbench, or of an older Metavision."""
+    if ros_bags.is_bag(path, start):
+        return ros_bags.from_bag(path)
+    if start.startswith(aedat4.MAGIC):
+        return aedat4.from_aedat4(path)
+    fields, begin = prophesee_words.header_fields(start)
+    if prophesee_words.is_dat(start):
+        return prophesee_words.from_dat(path, fields, begin)
+    if prophesee_words.is_evt2(fields):
+        return prophesee_words.from_evt2(path, fields, begin)
+    raise NotARecording(
+        "The format of this file is unknown: it is not RAW (EVT3, EVT2), HDF5, .npz, DAT, AEDAT4 or a ROS bag.",
+        where=str(path),
+        remedy=_EVENT_FILES,
+    )
 
 
 def _not_events(path: Path, why: str) -> NotARecording:

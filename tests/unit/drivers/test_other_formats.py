@@ -1,0 +1,287 @@
+"""Recordings of other programs: EVT2, DAT, AEDAT4, ROS bags; each written by a program nobody here wrote."""
+
+import tracemalloc
+from contextlib import suppress
+from datetime import UTC, datetime
+
+import numpy as np
+import pytest
+
+from drivers.camera.formats.event_conversion import convert
+from drivers.camera.formats.event_import import import_events, open_events
+from drivers.camera.raw_file import RawFile
+from drivers.errors import RecordingFileError
+
+ORIGIN_US = 1_700_000_000_000_000
+EVT2_HEAD = b"% evt 2.0\n% format EVT2;height=720;width=1280\n% end\n"
+DAT_HEAD = b"% Data file containing CD events.\n% Version 2\n% Height 720\n% Width 1280\n"
+
+
+def some_events(n=5000, *, step_us=7):
+    chance = np.random.default_rng(3)
+    rows = np.zeros(n, [("t", "<u8"), ("x", "<u2"), ("y", "<u2"), (("p", "on"), "?")])
+    rows["t"] = 64 + np.arange(n) * step_us
+    rows["x"], rows["y"] = chance.integers(0, 640, n), chance.integers(0, 480, n)
+    rows["on"] = chance.integers(0, 2, n)
+    return rows
+
+
+def assert_same(found, rows, origin_us=0):
+    assert np.array_equal(found.events.t + origin_us, rows["t"].astype(np.int64))
+    assert np.array_equal(found.events.x, rows["x"])
+    assert np.array_equal(found.events.y, rows["y"])
+    assert np.array_equal(found.events.p, rows["on"])
+
+
+def evt2_words(*words):
+    return EVT2_HEAD + np.array(words, "<u4").tobytes()
+
+
+def dat_rows(rows):
+    table = np.zeros((len(rows), 2), "<u4")
+    table[:, 0] = rows["t"].astype(np.uint64) & 0xFFFFFFFF
+    table[:, 1] = rows["x"] | (rows["y"].astype(np.uint32) << 14) | (rows["on"].astype(np.uint32) << 28)
+    return DAT_HEAD + bytes([0x0C, 8]) + table.tobytes()
+
+
+# ------------------------------------------------------------ Prophesee's older files
+
+
+def test_evt2_by_hand(tmp_path):
+    path = tmp_path / "a.raw"
+    path.write_bytes(
+        evt2_words(
+            0x8000_0002,  # 128 us
+            0x1000_0000 | 5 << 22 | 3 << 11 | 7,
+            0xA000_0000 | 6 << 22 | 1 << 8 | 1,
+            0x8FFF_FFFF,
+            0x0000_0000 | 63 << 22 | 1279 << 11 | 719,
+            0x8000_0000,  # the counter turns over
+            0x1000_0000,
+        )
+    )
+    found = import_events(path)
+    assert found.events.t.tolist() == [133, (1 << 34) - 1, 1 << 34]
+    assert (found.events.x.tolist(), found.events.y.tolist()) == ([3, 1279, 0], [7, 719, 0])
+    assert found.events.p.tolist() == [1, 0, 1]
+    edges = found.triggers
+    assert (edges.t.tolist(), edges.value.tolist(), edges.id.tolist()) == ([134], [1], [1])
+
+
+@pytest.mark.parametrize("version", ["evt2", "dat2"])
+def test_files_written_by_faery(tmp_path, version):
+    faery = pytest.importorskip("faery")
+    rows = some_events()
+    stream = faery.events_stream_from_array(rows.astype(faery.EVENTS_DTYPE), dimensions=(640, 480))
+    path = tmp_path / ("a.raw" if version == "evt2" else "a.dat")
+    stream.to_file(path, version=version)
+    found = import_events(path)
+    assert (found.width, found.height) == (640, 480)
+    assert_same(found, rows, origin_us=int(rows["t"][0]) - int(found.events.t[0]))
+
+
+def test_dat_times_go_on_where_their_counter_turns_over(tmp_path):
+    rows = some_events(4)
+    rows["t"] = [0xFFFF_FFF0, 0xFFFF_FFFF, 0x1_0000_0001, 0x1_0000_0002]
+    path = tmp_path / "a.dat"
+    path.write_bytes(dat_rows(rows))
+    assert_same(import_events(path), rows)
+
+
+def test_evt2_is_converted_and_read_as_evt3(tmp_path):
+    path, raw = tmp_path / "a.raw", tmp_path / "b.raw"
+    path.write_bytes(evt2_words(0x8000_0002, 0x1000_0000 | 3 << 11 | 7, 0xA000_0001))
+    written = convert(path, raw, "raw", utc_now=lambda: datetime(2026, 1, 1, tzinfo=UTC))
+    assert (written.events, written.triggers) == (1, 1)
+    events, triggers = RawFile.open(raw).read()
+    assert (events.t.tolist(), events.x.tolist(), triggers.t.tolist()) == ([128], [3], [128])
+
+
+def test_memory_is_bounded_whatever_the_size(tmp_path):
+    path = tmp_path / "a.dat"
+    path.write_bytes(dat_rows(some_events(3_000_000, step_us=1)))
+    tracemalloc.start()
+    with open_events(path) as source:
+        count = sum(len(piece.t) for piece in source.pieces())
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert count == 3_000_000
+    assert peak < 40e6
+
+
+# ------------------------------------------------------------ AEDAT4
+
+
+def aedat4_file(path, rows, edges=()):
+    dv = pytest.importorskip("dv_processing")
+    config = dv.io.MonoCameraWriter.Config("DVX_1")
+    config.addEventStream((640, 480))
+    config.addTriggerStream()
+    writer = dv.io.MonoCameraWriter(str(path), config)
+    store = dv.EventStore()
+    for row in rows:
+        store.push_back(int(row["t"]) + ORIGIN_US, int(row["x"]), int(row["y"]), bool(row["on"]))
+    writer.writeEvents(store)
+    kinds = {1: dv.TriggerType.EXTERNAL_SIGNAL_RISING_EDGE, 0: dv.TriggerType.EXTERNAL_SIGNAL_FALLING_EDGE}
+    for t, value in edges:
+        writer.writeTrigger(dv.Trigger(t + ORIGIN_US, kinds[value]))
+    del writer
+
+
+def test_aedat4_written_by_dv_processing(tmp_path):
+    pytest.importorskip("aedat")
+    rows = some_events(2000)
+    path = tmp_path / "a.aedat4"
+    aedat4_file(path, rows, [(100, 1), (300, 0)])
+    found = import_events(path)
+    assert (found.width, found.height) == (640, 480)
+    origin_us = int(found.header["time_origin_us"])
+    assert_same(found, rows, origin_us - ORIGIN_US)
+    assert (found.triggers.t + origin_us - ORIGIN_US).tolist() == [100, 300]
+    assert found.triggers.value.tolist() == [1, 0]
+
+
+# ------------------------------------------------------------ ROS
+
+
+def bag(path, version, rows, kind):
+    """Write a bag with the package rosbags; return the path to read."""
+    pytest.importorskip("rosbags")
+    from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+    from drivers.camera.formats.ros_bags import _DEFINITIONS
+
+    store = get_typestore(Stores.ROS1_NOETIC if version == 1 else Stores.ROS2_HUMBLE)
+    for name, text in _DEFINITIONS.items():
+        store.register(get_types_from_msg(text, name))
+    types = store.types
+    stamp = types["builtin_interfaces/msg/Time"](sec=ORIGIN_US // 1_000_000, nanosec=0)
+    fields = {"stamp": stamp, "frame_id": "camera"} | ({"seq": 0} if version == 1 else {})
+    header = types["std_msgs/msg/Header"](**fields)
+    if kind == "struct":
+        name = "dvs_msgs/msg/EventArray"
+        event, time = types["dvs_msgs/msg/Event"], types["builtin_interfaces/msg/Time"]
+        whole = [
+            event(
+                x=int(row["x"]),
+                y=int(row["y"]),
+                ts=time(
+                    sec=(int(row["t"]) + ORIGIN_US) // 10**6,
+                    nanosec=(int(row["t"]) + ORIGIN_US) % 10**6 * 1000,
+                ),
+                polarity=bool(row["on"]),
+            )
+            for row in rows
+        ]
+        message = types[name](header=header, height=480, width=640, events=whole)
+    else:
+        name = "event_camera_msgs/msg/EventPacket"
+        packed = rows["t"].astype(np.uint64) * 1000
+        packed |= rows["x"].astype(np.uint64) << np.uint64(32)
+        packed |= rows["y"].astype(np.uint64) << np.uint64(48)
+        packed |= rows["on"].astype(np.uint64) << np.uint64(63)
+        message = types[name](
+            header=header,
+            height=480,
+            width=640,
+            seq=0,
+            time_base=ORIGIN_US * 1000,
+            encoding=kind,
+            is_bigendian=False,
+            events=np.frombuffer(packed.astype("<u8").tobytes(), np.uint8),
+        )
+    if version == 1:
+        from rosbags.rosbag1 import Writer
+
+        with Writer(path) as writer:
+            connection = writer.add_connection("/events", name, typestore=store)
+            writer.write(connection, ORIGIN_US * 1000, store.serialize_ros1(message, name))
+        return path
+    from rosbags.rosbag2 import Writer
+
+    with Writer(path, version=9) as writer:
+        connection = writer.add_connection("/events", name, typestore=store)
+        writer.write(connection, ORIGIN_US * 1000, store.serialize_cdr(message, name))
+    return path
+
+
+@pytest.mark.parametrize("version", [1, 2])
+@pytest.mark.parametrize("kind", ["struct", "mono"])
+def test_bags_of_both_versions(tmp_path, version, kind):
+    rows = some_events(500)
+    path = bag(tmp_path / ("a.bag" if version == 1 else "a"), version, rows, kind)
+    found = import_events(path)
+    assert (found.width, found.height) == (640, 480)
+    assert_same(found, rows, int(found.header["time_origin_us"]) - ORIGIN_US)
+    assert found.header["ros_topic"] == "/events"
+
+
+def test_a_file_of_a_ros_2_bag_stands_for_its_folder(tmp_path):
+    rows = some_events(50)
+    folder = bag(tmp_path / "a", 2, rows, "mono")
+    file = next(folder.glob("*.db3"))
+    assert len(import_events(file).events.t) == 50
+
+
+def test_an_encoding_that_cannot_be_read_is_named(tmp_path):
+    path = bag(tmp_path / "a.bag", 1, some_events(5), "libcaer_cmp")
+    with pytest.raises(RecordingFileError, match="encoded as 'libcaer_cmp'; evt3 and mono"):
+        import_events(path)
+
+
+# ------------------------------------------------------------ hostile files
+
+HOSTILE = {
+    "evt2-event-before-time": evt2_words(0x1000_0000),
+    "evt2-outside": evt2_words(0x8000_0001, 0x1000_0000 | 2047 << 11),
+    "evt2-no-size": b"% evt 2.0\n% end\n",
+    "evt2-huge-size": b"% evt 2.0\n% geometry 999999x999999\n% end\n",
+    "evt2-two-sizes": b"% evt 2.0\n% geometry 640x480\n% format EVT2;height=720;width=1280\n% end\n",
+    "evt2-endless-header": b"% evt 2.0\n% " + b"a" * 100_000,
+    "dat-nothing": DAT_HEAD,
+    "dat-wrong-type": DAT_HEAD + bytes([0x0E, 8]) + bytes(16),
+    "dat-wrong-size": DAT_HEAD + bytes([0x0C, 255]) + bytes(16),
+    "dat-outside": DAT_HEAD + bytes([0x0C, 8]) + b"\xff" * 8,
+    "dat-no-size": b"% Data file containing CD events.\n" + bytes([0x0C, 8]),
+    "aedat4-empty": b"#!AER-DAT4.0\r\n",
+    "aedat4-random": b"#!AER-DAT4.0\r\n" + np.random.default_rng(1).bytes(5000),
+    "aedat4-huge-header": b"#!AER-DAT4.0\r\n" + b"\xff\xff\xff\x7f" * 4,
+    "rosbag1-empty": b"#ROSBAG V2.0\n",
+    "rosbag1-random": b"#ROSBAG V2.0\n" + np.random.default_rng(1).bytes(5000),
+    "rosbag1-huge-record": b"#ROSBAG V2.0\n" + b"\xff\xff\xff\x7f" * 4,
+    "mcap-random": b"\x89MCAP0\r\n" + np.random.default_rng(1).bytes(5000),
+}
+
+
+@pytest.mark.parametrize("name", HOSTILE)
+def test_hostile_files_are_refused_with_one_message(tmp_path, name):
+    if name.startswith("aedat4"):
+        pytest.importorskip("aedat")
+    if name.startswith(("rosbag", "mcap")):
+        pytest.importorskip("rosbags")
+    path = tmp_path / f"bad.{'mcap' if name.startswith('mcap') else 'raw'}"
+    path.write_bytes(HOSTILE[name])
+    with pytest.raises(RecordingFileError) as caught:
+        import_events(path)
+    assert str(path) in str(caught.value)
+    assert caught.value.remedy
+
+
+@pytest.mark.parametrize("make", ["dat", "aedat4", "bag"])
+def test_files_cut_off_anywhere_end_in_one_message_or_whole_events(tmp_path, make):
+    pytest.importorskip("rosbags")
+    pytest.importorskip("aedat")
+    rows, path = some_events(300), tmp_path / f"a.{make}"
+    if make == "dat":
+        path.write_bytes(dat_rows(rows))
+    elif make == "aedat4":
+        aedat4_file(path, rows)
+    else:
+        bag(path, 1, rows, "mono")
+    whole = path.read_bytes()
+    cut = tmp_path / f"cut.{make}"
+    for length in np.random.default_rng(2).integers(0, len(whole), 40):
+        cut.write_bytes(whole[:length])
+        with suppress(RecordingFileError):
+            assert len(import_events(cut).events.t) <= len(rows)
+        cut.unlink()
