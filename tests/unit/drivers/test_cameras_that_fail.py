@@ -13,7 +13,7 @@ from drivers.camera.frame_cameras import OpenCvFrameCamera
 from drivers.camera.frames import read_frames, write_frames
 from drivers.camera.image_folder import FolderFrameCamera
 from drivers.camera.metavision import MetavisionEvk4
-from drivers.errors import CameraError, CameraLost, CameraSettingRefused, RecordingFailed
+from drivers.errors import CameraError, CameraLost, RecordingFailed
 
 
 # ---------------------------------------------------------------- frame cameras
@@ -124,7 +124,7 @@ def test_a_camera_that_goes_before_its_first_byte_is_lost_in_our_words(clock, tm
     hal = SimpleNamespace()
     camera = MetavisionEvk4(device, hal, serial="50423", clock=clock)
     assert camera.temperature_c() is None
-    with pytest.raises(CameraSettingRefused, match="disconnected"):
+    with pytest.raises(CameraLost, match="disconnected"):
         camera.apply(CameraSettings(trigger_in=False))
     device.get_i_ll_biases = lambda: None
     with pytest.raises(CameraLost, match="disconnected"):
