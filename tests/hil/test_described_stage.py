@@ -9,10 +9,12 @@ import pytest
 
 from drivers.described.description import Exchange
 from drivers.described.template import parse_template
-from drivers.errors import DeviceRefused, NotHomed, OutsideLimits, ReplyError
+from drivers.errors import DeviceRefused, MoveFailed, NotHomed, OutsideLimits, ReplyError, ReplyGarbled
+from drivers.light import LightSettings
 from drivers.stage import AxisLimits
 from drivers.stage.text import TextAxis, TextStage
 from simulators.faults.line_faults import LineFault
+from tests.hil.direct_lights import direct_light
 from tests.hil.direct_stages import FLIR_PTU, LIMITS, DirectStage, VirtualClock, flir
 
 
@@ -136,3 +138,28 @@ def test_another_program_that_moves_the_stage_is_stopped_at_opening(rig) -> None
     rig.line.clock.sleep(5.0)
     assert rig.present_deg() == pytest.approx(at_deg, abs=0.05)  # the load settles
     assert at_deg < 16.0  # its target was 17.4
+
+
+def test_a_limit_switch_is_named(rig) -> None:
+    rig.stage.home()
+    rig.order("pan limit")
+    with pytest.raises(MoveFailed, match="the pan axis hit its limit switch"):
+        rig.stage.move_to({"pan": 10.0})
+
+
+def test_a_restart_at_zero_shows_in_the_settings_alone(rig) -> None:
+    stage = again(rig, axis(limits=AxisLimits(-14.0, 14.0, 20.0, 100.0)))
+    stage.home()
+    stage.move_to({"pan": 0.0})
+    rig.order("pan reboot")
+    rig.line.clock.sleep(5.0)
+    assert stage.position_deg()["pan"] == 0.0
+    assert not stage.is_homed()
+
+
+def test_a_reply_with_another_digit_does_not_pass_its_checksum() -> None:
+    rig = direct_light("microcontroller", VirtualClock(), np.random.default_rng(2))
+    rig.light.apply(LightSettings(frequency_hz=50.0))
+    rig.line.device.inject(LineFault("replaced", count=None, pattern=b"= 50", replacement=b"= 51"))
+    with pytest.raises(ReplyGarbled, match="without its checksum"):
+        rig.light.read()
