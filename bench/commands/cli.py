@@ -186,9 +186,27 @@ def simulate(station: str, seed: int) -> int:
 
 
 @cli.command()
+@click.option(
+    "--wiring",
+    is_flag=True,
+    help="Test the cable from the light to the camera's trigger input: the light flickers.",
+)
+@click.option("--station", "-s", help="Station for --wiring.")
+@click.option("--yes", is_flag=True, help="With --wiring: switch the light on without asking.")
+@click.option("--seed", type=SEED, metavar="N", default=1, hidden=True)
 @JSON
-def devices(as_json: bool) -> int:
-    """List connected devices, their names for a station file, and missing software. Sends nothing to any device."""
+def devices(as_json: bool, wiring: bool, station: str | None, yes: bool, seed: int) -> int:
+    """List connected devices, their names for a station file, and missing software. Sends nothing to any device.
+
+    With --wiring and --station: asks, switches the light on for 2 s at 20 Hz, and compares trigger edges with events.
+    Names a trigger cable that is missing, inverted, on the wrong channel, or of the wrong level. Nothing moves.
+    """
+    if wiring:
+        from bench.commands.wiring_output import show_wiring
+
+        if station is None:
+            raise click.UsageError("Missing option '--station' / '-s', which --wiring needs.")
+        return show_wiring(station, seed, yes=yes, as_json=as_json)
     from bench.commands.bench_output import show_devices
     from bench.stations.discovery import discover
 

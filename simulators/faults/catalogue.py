@@ -95,6 +95,8 @@ _LAMP_FACTORS: Final = {
     "sync_missing": 2.0,
     "sync_extra": 2.0,
     "sync_jitter": 0.1,
+    "sync_weak": 0.3,
+    "sync_channel": 1.0,
 }
 
 _LAMP_CATALOGUE: Final[Mapping[str, Fault]] = {

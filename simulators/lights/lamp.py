@@ -22,6 +22,8 @@ LAMP_FAULTS: Final = {
     "wrong_duty": "the duty cycle is multiplied by factor; the driver does not notice",
     "no_sync": "sync edges no longer reach the camera",
     "sync_inverted": "the sync line is inverted",
+    "sync_weak": "the level of the sync line is too low: the share factor of its edges is lost",
+    "sync_channel": "the sync cable is plugged into the trigger channel factor",
     "sync_missing": "both sync edges of every factor-th period are lost",
     "sync_extra": "an extra sync pulse arrives in every factor-th period",
     "sync_jitter": "sync edges arrive up to factor (a share of the period) early or late",
@@ -52,6 +54,12 @@ _EFFECTS: Final[Mapping[str, Callable[[_Effect, float], _Effect]]] = {
     ),
     "sync_extra": lambda effect, factor: replace(
         effect, line=replace(effect.line, extra_every=max(1, round(factor)))
+    ),
+    "sync_weak": lambda effect, factor: replace(
+        effect, line=replace(effect.line, lost_share=min(1.0, factor))
+    ),
+    "sync_channel": lambda effect, factor: replace(
+        effect, line=replace(effect.line, channel=min(15, round(factor)))
     ),
     "sync_jitter": lambda effect, factor: replace(effect, jitter=factor),
 }

@@ -106,7 +106,8 @@ class Evt3Writer:
         until_us
             Sensor time at which the slice ends.
         trigger_t, trigger_value
-            Edges of the trigger input in the slice, two (M,) arrays: int64 us in order of time, and uint8 (1 = rising).
+            Edges of the trigger input in the slice, two (M,) arrays: int64 us in order of time, and uint8 (1 = rising),
+            to which twice the number of the channel is added.
         entered_t
             (K,) int64 us, times of the events that entered the rate controller; None: those of the slice.
 
@@ -177,7 +178,7 @@ def _write(
             break
         n = _write_time_low(words, n, state, int(first))
         if t_edge <= t_event:
-            words[n] = EXT_TRIGGER | edge_value[k]
+            words[n] = EXT_TRIGGER | (edge_value[k] & 1) | ((edge_value[k] >> 1) << 8)
             n += 1
             k += 1
             continue

@@ -28,12 +28,18 @@ class SyncLine:
         Every n-th period has a short false pulse in its low part; 0 for never.
     jitter_us
         Largest time by which edges come early or late.
+    lost_share
+        Share of the edges that do not cross the input's threshold, because the level is too low.
+    channel
+        Channel of the trigger input that the cable is plugged into.
     """
 
     inverted: bool = False
     missing_every: int = 0
     extra_every: int = 0
     jitter_us: float = 0.0
+    lost_share: float = 0.0
+    channel: int = 0
 
     def carry(
         self, periods: IntArray, rising: IntArray, falling: IntArray, period_us: float
@@ -54,7 +60,7 @@ class SyncLine:
         t : (M,) int64
             Times in order, us.
         value : (M,) uint8
-            Level after each edge.
+            Level after each edge, and twice the channel.
 
         Examples
         --------
@@ -74,8 +80,11 @@ class SyncLine:
             begins = falling[periods % self.extra_every == 0] + round(0.1 * period_us)
             t = np.concatenate([t, begins, begins + round(0.05 * period_us)])
             value = np.concatenate([value, np.repeat(np.array([1, 0], np.uint8), len(begins))])
+        if self.lost_share:
+            stays = 0.5 * (_noise(t) + 1.0) >= self.lost_share
+            t, value = t[stays], value[stays]
         order = np.argsort(t, kind="stable")
-        return t[order], value[order] ^ np.uint8(self.inverted)
+        return t[order], (value[order] ^ np.uint8(self.inverted)) | np.uint8(self.channel << 1)
 
 
 def _noise(numbers: IntArray) -> NDArray[np.float64]:
