@@ -100,12 +100,14 @@ class ReplyReader:
             self._wait_for_more()
 
     def _wait_for_more(self) -> None:
-        left_s = self._deadline.left_s()
+        left_s, longer_s = self._deadline.left_s(), 0.0
         while left_s > 0:
             if self._link.receive(left_s):
                 return
-            late_s = self._deadline.late_s()  # where nothing was late, the deadline is over
-            left_s = min(self._deadline.left_s(), _LONGEST_WAIT_S) if late_s > 0 else 0.0
+            # No longer than this computer was late, whatever the port's own time is.
+            late_s = self._deadline.late_s() - longer_s
+            left_s = min(self._deadline.left_s(), _LONGEST_WAIT_S, late_s)
+            longer_s += max(left_s, 0.0)
         have = self._link.unread
         cut = f"; only {have[:40]!r} came" if have else ""
         late_s = self._deadline.starved_s()
