@@ -383,9 +383,9 @@ def study(sequence: str, station: str, plot: Path | None, as_json: bool, **optio
 def convert(source: Path, output: Path, kind: str | None) -> int:
     """Convert an event file SOURCE to a new file OUTPUT of another format. The format of SOURCE is detected.
 
-    Formats: RAW (EVT3), Metavision's HDF5 (ECF), plain HDF5, NumPy's .npz. SOURCE may also be RAW with EVT2 words, DAT,
-    AEDAT4, or a bag of ROS 1 or ROS 2 (file or folder); AEDAT4 and bags need starbench[formats]. The header of a converted RAW file states
-    that it was converted, so it cannot be taken for a camera's original file.
+    Formats: RAW (EVT3), Metavision's HDF5 (ECF), plain HDF5, NumPy's .npz. SOURCE may also be RAW with EVT2 words,
+    DAT, AEDAT4, or a bag of ROS 1 or ROS 2 (file or folder); AEDAT4 and bags need starbench[formats]. The header of
+    a converted RAW file states that it was converted, so it cannot be taken for a camera's original file.
     """
     from datetime import UTC, datetime
 

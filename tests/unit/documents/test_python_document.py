@@ -53,5 +53,9 @@ def test_every_attribute_is_in_the_tables():
     tables = "\n".join(line for line in TEXT.splitlines() if line.startswith("|"))
     for cls in (Run, Pose, View):
         public = {*cls.__dataclass_fields__, *(n for n, v in vars(cls).items() if isinstance(v, property))}
-        for name in {one for one in public if not one.startswith("_")} - {"read_picture", "name", "image_size"}:
+        for name in {one for one in public if not one.startswith("_")} - {
+            "read_picture",
+            "name",
+            "image_size",
+        }:
             assert re.search(rf"\b{name}\b", tables), f"{cls.__name__}.{name}"

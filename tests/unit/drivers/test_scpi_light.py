@@ -248,7 +248,7 @@ def test_what_is_no_number_is_refused(light, generator, garbage) -> None:
 
 def test_something_else_than_an_instrument_is_refused(generator, clock) -> None:
     generator.identity = "hello"
-    with pytest.raises(ReplyError, match="the four fields of IEEE 488.2, was expected"):
+    with pytest.raises(ReplyError, match=r"the four fields of IEEE 488\.2, was expected"):
         ScpiLight(generator, clock=clock)
     assert generator.closed
 

@@ -65,7 +65,11 @@ def test_serial_numbers_stay_text_zeros_included():
 @pytest.mark.parametrize(
     ("old", "new", "fault"),
     [
-        ("driver: scpi", "driver: scpy", "light.driver: must be one of 'scpi', 'gardasoft', 'text' (got 'scpy')."),
+        (
+            "driver: scpi",
+            "driver: scpy",
+            "light.driver: must be one of 'scpi', 'gardasoft', 'text' (got 'scpy').",
+        ),
         (
             "driver: simulated_evk4",
             "driver: evk5",
