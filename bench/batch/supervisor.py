@@ -28,8 +28,11 @@ from bench.stations.devices import make_orphans_safe
 from bench.stations.station import load_station
 from sequences.errors import DocumentFaults
 
-SILENCE_S = 4.0
-"""A worker hangs if it gives no sign of life for this time, s. With the period ``POLL_S``, 5 s are not exceeded."""
+SILENCE_S = 3.5
+"""A worker hangs if it gives no sign of life for this time, s."""
+LATE_S = 0.8
+"""Time by which this limit grows at most on a busy computer, s: so long the sign itself, or its reader, may be late.
+With the period ``POLL_S``, 5 s are not exceeded."""
 QUIET_S = 600.0
 """Time without a sign of life that is allowed at the start, at the end and while sealing, s. The devices' own deadlines
 apply there."""
@@ -284,16 +287,23 @@ def _watch(worker: _Worker, folder: Path, clock: BenchClock) -> float:
     left_over = last = read_heartbeat(folder)
     if isinstance(worker, _Orphan):
         left_over = None
-    since_s = clock.monotonic()
+    since_s, lost_before_s = clock.monotonic(), _lost_s(clock)
     while not worker.gone():
         clock.sleep(POLL_S)
         sign, now_s = read_heartbeat(folder), clock.monotonic()
         silent_s = now_s - since_s
         if sign != last:
-            last, since_s = sign, now_s
-        elif silent_s > (SILENCE_S if _is_due(sign, left_over) else QUIET_S):
+            last, since_s, lost_before_s = sign, now_s, _lost_s(clock)
+        elif silent_s > (
+            SILENCE_S + min(LATE_S, _lost_s(clock) - lost_before_s) if _is_due(sign, left_over) else QUIET_S
+        ):
             return silent_s
     return 0.0
+
+
+def _lost_s(clock: BenchClock) -> float:
+    """Return the time that a busy computer has not let this process use, s."""
+    return float(clock.lateness().get("lost_s", 0.0))
 
 
 def _is_due(sign: Heartbeat | None, left_over: Heartbeat | None) -> bool:

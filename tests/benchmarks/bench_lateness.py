@@ -1,0 +1,41 @@
+"""How late a thread of a program is woken, beside so many processes that compute without pause.
+
+python tests/benchmarks/bench_lateness.py [--seconds 15] [--beside 1 5 15]
+"""
+
+from __future__ import annotations
+
+import argparse
+import subprocess
+import sys
+import time
+
+from drivers.lateness import BINS_S, own_lateness
+
+BURN = "import sys, time\nend = time.monotonic() + float(sys.argv[1])\nwhile time.monotonic() < end: pass"
+
+
+def main() -> None:
+    """Print the histograms."""
+    parser = argparse.ArgumentParser()
+    parser.add_argument("--seconds", type=float, default=15.0)
+    parser.add_argument("--beside", type=int, nargs="+", default=[1, 5, 15])
+    given = parser.parse_args()
+    lateness = own_lateness()
+    print("beside  lost s  late up to", *(f"{end:g} s" for end in BINS_S), "and more")
+    for beside in given.beside:
+        burners = [
+            subprocess.Popen([sys.executable, "-c", BURN, str(given.seconds + 1.0)]) for _ in range(beside)
+        ]
+        time.sleep(1.0)
+        before = lateness.histogram()
+        time.sleep(given.seconds)
+        after = lateness.histogram()
+        counts = [b - a for a, b in zip(before["counts"], after["counts"], strict=True)]
+        print(f"{beside:6} {after['lost_s'] - before['lost_s']:7.2f}  {counts}")
+        for burner in burners:
+            burner.wait()
+
+
+if __name__ == "__main__":
+    main()
