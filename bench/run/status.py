@@ -427,9 +427,8 @@ def head_lines(status: Status) -> list[str]:
     counts += f", {status.skipped} skipped" if status.skipped else ""
     counts += f", resumed {times(status.resumed)}" if status.resumed else ""
     lines = [f"Run {status.run_id}{'  SIMULATED' if status.simulated else ''}", _state(status, poses), counts]
-    lines += [f"Uncertainty after {status.uncertainty}"] if status.uncertainty else []
-    lines += [f"Result: {status.result}"] if status.result else []
-    lines += [f"This computer was too busy: {status.busy}"] if status.busy else []
+    told = {"Uncertainty after": status.uncertainty, "Result:": status.result, "Computer busy:": status.busy}
+    lines += [f"{name} {text}" for name, text in told.items() if text]
     lines += [f"Evidence: {status.evidence}"] if status.ended and not status.running else []
     return [*lines, *(f"Deviation: {what}" for what in status.deviations)]
 
