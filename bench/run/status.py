@@ -74,10 +74,8 @@ class Status:
         Question to the operator; empty while there is none.
     resumed, deviations
         How often the run was resumed; deviations from the sequence.
-    last
-        Last journal lines as text, the newest last.
-    advice
-        What to do next.
+    last, advice
+        Last journal lines as text, the newest last; and what to do next.
     busy, lateness
         How late a busy computer was, as text and as a histogram (`drivers.lateness`); empty if the journal has none.
     ledger_number, ledger_head
