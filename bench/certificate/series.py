@@ -21,6 +21,7 @@ from bench.certificate.series_numbers import ISSUED, LOST, RESERVED, VOIDED, Num
 from bench.records.journal import Journal
 from bench.records.journal_entry import Entry
 from bench.records.ledger import Ledger
+from bench.records.ledger_breaks import highest_counts
 from bench.records.storage import make_folder, storage_errors, write_atomic
 from drivers import file_lock
 
@@ -131,7 +132,9 @@ def _next(
     """Return the next number of the series; enter as lost those that were given and are not in the ledger."""
     series = series_of(wanted.number_format, year=now.year, simulated=wanted.simulated)
     last = sum(one.series == series for one in found.values())
-    highest = _read_highest(ledger.home).get(series, 0)
+    # A break of the ledger may state what a second place knows, if the whole home folder is lost.
+    known = highest_counts(journal.entries).get(series, 0)
+    highest = max(_read_highest(ledger.home).get(series, 0), known)
     for count in range(last + 1, highest + 1):
         lost = number_of(series, year=now.year, number=count)
         journal.append(LOST, number=lost, series=series, count=count)

@@ -14,6 +14,7 @@ from bench.base.errors import EvidenceError, JournalBroken
 from bench.certificate.series import HIGHEST, Wanted, declare_void, enter_issued, one_at_a_time, reserve
 from bench.certificate.series_numbers import ISSUED, RESERVED, numbers, open_numbers
 from bench.records.ledger import Ledger
+from bench.records.ledger_breaks import LEDGER_BROKEN
 
 NOW = datetime(2026, 11, 21, 8, 30, tzinfo=UTC)
 
@@ -55,6 +56,17 @@ def test_simulated_certificates_and_each_year_have_a_series_of_their_own(bench):
     bench.now = NOW.replace(year=2027)
     assert bench.issue("c") == "SB-2027-00001"
     assert bench.issue("d", number_format="N{number}") == "N1"
+
+
+def test_numbers_go_on_behind_those_that_only_a_second_place_knows(bench):
+    bench.issue("a")
+    (series,) = {one.series for one in bench.numbers().values()}
+    known = [{"place": "a disk elsewhere", "runs": 0, "counts": {series: 7}}]
+    bench.ledger.append(
+        LEDGER_BROKEN, what=["lines are missing"], known=known, kept=None, reason="lost", by="ada"
+    )
+    assert bench.issue("b") == "SB-2026-00008"
+    assert len(bench.numbers()) == 8
 
 
 def test_a_number_left_open_goes_to_the_next_certificate_of_the_same_run(bench):
