@@ -155,7 +155,7 @@ def test_a_file_is_no_port(tmp_path) -> None:
 
 
 def test_an_unknown_url_is_no_port() -> None:
-    with pytest.raises(PortNotFound, match="this is not a port"):
+    with pytest.raises(PortNotFound, match="a port cannot be a URL of the kind nonsense"):
         SerialPort("nonsense://1", baudrate=9600)
 
 

@@ -61,7 +61,7 @@ def test_simulated_certificates_and_each_year_have_a_series_of_their_own(bench):
 def test_numbers_go_on_behind_those_that_only_a_second_place_knows(bench):
     bench.issue("a")
     (series,) = {one.series for one in bench.numbers().values()}
-    known = [{"place": "a disk elsewhere", "runs": 0, "counts": {series: 7}}]
+    known = [{"place": "a disk elsewhere", "head": "0" * 64, "runs": 0, "counts": {series: 7}}]
     bench.ledger.append(
         LEDGER_BROKEN, what=["lines are missing"], known=known, kept=None, reason="lost", by="ada"
     )
