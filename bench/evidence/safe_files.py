@@ -67,11 +67,17 @@ def read_list(path: Path, what: str) -> str:
     Raises
     ------
     EvidenceError
-        When other users can change it, it is larger than 16 MB, or it is not text.
+        When other users can change it, it is not a file, is larger than 16 MB, or is not text.
     OSError
         When it cannot be read.
     """
     refuse_writable_by_others(path, what)
+    if not path.is_file():  # a pipe would never answer
+        raise EvidenceError(
+            f"{what[0].upper()}{what[1:]} is not a file.",
+            where=str(path),
+            remedy="Copy it into a file, and name that.",
+        )
     with path.open("rb") as stream:
         data = stream.read(_MOST_BYTES + 1)
     try:

@@ -233,3 +233,9 @@ def test_a_folder_that_cannot_be_made_is_named(tmp_path):
     (tmp_path / "file").write_text("")
     with pytest.raises(StorageError, match="file"):
         ensure_key(tmp_path / "file" / "home")
+
+
+def test_a_pipe_in_the_place_of_the_trusted_keys_is_refused_at_once(tmp_path):
+    os.mkfifo(tmp_path / "allowed_signers", 0o600)
+    with pytest.raises(EvidenceError, match="is not a file"):
+        read_signers(tmp_path / "allowed_signers")
