@@ -12,7 +12,6 @@ from solved_run import write_solved_run
 
 SUPPORT = Path(__file__).parents[1] / "support"
 LEAST_CASES = 300
-"""Still wrong: `keys show` waits for ever if the file of trusted keys is a pipe."""
 
 
 @pytest.fixture(scope="module")
