@@ -86,18 +86,23 @@ def test_a_sequence_of_steady_light_is_only_for_frame_cameras(steady):
 
 
 @pytest.mark.parametrize(
-    ("camera", "driver", "given"),
+    ("camera", "driver", "given", "named"),
     [
-        ("driver: opencv\n  source: /dev/video3\n  serial: A7", OpenCvFrameCamera, ("/dev/video3",)),
-        ("driver: pictures\n  path: a/b\n  serial: A7", FolderFrameCamera, (Path("a/b"),)),
+        (
+            "driver: opencv\n  source: /dev/video3\n  serial: A7",
+            OpenCvFrameCamera,
+            ("/dev/video3",),
+            {"shown_as": ""},
+        ),
+        ("driver: pictures\n  path: a/b\n  serial: A7", FolderFrameCamera, (Path("a/b"),), {}),
     ],
 )
-def test_each_frame_camera_s_driver_gets_what_the_file_says(monkeypatch, camera, driver, given):
+def test_each_frame_camera_s_driver_gets_what_the_file_says(monkeypatch, camera, driver, given, named):
     double = create_autospec(driver.open)
     monkeypatch.setattr(driver, "open", double)
     clock = BenchClock()
     assert devices.open_camera(station_of(camera), str, clock) is double.return_value
-    double.assert_called_once_with(*given, serial="A7", clock=clock)
+    double.assert_called_once_with(*given, serial="A7", clock=clock, **named)
 
 
 def test_the_settings_of_a_station_reach_its_camera():

@@ -4,8 +4,10 @@ import numpy as np
 import pytest
 from paper_camera import NARROW, POSES
 
-from calib.engine import CalibrationOptions
+from calib.engine import CalibrationOptions, calibrate
+from calib.errors import NotConverged
 from calib.model.passport import Passport
+from calib.studies import monte_carlo
 from calib.studies.monte_carlo import run_monte_carlo
 
 EXACT = Passport(("x", "y", "r"), NARROW.collimator.values, np.eye(3) * 1e-8)
@@ -33,11 +35,23 @@ def test_stars_that_are_grossly_wrong_are_left_out_whatever_the_loss():
     assert robust.z_joint < 3
 
 
-def test_runs_without_a_calibration_are_kept_with_their_reason():
-    study = run_monte_carlo(NARROW, POSES[:1] * 2, L2, 2, 5)
-    assert study.values.size == 0
-    assert len(study.failed) == 2
-    assert all("same pose" in why for why in study.failed)
+def test_runs_without_a_calibration_are_kept_with_their_reason(monkeypatch):
+    outcomes = iter([NotConverged("The second view is upside down.", remedy="Turn it."), None, None])
+
+    def sometimes(views, options):
+        if (error := next(outcomes)) is not None:
+            raise error
+        return calibrate(views, options)
+
+    monkeypatch.setattr(monte_carlo, "calibrate", sometimes)
+    study = run_monte_carlo(NARROW, POSES, L2, 3, 5)
+    assert len(study.values) == 2
+    assert [why for why in study.failed if "upside down" in why] == list(study.failed) != []
+
+
+def test_a_study_without_any_calibration_is_refused_with_the_first_reason():
+    with pytest.raises(NotConverged, match=r"None of the 2 calibrations has a result.*same pose"):
+        run_monte_carlo(NARROW, POSES[:1] * 2, L2, 2, 5)
 
 
 @pytest.mark.slow
