@@ -1,12 +1,14 @@
 """An index of the runs of a bench, made from their journals, to list, filter and compare them.
 
-It is one SQLite file beside the signing key. It contains nothing that is not in the journals. A row is made anew when
-its journal has changed; the whole index is made anew when its schema has changed (``user_version``) or the file is
-damaged.
+It is one SQLite file beside the signing key. It contains nothing that is not in the run folders. A row is
+made anew when its journal or its results.json has changed; the whole index is made anew when its schema has changed
+(``user_version``) or the file is damaged. `bench.records.run_facts` says what is kept of a run.
 """
 
 from __future__ import annotations
 
+import json
+import math
 import sqlite3
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import closing, contextmanager
@@ -15,25 +17,30 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any
 
-from bench.base.errors import BenchError, StorageError
+from bench.base.errors import BenchError, JournalBroken, StorageError
 from bench.records.folder_lock import is_locked
-from bench.records.history import History, replay
+from bench.records.history import replay
 from bench.records.journal import read_journal
 from bench.records.ledger_breaks import KnownRun
-from bench.records.run_folder import JOURNAL, is_sealed
+from bench.records.run_facts import run_details, run_facts, run_parameters
+from bench.records.run_folder import JOURNAL, RESULTS, is_sealed
 from bench.records.storage import make_folder, storage_errors
 
 INDEX = "runs.sqlite3"
 QUEUE_COPY = "queue.yaml"
 """A file that the folder of a batch has and a run folder has not."""
-VERSION = 5
+VERSION = 6
+_COMMIT_EVERY = 100
+"""Rows between two commits, so that another process that starts a run does not wait for a long list."""
 _COLUMNS = (
     "id", "sequence", "station", "camera", "operator", "simulated", "rehearsal", "begun_utc", "ended", "accepted",
     "recordings", "deviations", "temperature_c", "model", "rms_px",
     "coverage_factor", "ledger_number", "ledger_head",
 )  # fmt: skip
 _SCHEMA = f"""
-CREATE TABLE runs (folder TEXT PRIMARY KEY, size INTEGER, mtime_ns INTEGER, {", ".join(_COLUMNS)}) WITHOUT ROWID;
+CREATE TABLE runs (folder TEXT PRIMARY KEY, size INTEGER, mtime_ns INTEGER, results_mtime_ns INTEGER,
+    {", ".join(_COLUMNS)}) WITHOUT ROWID;
+CREATE TABLE details (folder TEXT PRIMARY KEY, found TEXT) WITHOUT ROWID;
 CREATE TABLE parameters (folder TEXT, name TEXT, place INTEGER, value REAL, sigma REAL, PRIMARY KEY (folder, name))
     WITHOUT ROWID;
 PRAGMA user_version = {VERSION};
@@ -221,11 +228,13 @@ class RunIndex:
         """
         found, faults = [], []
         with self._open() as index:
-            for folder in dict.fromkeys(path.resolve() for path in folders):
+            for place, folder in enumerate(dict.fromkeys(path.resolve() for path in folders)):
                 try:
                     found.append(_run(index, folder))
                 except BenchError as error:
                     faults.append(str(error))
+                if place % _COMMIT_EVERY == 0:
+                    index.commit()
         chosen = [
             run
             for run in found
@@ -235,6 +244,30 @@ class RunIndex:
             and how in {None, run.how}
         ]
         return sorted(chosen, key=lambda run: (run.begun_utc, run.folder)), faults
+
+    def details(self, runs: Iterable[IndexedRun]) -> Iterator[dict[str, Any]]:
+        """Read the details of runs that ``runs`` has listed, one at a time.
+
+        Parameters
+        ----------
+        runs
+            The runs.
+
+        Yields
+        ------
+        dict
+            The details of each run, in the same order (`bench.records.run_facts.run_details`); empty for a run whose
+            row is gone.
+
+        Raises
+        ------
+        StorageError
+            When the index cannot be read.
+        """
+        with self._open() as index:
+            for run in runs:
+                row = index.execute("SELECT found FROM details WHERE folder = ?", (run.folder,)).fetchone()
+                yield json.loads(row[0]) if row else {}
 
     def entered(self) -> list[KnownRun]:
         """List the runs of the index that name their line in a ledger. No run folder is read.
@@ -297,7 +330,8 @@ def _connect(path: Path) -> sqlite3.Connection:
         index.execute("PRAGMA synchronous = FULL")
         if index.execute("PRAGMA user_version").fetchone()[0] != VERSION:
             index.executescript(
-                f"BEGIN IMMEDIATE; DROP TABLE IF EXISTS runs; DROP TABLE IF EXISTS parameters; {_SCHEMA} COMMIT;"
+                f"BEGIN IMMEDIATE; DROP TABLE IF EXISTS runs; DROP TABLE IF EXISTS parameters;"
+                f" DROP TABLE IF EXISTS details; {_SCHEMA} COMMIT;"
             )
     except sqlite3.Error:
         index.close()
@@ -309,8 +343,10 @@ def _run(index: sqlite3.Connection, folder: Path) -> IndexedRun:
     """Return the row of a run; it is made anew if the journal has changed."""
     with storage_errors(folder):
         found = (folder / JOURNAL).stat()
-    stamp = (found.st_size, found.st_mtime_ns)
-    kept = index.execute("SELECT size, mtime_ns FROM runs WHERE folder = ?", (str(folder),)).fetchone()
+    stamp = (found.st_size, found.st_mtime_ns, _results_mtime_ns(folder))
+    kept = index.execute(
+        "SELECT size, mtime_ns, results_mtime_ns FROM runs WHERE folder = ?", (str(folder),)
+    ).fetchone()
     if kept != stamp:
         _index(index, folder, stamp)
     row = index.execute(f"SELECT {', '.join(_COLUMNS)} FROM runs WHERE folder = ?", (str(folder),)).fetchone()  # noqa: S608
@@ -324,22 +360,46 @@ def _run(index: sqlite3.Connection, folder: Path) -> IndexedRun:
         folder=str(folder),
         how=ended or ("running" if is_locked(folder) else "cut off"),
         sealed=is_sealed(folder),
-        parameters={name: (value, sigma) for name, value, sigma in rows},
+        parameters={name: (_nan_of(value), _nan_of(sigma)) for name, value, sigma in rows},
         **facts,
     )
 
 
-def _index(index: sqlite3.Connection, folder: Path, stamp: tuple[int, int]) -> None:
-    history = replay(read_journal(folder / JOURNAL)[0])
-    facts = _facts(history, folder)
-    places = ", ".join("?" * (len(_COLUMNS) + 3))
+def _nan_of(value: float | None) -> float:
+    """Return a number of the index; SQLite stores NaN as NULL."""
+    return math.nan if value is None else value
+
+
+def _results_mtime_ns(folder: Path) -> int:
+    """Return when results.json was changed, ns; 0 without it."""
+    try:
+        return (folder / RESULTS).stat().st_mtime_ns
+    except OSError:
+        return 0
+
+
+def _index(index: sqlite3.Connection, folder: Path, stamp: tuple[int, int, int]) -> None:
+    entries = read_journal(folder / JOURNAL)[0]
+    history = replay(entries)
+    try:
+        facts, found = run_facts(history, folder), run_details(history, entries, folder)
+    except (AttributeError, LookupError, TypeError, ValueError) as error:
+        raise JournalBroken(
+            f"A line of the journal has another form: {error}.",
+            where=str(folder / JOURNAL),
+            remedy="Another program or version wrote it; this version cannot list the run.",
+        ) from error
+    places = ", ".join("?" * (len(_COLUMNS) + len(stamp) + 1))
     row = (str(folder), *stamp, *(facts[name] for name in _COLUMNS))
     index.execute(f"INSERT OR REPLACE INTO runs VALUES ({places})", row)  # noqa: S608
     index.execute("DELETE FROM parameters WHERE folder = ?", (str(folder),))
     rows = [
-        (str(folder), name, place, *both) for place, (name, both) in enumerate(_parameters(history).items())
+        (str(folder), name, place, *both)
+        for place, (name, both) in enumerate(run_parameters(history).items())
     ]
     index.executemany("INSERT INTO parameters VALUES (?, ?, ?, ?, ?)", rows)
+    details = json.dumps(found, separators=(",", ":"))
+    index.execute("INSERT OR REPLACE INTO details VALUES (?, ?)", (str(folder), details))
 
 
 def read_run(folder: Path) -> IndexedRun:
@@ -361,49 +421,12 @@ def read_run(folder: Path) -> IndexedRun:
         When the journal is not valid, or cannot be read.
     """
     history = replay(read_journal(folder / JOURNAL)[0])
-    facts = _facts(history, folder)
+    facts = run_facts(history, folder)
     ended = facts.pop("ended")
     return IndexedRun(
         folder=str(folder),
         how=ended or ("running" if is_locked(folder) else "cut off"),
         sealed=is_sealed(folder),
-        parameters=_parameters(history),
+        parameters=run_parameters(history),
         **facts,
     )
-
-
-def _facts(history: History, folder: Path) -> dict[str, Any]:
-    """Return the values of the columns for a run."""
-    solved, started = history.solved, history.started
-    return {
-        "id": started.get("id", folder.name),
-        "sequence": started.get("sequence", ""),
-        "station": started.get("station", ""),
-        "camera": history.devices.get("camera", {}).get("serial", ""),
-        "operator": started.get("operator"),
-        "simulated": bool(started.get("simulated", False)),
-        "rehearsal": bool(started.get("rehearsal", False)),
-        "begun_utc": history.started_utc,
-        "ended": history.ended,
-        "accepted": len(history.accepted()),
-        "recordings": len(history.attempts) + sum(history.lost.values()),
-        "deviations": len(history.deviations),
-        "temperature_c": _temperature_c(history),
-        "model": solved.get("model"),
-        "rms_px": solved.get("rms_px"),
-        "coverage_factor": solved.get("coverage_factor"),
-        "ledger_number": history.ledger.get("number"),
-        "ledger_head": history.ledger.get("head"),
-    }
-
-
-def _parameters(history: History) -> dict[str, tuple[float, float]]:
-    """Return value and standard uncertainty of each parameter that was estimated."""
-    sigma = history.solved.get("sigma", {})
-    return {n: (v, sigma[n]) for n, v in history.solved.get("values", {}).items() if n in sigma}
-
-
-def _temperature_c(history: History) -> float | None:
-    stored = [attempt.stored.get("facts", {}).get("temperature_c") for attempt in history.accepted().values()]
-    known = [t for t in stored if t is not None]
-    return sum(known) / len(known) if known else None

@@ -1,0 +1,233 @@
+"""What the index keeps of a run: the facts of its row, its parameters, and details for tables and charts.
+
+Everything comes from the journal. `results.json` adds what the journal does not have; it is read only if its hash is
+the one in the journal. Nothing is written.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from bench.base.errors import BenchError
+from bench.records.events import Event
+from bench.records.history import Attempt, History
+from bench.records.journal_entry import Entry
+from bench.records.reading import read_bounded
+from bench.records.run_folder import RESULTS
+
+_Json = Mapping[str, Any]
+
+
+def run_facts(history: History, folder: Path) -> dict[str, Any]:
+    """Return the values of the columns of the index for a run.
+
+    Parameters
+    ----------
+    history
+        The run, replayed from its journal.
+    folder
+        Its folder.
+
+    Returns
+    -------
+    dict
+        Value by name of the column.
+    """
+    solved, started = history.solved, history.started
+    return {
+        "id": started.get("id", folder.name),
+        "sequence": started.get("sequence", ""),
+        "station": started.get("station", ""),
+        "camera": history.devices.get("camera", {}).get("serial", ""),
+        "operator": started.get("operator"),
+        "simulated": bool(started.get("simulated", False)),
+        "rehearsal": bool(started.get("rehearsal", False)),
+        "begun_utc": history.started_utc,
+        "ended": history.ended,
+        "accepted": len(history.accepted()),
+        "recordings": len(history.attempts) + sum(history.lost.values()),
+        "deviations": len(history.deviations),
+        "temperature_c": _mean(_reported(history, "temperature_c")),
+        "model": solved.get("model"),
+        "rms_px": solved.get("rms_px"),
+        "coverage_factor": solved.get("coverage_factor"),
+        "ledger_number": history.ledger.get("number"),
+        "ledger_head": history.ledger.get("head"),
+    }
+
+
+def run_parameters(history: History) -> dict[str, tuple[float, float]]:
+    """Return value and standard uncertainty of each parameter that was estimated.
+
+    Parameters
+    ----------
+    history
+        The run.
+
+    Returns
+    -------
+    dict
+        Value and standard uncertainty by name; a number that the journal does not have is NaN.
+    """
+    sigma = history.solved.get("sigma", {})
+    values = history.solved.get("values", {})
+    return {name: (_number(value), _number(sigma[name])) for name, value in values.items() if name in sigma}
+
+
+def run_details(history: History, entries: Sequence[Entry], folder: Path) -> dict[str, Any]:
+    """Return what the table of runs has beyond the row of the index.
+
+    Parameters
+    ----------
+    history
+        The run.
+    entries
+        The lines of its journal.
+    folder
+        Its folder, for ``results.json``.
+
+    Returns
+    -------
+    dict
+        Details by name, as JSON can carry them; a detail that is not known is None.
+    """
+    results, fault = _results(entries, folder)
+    camera, light = history.devices.get("camera", {}), history.devices.get("light", {})
+    stages = [one for one in history.devices.get("stage", ()) if isinstance(one, Mapping)]
+    hashes = history.started.get("sha256", {})
+    return {
+        "ended_utc": entries[-1].utc if history.ended and entries else None,
+        "camera_type": _type_of(camera),
+        "camera_sensor": _text(camera.get("sensor")),
+        "camera_firmware": _text(camera.get("firmware")),
+        "camera_lens": _text(camera.get("lens")),
+        "image_width_px": camera.get("width"),
+        "image_height_px": camera.get("height"),
+        "stage_types": [_type_of(one) for one in stages],
+        "stage_serials": [_text(one.get("serial")) or "" for one in stages],
+        "light_type": _type_of(light),
+        "light_serial": _text(light.get("serial")),
+        "converged": history.solved.get("converged"),
+        "parameters": list(run_parameters(history)),
+        "resumed": history.resumed,
+        "recordings_lost": sum(history.lost.values()),
+        "poses_skipped": len(history.skipped),
+        "seed": history.started.get("seed"),
+        "software": dict(history.started.get("software", {})),
+        "sequence_sha256": hashes.get("sequence.yaml"),
+        "station_sha256": hashes.get("station.yaml"),
+        "passport_sha256": hashes.get("passport.json"),
+        "journal_head": entries[-1].hash if entries else None,
+        "deviations": list(history.deviations),
+        **_conditions(history),
+        **_from_results(results),
+        "results_sha256": _named_hash(entries),
+        "results_fault": fault,
+        "warnings": _warnings(history, results, fault),
+    }
+
+
+def _conditions(history: History) -> dict[str, Any]:
+    """Return the conditions of the accepted recordings."""
+    warm, accepted = _reported(history, "temperature_c"), list(history.accepted().values())
+    first: _Json = accepted[0].stored.get("light", {}) if accepted else {}
+    checks: list[_Json] = [one.checked for one in accepted if one.checked is not None]
+    flicker = [_part(check, "measured").get("flicker_hz") for check in checks]
+    return {
+        "temperature_min_c": min(warm, default=None),
+        "temperature_max_c": max(warm, default=None),
+        "illumination_lux": _mean(_reported(history, "illumination_lux")),
+        "light_frequency_hz": first.get("frequency_hz"),
+        "flicker_hz": _mean([float(hz) for hz in flicker if hz is not None]),
+        "events": _total(accepted, "events"),
+        "recordings_bytes": _total(accepted, "bytes"),
+        "stars": sum(int(check.get("stars", 0)) for check in checks),
+    }
+
+
+def _from_results(results: _Json) -> dict[str, Any]:
+    """Return what only ``results.json`` states."""
+    run, calibration = _part(results, "run"), _part(results, "calibration")
+    corner = _part(_part(results, "projection"), "worst_corner")
+    return {
+        "laboratory": _text(run.get("laboratory")),
+        "collimator_serial": _text(_part(run, "collimator").get("serial")),
+        "target_serial": _text(_part(run, "target").get("serial")),
+        "passport_number": _text(_part(results, "passport").get("number")),
+        "degrees_of_freedom": calibration.get("degrees_of_freedom"),
+        "corner_expanded_px": corner.get("expanded_px"),
+    }
+
+
+def _warnings(history: History, results: _Json, fault: str | None) -> list[str]:
+    notes = _part(results, "calibration").get("notes", [])
+    found = [str(note) for note in notes] if isinstance(notes, list) else []
+    found += [f"The ledger had a break: {one}" for one in history.ledger.get("faults", ())]
+    found += [f"The computer was too busy: {history.busy}."] if history.busy else []
+    unusable = [name for name, (v, s) in run_parameters(history).items() if not (math.isfinite(v) and s > 0)]
+    found += [f"{name} has no usable value or uncertainty." for name in unusable]
+    return [*found, *([fault] if fault else [])]
+
+
+def _named_hash(entries: Sequence[Entry]) -> str | None:
+    """Return the hash of results.json in the last line about written files."""
+    for entry in reversed(entries):
+        if entry.event == Event.WRITTEN:
+            return _text(_part(entry.data, "files").get(RESULTS))
+    return None
+
+
+def _results(entries: Sequence[Entry], folder: Path) -> tuple[_Json, str | None]:
+    """Return results.json, and what is wrong with it as a sentence."""
+    named = _named_hash(entries)
+    if named is None:
+        return {}, None
+    try:
+        data = read_bounded(folder / RESULTS)
+    except BenchError as error:
+        return {}, f"{RESULTS} cannot be read: {error.what}"
+    if hashlib.sha256(data).hexdigest() != named:
+        return {}, f"{RESULTS} was changed: its SHA-256 is not the one in the journal."
+    try:
+        found = json.loads(data)
+    except (ValueError, RecursionError):
+        found = None
+    return (found, None) if isinstance(found, dict) else ({}, f"{RESULTS} is not an object of JSON.")
+
+
+def _type_of(device: _Json) -> str:
+    """Return maker and model of a device."""
+    return " ".join(text for key in ("maker", "model") if (text := _text(device.get(key))))
+
+
+def _part(whole: _Json, name: str) -> _Json:
+    found = whole.get(name)
+    return found if isinstance(found, Mapping) else {}
+
+
+def _text(value: object) -> str | None:
+    return None if value is None or value == "" else str(value)
+
+
+def _number(value: object) -> float:
+    return float(value) if isinstance(value, int | float) else math.nan
+
+
+def _reported(history: History, name: str) -> list[float]:
+    """Return a number that the camera reported with each accepted recording, where it did."""
+    stored = [attempt.stored.get("facts", {}).get(name) for attempt in history.accepted().values()]
+    return [float(t) for t in stored if isinstance(t, int | float) and math.isfinite(t)]
+
+
+def _mean(known: Sequence[float]) -> float | None:
+    return sum(known) / len(known) if known else None
+
+
+def _total(accepted: Sequence[Attempt], name: str) -> int | None:
+    known = [one.stored.get("facts", {}).get(name) for one in accepted]
+    return sum(int(n) for n in known if n is not None) if any(n is not None for n in known) else None
