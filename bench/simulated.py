@@ -348,6 +348,21 @@ class SimulatedHands:
         """
         return self._do("mount", "shift", x_mm=x_mm, y_mm=y_mm)
 
+    def place_board(self, number: int) -> LensAndMount:
+        """Put the board of the simulated bench at a placement of its script.
+
+        Parameters
+        ----------
+        number
+            Number of the placement, from 1; the same number always gives the same place.
+
+        Returns
+        -------
+        LensAndMount
+            Afterwards.
+        """
+        return self._do("board", "place", number=number)
+
     def put_back(self) -> LensAndMount:
         """Put lens and mount back to how they stood when the simulated bench started.
 
@@ -369,14 +384,9 @@ class SimulatedHands:
         if not answer["ok"]:
             raise SimulationError(str(answer["error"]))
         now = answer["now"]
-        pan, tilt, roll = now["turn_deg"]
-        return LensAndMount(
-            float(now["focus_distance_m"]),
-            now["ring_deg"],
-            now["f_number"],
-            (pan, tilt, roll),
-            (now["shift_mm"][0], now["shift_mm"][1]),
-        )
+        (pan, tilt, roll), (x, y) = now["turn_deg"], now["shift_mm"]
+        focus_m = float(now["focus_distance_m"])
+        return LensAndMount(focus_m, now["ring_deg"], now["f_number"], (pan, tilt, roll), (x, y))
 
 
 def make_rehearsed_world(config: Mapping[str, Any], seed: int) -> RehearsedWorld:

@@ -1,4 +1,4 @@
-"""Hands at the camera: somebody turns the focus ring, closes the aperture, or turns the camera in its mount.
+"""Hands of a person: somebody turns the focus ring, closes the aperture, turns the camera, or puts up the board.
 
 The orders come on the same line as those for faults (`catalogue`). This module changes the world's `CameraSetup`; the
 camera sees the change at once, also in the middle of a recording.
@@ -14,17 +14,18 @@ from typing import Any, Final
 from simulators.errors import ConfigError
 from simulators.faults.catalogue import FaultOrder
 from simulators.optics.lens_focus import focus_of, ring_deg, with_ring_at
+from simulators.world.board_truth import BoardState
 from simulators.world.camera_setup import CameraSetup, setup_of, with_setup
 from simulators.world.lens_config import f_number, focus_distance_m
 from simulators.world.truth import Truth
 from simulators.world.world import World
 
-HAND_DEVICES: Final = ("mount", "lens")
+HAND_DEVICES: Final = ("mount", "lens", "board")
 """Devices of the orders that `CameraHands` carries out."""
 
 
 class CameraHands:
-    """Hands of a person at the camera.
+    """Hands of a person at the camera and the board.
 
     Parameters
     ----------
@@ -54,10 +55,13 @@ class CameraHands:
         Raises
         ------
         ConfigError
-            If a parameter is invalid.
+            If a parameter is invalid, or there is no board.
         """
         start = self._world.truth
-        change = _at_mount(order, setup_of(start)) if order.device == "mount" else _at_lens(order, start)
+        if order.device == "board":
+            change = _at_board(order, start)
+        else:
+            change = _at_mount(order, setup_of(start)) if order.device == "mount" else _at_lens(order, start)
 
         def act() -> None:
             self._world.change_setup(change)
@@ -71,18 +75,20 @@ class CameraHands:
         Returns
         -------
         dict
-            ``focus_distance_m`` (a number, or "infinity"), ``ring_deg``, ``f_number``, ``turn_deg`` and ``shift_mm``.
+            ``focus_distance_m`` (a number, or "infinity"), ``ring_deg``, ``f_number``, ``turn_deg`` and ``shift_mm``;
+            with a board also ``placement``, its number.
         """
         setup = self._world.camera_setup(self._world.now_s())
         truth = with_setup(self._world.truth, setup)
         distance_m = focus_of(truth).distance_m
-        return {
+        seen = {
             "focus_distance_m": distance_m if math.isfinite(distance_m) else "infinity",
             "ring_deg": ring_deg(truth),
             "f_number": setup.lens.f_number,
             "turn_deg": list(setup.turn_deg),
             "shift_mm": list(setup.shift_mm),
         }
+        return {**seen, "placement": setup.board.number} if truth.board.present else seen
 
 
 def _at_mount(order: FaultOrder, start: CameraSetup) -> Callable[[CameraSetup], CameraSetup]:
@@ -99,6 +105,35 @@ def _at_mount(order: FaultOrder, start: CameraSetup) -> Callable[[CameraSetup], 
         return replace(setup, turn_deg=turned)
 
     return turn
+
+
+def _at_board(order: FaultOrder, start: Truth) -> Callable[[CameraSetup], CameraSetup]:
+    """Return the change of an order for the board."""
+    if not start.board.present:
+        raise ConfigError(
+            "This bench has no board.", where="device", remedy="Give the section board in the simulation."
+        )
+    if order.fault == "place":
+        number = int(order.parameters["number"])
+        if number < 1:
+            raise ConfigError(f"There is no placement {number}.", where="number", remedy="Count from 1.")
+        return lambda setup: replace(setup, board=BoardState(number))
+    if order.fault == "next":
+        return lambda setup: replace(setup, board=BoardState(setup.board.number + 1))
+    if order.fault == "mend":
+        return lambda setup: replace(setup, board=BoardState(setup.board.number))
+    if order.fault == "steady":
+        return lambda setup: replace(setup, board=replace(setup.board, flicker=False))
+    x, y, z = (_finite(value, name) for name, value in order.parameters.items())
+    if order.fault == "second":
+        return lambda setup: replace(setup, board=replace(setup.board, second_mm=(x, y, z)))
+
+    def shift(setup: CameraSetup) -> CameraSetup:
+        name = "move_mm" if order.fault == "move" else "turn_deg"
+        a, b, c = getattr(setup.board, name)
+        return replace(setup, board=replace(setup.board, **{name: (a + x, b + y, c + z)}))
+
+    return shift
 
 
 def _at_lens(order: FaultOrder, start: Truth) -> Callable[[CameraSetup], CameraSetup]:

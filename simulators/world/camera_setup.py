@@ -1,12 +1,13 @@
-"""What a person can change at the camera by hand while the bench runs: its place in the mount, focus and aperture.
+"""What a person can change by hand while the bench runs: the camera's place in the mount, its lens, and the board.
 
 This module holds the state, and puts it into the truth; ``world`` keeps its past.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
+from simulators.world.board_truth import BoardState
 from simulators.world.lens_truth import LensTruth
 from simulators.world.truth import Truth
 
@@ -23,11 +24,14 @@ class CameraSetup:
         Turn in the mount: pan, tilt and roll.
     lens
         Focus and aperture.
+    board
+        Placement of the board, and what was done to it since.
     """
 
     shift_mm: tuple[float, float]
     turn_deg: tuple[float, float, float]
     lens: LensTruth
+    board: BoardState = field(default_factory=BoardState)
 
 
 def setup_of(truth: Truth) -> CameraSetup:
@@ -41,9 +45,9 @@ def setup_of(truth: Truth) -> CameraSetup:
     Returns
     -------
     CameraSetup
-        Of its mount and lens.
+        Of its mount and lens, and of the board.
     """
-    return CameraSetup(truth.mount.shift_mm, truth.mount.turn_deg, truth.lens)
+    return CameraSetup(truth.mount.shift_mm, truth.mount.turn_deg, truth.lens, truth.board.state)
 
 
 def with_setup(truth: Truth, setup: CameraSetup) -> Truth:
@@ -54,7 +58,7 @@ def with_setup(truth: Truth, setup: CameraSetup) -> Truth:
     truth
         All parameters.
     setup
-        Place in the mount, focus and aperture.
+        Place in the mount, focus and aperture, and placement of the board.
 
     Returns
     -------
@@ -64,4 +68,4 @@ def with_setup(truth: Truth, setup: CameraSetup) -> Truth:
     if setup == setup_of(truth):
         return truth
     mount = replace(truth.mount, shift_mm=setup.shift_mm, turn_deg=setup.turn_deg)
-    return replace(truth, mount=mount, lens=setup.lens)
+    return replace(truth, mount=mount, lens=setup.lens, board=truth.board.in_state(setup.board))

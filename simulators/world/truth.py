@@ -13,6 +13,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any, Final
 
 from calib.target import StarTarget
+from simulators.world.board_truth import BoardTruth
 from simulators.world.gimbal import GimbalTruth
 from simulators.world.lens_truth import LensTruth
 
@@ -380,6 +381,8 @@ class Truth:
         The printed pattern behind the collimator.
     lens
         Focus and aperture of the camera's lens.
+    board
+        Board at finite distance in place of the collimator.
     """
 
     camera: CameraTruth = field(default_factory=CameraTruth)
@@ -393,6 +396,12 @@ class Truth:
     gimbal: GimbalTruth = field(default_factory=GimbalTruth)
     target: StarTarget = field(default_factory=StarTarget)
     lens: LensTruth = field(default_factory=LensTruth)
+    board: BoardTruth = field(default_factory=BoardTruth)
+
+    @property
+    def at_finite_distance(self) -> bool:
+        """Whether the camera looks at a screen or a board, not at the collimator."""
+        return self.screen.columns > 0 or self.board.present
 
     def to_dict(self) -> dict[str, Any]:
         """Return all parameters as plain numbers, by section: the content of ``truth.json``.
@@ -407,6 +416,8 @@ class Truth:
         values = dataclasses.asdict(self)
         values["thermal"]["law"] = dict(LAW)
         values["gimbal"] = self.gimbal.to_dict()
+        if not self.board.present:
+            del values["board"]
         if self.camera.projection == "fisheye":
             renamed = {"k1": "kb1", "k2": "kb2", "k3": "kb3", "k4": "kb4"}
             values["camera"] = {

@@ -12,6 +12,7 @@ from typing import Any, Final, TypeVar
 
 from calib.target import InputMismatch, StarTarget
 from simulators.errors import ConfigError
+from simulators.world.board_config import board_from_config
 from simulators.world.gimbal import AXES, GimbalTruth
 from simulators.world.lens_config import lens_from_config
 from simulators.world.truth import (
@@ -83,6 +84,11 @@ def truth_from_config(config: Mapping[str, Any]) -> Truth:
         level = _section("noise", NoiseTruth(), noise)
     target = _target(config.get("target", {}))
     camera = _camera(config.get("camera", {}))
+    screen, board = _screen(config.get("screen", {})), board_from_config(config.get("board", {}))
+    if screen.columns and board.present:
+        raise ConfigError(
+            "There is a screen and a board.", where="board", remedy="Remove one of the two sections."
+        )
     return Truth(
         camera=camera,
         lens=lens_from_config(config.get("lens", {}), camera),
@@ -93,7 +99,8 @@ def truth_from_config(config: Mapping[str, Any]) -> Truth:
         thermal=_section("thermal", ThermalTruth(), config.get("thermal", {})),
         mount=_section("mount", MountTruth(), config.get("mount", {})),
         gimbal=_gimbal(config.get("gimbal", {})),
-        screen=_screen(config.get("screen", {})),
+        screen=screen,
+        board=board,
         target=target,
     )
 

@@ -32,6 +32,7 @@ def names_in_first_column(title: str, name: str = r"`(\w+)`") -> set[str]:
         ("Of the camera", "camera"),
         ("Of the mount", "mount"),
         ("Of the lens", "lens"),
+        ("Of the board", "board"),
     ],
 )
 def test_every_fault_stands_in_its_table(title, device):

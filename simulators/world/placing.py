@@ -1,0 +1,280 @@
+"""Where the board stands: by the script or at random, scattered by a person's hand, and shaken by it.
+
+Frames: camera's axes at zero angles, X right, Y down, Z away, mm. A pose is the board's rotation and the place of its
+middle. The same seed and number give the same placement.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any, Final, NamedTuple
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from simulators.world.board_truth import Anywhere, BoardTruth, HandTruth, Placement
+from simulators.world.truth import Truth
+
+FloatArray = NDArray[np.float64]
+
+_SCATTER, _ANYWHERE = 41, 42
+_WAVES: Final = 48
+"""Waves of which the shaking in one direction is the sum."""
+_MOST_DRAWS: Final = 400
+_VIEW: Final = 0.92
+"""Share of the image, about its middle, in which a random placement keeps the board."""
+
+
+class View(NamedTuple):
+    """The camera's field of view, for random placements.
+
+    Attributes
+    ----------
+    tangents
+        Tangents of the field's left, upper, right and lower edge.
+    board_mm
+        Width and height of the board.
+    """
+
+    tangents: tuple[float, float, float, float]
+    board_mm: tuple[float, float]
+
+
+class BoardPose(NamedTuple):
+    """Pose of the board.
+
+    Attributes
+    ----------
+    rotation
+        (3, 3), camera at zero angles <- board.
+    middle_mm
+        (3,), middle of the board.
+    """
+
+    rotation: FloatArray
+    middle_mm: FloatArray
+
+
+def view_of(truth: Truth) -> View:
+    """Return the camera's field of view, and the size of the board in it.
+
+    Parameters
+    ----------
+    truth
+        Camera, board and printed target.
+
+    Returns
+    -------
+    View
+        The lens's distortion and focus are left out.
+    """
+    camera, board = truth.camera, truth.board
+    edges = (
+        (-0.5 - camera.cx) / camera.fx,
+        (-0.5 - camera.cy) / camera.fy,
+        (camera.width - 0.5 - camera.cx) / camera.fx,
+        (camera.height - 0.5 - camera.cy) / camera.fy,
+    )
+    if board.kind == "stars":
+        squares = (truth.target.squares_x, truth.target.squares_y)
+        width, height = (truth.target.pitch_mm * n for n in squares)
+    else:
+        across = 2.0 if board.kind == "asymmetric-circles" else 1.0
+        beyond = 2.0 * board.pitch_mm if board.kind == "checkerboard" else board.dot_mm
+        width = across * board.pitch_mm * (board.columns - 1) + beyond
+        height = board.pitch_mm * (board.rows - 1) + beyond
+        if board.kind == "asymmetric-circles":
+            width += board.pitch_mm
+    return View(edges, (width + 2.0 * board.margin_mm, height + 2.0 * board.margin_mm))
+
+
+def placement(board: BoardTruth, view: View) -> Placement:
+    """Return the present placement as the script has it, or as it was drawn.
+
+    Parameters
+    ----------
+    board
+        The board.
+    view
+        Field of view, for random placements.
+
+    Returns
+    -------
+    Placement
+        Without the scatter and the shaking of the hand.
+    """
+    number = board.state.number
+    if board.placements:
+        return board.placements[(number - 1) % len(board.placements)]
+    return _drawn(board.anywhere, view, np.random.default_rng((board.seed, _ANYWHERE, number)))
+
+
+def pose(board: BoardTruth, view: View) -> BoardPose:
+    """Return where the board stands now.
+
+    Own rule: the hand's scatter, what a person did since, and the shaking are rotations about the board's middle and
+    displacements, all along the camera's axes at zero angles.
+
+    Parameters
+    ----------
+    board
+        The board.
+    view
+        Field of view, for random placements.
+
+    Returns
+    -------
+    BoardPose
+        With scatter and shaking.
+    """
+    placed, hand, state = placement(board, view), board.hand, board.state
+    drawn = np.random.default_rng((board.seed, _SCATTER, state.number)).normal(size=6)
+    rotation = (
+        _matrix(np.asarray(board.shake[3:]))
+        @ _matrix(np.asarray(state.turn_deg))
+        @ _matrix(hand.scatter_deg * drawn[3:])
+        @ _matrix(np.asarray(placed.turn_deg))
+    )
+    middle = np.asarray(placed.position_mm) + hand.scatter_mm * drawn[:3] + state.move_mm + board.shake[:3]
+    return BoardPose(rotation, np.asarray(middle, np.float64))
+
+
+def flickers(board: BoardTruth, view: View) -> bool:
+    """Return whether the board's light flickers.
+
+    Parameters
+    ----------
+    board
+        The board.
+    view
+        Field of view, for random placements.
+
+    Returns
+    -------
+    bool
+        False if the placement or a person says so.
+    """
+    return board.state.flicker and placement(board, view).flicker
+
+
+def second_mm(board: BoardTruth, view: View) -> FloatArray | None:
+    """Return where a second board lies from the first one.
+
+    Parameters
+    ----------
+    board
+        The board.
+    view
+        Field of view, for random placements.
+
+    Returns
+    -------
+    (3,) float64 or None
+        In the camera's axes at zero angles; None if there is one board.
+    """
+    given = board.state.second_mm or placement(board, view).second_mm
+    return None if given is None else np.asarray(given, np.float64)
+
+
+def record(board: BoardTruth, view: View) -> dict[str, Any]:
+    """Return the present placement as plain numbers, for ``truth.json``.
+
+    Parameters
+    ----------
+    board
+        The board.
+    view
+        Field of view, for random placements.
+
+    Returns
+    -------
+    dict
+        ``number``, ``position_mm`` and ``turn_deg`` with the hand's scatter but without its shaking, ``flicker`` and
+        ``second_mm``.
+    """
+    rotation, middle = pose(board, view)
+    second = second_mm(board, view)
+    return {
+        "number": board.state.number,
+        "position_mm": middle.tolist(),
+        "turn_deg": np.degrees(np.asarray(cv2.Rodrigues(rotation)[0]).ravel()).tolist(),
+        "flicker": flickers(board, view),
+        "second_mm": None if second is None else second.tolist(),
+    }
+
+
+class HandShake:
+    """The shaking of a hand during one recording: six independent motions of the same spectrum.
+
+    Sum of waves of random frequency and phase: the spectral representation of Shinozuka and Deodatis (1991).
+
+    Parameters
+    ----------
+    hand
+        Rms and spectrum.
+    rng
+        Source of frequencies and phases.
+    """
+
+    def __init__(self, hand: HandTruth, rng: np.random.Generator) -> None:
+        self._rms = np.repeat([hand.shake_mm, hand.shake_deg], 3)
+        self._hz = _drawn_frequencies(hand.shake_spectrum, rng, (6, _WAVES))
+        self._phases = rng.random((6, _WAVES))
+
+    def at(self, t_s: float) -> tuple[float, float, float, float, float, float]:
+        """Return the displacement at a time.
+
+        Parameters
+        ----------
+        t_s
+            Time since the recording's start.
+
+        Returns
+        -------
+        tuple of float
+            Three mm and three degrees, as `BoardTruth.shake`.
+        """
+        waves = np.sin(2.0 * math.pi * (self._hz * t_s + self._phases)).sum(axis=1) * math.sqrt(2.0 / _WAVES)
+        x, y, z, a, b, c = (self._rms * waves).tolist()
+        return x, y, z, a, b, c
+
+
+def _drawn_frequencies(
+    spectrum: tuple[tuple[float, float], ...], rng: np.random.Generator, shape: tuple[int, int]
+) -> FloatArray:
+    """Draw frequencies whose density is the spectrum's power density, one from each of equal shares of the power."""
+    hz, density = np.asarray(spectrum, np.float64).T
+    fine = np.unique(np.concatenate([np.linspace(hz[0], hz[-1], 2001), hz]))
+    power = np.interp(fine, hz, density)
+    below = np.concatenate([[0.0], np.cumsum(0.5 * (power[1:] + power[:-1]) * np.diff(fine))])
+    shares = (np.arange(shape[1]) + rng.random(shape)) / shape[1]
+    return np.asarray(np.interp(shares * below[-1], below, fine))
+
+
+def _drawn(chosen: Anywhere, view: View, rng: np.random.Generator) -> Placement:
+    """Draw a placement with the whole board in view; if none is found, the last one with the board in the middle."""
+    left, top, right, bottom = (_VIEW * t for t in view.tangents)
+    half = 0.5 * np.asarray([*view.board_mm, 0.0])
+    corners = half * np.array([[-1.0, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]])
+    for _ in range(_MOST_DRAWS):
+        distance = chosen.distance_mm * (1.0 + chosen.distance_spread * rng.uniform(-1.0, 1.0))
+        around, tilt = 2.0 * math.pi * rng.random(), chosen.tilt_deg * math.sqrt(rng.random())
+        roll = _matrix(np.array([0.0, 0.0, chosen.roll_deg * rng.uniform(-1.0, 1.0)]))
+        rotation = _matrix(tilt * np.array([math.cos(around), math.sin(around), 0.0])) @ roll
+        tangents = np.array([rng.uniform(left, right), rng.uniform(top, bottom), 1.0])
+        middle = distance * tangents
+        seen = corners @ rotation.T + middle
+        x, y = seen[:, 0] / seen[:, 2], seen[:, 1] / seen[:, 2]
+        if x.min() > left and x.max() < right and y.min() > top and y.max() < bottom and seen[:, 2].min() > 0:
+            break
+    else:
+        middle = np.array([0.0, 0.0, distance])
+    x_mm, y_mm, z_mm = middle.tolist()
+    a, b, c = np.degrees(np.asarray(cv2.Rodrigues(rotation)[0]).ravel()).tolist()
+    return Placement((x_mm, y_mm, z_mm), (a, b, c))
+
+
+def _matrix(vector_deg: FloatArray) -> FloatArray:
+    """Return the rotation matrix of a rotation vector."""
+    return np.asarray(cv2.Rodrigues(np.radians(np.asarray(vector_deg, np.float64)))[0], np.float64)
