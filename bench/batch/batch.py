@@ -24,7 +24,7 @@ from bench.batch.batch_record import BatchRecord, resume_text
 from bench.batch.batch_requests import Request, RequestInbox, refusal
 from bench.batch.batch_summary import RUNS, newest_place, summarise, write_summary
 from bench.batch.schedule import NEVER_S, Item, choose_next
-from bench.batch.supervisor import WorkerEnd, adopt, make_safe_after, supervise
+from bench.batch.supervisor import Silence, WorkerEnd, adopt, make_safe_after, supervise
 from bench.records.folder_lock import lock_folder
 from bench.records.history import History, replay
 from bench.records.journal import Journal, read_journal
@@ -285,10 +285,10 @@ class Batch:
 
     def _wait_for_orphan(self, item: Item, run: Path) -> bool:
         """Supervise a process that outlived its supervisor and still works on the run; return whether it hung."""
-        silent_s = adopt(run, self._clock, self._say) if run.is_dir() else 0.0
-        if silent_s:
-            self._alarm(item, WorkerEnd("hung", f"gave no sign of life for {silent_s:.1f} s", silent_s))
-        return silent_s > 0.0
+        silence = adopt(run, self._clock, self._say) if run.is_dir() else Silence()
+        if silence.silent_s:
+            self._alarm(item, silence.end())
+        return silence.silent_s > 0.0
 
     def _end(self, item: Item, end: WorkerEnd) -> None:
         self._journal_event(BatchEvent.ITEM_ENDED, item=item.key, **asdict(end))

@@ -4,6 +4,9 @@ A worker gives signs of life (`bench.run.heartbeat`). The supervisor notices at 
 ``SILENCE_S`` that it hangs: it is stopped, deadlocked, or in a driver that never returns. A hanging worker is ended by
 SIGABRT, at which it writes its position in the program to a file, or else by SIGKILL. Then its devices are opened again
 and made safe. A worker whose supervisor was killed is supervised by the next one in the same way.
+
+A worker that is ready to compute while other programs have the processors does not hang. This time is not counted as
+silence; after ``MOST_STARVED_S`` of it the worker is ended all the same, told as a computer that is too busy.
 """
 
 from __future__ import annotations
@@ -20,12 +23,14 @@ from typing import Protocol
 
 from bench.base.clock import Aborted, BenchClock
 from bench.base.linux_process import out_of_memory_kills, waits_for_disk
+from bench.batch.starvation import Starvation
 from bench.records.folder_lock import is_locked
 from bench.records.run_folder import STATION_COPY
 from bench.run.crash_log import write_crash_log
-from bench.run.heartbeat import SUPERVISOR, Heartbeat, open_process, read_heartbeat
+from bench.run.heartbeat import MOST_STARVED_S, SUPERVISOR, Heartbeat, open_process, read_heartbeat
 from bench.stations.devices import make_orphans_safe
 from bench.stations.station import load_station
+from drivers.lateness import REMEDY
 from sequences.errors import DocumentFaults
 
 SILENCE_S = 3.5
@@ -46,6 +51,52 @@ _FROM_OUTSIDE = frozenset({"SIGKILL", "SIGTERM", "SIGHUP", "SIGINT", "SIGQUIT", 
 
 
 @dataclass(frozen=True)
+class Silence:
+    """How long a worker had been silent when it was ended.
+
+    Attributes
+    ----------
+    silent_s
+        Time without a sign of life, s; 0 if the worker ended by itself.
+    starved_s
+        Part of it in which the worker waited for nothing but a processor, s.
+    """
+
+    silent_s: float = 0.0
+    starved_s: float = 0.0
+
+    @property
+    def is_starved(self) -> bool:
+        """Whether the computer was too busy for the worker, rather than the worker hung."""
+        return self.starved_s >= MOST_STARVED_S
+
+    @property
+    def text(self) -> str:
+        """Why the worker was ended, as a sentence without a full stop."""
+        if self.is_starved:
+            return (
+                f"this computer is too busy: the process had no processor for {self.starved_s:.0f} of"
+                f" {self.silent_s:.0f} s. {REMEDY.split(';', maxsplit=1)[0]}"
+            )
+        return f"gave no sign of life for {self.silent_s:.1f} s"
+
+    def end(self, unsafe: Sequence[str] = ()) -> WorkerEnd:
+        """Return the end of the worker.
+
+        Parameters
+        ----------
+        unsafe
+            Devices that did not confirm that they are safe.
+
+        Returns
+        -------
+        WorkerEnd
+            It hung, or the computer was too busy for it.
+        """
+        return WorkerEnd("hung", self.text, self.silent_s, unsafe, self.is_starved)
+
+
+@dataclass(frozen=True)
 class WorkerEnd:
     """How a worker ended.
 
@@ -60,7 +111,8 @@ class WorkerEnd:
     unsafe
         Devices of a dead worker that did not confirm that they are safe.
     outside
-        Whether something else than the worker ended it: a signal of another process. It is no failure of the run.
+        Whether something else than the worker ended it: a signal of another process, or a computer that was too busy.
+        It is no failure of the run.
     """
 
     how: str
@@ -120,9 +172,9 @@ def supervise(
             )
     except OSError as error:  # no memory, no room, too many processes: the next one may begin
         return WorkerEnd("failed", f"its process could not be started: {error}")
-    silent_s, unsafe = _supervise_worker(worker, folder, clock, say)
-    if silent_s:
-        return WorkerEnd("hung", f"gave no sign of life for {silent_s:.1f} s", silent_s, unsafe)
+    silence, unsafe = _supervise_worker(worker, folder, clock, say)
+    if silence.silent_s:
+        return silence.end(unsafe)
     status = worker.process.returncode
     if status < 0:
         name = signal.Signals(-status).name
@@ -135,7 +187,7 @@ def supervise(
     return WorkerEnd(how, "" if how == "finished" else _last_message(log))
 
 
-def adopt(folder: Path, clock: BenchClock, say: Callable[[str], None]) -> float:
+def adopt(folder: Path, clock: BenchClock, say: Callable[[str], None]) -> Silence:
     """Supervise a worker that outlived its supervisor, to its end. Return at once if there is none.
 
     Parameters
@@ -149,8 +201,8 @@ def adopt(folder: Path, clock: BenchClock, say: Callable[[str], None]) -> float:
 
     Returns
     -------
-    float
-        How long the worker had been silent when it was ended as hung, s; 0 if it did not hang.
+    Silence
+        How long the worker had been silent when it was ended as hung; 0 s if it did not hang.
 
     Raises
     ------
@@ -158,9 +210,9 @@ def adopt(folder: Path, clock: BenchClock, say: Callable[[str], None]) -> float:
         When a stop was requested; the worker has ended by then.
     """
     if not is_locked(folder):
-        return 0.0
-    silent_s, _ = _supervise_worker(_Orphan(folder), folder, clock, say)
-    return silent_s
+        return Silence()
+    silence, _ = _supervise_worker(_Orphan(folder), folder, clock, say)
+    return silence
 
 
 def make_safe_after(folder: Path, clock: BenchClock) -> list[str]:
@@ -263,11 +315,11 @@ class _Orphan:
 
 def _supervise_worker(
     worker: _Worker, folder: Path, clock: BenchClock, say: Callable[[str], None]
-) -> tuple[float, list[str]]:
-    """Supervise a worker to its end; return its silence if it hung (s), and the devices that could not be made safe."""
-    silent_s, unsafe = 0.0, []
+) -> tuple[Silence, list[str]]:
+    """Supervise a worker to its end; return its silence if it hung, and the devices that could not be made safe."""
+    silence, unsafe = Silence(), []
     try:
-        silent_s = _watch(worker, folder, clock)
+        silence = _watch(worker, folder, clock)
     except Aborted:
         worker.send(signal.SIGTERM)
         worker.wait(_SAFE_END_S)
@@ -279,26 +331,31 @@ def _supervise_worker(
             unsafe = make_safe_after(folder, clock) if worker.killed() else []
             for fault in unsafe:
                 say(f"CHECK THE BENCH: {fault}")
-    return silent_s, unsafe
+    return silence, unsafe
 
 
-def _watch(worker: _Worker, folder: Path, clock: BenchClock) -> float:
-    """Wait for the worker's end; return how long it has been silent if it hangs, otherwise 0."""
+def _watch(worker: _Worker, folder: Path, clock: BenchClock) -> Silence:
+    """Wait for the worker's end; return how long it has been silent if it hangs, otherwise 0 s."""
     left_over = last = read_heartbeat(folder)
     if isinstance(worker, _Orphan):
         left_over = None
-    since_s, lost_before_s = clock.monotonic(), _lost_s(clock)
+    since_s, lost_before_s, starvation = clock.monotonic(), _lost_s(clock), Starvation()
     while not worker.gone():
         clock.sleep(POLL_S)
         sign, now_s = read_heartbeat(folder), clock.monotonic()
-        silent_s = now_s - since_s
         if sign != last:
-            last, since_s, lost_before_s = sign, now_s, _lost_s(clock)
-        elif silent_s > (
-            SILENCE_S + min(LATE_S, _lost_s(clock) - lost_before_s) if _is_due(sign, left_over) else QUIET_S
-        ):
-            return silent_s
-    return 0.0
+            last, since_s, lost_before_s, starvation = sign, now_s, _lost_s(clock), Starvation()
+        if not _is_due(sign, left_over):
+            if now_s - since_s > QUIET_S:
+                return Silence(now_s - since_s)
+            continue
+        assert sign is not None
+        starved_s = starvation.look(sign.pid, (sign.pid, sign.thread), now_s)
+        silence = Silence(now_s - since_s, starved_s)
+        late_s = min(LATE_S, _lost_s(clock) - lost_before_s)
+        if silence.is_starved or silence.silent_s - starved_s > SILENCE_S + late_s:
+            return silence
+    return Silence()
 
 
 def _lost_s(clock: BenchClock) -> float:

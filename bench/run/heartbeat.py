@@ -7,14 +7,16 @@ heartbeat, so that a live thread cannot hide stalled work. This module uses no d
 
 from __future__ import annotations
 
+import math
 import os
+import threading
 import time
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
 from bench.base.clock import BenchClock
-from bench.base.linux_process import start_ticks, thread_waits_for_disk
+from bench.base.linux_process import processor_times_s, start_ticks, thread_waits_for_disk
 from bench.records.storage import storage_errors
 
 CONTROL = "control"
@@ -22,7 +24,10 @@ HEARTBEAT = ".heartbeat"
 SUPERVISOR = "STARBENCH_SUPERVISOR"
 """Environment variable: process id of the supervisor of this process."""
 STALL_LIMIT_S = 0.5
-"""Work that used its clock longer ago than this has stalled, s. Drivers use the clock 20 times a second."""
+"""Work that used its clock longer ago than this has stalled, s. Drivers use the clock 20 times a second. Time in which
+it was ready to compute, while other programs had the processors, does not count."""
+MOST_STARVED_S = 30.0
+"""So much of that time is left out at most, s."""
 SLOW_STALL_LIMIT_S = 600.0
 """The same limit in states in which nothing moves, and while the process waits for the disk, s."""
 SLOW_STATES = frozenset(
@@ -41,11 +46,14 @@ class Heartbeat:
         Process id, and start time of the process in kernel ticks, because process ids are reused.
     moment_ns
         Time at which its work last made progress, ns; comparable within one process only.
+    thread
+        Number of the thread that wrote it.
     """
 
     pid: int
     started: int
     moment_ns: int
+    thread: int = 0
 
 
 class HeartbeatWriter:
@@ -66,6 +74,9 @@ class HeartbeatWriter:
         self._since_s = time.monotonic()
         self._own = os.getpid(), start_ticks(os.getpid())
         self._supervisor = _supervisor()
+        self._looks = [(-math.inf, 0.0)] * 2
+        """The last two looks after the work had made progress: moment, and how long its thread had waited by then for a
+        processor, s."""
 
     def entering(self, state: str) -> None:
         """Take note of the state that the work enters.
@@ -85,9 +96,11 @@ class HeartbeatWriter:
         StorageError
             If it cannot be written.
         """
-        if self.stalled_s() > (SLOW_STALL_LIMIT_S if self._may_take_long() else STALL_LIMIT_S):
+        stalled_s = self.stalled_s()
+        starved_s = self._starved_s(stalled_s)
+        if stalled_s - starved_s > (SLOW_STALL_LIMIT_S if self._may_take_long() else STALL_LIMIT_S):
             return
-        text = f"{self._own[0]} {self._own[1]} {time.monotonic_ns()}"
+        text = f"{self._own[0]} {self._own[1]} {time.monotonic_ns()} {threading.get_native_id()}"
         with storage_errors(self._path), suppress(FileNotFoundError):
             self._path.write_bytes(text.encode())
 
@@ -114,6 +127,20 @@ class HeartbeatWriter:
             self._supervisor = None
         return gone
 
+    def _starved_s(self, stalled_s: float) -> float:
+        """Return for how much of the time without progress the work only waited for a processor, s."""
+        times = processor_times_s(self._own[0], self._own[0])
+        if times is None:
+            return 0.0
+        now_s, waited_s = time.monotonic(), times[1]
+        progress_s = now_s - stalled_s
+        if progress_s > self._looks[-1][0]:
+            self._looks = [self._looks[-1], (now_s, waited_s)]
+        looked_s, waited_before_s = max(look for look in self._looks if look[0] <= progress_s)
+        if math.isinf(looked_s):
+            return 0.0
+        return min(stalled_s, waited_s - waited_before_s, MOST_STARVED_S)
+
     def _may_take_long(self) -> bool:
         """Return whether nothing moves, or the process waits for the disk (kernel state D)."""
         pid = self._own[0]
@@ -134,10 +161,10 @@ def read_heartbeat(folder: Path) -> Heartbeat | None:
         None while no process accepts commands for the run.
     """
     try:
-        pid, started, moment_ns = map(int, (folder / CONTROL / HEARTBEAT).read_bytes().split())
+        pid, started, moment_ns, thread = map(int, (folder / CONTROL / HEARTBEAT).read_bytes().split())
     except (OSError, ValueError):
         return None
-    return Heartbeat(pid, started, moment_ns)
+    return Heartbeat(pid, started, moment_ns, thread)
 
 
 def open_process(heartbeat: Heartbeat) -> int | None:

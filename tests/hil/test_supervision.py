@@ -150,9 +150,9 @@ def test_a_driver_that_never_returns_is_noticed_though_its_supervisor_was_killed
         while not any(line["event"] == "deviation" for line in journal(folder)):
             time.sleep(0.01)
             assert worker.poll() is None
-        assert SILENCE_S < adopt(folder, BenchClock(), print) < 5.0
+        assert SILENCE_S < adopt(folder, BenchClock(), print).silent_s < 5.0
         assert worker.wait(10) == -signal.SIGABRT
-    assert adopt(folder, BenchClock(), print) == 0.0
+    assert adopt(folder, BenchClock(), print).silent_s == 0.0
 
 
 def test_a_stop_asked_of_the_next_supervisor_reaches_the_worker_it_found(tmp_path):

@@ -1,11 +1,12 @@
-"""What a supervisor makes of a worker that cannot even be started."""
+"""What a supervisor makes of a worker that cannot be started, is killed, is silent, or gets no processor."""
 
 from datetime import UTC, datetime
 
 import pytest
 
 from bench.base.clock import BenchClock, VirtualClock
-from bench.base.linux_process import waits_for_disk
+from bench.base.linux_process import processor_times_s, thread_is_ready, waits_for_disk
+from bench.batch.starvation import Starvation
 from bench.batch.supervisor import OUT_OF_MEMORY, QUIET_S, SILENCE_S, _watch, supervise
 from bench.run.heartbeat import Heartbeat
 
@@ -61,5 +62,77 @@ def test_silence_is_borne_for_longer_where_the_disk_may_be_its_cause(
             signs.append(Heartbeat(7, 1, 1))
             return False
 
-    silent_s = _watch(Silent(), tmp_path, clock)
-    assert how_long_s < silent_s < how_long_s + 1
+    silence = _watch(Silent(), tmp_path, clock)
+    assert how_long_s < silence.silent_s < how_long_s + 1
+    assert not silence.is_starved
+
+
+class Kernel:
+    """What the kernel tells of the threads of a silent worker, as time goes on."""
+
+    def __init__(self, clock, computed, waited, state="R"):
+        self.clock, self.computed, self.waited, self.state = clock, computed, waited, state
+
+    def times_s(self, _pid, _thread, _proc=None):
+        now_s = self.clock.monotonic()
+        return self.computed * now_s, self.waited * now_s
+
+    def is_ready(self, _pid, _thread, _proc=None):
+        return self.state == "R"
+
+
+@pytest.mark.parametrize(
+    ("computed", "waited", "state", "noticed_s"),
+    [
+        (0.0, 0.0, "S", 3.7),  # sleeps: a driver that never returns, a deadlock
+        (0.0, 0.0, "T", 3.7),  # stopped
+        (1.0, 0.0, "R", 3.7),  # computes without end on an idle computer
+        (0.1, 0.1, "S", 4.3),  # a busy computer, and it sleeps most of the time
+        (0.02, 0.98, "R", 30.9),  # ready, and others have the processors
+        (0.0, 0.0, "R", 30.3),  # the same, in one wait that the kernel has not counted yet
+    ],
+)
+def test_a_worker_that_waits_for_a_processor_only_does_not_hang(
+    tmp_path, monkeypatch, computed, waited, state, noticed_s
+):
+    clock = VirtualClock(datetime(2026, 3, 1, tzinfo=UTC))
+    kernel = Kernel(clock, computed, waited, state)
+    monkeypatch.setattr(
+        "bench.batch.supervisor.Starvation", lambda: Starvation(kernel.times_s, kernel.is_ready)
+    )
+    monkeypatch.setattr("bench.batch.supervisor.waits_for_disk", lambda _pid: False)
+    signs = [Heartbeat(1, 1, 0, 1)]
+    monkeypatch.setattr("bench.batch.supervisor.read_heartbeat", lambda _folder: signs[-1])
+
+    class Silent:
+        def gone(self):
+            signs.append(Heartbeat(7, 1, 1, 8))
+            return False
+
+    silence = _watch(Silent(), tmp_path, clock)
+    assert silence.silent_s == pytest.approx(noticed_s, abs=0.3)
+    end = silence.end()
+    assert end.how == "hung"
+    assert end.outside is silence.is_starved is (noticed_s > 30)
+    assert ("too busy" in end.why) is end.outside
+    assert ("gave no sign of life" in end.why) is not end.outside
+
+
+def test_a_wait_is_counted_once(tmp_path):
+    told = iter([(1.0, 0.0), (1.0, 0.0), (1.0, 0.0), (1.1, 3.0), (1.2, 3.5)])
+    starvation = Starvation(lambda *_: next(told), lambda *_: True)
+    assert [starvation.look(7, (7,), float(second)) for second in range(5)] == [0.0, 1.0, 2.0, 3.0, 3.5]
+    assert Starvation(lambda *_: None).look(7, (7,), 1.0) == 0.0
+
+
+def test_the_kernel_tells_what_a_thread_computed_and_waited(tmp_path):
+    task = tmp_path / "7" / "task" / "8"
+    task.mkdir(parents=True)
+    assert processor_times_s(7, 8, tmp_path) is None
+    assert not thread_is_ready(7, 8, tmp_path)
+    (task / "schedstat").write_text("1500000000 250000000 12\n")
+    (task / "stat").write_text("8 (a ) name) R 1 7 7")
+    assert processor_times_s(7, 8, tmp_path) == (1.5, 0.25)
+    assert thread_is_ready(7, 8, tmp_path)
+    (task / "schedstat").write_text("not counted")
+    assert processor_times_s(7, 8, tmp_path) is None

@@ -84,6 +84,37 @@ def test_waiting_for_the_disk_is_not_a_stall(pulse, tmp_path, monkeypatch, lette
     assert moments(pulse, tmp_path) is given
 
 
+@pytest.mark.parametrize(("waited_s", "given"), [(0.0, False), (1.0, False), (2.6, True)])
+def test_work_that_only_waits_for_a_processor_has_not_stalled(pulse, tmp_path, monkeypatch, waited_s, given):
+    times, moment = [(1.0, 5.0)], [1000.0]
+    monkeypatch.setattr(heartbeat, "processor_times_s", lambda *_: times[-1])
+    monkeypatch.setattr(heartbeat.time, "monotonic", lambda: moment[-1])
+    pulse._state, pulse._since_s = "recording", 0.0
+    assert moments(pulse, tmp_path)
+    moment.append(1003.0)
+    pulse._clock.quiet = 3.0
+    times.append((1.1, 5.0 + waited_s))
+    assert moments(pulse, tmp_path) is given
+    moment.append(1063.0)
+    pulse._clock.quiet = 63.0
+    times.append((1.1, 65.0))
+    assert not moments(pulse, tmp_path)  # not for ever
+
+
+def test_waits_before_the_last_progress_do_not_count(pulse, tmp_path, monkeypatch):
+    times, moment = [(1.0, 5.0)], [1000.0]
+    monkeypatch.setattr(heartbeat, "processor_times_s", lambda *_: times[-1])
+    monkeypatch.setattr(heartbeat.time, "monotonic", lambda: moment[-1])
+    pulse._state, pulse._since_s = "recording", 0.0
+    for second in range(5):
+        moment.append(1000.0 + second)
+        times.append((1.0, 5.0 + second))
+        assert moments(pulse, tmp_path)
+    moment.append(1005.0)
+    pulse._clock.quiet = 1.0
+    assert not moments(pulse, tmp_path)
+
+
 def test_a_clock_is_inactive_only_while_nothing_waits_or_checks():
     clock = BenchClock()
     time.sleep(0.05)
@@ -103,7 +134,7 @@ def test_a_shielded_wait_reads_the_time_and_counts_as_activity():
     assert clock.inactive_s() < 100.0
 
 
-@pytest.mark.parametrize("text", [b"", b"1 2", b"1 2 x", b"1 2 3 4", b"\xff\xfe"])
+@pytest.mark.parametrize("text", [b"", b"1 2", b"1 2 3", b"1 2 x 4", b"1 2 3 4 5", b"\xff\xfe"])
 def test_a_truncated_heartbeat_is_none(tmp_path, text):
     (tmp_path / CONTROL).mkdir()
     (tmp_path / CONTROL / HEARTBEAT).write_bytes(text)
