@@ -93,8 +93,8 @@ def derivations(*, again: bool) -> dict[str, list[Derivation]]:
         Functions by kind of folder, for `bench.evidence.verify.verify_folder`.
     """
     from bench.results.derive_again import check_results_folder, check_run
-    from bench.results.derive_offline import check_recalculated
     from bench.results.reproduce import check_recordings
+    from bench.results.reproduce_offline import check_recalculated
 
     return {
         "run": [_check_ledger, check_run, *([check_recordings] if again else [])],

@@ -126,18 +126,3 @@ def _check_derived(
     names = sorted(path.name for path in (folder / EXPORTS).glob("*"))
     check_exports(folder, names, results, calibration, str(described["camera_name"]), target, found)
     check_report(folder, results, held.shown(results), "", found)
-
-
-def check_recalculated(_folder: Path) -> Findings:
-    """Say that recalculated results are not calculated again: the options of the calculation are not stored.
-
-    Returns
-    -------
-    Findings
-        That the numbers were not compared.
-    """
-    found = Findings()
-    found.not_compared.append(
-        f"{RESULTS} with its sources: calibrate the sources again with the same options, and compare"
-    )
-    return found

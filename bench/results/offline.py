@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +18,7 @@ from bench.results.offline_options import OfflineOptions
 from bench.results.solve_options import readings_result, require_enough_views
 from bench.results.view_sources import ViewSource, view_sources
 from bench.stations.station_collimator import CollimatorConfig
+from bench.views.kept_views import KeptViews
 from calib.calibration import CalibrationOptions
 from calib.engine import Calibration, calibrate
 from calib.errors import CalibrationError, DegenerateViews
@@ -51,6 +53,10 @@ class OfflineResult:
         The collimator's passport that was used, if any.
     target
         The printed target that all views show: that of the run's station, or of the options; None if they differ.
+    paths
+        The files and folders that were given.
+    choices
+        The options that were given.
     """
 
     calibration: Calibration
@@ -61,6 +67,8 @@ class OfflineResult:
     sources: Sequence[ViewSource] = ()
     passport: PassportInUse | None = None
     target: StarTarget | None = field(default_factory=StarTarget)
+    paths: Sequence[Path] = ()
+    choices: OfflineOptions = field(default_factory=OfflineOptions)
 
     @property
     def readings(self) -> dict[str, Any] | None:
@@ -99,7 +107,9 @@ class OfflineResult:
         }
 
 
-def calibrate_paths(paths: Sequence[Path], choices: OfflineOptions) -> OfflineResult:
+def calibrate_paths(
+    paths: Sequence[Path], choices: OfflineOptions, kept: KeptViews | None = None
+) -> OfflineResult:
     """Make views from files and folders, and calibrate.
 
     Parameters
@@ -108,6 +118,8 @@ def calibrate_paths(paths: Sequence[Path], choices: OfflineOptions) -> OfflineRe
         Run folders, folders of files, or files.
     choices
         Options of the calibration.
+    kept
+        Views of earlier calculations; None to find the stars in every recording. Evidence is never checked with them.
 
     Returns
     -------
@@ -124,6 +136,55 @@ def calibrate_paths(paths: Sequence[Path], choices: OfflineOptions) -> OfflineRe
         When the views do not determine the camera.
     """
     sources = [source for path in paths for source in view_sources(path, choices)]
+    if kept is not None:
+        sources = [with_kept_views(source, kept) for source in sources]
+    return replace(calibrate_sources(sources, choices), paths=tuple(paths))
+
+
+def with_kept_views(source: ViewSource, kept: KeptViews) -> ViewSource:
+    """Return a source that takes its view from an earlier calculation, if there is one.
+
+    Parameters
+    ----------
+    source
+        The file.
+    kept
+        Views of earlier calculations.
+
+    Returns
+    -------
+    ViewSource
+        The same source; its views are the same to the last bit.
+    """
+    if source.decided_by is None:
+        return source
+    return replace(source, read=partial(kept.view, source.path, source.decided_by, source.read))
+
+
+def calibrate_sources(sources: Sequence[ViewSource], choices: OfflineOptions) -> OfflineResult:
+    """Calibrate from the files of views.
+
+    Parameters
+    ----------
+    sources
+        The files.
+    choices
+        Options of the calibration.
+
+    Returns
+    -------
+    OfflineResult
+        The calibration, without the paths that were given.
+
+    Raises
+    ------
+    UsageError
+        When a requested view does not exist.
+    BenchError
+        When a file cannot be read, the image sizes differ, or no view is left.
+    calib.errors.CalibrationError
+        When the views do not determine the camera.
+    """
     missing = [number for number in choices.view_numbers or () if number > len(sources)]
     if missing:
         raise UsageError(
@@ -139,7 +200,9 @@ def calibrate_paths(paths: Sequence[Path], choices: OfflineOptions) -> OfflineRe
     planar = planar_calibration(views, options) if calibration.model != "planar" else None
     targets = [source.job.target if source.job else choices.target for source in used]
     target = targets[0] if all(one == targets[0] for one in targets) else None
-    return OfflineResult(calibration, planar, skipped, views, options, used, passport, target)
+    return OfflineResult(
+        calibration, planar, skipped, views, options, used, passport, target, choices=choices
+    )
 
 
 def require_common_views(first: Path, second: Path, choices: OfflineOptions) -> None:

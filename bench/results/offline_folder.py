@@ -28,6 +28,7 @@ from bench.results.exports import exports
 from bench.results.offline import OfflineResult
 from bench.results.projection_facts import projection_facts
 from bench.results.results_content import collimator_data, software, target_data
+from bench.results.stored_options import options_data
 from bench.results.view_sources import PHOTOGRAPHS, ViewSource
 from bench.views.views_file import VIEWS, views_file
 from calib.view import View
@@ -96,13 +97,21 @@ def write_offline_results(result: OfflineResult, folder: Path, key: BenchKey | N
         If a file cannot be read or written.
     """
     require_new(folder)
-    sources = [_source(source, view.name) for source, view in zip(result.sources, result.views, strict=True)]
+    sources = [
+        source_data(source, view.name) for source, view in zip(result.sources, result.views, strict=True)
+    ]
     results = offline_results(result, folder.resolve().name, sources, key)
     runs = results["run"]["of_runs"]
     make_folder(folder / "exports")
     camera_name = _camera_name(result)
     target = asdict(result.target) if result.target is not None else None
-    described = {"camera_name": camera_name, "target": target}
+    described = {
+        "camera_name": camera_name,
+        "target": target,
+        "paths": [str(path.absolute()) for path in result.paths],
+        "options": options_data(result.choices),
+        "option_target": asdict(result.choices.target),
+    }
     write_atomic(
         folder / SOURCES, _json_bytes({"schema": SCHEMA, "runs": runs, "sources": sources, **described})
     )
@@ -212,12 +221,31 @@ def _started(source: ViewSource) -> dict[str, Any]:
     return dict(replay(entries).started)
 
 
-def _source(source: ViewSource, view: str) -> dict[str, Any]:
+def source_data(source: ViewSource, view: str) -> dict[str, Any]:
+    """Return what sources.json states about the file of a view.
+
+    Parameters
+    ----------
+    source
+        The file.
+    view
+        Name of the view.
+
+    Returns
+    -------
+    dict
+        Name of the view, path, size and hash.
+
+    Raises
+    ------
+    StorageError
+        If the file cannot be read.
+    """
     with storage_errors(source.path):
         size = source.path.stat().st_size
         return {
             "view": view,
-            "path": str(source.path),
+            "path": str(source.path.absolute()),
             "size_bytes": size,
             "sha256": sha256_of(source.path),
         }

@@ -73,7 +73,7 @@ def check_recordings(folder: Path) -> Findings:
         truth = evidence.job.read_truth()
         used = evidence.results["run"]["software"]
         again = results_content(evidence.job, evidence.history, solution, truth, used)
-        _check_numbers(evidence.results, again, found)
+        check_numbers(evidence.results, again, found)
     except (BenchError, CalibrationError, DriverError) as error:
         found.fault("results", RESULTS, f"the run cannot be calibrated again: {error}")
         return found
@@ -135,8 +135,18 @@ def _judged(kind: CameraKind, evidence: RunEvidence, attempt: Attempt, again: Me
     }
 
 
-def _check_numbers(stored: Mapping[str, Any], again: Mapping[str, Any], found: Findings) -> None:
-    """Compare all of results.json, except the comparison with an earlier run, whose folder may be gone."""
+def check_numbers(stored: Mapping[str, Any], again: Mapping[str, Any], found: Findings) -> None:
+    """Compare all of results.json, except the comparison with an earlier run, whose folder may be gone.
+
+    Parameters
+    ----------
+    stored
+        Content of results.json.
+    again
+        What the recordings give now.
+    found
+        Findings; they are added.
+    """
     had = {name: value for name, value in stored.items() if name != "previous"}
     rounded = list(differences(had, again))
     if not rounded:
@@ -189,9 +199,9 @@ def _check_views(folder: Path, solution: Solution, found: Findings) -> None:
         assert found_again.view is not None
         assert found_again.image is not None
         name = found_again.view.name
-        for what in _views_differ(had.view, found_again.view):
+        for what in views_differ(had.view, found_again.view):
             found.fault("views", VIEWS, f"the recording of {name} gives other {what}")
-        if not _close(had.residuals_px, residual):
+        if not close(had.residuals_px, residual):
             found.fault("views", VIEWS, f"the recording of {name} gives other residuals")
         differ = np.count_nonzero(
             read_picture(folder / VIEWS, number) != found_again.image.decoded(),
@@ -202,8 +212,21 @@ def _check_views(folder: Path, solution: Solution, found: Findings) -> None:
             )
 
 
-def _views_differ(stored: View, again: View) -> list[str]:
-    """Return which parts of two views differ."""
+def views_differ(stored: View, again: View) -> list[str]:
+    """Return which parts of two views differ.
+
+    Parameters
+    ----------
+    stored
+        View of views.h5.
+    again
+        The view that was found again.
+
+    Returns
+    -------
+    list of str
+        Names of the parts that differ by more than rounding.
+    """
     arrays: Sequence[tuple[str, Any, Any]] = [
         ("image sizes", stored.image_size, again.image_size),
         ("star ids", stored.ids, again.ids),
@@ -219,10 +242,22 @@ def _views_differ(stored: View, again: View) -> list[str]:
             ("points of the rim", stored.rim.points_mm, again.rim.points_mm),
             ("sigmas of the rim", stored.rim.sigmas_mm, again.rim.sigmas_mm),
         ]
-    return [name for name, had, due in arrays if not _close(np.asarray(had, float), np.asarray(due, float))]
+    return [name for name, had, due in arrays if not close(np.asarray(had, float), np.asarray(due, float))]
 
 
-def _close(stored: NDArray[np.float64], again: NDArray[np.float64]) -> bool:
+def close(stored: NDArray[np.float64], again: NDArray[np.float64]) -> bool:
+    """Return whether two arrays are equal but for rounding.
+
+    Parameters
+    ----------
+    stored, again
+        float64 arrays of any shape and unit.
+
+    Returns
+    -------
+    bool
+        Whether shapes are equal, and values within one millionth of the largest.
+    """
     if stored.shape != again.shape:
         return False
     scale = float(np.max(np.abs(again), initial=0.0))

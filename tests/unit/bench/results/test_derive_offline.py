@@ -2,7 +2,9 @@
 
 import json
 import shutil
+from dataclasses import replace
 from pathlib import Path
+from unittest import mock
 
 import numpy as np
 import pytest
@@ -10,12 +12,15 @@ import pytest
 from bench.evidence.verify import verify_folder
 from bench.plan.plan import load_documents, make_plan
 from bench.results.derive_again import check_results_folder
-from bench.results.derive_offline import check_recalculated
 from bench.results.forecasts import expected_bench
 from bench.results.offline import calibrate_paths
 from bench.results.offline_folder import write_offline_results
 from bench.results.offline_options import OfflineOptions
+from bench.results.reproduce_offline import check_recalculated
 from bench.results.result import json_bytes
+from bench.results.stored_options import options_data, options_of_data
+from calib.boards.board import Board
+from calib.engine import calibrate
 from calib.studies.predicted_views import predicted_view
 from tests.unit.bench.evidence.resealed import Forger, kinds
 
@@ -63,10 +68,65 @@ def test_untouched_results_are_valid_and_compared(results_once, signers):
     assert found.kind == "results"
 
 
-def test_their_numbers_are_not_calculated_again_and_that_is_told(results_once, signers):
+def test_their_numbers_are_calculated_again_from_their_sources(results_once, signers):
     found = checked(results_once, signers, check_recalculated)
+    assert (found.faults, found.not_compared) == ((), ())
+    assert any("every number is equal to the last bit" in remark for remark in found.remarks)
+
+
+def rewritten(folder, signers, key, change):
+    """A whole folder written anew from a changed calibration: every file follows from the others."""
+    with mock.patch(
+        "bench.results.offline.calibrate", lambda views, options: change(calibrate(views, options))
+    ):
+        described = json.loads((folder / "sources.json").read_bytes())
+        result = calibrate_paths(
+            [Path(path) for path in described["paths"]], OfflineOptions(image_size=(1280, 720))
+        )
+    write_offline_results(result, folder.parent / "forged", key)
+    return folder.parent / "forged"
+
+
+def test_a_recalculation_that_does_not_follow_from_its_sources_is_found_only_by_calculating_again(
+    forger, signers, key
+):
+    def better(calibration):
+        return replace(calibration, covariance=calibration.covariance / 100)
+
+    forged = rewritten(forger.folder, signers, key, better)
+    assert checked(forged, signers).ok
+    found = checked(forged, signers, check_recalculated)
+    assert "the recordings do not give it" in " ".join(str(fault) for fault in found.faults)
+
+
+@pytest.mark.parametrize("how", ["gone", "changed", "more"])
+def test_where_the_sources_are_not_what_they_were_the_numbers_are_not_compared(
+    sources, tmp_path, signers, key, how
+):
+    copy = Path(shutil.copytree(sources, tmp_path / "points"))
+    result = calibrate_paths([copy], OfflineOptions(image_size=(1280, 720)))
+    write_offline_results(result, tmp_path / "out", key)
+    left = copy / "left.csv"
+    if how == "gone":
+        left.unlink()
+    elif how == "changed":
+        left.write_text(left.read_text() + "\n")
+    else:
+        shutil.copy(left, copy / "again.csv")
+    found = checked(tmp_path / "out", signers, check_recalculated)
     assert found.ok
     assert not found.complete
+    said = " ".join(found.not_compared)
+    assert {"gone": "left.csv is not there", "changed": "is another file now", "more": "other files now"}[
+        how
+    ] in said
+
+
+def test_options_of_a_later_version_are_refused_by_name():
+    data = options_data(OfflineOptions(board=Board.parse("circles:9x6:25mm"), view_numbers=(1, 3)))
+    assert options_of_data(json.loads(json.dumps(data)), None, None).view_numbers == (1, 3)
+    with pytest.raises(ValueError, match="phase_of_moon"):
+        options_of_data({**data, "phase_of_moon": 1}, None, None)
 
 
 def in_json(name, change):

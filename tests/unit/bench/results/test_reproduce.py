@@ -6,7 +6,7 @@ import pytest
 from report_sample import sample
 
 from bench.evidence.findings import Findings
-from bench.results.reproduce import _check_numbers
+from bench.results.reproduce import check_numbers
 from bench.results.results_content import software
 
 
@@ -19,7 +19,7 @@ def stored():
 
 def seen(stored, again):
     found = Findings()
-    _check_numbers(stored, again, found)
+    check_numbers(stored, again, found)
     return [str(fault) for fault in found.faults], found.remarks
 
 
@@ -91,7 +91,7 @@ def test_what_another_program_does_not_state_is_not_compared_and_that_is_told(st
     other = {**stored, "run": {**stored["run"], "software": {**software(), "program": "another"}}}
     less = {name: value for name, value in other.items() if name != "gates"}
     found = Findings()
-    _check_numbers(less, other, found)
+    check_numbers(less, other, found)
     assert found.faults == []
     assert found.not_compared == ["gates of results.json with the recordings: another program calculated it"]
     assert seen(changed(other, "camera", "fx", 1), other)[0]  # a number that both state must be the same

@@ -1,0 +1,78 @@
+"""Options of an offline calibration as sources.json holds them, so that the calibration can be made again.
+
+Passport and target are not among them: the folder of the results holds a copy of the passport, and sources.json
+describes the target. Reads and writes no files.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import fields
+from typing import Any
+
+from bench.plan.passports import PassportInUse
+from bench.results.offline_options import OfflineOptions
+from calib.boards.board import Board
+from calib.target import StarTarget
+
+_ELSEWHERE = ("passport", "target")
+_BOARD = "board"
+
+
+def options_data(options: OfflineOptions) -> dict[str, Any]:
+    """Return options as JSON holds them.
+
+    Parameters
+    ----------
+    options
+        Options of an offline calibration.
+
+    Returns
+    -------
+    dict
+        Values by name; ``passport`` is the name of the file that the command line gave, or None.
+    """
+    plain = {one.name: getattr(options, one.name) for one in fields(options) if one.name not in _ELSEWHERE}
+    return {
+        **plain,
+        _BOARD: None if options.board is None else str(options.board),
+        "passport": None if options.passport is None else options.passport.name,
+    }
+
+
+def options_of_data(
+    data: Mapping[str, Any], passport: PassportInUse | None, target: StarTarget | None
+) -> OfflineOptions:
+    """Return the options that `options_data` wrote.
+
+    Parameters
+    ----------
+    data
+        What sources.json holds.
+    passport
+        The passport that the command line gave; None if it gave none.
+    target
+        The target of sources.json; None for the standard target.
+
+    Returns
+    -------
+    OfflineOptions
+        The options.
+
+    Raises
+    ------
+    ValueError
+        If an option is unknown here: a later version wrote it.
+    calib.errors.CalibrationError
+        If the board is none.
+    """
+    known = {one.name for one in fields(OfflineOptions)}
+    if unknown := sorted(set(data) - known):
+        raise ValueError(f"unknown options: {', '.join(unknown)}")
+    given: dict[str, Any] = {
+        name: tuple(value) if isinstance(value, list) else value
+        for name, value in data.items()
+        if name not in (*_ELSEWHERE, _BOARD)
+    }
+    board = None if data[_BOARD] is None else Board.parse(data[_BOARD])
+    return OfflineOptions(**given, board=board, passport=passport, target=target or StarTarget())
