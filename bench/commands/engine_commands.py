@@ -128,12 +128,18 @@ def _views_and_options(command: _Command) -> _Command:
     help="New folder for results, report, exports and hashes of the input files; sealed with the bench's key.",
 )
 @click.option("--no-seal", is_flag=True, help="Leave the folder a DRAFT, without a seal.")
+@click.option(
+    "--find-again",
+    is_flag=True,
+    help="Find the stars in every recording, also where an earlier command has kept them (docs/cluster.md).",
+)
 @JSON
 def calibrate(
     paths: tuple[Path, ...],
     compare: bool,
     output: Path | None,
     no_seal: bool,
+    find_again: bool,
     as_json: bool,
     **options: Any,
 ) -> int:
@@ -149,12 +155,16 @@ def calibrate(
     from bench.results.offline import calibrate_paths, compare_methods
     from bench.results.offline_folder import require_new, write_offline_results
     from bench.results.offline_options import OfflineOptions
+    from bench.views.kept_views import KeptViews
 
     if output is not None:
         require_new(output)
     key = None if output is None or no_seal else key_or_draft()
     choices = OfflineOptions.from_command_line(**options)
-    result = calibrate_paths(paths, choices)
+    kept = None if find_again else KeptViews.of_bench()
+    result = calibrate_paths(paths, choices, kept)
+    for remark in kept.remarks if kept else ():
+        click.echo(remark, err=True)
     if output is not None:
         write_offline_results(result, output, key)
     print_calibration(result, compare_methods(result) if compare else None, as_json=as_json)

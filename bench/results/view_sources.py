@@ -6,13 +6,13 @@ Recognises a path by its content or extension, and refuses incomplete files. Rea
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, fields, replace
 from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any, cast
+from typing import TYPE_CHECKING, Any, cast
 
 from numpy.typing import NDArray
 
@@ -25,26 +25,25 @@ from bench.records.run_folder import JOURNAL
 from bench.results.offline_options import OfflineOptions
 from bench.results.point_files import read_point_file
 from bench.views.expected_grid import grid_from_journal
-from bench.views.measure import ExpectedGrid, Measurement, measure, recorded_image
 from calib.boards.board import Board
 from calib.errors import TooFewStars
-from calib.stars.detect import detect_view
-from calib.stars.vignetting import downweight_vignetted
 from calib.view import View
-from drivers.camera.formats.event_conversion import convert
-from drivers.camera.formats.prophesee_words import is_evt2_file
-from drivers.camera.frames import mean_frame
-from drivers.camera.image_size import require_bounded_images
-from drivers.camera.raw_file import RawFile
 from drivers.errors import RecordingCorrupt, RecordingFileError
 from sequences.schema import ImageKind
 from sequences.script import RecordStep
+
+if TYPE_CHECKING:  # what finds stars is loaded where stars are found: views may be kept from before
+    from bench.views.measure import ExpectedGrid, Measurement
 
 RECORDINGS = {".raw"}
 PHOTOGRAPHS = {".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".pgm"}
 POINTS = {".txt", ".csv"}
 OTHER_RECORDINGS = {".dat", ".aedat4", ".bag", ".db3", ".mcap", ".hdf5", ".h5", ".npz"}
 _KNOWN = RECORDINGS | OTHER_RECORDINGS | PHOTOGRAPHS | POINTS
+_READ_BY_OTHERS = {".aedat4", ".bag", ".db3", ".mcap"}
+"""Recordings that a package of others reads, whose version does not show in that of the detector."""
+_NOT_FOR_STARS = {"number", "where", "path", "pose", "attempts", "backoff_s", "on_failure", "hold_s", "gates"}
+"""Fields of a step that do not decide which stars are found."""
 _JPEG = {".jpg", ".jpeg"}
 _LARGEST_JPEG_BYTES = 100_000_000
 _JPEG_BEGINS, _JPEG_SCAN, _JPEG_ENDS = b"\xff\xd8", b"\xff\xda", b"\xff\xd9"
@@ -64,6 +63,9 @@ class ViewSource:
         Whether the size of its image is known.
     job, attempt
         Task of the run and journal lines about the recording, if the file is a recording of a run.
+    decided_by
+        What decides the view besides the bytes of the file, as values that JSON can hold; None for a file whose views
+        are not kept (`bench.views.kept_views`).
     """
 
     path: Path
@@ -71,6 +73,7 @@ class ViewSource:
     sized: bool = True
     job: Job | None = None
     attempt: Attempt | None = None
+    decided_by: Mapping[str, Any] | None = None
 
     @property
     def name(self) -> str:
@@ -135,9 +138,39 @@ def _run_sources(folder: Path, choices: OfflineOptions) -> Iterator[ViewSource]:
         path = folder / str(attempt.stored["capture"])
         read = partial(_view_of_run, job, path, step, grid_from_journal(attempt))
         if choices.board is not None:
-            yield ViewSource(path, partial(_view_of_recording, path, choices))
+            yield ViewSource(
+                path,
+                partial(_view_of_recording, path, choices),
+                decided_by=_decided_by("recording", path, choices),
+            )
             continue
-        yield ViewSource(path, read, job=job, attempt=attempt)
+        yield ViewSource(path, read, job=job, attempt=attempt, decided_by=_decided_by_run(job, step, attempt))
+
+
+def _decided_by_run(job: Job, step: RecordStep, attempt: Attempt) -> dict[str, Any]:
+    """Return what decides the view of a recording of a run."""
+    return {
+        "kind": f"run, {job.camera_kind.name} camera",
+        "name": step.pose.name,
+        "recorded": str(attempt.stored["sha256"]),
+        "step": {
+            one.name: repr(getattr(step, one.name)) for one in fields(step) if one.name not in _NOT_FOR_STARS
+        },
+        "frequency_hz": job.frequency_hz(step),
+        "target": repr(job.target),
+        "grid": attempt.measured.get("expected_grid"),
+    }
+
+
+def _decided_by(kind: str, path: Path, choices: OfflineOptions) -> dict[str, Any]:
+    """Return what decides the view of a file that is not of a run."""
+    return {
+        "kind": kind,
+        "name": path.stem,
+        "image": choices.image,
+        "target": repr(choices.target),
+        "board": repr(choices.board),
+    }
 
 
 def _refuse_truncated(path: Path) -> None:
@@ -148,6 +181,8 @@ def _refuse_truncated(path: Path) -> None:
     RecordingCorrupt
         With the byte at which it ends.
     """
+    from drivers.camera.raw_file import RawFile
+
     size = path.stat().st_size
     run = path.resolve().parent.parent
     name = path.resolve().relative_to(run).as_posix()
@@ -169,13 +204,18 @@ def _view_of_run(job: Job, path: Path, step: RecordStep, expected_grid: Expected
 
 
 def _file_source(path: Path, choices: OfflineOptions) -> ViewSource:
+    from drivers.camera.formats.prophesee_words import is_evt2_file
+
     ending = path.suffix.lower()
     if ending in OTHER_RECORDINGS or (ending in RECORDINGS and is_evt2_file(path)):
-        return ViewSource(path, partial(_view_of_other_recording, path, choices))
+        decided_by = None if ending in _READ_BY_OTHERS else _decided_by(f"other {ending}", path, choices)
+        return ViewSource(path, partial(_view_of_other_recording, path, choices), decided_by=decided_by)
     if ending in RECORDINGS:
-        return ViewSource(path, partial(_view_of_recording, path, choices))
+        decided_by = _decided_by("recording", path, choices)
+        return ViewSource(path, partial(_view_of_recording, path, choices), decided_by=decided_by)
     if ending in PHOTOGRAPHS:
-        return ViewSource(path, partial(_view_of_photograph, path, choices))
+        decided_by = _decided_by("photograph", path, choices)
+        return ViewSource(path, partial(_view_of_photograph, path, choices), decided_by=decided_by)
     if ending in POINTS:
         return ViewSource(
             path,
@@ -191,6 +231,8 @@ def _file_source(path: Path, choices: OfflineOptions) -> ViewSource:
 
 def _view_of_other_recording(path: Path, choices: OfflineOptions) -> View:
     """Read a recording of another program through a RAW file that exists only meanwhile."""
+    from drivers.camera.formats.event_conversion import convert
+
     with TemporaryDirectory(prefix="starbench-") as folder:
         raw = Path(folder) / f"{path.stem}.raw"
         convert(path, raw, "raw", utc_now=lambda: datetime.now(UTC))
@@ -198,6 +240,8 @@ def _view_of_other_recording(path: Path, choices: OfflineOptions) -> View:
 
 
 def _view_of_recording(path: Path, choices: OfflineOptions) -> View:
+    from bench.views.measure import measure, recorded_image
+
     _refuse_truncated(path)
     if choices.board is not None:
         image = recorded_image(path, choices.image).image
@@ -215,6 +259,11 @@ def _view(found: Measurement, path: Path) -> View:
 
 
 def _view_of_photograph(path: Path, choices: OfflineOptions) -> View:
+    from calib.stars.detect import detect_view
+    from calib.stars.vignetting import downweight_vignetted
+    from drivers.camera.frames import mean_frame
+    from drivers.camera.image_size import require_bounded_images
+
     try:
         require_bounded_images(path)
         _refuse_truncated_jpeg(path)

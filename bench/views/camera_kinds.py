@@ -9,20 +9,22 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
-from typing import Any, Protocol, cast
+from typing import TYPE_CHECKING, Any, Protocol, cast
 
-from bench.stations.devices import Camera
 from bench.stations.station import Station
 from bench.stations.station_cameras import FrameCameraConfig
-from bench.views.frames import frame_gates, frame_rejection_reasons, measure_frames
 from bench.views.gates import FILTERS_TO_DISABLE, Gate, recording_gates, rejection_reasons
-from bench.views.measure import ExpectedGrid, Measurement, measure
 from bench.views.recording_window import periods_in_window, recording_duration_s
 from calib.target import StarTarget
 from drivers.camera import CameraSettings, EventCamera, RecordingFacts
 from drivers.camera.frames import FrameCamera, FrameFacts, FrameSettings
-from drivers.camera.recording import compile_decoder
 from sequences.script import Flicker, RecordStep
+
+if (
+    TYPE_CHECKING
+):  # what opens devices and finds stars is loaded where it is used: a calculation may need neither
+    from bench.stations.devices import Camera
+    from bench.views.measure import ExpectedGrid, Measurement
 
 StoredFacts = Mapping[str, Any]
 """Facts that a driver states about a recording, by field, as the journal holds them."""
@@ -200,6 +202,8 @@ class EventKind:
 
     def prepare(self, camera: Camera) -> tuple[dict[str, Any], list[str]]:
         """See `CameraKind.prepare`. Requires that every filter that removes flicker is off."""
+        from drivers.camera.recording import compile_decoder
+
         compile_decoder()
         event_camera = cast("EventCamera", camera)
         settings = event_camera.apply(self._settings)
@@ -227,6 +231,8 @@ class EventKind:
         expected_grid: ExpectedGrid | None,
     ) -> Measurement:
         """See `CameraKind.measure`. Uses the event image of whole flicker periods."""
+        from bench.views.measure import measure
+
         return measure(
             path,
             name=step.pose.name,
@@ -311,6 +317,8 @@ class FrameKind:
         expected_grid: ExpectedGrid | None,
     ) -> Measurement:
         """See `CameraKind.measure`. Uses the mean of the frames."""
+        from bench.views.frames import measure_frames
+
         return measure_frames(path, name=step.pose.name, target=target, expected_grid=expected_grid)
 
     def judge(
@@ -321,6 +329,8 @@ class FrameKind:
         found: Measurement,
     ) -> tuple[list[Gate], list[str]]:
         """See `CameraKind.judge`. Judges stars, saturation and motion."""
+        from bench.views.frames import frame_gates, frame_rejection_reasons
+
         recorded = FrameFacts(**facts)
         return frame_gates(recorded, step.gates, found), frame_rejection_reasons(recorded)
 

@@ -1,0 +1,383 @@
+"""Views kept from earlier calculations, so that the stars of a recording are found once only.
+
+An entry belongs to the bytes of a recording, the options, and the version of the detector: a hash of its source files
+and of the libraries below it. Entries are no evidence. `starbench verify` never reads them, and the folder may be
+deleted at any time. Each entry carries its own hash; one that does not match is found again, and that is told.
+"""
+
+from __future__ import annotations
+
+import functools
+import hashlib
+import io
+import json
+import os
+import platform
+import tempfile
+import time
+import zipfile
+from collections.abc import Callable, Iterable, Mapping
+from contextlib import suppress
+from dataclasses import dataclass, field
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bench.base.home import home_folder
+from bench.records.storage import sha256_of
+from calib.errors import InputMismatch
+from calib.view import RimPoints, View
+
+FORMAT = "starbench/kept-view/1"
+FOLDER = "kept-views"
+MOST_BYTES = 1 << 30
+"""Size of all entries together. The views of about 30,000 recordings have room."""
+
+DETECTOR_SOURCES = (
+    "calib/errors.py",
+    "calib/reflectance.py",
+    "calib/target.py",
+    "calib/view.py",
+    "calib/model/homography.py",
+    "calib/model/local_consistency.py",
+    "calib/boards",
+    "calib/events",
+    "calib/stars",
+    "drivers/camera",
+    "drivers/clock.py",
+    "drivers/errors.py",
+    "bench/results/view_sources.py",
+    "bench/views",
+)
+"""Files and folders of the program that decide which view a recording gives. A change of any makes a new version."""
+_LIBRARIES = ("numpy", "opencv-python-headless", "numba", "scipy", "h5py")
+
+_BUCKETS = 256
+_STALE_S = 3600.0
+_ARRAYS = ("ids", "points_px", "target_mm", "covariances_px2")
+_RIM = ("points_mm", "sigmas_mm", "lit_mm")
+
+
+@dataclass
+class KeptViews:
+    """A folder of views; several processes may use it at once.
+
+    Attributes
+    ----------
+    folder
+        The folder; it is made at the first view, readable for its owner only.
+    most_bytes
+        Size of all entries together. The entries that were used least recently are deleted first.
+    remarks
+        Sentences for the user: which entries were broken, and why views cannot be kept.
+    found, used
+        Numbers of views found in recordings, and of views taken from the folder.
+    """
+
+    folder: Path
+    most_bytes: int = MOST_BYTES
+    remarks: list[str] = field(default_factory=list)
+    found: int = 0
+    used: int = 0
+    _usable: bool | None = field(default=None, init=False, repr=False)
+
+    @classmethod
+    def of_bench(cls) -> KeptViews:
+        """Return the folder of this user's bench.
+
+        Returns
+        -------
+        KeptViews
+            In the folder of the bench's own files.
+        """
+        return cls(home_folder() / FOLDER)
+
+    def view(self, path: Path, options: Mapping[str, Any], find: Callable[[], View]) -> View:
+        """Return the view of a recording. A recording in which no stars are found is not kept.
+
+        Parameters
+        ----------
+        path
+            The recording.
+        options
+            Everything else that decides the view, as values that JSON can hold.
+        find
+            Finds the stars in the recording.
+
+        Returns
+        -------
+        View
+            The same as ``find`` returns.
+        """
+        if not self._is_usable():
+            return find()
+        try:
+            recording = sha256_of(path)
+        except OSError:
+            return find()  # it states what is wrong with the file
+        key = view_key(recording, options)
+        if (kept := self.read(key)) is not None:
+            self.used += 1
+            return kept
+        view = find()
+        self.found += 1
+        with suppress(OSError):
+            if sha256_of(path) == recording:  # else the file was replaced meanwhile
+                self.write(key, view)
+        return view
+
+    def read(self, key: str) -> View | None:
+        """Return the view of a key.
+
+        Parameters
+        ----------
+        key
+            As `view_key` returns it.
+
+        Returns
+        -------
+        View or None
+            None if there is no entry, or it is broken; a broken one is deleted and told.
+        """
+        path = self._path(key)
+        try:
+            data = path.read_bytes()
+        except FileNotFoundError:
+            return None
+        except OSError as error:
+            self.remarks.append(
+                f"{path}: a kept view cannot be read ({error.strerror}); the stars are found again."
+            )
+            return None
+        try:
+            view = unpack_view(data, key)
+        except (ValueError, KeyError, TypeError, EOFError, InputMismatch, zipfile.BadZipFile) as error:
+            self.remarks.append(f"{path}: a kept view is broken ({error}); the stars are found again.")
+            with suppress(OSError):
+                path.unlink()
+            return None
+        with suppress(OSError):
+            os.utime(path)
+        return view
+
+    def write(self, key: str, view: View) -> None:
+        """Keep a view. If this is not possible, say so and go on.
+
+        Parameters
+        ----------
+        key
+            As `view_key` returns it.
+        view
+            The view.
+        """
+        if not self._is_usable():
+            return
+        path, data = self._path(key), pack_view(view, key)
+        if len(data) > self.most_bytes // _BUCKETS:
+            return
+        try:
+            path.parent.mkdir(mode=0o700, exist_ok=True)
+            self._make_room(path.parent, len(data))
+            descriptor, part = tempfile.mkstemp(dir=path.parent, prefix=".", suffix=".tmp")
+            try:
+                with os.fdopen(descriptor, "wb") as stream:
+                    stream.write(data)
+                Path(part).replace(path)
+            except OSError:
+                with suppress(OSError):
+                    Path(part).unlink()
+                raise
+        except OSError as error:
+            self._refuse(f"{error.strerror or error}")
+
+    def _path(self, key: str) -> Path:
+        return self.folder / key[:2] / f"{key}.view"
+
+    def _make_room(self, bucket: Path, size: int) -> None:
+        """Delete the entries of a bucket that were used least recently, and parts that dead processes left.
+
+        Keys are hashes, so entries are spread evenly over the buckets, and each has the same share of the size.
+        """
+        entries = []
+        for entry in os.scandir(bucket):
+            with suppress(FileNotFoundError):
+                status = entry.stat(follow_symlinks=False)
+                if entry.name.startswith("."):
+                    if time.time() - status.st_mtime > _STALE_S:
+                        Path(entry.path).unlink(missing_ok=True)
+                    continue
+                entries.append((status.st_mtime_ns, status.st_size, entry.path))
+        total = size + sum(one[1] for one in entries)
+        for _, had, name in sorted(entries):
+            if total <= self.most_bytes // _BUCKETS:
+                break
+            Path(name).unlink(missing_ok=True)
+            total -= had
+
+    def _is_usable(self) -> bool:
+        """Return whether the folder is there, belongs to this user, and nobody else may write to it."""
+        if self._usable is None:
+            self._usable = True
+            try:
+                self.folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+                status = self.folder.stat()
+                if hasattr(os, "getuid"):
+                    if status.st_uid != os.getuid():
+                        self._refuse("the folder belongs to another user")
+                    elif status.st_mode & 0o077:
+                        self._refuse(
+                            f"other users may use the folder; change its mode: chmod 700 {self.folder}"
+                        )
+            except OSError as error:
+                self._refuse(f"{error.strerror or error}")
+        return self._usable
+
+    def _refuse(self, why: str) -> None:
+        if self._usable is not False:
+            self.remarks.append(
+                f"{self.folder}: views cannot be kept ({why}); the stars are found each time."
+            )
+        self._usable = False
+
+
+def view_key(recording_sha256: str, options: Mapping[str, Any]) -> str:
+    """Return the key of a view.
+
+    Parameters
+    ----------
+    recording_sha256
+        SHA-256 of the recording.
+    options
+        Everything else that decides the view, as values that JSON can hold.
+
+    Returns
+    -------
+    str
+        64 hexadecimal digits.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If an option cannot be written as JSON.
+    """
+    parts = {
+        "format": FORMAT,
+        "recording": recording_sha256,
+        "options": options,
+        "detector": detector_version(),
+    }
+    return hashlib.sha256(json.dumps(parts, sort_keys=True, allow_nan=False).encode()).hexdigest()
+
+
+@functools.cache
+def detector_version() -> str:
+    """Return the version of everything that finds stars: this program's sources, the libraries, the processor.
+
+    Returns
+    -------
+    str
+        64 hexadecimal digits.
+    """
+    digest = hashlib.sha256(f"{platform.machine()} {platform.python_version()}\n".encode())
+    for library in _LIBRARIES:
+        try:
+            digest.update(f"{library} {version(library)}\n".encode())
+        except PackageNotFoundError:  # another distribution brings it, as opencv-python
+            digest.update(f"{library} ?\n".encode())
+    root = Path(__file__).parents[2]
+    for path in sorted(source_files(root)):
+        data = path.read_bytes().replace(b"\r\n", b"\n")
+        digest.update(f"{path.relative_to(root).as_posix()} {len(data)}\n".encode() + data)
+    return digest.hexdigest()
+
+
+def source_files(root: Path) -> Iterable[Path]:
+    """Return the source files of `DETECTOR_SOURCES`.
+
+    Parameters
+    ----------
+    root
+        Folder of the packages.
+
+    Yields
+    ------
+    Path
+        A file.
+    """
+    for name in DETECTOR_SOURCES:
+        path = root / name
+        if path.is_dir():
+            yield from path.rglob("*.py")
+        else:
+            yield path
+
+
+def pack_view(view: View, key: str) -> bytes:
+    """Return a view as an entry: a line of JSON with the hash of the rest, then the arrays as a NumPy archive.
+
+    Parameters
+    ----------
+    view
+        The view.
+    key
+        Its key.
+
+    Returns
+    -------
+    bytes
+        The entry.
+    """
+    arrays: dict[str, NDArray[Any]] = {name: getattr(view, name) for name in _ARRAYS}
+    head: dict[str, Any] = {
+        "format": FORMAT,
+        "key": key,
+        "name": view.name,
+        "image_size": list(view.image_size),
+    }
+    if view.rim is not None:
+        arrays |= {f"rim_{name}": getattr(view.rim, name) for name in _RIM}
+        head["rim_level_sigma_mm"] = view.rim.level_sigma_mm
+    memory = io.BytesIO()
+    np.savez(memory, allow_pickle=False, **arrays)
+    body = json.dumps(head).encode() + b"\n" + memory.getvalue()
+    return hashlib.sha256(body).hexdigest().encode() + b"\n" + body
+
+
+def unpack_view(data: bytes, key: str) -> View:
+    """Return the view of an entry.
+
+    Parameters
+    ----------
+    data
+        The entry, as `pack_view` returns it.
+    key
+        The key that it must have.
+
+    Returns
+    -------
+    View
+        Equal to the one that was kept, to the last bit.
+
+    Raises
+    ------
+    ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile
+        If the entry is broken.
+    calib.errors.InputMismatch
+        If its arrays are no view.
+    """
+    stated, _, body = data.partition(b"\n")
+    if hashlib.sha256(body).hexdigest().encode() != stated:
+        raise ValueError("its hash does not match")
+    line, _, archive = body.partition(b"\n")
+    head = json.loads(line)
+    if (head["format"], head["key"]) != (FORMAT, key):
+        raise ValueError("it belongs to another recording")
+    with np.load(io.BytesIO(archive), allow_pickle=False) as arrays:
+        rim = None
+        if "rim_level_sigma_mm" in head:
+            rim = RimPoints(*(arrays[f"rim_{name}"] for name in _RIM), head["rim_level_sigma_mm"])
+        width, height = head["image_size"]
+        return View(head["name"], (width, height), *(arrays[name] for name in _ARRAYS), rim)
