@@ -172,10 +172,15 @@ def trust_key(
                 )
             signer = read_signer(text)
         else:
-            if name is None or not PRINCIPAL.fullmatch(name):
+            if name is None:
                 raise UsageError(
                     "A public key needs the name of its owner.",
                     remedy="Add --person NAME@PLACE for a person who authorises, or --bench NAME@PLACE.",
+                )
+            if not PRINCIPAL.fullmatch(name):
+                raise UsageError(
+                    f"{name!r} is not of the form NAME@PLACE.",
+                    remedy="Write it as an e-mail address, without spaces: anna.berg@lab.example.",
                 )
             purpose = AUTHORISATION_NAMESPACE if person else NAMESPACE
             signer = Signer(name, public_key, (purpose,))

@@ -203,6 +203,7 @@ def check_reply(reply: bytes, signed: bytes, authorities: TrustedAuthorities, na
     if not authorities.others and not authorities.laboratory:
         raise UncheckedError(
             f"no certificate of a time stamping authority is trusted here; it names {authority}"
+            " (give its root with --tsa-certificates FILE)"
         )
     why = ""
     for roots, is_laboratory in ((authorities.laboratory, True), (authorities.others, False)):

@@ -59,6 +59,7 @@ def test_a_person_authorises_what_is_shown(run, home, tmp_path):
         patch.setenv("STARBENCH_PASSPHRASE", "a secret")
         call(*authorise, fails="not in the list of trusted keys")
         call("keys", "trust", f"{path}.pub", fails="needs the name of its owner")
+        call("keys", "trust", f"{path}.pub", "--person", "Anna Berg", fails="not of the form NAME@PLACE")
         trusted = call("keys", "trust", f"{path}.pub", "--person", "ada@lab.example")
         assert trusted.startswith("Trusted: ada@lab.example  SHA256:")
         assert trusted.endswith("authorises\n")
@@ -159,7 +160,7 @@ def test_keys_are_listed_with_purpose_and_validity(home, tmp_path):
     call("keys", "trust", f"{path}.pub", "--bench", "ada@lab.example", fails="cannot both seal and authorise")
     call("keys", "trust", f"{path}.pub", "--person", "a@b", "--bench", "a@b", fails="not both")
     call("keys", "trust", "nonsense", fails="not a line of a trusted key")
-    call("keys", "trust", f"{path}.pub", "--person", "not a name", fails="needs the name")
+    call("keys", "trust", f"{path}.pub", "--person", "not a name", fails="not of the form")
 
 
 def test_keys_are_replaced_and_revoked(home):

@@ -107,7 +107,7 @@ def test_without_a_trusted_certificate_it_is_not_checked(sealed, signers, author
     assert (found.faults, found.stamps) == ([], ())
     assert (
         "no certificate of a time stamping authority is trusted here; it names Example TSA"
-        in found.unchecked[0]
+        " (give its root with --tsa-certificates FILE)" in found.unchecked[0]
     )
 
 
