@@ -89,6 +89,8 @@ class SerialPort:
         Bits per second.
     stopbits
         Number of stop bits, 1 or 2.
+    rtscts
+        Whether the device uses the lines RTS and CTS to hold the sender; only devices that need it have it.
 
     Raises
     ------
@@ -100,9 +102,9 @@ class SerialPort:
         The user may not open the port.
     """
 
-    def __init__(self, address: str, *, baudrate: int, stopbits: int = 1) -> None:
+    def __init__(self, address: str, *, baudrate: int, stopbits: int = 1, rtscts: bool = False) -> None:
         self._name = address
-        self._serial = _open(address, baudrate, stopbits)
+        self._serial = _open(address, baudrate, stopbits, rtscts)
         self._lost = False
 
     @property
@@ -175,7 +177,7 @@ class SerialPort:
         )
 
 
-def _open(address: str, baudrate: int, stopbits: int) -> Any:
+def _open(address: str, baudrate: int, stopbits: int, rtscts: bool) -> Any:
     if (refused := refused_port(address)) is not None:
         raise PortNotFound(refused, where=address, remedy=PORT_REMEDY)
     try:
@@ -183,6 +185,7 @@ def _open(address: str, baudrate: int, stopbits: int) -> Any:
             address,
             baudrate=baudrate,
             stopbits=stopbits,
+            rtscts=rtscts,
             timeout=_SLICE_S,
             write_timeout=None if "://" in address else _WRITE_S,  # device servers have no such timeout
             exclusive=True,  # flock, before pyserial touches a line setting

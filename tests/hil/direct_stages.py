@@ -12,20 +12,25 @@ import numpy as np
 from bench.stations.device_description import find_description, read_stage_protocol
 from drivers.errors import PortLost
 from drivers.stage import AxisLimits, Stage
+from drivers.stage.dynamixel import DynamixelAxis, DynamixelStage
 from drivers.stage.esp import EspAxis, EspStage
 from drivers.stage.grbl import GrblAxis, GrblStage
 from drivers.stage.text import TextAxis, TextStage
+from drivers.stage.thorlabs import ThorlabsAxis, ThorlabsStage
 from drivers.stage.ximc import XimcAxis, XimcStage
 from drivers.stage.zaber import ZaberAxis, ZaberStage
 from simulators.faults.catalogue import fault_order_from_text
 from simulators.faults.fault_injection import AxisController, BenchParts, fault_action
 from simulators.faults.line_faults import FaultLine
+from simulators.stages.dynamixel import DynamixelBus
+from simulators.stages.dynamixel_servo import ServoModel
 from simulators.stages.esp301 import EspAxisModel, EspController
 from simulators.stages.flir_ptu import PtuAxisModel, PtuController
 from simulators.stages.grbl import GrblAxis as BoardAxis
 from simulators.stages.grbl import GrblController
 from simulators.stages.grbl_planner import GrblAxisModel
 from simulators.stages.mechanics import Mechanics
+from simulators.stages.thorlabs_apt import AptController, AptModel
 from simulators.stages.ximc import XimcController, XimcModel
 from simulators.stages.zaber import ZaberChain
 from simulators.stages.zaber_controller import ZaberController
@@ -182,4 +187,49 @@ def flir(clock: VirtualClock, rng: np.random.Generator) -> DirectStage:
     return DirectStage(stage, line, unit.axes["P"])
 
 
-FAMILIES = {"zaber": zaber, "ximc": ximc, "esp": esp, "grbl": grbl, "flir": flir}
+K10CR1_COUNTS_PER_DEG = 409_600 / 3
+PRM1Z8_COUNTS_PER_DEG = 1919.6418578623391
+
+
+def thorlabs(
+    clock: VirtualClock, rng: np.random.Generator, model: str = "KDC101", scale: float = PRM1Z8_COUNTS_PER_DEG
+) -> DirectStage:
+    told = AptModel(mechanics(scale, stall_detection=model == "KDC101"), 27000123, model)
+    controller = AptController(told, clock.monotonic)
+    axis = ThorlabsAxis(name="pan", port="", serial="27000123", counts_per_deg=scale, limits=LIMITS)
+    line = DirectLine(FaultLine(controller, clock.monotonic, rng), clock)
+    return DirectStage(ThorlabsStage([line], [axis], clock=clock), line, controller)
+
+
+def k10cr1(clock: VirtualClock, rng: np.random.Generator) -> DirectStage:
+    return thorlabs(clock, rng, "K10CR1", K10CR1_COUNTS_PER_DEG)
+
+
+SERVO_COUNTS_PER_DEG = 100.0
+"""A servo with a gear of 8.8: the tests compare angles to some thousandths of a degree."""
+
+
+def dynamixel(clock: VirtualClock, rng: np.random.Generator) -> DirectStage:
+    bus = DynamixelBus({1: ServoModel(mechanics(SERVO_COUNTS_PER_DEG))}, clock.monotonic)
+    axis = DynamixelAxis(
+        name="pan",
+        id=1,
+        model="XL430-W250",
+        counts_per_deg=SERVO_COUNTS_PER_DEG,
+        limits=LIMITS,
+        tolerance_deg=0.02,
+    )
+    line = DirectLine(FaultLine(bus, clock.monotonic, rng), clock)
+    return DirectStage(DynamixelStage(line, [axis], clock=clock), line, bus.servos[1])
+
+
+FAMILIES = {
+    "zaber": zaber,
+    "ximc": ximc,
+    "esp": esp,
+    "grbl": grbl,
+    "flir": flir,
+    "thorlabs": thorlabs,
+    "k10cr1": k10cr1,
+    "dynamixel": dynamixel,
+}

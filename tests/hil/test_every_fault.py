@@ -13,7 +13,7 @@ from tests.hil.direct_stages import FAMILIES, DirectStage, VirtualClock
 LONGEST_S = 20.0
 """Of the bench's own time, from the order to its end: the move itself takes 1.2 s."""
 
-WITHOUT_ENCODER = {"grbl", "flir"}
+WITHOUT_ENCODER = {"grbl", "flir", "k10cr1"}
 UNSEEN_WITHOUT_ENCODER = {"stall", "slip"}
 """Of a move; a controller that counts the steps it sends knows no better. The stars do: see the runs' tests."""
 

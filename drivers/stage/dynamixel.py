@@ -1,0 +1,367 @@
+"""Dynamixel X series servos as the axes of a gimbal: several ids on one bus, in degrees.
+
+A servo knows its angle within one turn at power-up, and its torque is off then. So homing searches nothing: it takes
+the present position as goal and switches the torque on. Only moves move the servo.
+
+This module decides what a servo's state means for a move. ``drivers.stage.watched`` watches the moves.
+"""
+
+from __future__ import annotations
+
+import math
+import struct
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Final
+
+from drivers.clock import Clock
+from drivers.errors import DeviceRefused, MoveFailed, NotHomed, OutsideLimits, ReplyGarbled, WrongDevice
+from drivers.serial_port import Port, SerialPort
+from drivers.stage import AxisIdentity, AxisLimits
+from drivers.stage import dynamixel_protocol as protocol
+from drivers.stage.dynamixel_bus import DynamixelBus
+from drivers.stage.dynamixel_protocol import Settings, State
+from drivers.stage.watched import AxisState, StopCheck, WatchedStage
+from drivers.wire_log import WireLog
+
+_LARGEST_PART_OF_TURN: Final = 0.95
+
+
+@dataclass(frozen=True, kw_only=True)
+class DynamixelAxis:
+    """One axis as the station file describes it.
+
+    Attributes
+    ----------
+    name
+        "pan", "tilt" or "roll".
+    id
+        Id of the servo on the bus.
+    model
+        Name of its model, such as "XL430-W250"; empty when it is not checked.
+    counts_per_deg
+        Counts per degree; 4096 / 360 without a gear, negative when the counter falls as the angle grows.
+    limits
+        Soft limits, speed and acceleration.
+    zero_count
+        Count within the servo's turn at the angle ``zero_deg``.
+    zero_deg
+        Angle at that count, in degrees.
+    tolerance_deg
+        Largest distance of the servo from its target at rest, in degrees.
+    encoder_tolerance_deg
+        Not used: the servo is counted by its encoder.
+    """
+
+    name: str
+    id: int
+    counts_per_deg: float
+    limits: AxisLimits
+    model: str = ""
+    zero_count: int = 2048
+    zero_deg: float = 0.0
+    tolerance_deg: float = 0.3
+    encoder_tolerance_deg: float = 0.5
+
+
+class DynamixelStage(WatchedStage[DynamixelAxis]):
+    """A stage of one to three Dynamixel servos. Implements ``drivers.stage.Stage``.
+
+    Open it with ``DynamixelStage.open``; the constructor takes a port that is open already.
+
+    Parameters
+    ----------
+    port
+        The open port.
+    axes
+        The axes, in the order of the station file.
+    clock
+        Every wait between two requests goes through it.
+    wire_log
+        Records every byte; None for no record.
+
+    Raises
+    ------
+    WrongDevice
+        A servo is of another model; nothing was set.
+    OutsideLimits
+        Limits, speed or acceleration in the station file do not fit the servo.
+    DeviceRefused
+        The torque is on in a mode that this driver cannot use, or the servo refuses a setting.
+    ReplyError, PortLost
+        A servo does not answer.
+    """
+
+    def __init__(
+        self, port: Port, axes: Sequence[DynamixelAxis], *, clock: Clock, wire_log: WireLog | None = None
+    ) -> None:
+        super().__init__(axes, clock=clock, where=port.name)
+        self._goals: dict[str, int] = {}
+        try:
+            self._bus = DynamixelBus(port, [axis.id for axis in axes], clock=clock, wire_log=wire_log)
+            self.identify()
+            for axis in axes:
+                _check_span(axis)
+            self._bring_to_rest()
+            for axis in axes:
+                self._program(axis)
+        except BaseException:
+            port.close()
+            raise
+
+    @classmethod
+    def open(
+        cls,
+        port: str,
+        axes: Sequence[DynamixelAxis],
+        *,
+        baudrate: int = 57600,
+        clock: Clock,
+        wire_log: WireLog | None = None,
+    ) -> DynamixelStage:
+        """Open the port, check the models, and set modes and speeds. Moves nothing, and switches no torque.
+
+        Parameters
+        ----------
+        port
+            Address of the port; see ``drivers.serial_port.SerialPort``, which raises the errors of opening.
+        baudrate
+            Bits per second.
+        axes, clock, wire_log
+            See the class, which raises the other errors.
+
+        Returns
+        -------
+        DynamixelStage
+            The open stage.
+        """
+        return cls(SerialPort(port, baudrate=baudrate), axes, clock=clock, wire_log=wire_log)
+
+    def identify(self) -> Sequence[AxisIdentity]:
+        """See `Stage.identify`. A servo has no serial number; its model and its id stand for it.
+
+        Raises
+        ------
+        WrongDevice
+            A model is not the one in the station file, or not one of the X series.
+        """
+        found = []
+        for axis in self._axes.values():
+            settings = self._bus.read_settings(axis.id)
+            model = protocol.MODELS.get(settings.model, "")
+            if not model or (axis.model and model != axis.model):
+                wanted = f"a {axis.model}" if axis.model else "a servo of the X series"
+                raise WrongDevice(
+                    f"the station file names {wanted} for {axis.name}, but the servo with id {axis.id} is"
+                    f" {f'a {model}' if model else f'of model number {settings.model}'}. Nothing was moved.",
+                    where=self._where,
+                    remedy="Check the port, the ids of the servos, and the models in the station file.",
+                )
+            firmware = str(settings.firmware)
+            found.append(AxisIdentity(axis.name, "Robotis", f"{model} (id {axis.id})", "", firmware))
+        return tuple(found)
+
+    def _has_reference(self) -> bool:
+        return all(self._bus.read_state(axis.id).torque for axis in self._axes.values())
+
+    def faults(self) -> Sequence[str]:
+        """See `Stage.faults`."""
+        said = []
+        for name, axis in self._axes.items():
+            state = self._bus.read_state(axis.id)
+            said += [f"{name}: {fault}" for fault in state.faults]
+            said += [] if state.torque else [f"{name}: the torque is off"]
+        return said
+
+    def close(self) -> None:
+        """See `Stage.close`. The torque stays as it is: without it, an axis could fall."""
+        self._bus.close()
+
+    # ------------------------------------------------------------ on the wire
+
+    def _check_ready(self, axis: DynamixelAxis) -> None:
+        state = self._bus.read_state(axis.id)
+        if state.errors:
+            raise MoveFailed(
+                f"{_shut_down(state)}. Nothing was moved.",
+                where=axis.name,
+                remedy="Clear the cause, hold the camera, then home the stage: that restarts this servo.",
+            )
+        if not state.torque:
+            raise NotHomed(
+                "the torque of the servo is off, as after a loss of power. Nothing was moved.",
+                where=axis.name,
+                remedy="Home the stage first: that switches the torque on where the axis stands.",
+            )
+        self._program_profile(axis, state)
+
+    def _clear_faults(self, axis: DynamixelAxis) -> None:
+        """Restart a servo that has shut down, whose torque is off already, and set it up again."""
+        state = self._bus.read_state(axis.id)
+        if state.errors and not state.torque:
+            self._bus.reboot(axis.id)
+            state = self._bus.read_state(axis.id)
+        if state.errors:
+            raise MoveFailed(
+                f"{_shut_down(state)}. Nothing was moved.",
+                where=axis.name,
+                remedy="Clear the cause, switch the servo's power off and on, then home the stage.",
+            )
+        self._program(axis)
+
+    def _reachable_deg(self, axis: DynamixelAxis, angle_deg: float) -> float:
+        steps = round((angle_deg - axis.zero_deg) * axis.counts_per_deg)
+        return axis.zero_deg + steps / axis.counts_per_deg
+
+    def _start(self, goals_deg: Mapping[str, float], check_not_stopped: StopCheck) -> None:
+        for name, angle_deg in goals_deg.items():
+            axis = self._axes[name]
+            with self._bus.lock:
+                check_not_stopped()
+                goal = self._goal(axis, self._bus.read_state(axis.id), angle_deg)
+                self._goals[name] = goal
+                self._bus.move(axis.id, goal)
+
+    def _start_homing(self, check_not_stopped: StopCheck) -> None:
+        """Switch the torque on where each axis stands."""
+        for name, axis in self._axes.items():
+            with self._bus.lock:
+                check_not_stopped()
+                state = self._bus.read_state(axis.id)
+                if not state.torque:
+                    self._bus.write(axis.id, protocol.GOAL, struct.pack("<i", state.position))
+                    self._bus.write(axis.id, protocol.TORQUE, b"\1")
+                    state = self._bus.read_state(axis.id)
+                self._goals[name] = state.goal
+
+    def _read_state(self, axis: DynamixelAxis, *, homing: bool = False) -> AxisState:  # noqa: ARG002
+        state = self._bus.read_state(axis.id)
+        position_deg = self._angle_deg(axis, state.position)
+        if state.errors:
+            return AxisState(position_deg, state.moving, _shut_down(state))
+        if axis.name not in self._goals:
+            return AxisState(position_deg, state.moving)
+        if not state.torque:
+            problem = "the torque of the servo went off: it lost its power or restarted, and holds nothing"
+            return AxisState(position_deg, state.moving, problem)
+        if state.goal != self._goals[axis.name]:
+            problem = "interrupted: another program or a stop has changed the goal of the servo"
+            return AxisState(position_deg, state.moving, problem, position_kept=True)
+        return AxisState(position_deg, state.moving)
+
+    def _read_final_state(self, axis: DynamixelAxis, *, homing: bool) -> AxisState:
+        return self._read_state(axis, homing=homing)
+
+    def _send_stop(self) -> None:
+        self._goals.clear()
+        self._bus.stop_all()
+
+    def _listen(self, duration_s: float) -> None:
+        self._bus.listen(duration_s)
+
+    # ------------------------------------------------------------ scale and settings
+
+    def _angle_deg(self, axis: DynamixelAxis, count: int) -> float:
+        """Return the angle of a count: of all turns of the servo, the one nearest to the middle of the limits.
+
+        A servo begins to count its turns anew at each power-up; the limits span less than a turn.
+        """
+        angle_deg = axis.zero_deg + (count - axis.zero_count) / axis.counts_per_deg
+        middle_deg = (axis.limits.lowest_deg + axis.limits.highest_deg) / 2.0
+        turn_deg = protocol.COUNTS_A_TURN / abs(axis.counts_per_deg)
+        return angle_deg - turn_deg * round((angle_deg - middle_deg) / turn_deg)
+
+    def _goal(self, axis: DynamixelAxis, state: State, angle_deg: float) -> int:
+        """Return the count of an angle in the turn that the servo counts at present."""
+        steps = round((angle_deg - axis.zero_deg) * axis.counts_per_deg)
+        present = round((self._angle_deg(axis, state.position) - axis.zero_deg) * axis.counts_per_deg)
+        goal = state.position + steps - present
+        if abs(goal) > protocol.LARGEST_GOAL:
+            raise ReplyGarbled(
+                f"the servo counts {state.position}, which is beyond its own range.",
+                where=axis.name,
+                remedy="Switch the servo's power off and on, then home the stage.",
+            )
+        return goal
+
+    def _program(self, axis: DynamixelAxis) -> None:
+        """Set modes and profile where they differ. Modes can be set without torque only."""
+        settings, state = self._bus.read_settings(axis.id), self._bus.read_state(axis.id)
+        drive_mode = settings.drive_mode & ~protocol.TIME_BASED_OR_TORQUE_BY_GOAL
+        wanted = {protocol.DRIVE_MODE: drive_mode, protocol.OPERATING_MODE: protocol.EXTENDED_POSITION}
+        present = {
+            protocol.DRIVE_MODE: settings.drive_mode,
+            protocol.OPERATING_MODE: settings.operating_mode,
+        }
+        if wanted != present and state.torque:
+            raise DeviceRefused(
+                f"the torque is on in operating mode {settings.operating_mode}, drive mode"
+                f" {settings.drive_mode:#04x}; this driver needs operating mode 4 (extended position) and a profile"
+                " of speeds, and switches no torque off, because an axis could fall. Nothing was set.",
+                where=axis.name,
+                remedy="Hold the camera and switch the servo's power off and on.",
+            )
+        for address, value in wanted.items():
+            if value != present[address]:
+                self._bus.write(axis.id, address, bytes([value]))
+        settings = self._bus.read_settings(axis.id)
+        if (settings.drive_mode, settings.operating_mode) != tuple(wanted.values()):
+            raise DeviceRefused(
+                "operating mode and drive mode read back differently from what was set:"
+                f" {settings.operating_mode} and {settings.drive_mode:#04x}.",
+                where=axis.name,
+                remedy="Set operating mode 4 with DYNAMIXEL Wizard.",
+            )
+        _check_speed(axis, settings)
+        self._program_profile(axis, self._bus.read_state(axis.id))
+
+    def _program_profile(self, axis: DynamixelAxis, state: State) -> None:
+        """Set speed and acceleration where they differ, as after a restart, and read them back."""
+        wanted = _profile(axis)
+        if (state.ramp, state.speed) == wanted:
+            return
+        self._bus.write(axis.id, protocol.PROFILE, struct.pack("<II", *wanted))
+        state = self._bus.read_state(axis.id)
+        if (state.ramp, state.speed) != wanted:
+            raise DeviceRefused(
+                f"acceleration and speed read back differently from what was set: {state.ramp} and {state.speed}"
+                f" instead of {wanted[0]} and {wanted[1]}.",
+                where=axis.name,
+                remedy="Change the station file to what the servo supports.",
+            )
+
+
+def _profile(axis: DynamixelAxis) -> tuple[int, int]:
+    """Return acceleration and speed in the servo's units; 0 would mean without limit."""
+    turns_a_deg = abs(axis.counts_per_deg) / protocol.COUNTS_A_TURN
+    speed = math.floor(axis.limits.speed_deg_s * turns_a_deg * 60.0 / protocol.SPEED_UNIT_RPM)
+    ramp = math.floor(axis.limits.acceleration_deg_s2 * turns_a_deg * 3600.0 / protocol.RAMP_UNIT_REV_MIN2)
+    return ramp, speed
+
+
+def _check_speed(axis: DynamixelAxis, settings: Settings) -> None:
+    ramp, speed = _profile(axis)
+    if not 1 <= speed <= settings.most_speed or not 1 <= ramp <= protocol.LARGEST_RAMP:
+        raise OutsideLimits(
+            f"the station file asks for {speed} units of 0.229 rpm and {ramp} units of 214.6 rev/min^2; the servo"
+            f" takes 1 to {settings.most_speed} and 1 to {protocol.LARGEST_RAMP}.",
+            where=axis.name,
+            remedy="Change speed_deg_s and acceleration_deg_s2 in the station file.",
+        )
+
+
+def _check_span(axis: DynamixelAxis) -> None:
+    """Refuse limits that span more than a turn of the servo, which begins to count turns anew at each power-up."""
+    turn_deg = protocol.COUNTS_A_TURN / abs(axis.counts_per_deg)
+    if axis.limits.highest_deg - axis.limits.lowest_deg > _LARGEST_PART_OF_TURN * turn_deg:
+        raise OutsideLimits(
+            f"the limits span more than {_LARGEST_PART_OF_TURN:.0%} of a turn of the servo ({turn_deg:.4g} deg of the"
+            " axis): after a loss of power, its angle would not be known. Nothing was set.",
+            where=axis.name,
+            remedy="Choose narrower limits, or a gear with a smaller ratio.",
+        )
+
+
+def _shut_down(state: State) -> str:
+    words = ", ".join(state.faults)
+    return words if state.torque else f"{words}; the servo has switched its torque off, and holds nothing"

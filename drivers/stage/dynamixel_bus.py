@@ -1,0 +1,335 @@
+"""Talk to Dynamixel servos on one bus: whole packets, repeated questions, confirmed writes and stops.
+
+Degrees and the names of axes belong to ``drivers.stage.dynamixel``.
+"""
+
+from __future__ import annotations
+
+import math
+import struct
+import threading
+from collections.abc import Sequence
+from typing import Final
+
+from drivers.clock import Clock
+from drivers.errors import DeviceRefused, ReplyError, ReplyGarbled
+from drivers.link import Link, ReplyReader
+from drivers.retry import repeat, resynchronise
+from drivers.serial_port import Port
+from drivers.stage import dynamixel_protocol as protocol
+from drivers.stage.dynamixel_protocol import Packet, Settings, State
+from drivers.wire_log import WireLog
+
+_REPLY_S: Final = 0.5
+_MARKER_S: Final = 0.3
+_FIRST_STOP_S: Final = 0.2
+_QUIET_S: Final = 0.03
+_LONGEST_DRAIN_S: Final = 1.0
+_BOOT_POLL_S: Final = 0.1
+_BOOT_POLLS: Final = 30
+_PUSHING_COUNTS: Final = 20
+"""A servo at rest that is further from its goal is blocked, and pushes."""
+_SPEED_UNIT_COUNTS: Final = protocol.SPEED_UNIT_RPM * protocol.COUNTS_A_TURN / 60.0
+_RAMP_UNIT_COUNTS: Final = protocol.RAMP_UNIT_REV_MIN2 * protocol.COUNTS_A_TURN / 3600.0
+
+
+class _PacketLink(Link):
+    """A line whose units are packets. Bytes before a header are noise, and are thrown away."""
+
+    def take_line(self) -> bytes | None:
+        """Take one unread packet.
+
+        Returns
+        -------
+        bytes or None
+            The packet; None when no complete one is unread.
+        """
+        while True:
+            unread = self.unread
+            start = unread.find(protocol.HEADER)
+            if start < 0:
+                self.take(max(0, len(unread) - len(protocol.HEADER) + 1))
+                return None
+            self.take(start)
+            if len(unread) - start < protocol.HEAD_SIZE:
+                return None
+            size = protocol.size(unread[start : start + protocol.HEAD_SIZE])
+            if size:
+                return self.take(size)
+            self.take(len(protocol.HEADER))
+
+
+class DynamixelBus:
+    """The servos on one line. Opening sends nothing.
+
+    Parameters
+    ----------
+    port
+        The open port.
+    servos
+        Ids of the servos that this driver uses.
+    clock, wire_log
+        See ``drivers.link.Link``.
+    """
+
+    def __init__(
+        self, port: Port, servos: Sequence[int], *, clock: Clock, wire_log: WireLog | None = None
+    ) -> None:
+        self._servos = tuple(servos)
+        self._asked = self._servos[0]
+        self._clock = clock
+        self._link = _PacketLink(
+            port,
+            clock=clock,
+            resynchronise=self._resynchronise,
+            unsolicited=self._is_echo,
+            wire_log=wire_log,
+        )
+        self._link.mark_out_of_step()
+
+    @property
+    def name(self) -> str:
+        """The port's name."""
+        return self._link.name
+
+    @property
+    def lock(self) -> threading.RLock:
+        """While a thread holds it, no other thread can send."""
+        return self._link.lock
+
+    def read_settings(self, servo: int) -> Settings:
+        """Ask for the settings that outlast a loss of power.
+
+        Parameters
+        ----------
+        servo
+            Id of the servo.
+
+        Returns
+        -------
+        Settings
+            The settings.
+        """
+        return Settings.unpack(repeat(lambda: self._read(servo, 0, protocol.SETTINGS_SIZE)))
+
+    def read_state(self, servo: int) -> State:
+        """Ask for the state.
+
+        Parameters
+        ----------
+        servo
+            Id of the servo.
+
+        Returns
+        -------
+        State
+            Goal, position, torque and errors of one moment.
+        """
+        return repeat(lambda: self._read_state(servo))
+
+    def write(self, servo: int, address: int, data: bytes) -> None:
+        """Write a value; repeat it when no status packet comes, which does no harm.
+
+        Parameters
+        ----------
+        servo
+            Id of the servo.
+        address
+            Address in the control table.
+        data
+            The value. Not a goal while the torque is on: see `move`.
+
+        Raises
+        ------
+        DeviceRefused
+            The servo refuses the value.
+        ReplyError
+            No valid status packet came at the last attempt.
+        PortLost
+            The port is gone.
+        """
+        repeat(lambda: self._write(servo, address, data))
+
+    def move(self, servo: int, goal: int) -> None:
+        """Write a goal, once.
+
+        Parameters
+        ----------
+        servo
+            Id of the servo.
+        goal
+            Target, in counts.
+
+        Raises
+        ------
+        DeviceRefused
+            The servo refuses the goal.
+        ReplyError
+            No valid status packet came: the axis may be moving.
+        PortLost
+            The port is gone.
+        """
+        self._write(servo, protocol.GOAL, struct.pack("<i", goal))
+
+    def reboot(self, servo: int) -> None:
+        """Restart a servo, once, and wait until it answers. Its torque is off then.
+
+        Parameters
+        ----------
+        servo
+            Id of the servo.
+
+        Raises
+        ------
+        ReplyError
+            It does not answer.
+        PortLost
+            The port is gone.
+        """
+        self._exchange(servo, protocol.REBOOT, b"", 0)
+        for _ in range(_BOOT_POLLS):
+            self._clock.sleep(_BOOT_POLL_S)
+            try:
+                self._exchange(servo, protocol.PING, b"", 3, deadline_s=_BOOT_POLL_S)
+            except ReplyError:
+                continue
+            return
+        self.read_state(servo)
+
+    def stop_all(self) -> None:
+        """Set the goal of every servo where it can come to rest, and read it back.
+
+        A servo that does not answer does not delay the stop of the others: it is asked again after them. The torque
+        stays on, so that no axis falls.
+
+        Raises
+        ------
+        ReplyError
+            A servo did not confirm its stop at the last attempt.
+        PortLost
+            The port is gone.
+        """
+        with self._link.lock:
+            left = []
+            for servo in self._servos:
+                try:
+                    self._stop(servo, deadline_s=_FIRST_STOP_S)
+                except ReplyError:
+                    left.append(servo)
+            failed: ReplyError | None = None
+            for servo in left:
+                try:
+                    repeat(lambda servo=servo: self._stop(servo))  # type: ignore[misc]
+                except ReplyError as error:
+                    failed = error
+            if failed is not None:
+                raise failed
+
+    def listen(self, duration_s: float) -> None:
+        """Wait for bytes on the line. No clock interrupts this wait: it is for stopping only.
+
+        Parameters
+        ----------
+        duration_s
+            Longest wait, in seconds.
+        """
+        with self._link.lock:
+            self._link.receive(duration_s)
+
+    def close(self) -> None:
+        """Close the port."""
+        self._link.close()
+
+    # ------------------------------------------------------------ inside
+
+    def _stop(self, servo: int, deadline_s: float = _REPLY_S) -> None:
+        state = self._read_state(servo, deadline_s)
+        if not state.torque:
+            return
+        goal = _resting_goal(state)
+        if goal != state.goal:
+            self._write(servo, protocol.GOAL, struct.pack("<i", goal), deadline_s)
+            state = self._read_state(servo, deadline_s)
+        if state.torque and state.goal != goal:
+            raise ReplyGarbled(
+                f"servo {servo} did not take the goal of a stop.",
+                where=self.name,
+                remedy="Cut the servo's power.",
+            )
+
+    def _read_state(self, servo: int, deadline_s: float = _REPLY_S) -> State:
+        return State.unpack(self._read(servo, protocol.STATE_FIRST, protocol.STATE_SIZE, deadline_s))
+
+    def _read(self, servo: int, first: int, count: int, deadline_s: float = _REPLY_S) -> bytes:
+        request = struct.pack("<HH", first, count)
+        return self._exchange(servo, protocol.READ, request, count, deadline_s=deadline_s)
+
+    def _write(self, servo: int, address: int, data: bytes, deadline_s: float = _REPLY_S) -> None:
+        request = struct.pack("<H", address) + data
+        self._exchange(servo, protocol.WRITE, request, 0, deadline_s=deadline_s)
+
+    def _exchange(
+        self,
+        servo: int,
+        instruction: int,
+        parameters: bytes,
+        count: int,
+        *,
+        deadline_s: float = _REPLY_S,
+        urgent: bool = False,
+    ) -> bytes:
+        """Send an instruction, and return the parameters of its status packet."""
+
+        def read_reply(reader: ReplyReader) -> bytes | DeviceRefused:
+            while True:
+                status = self._parse(reader.read_line())
+                if status.servo == servo:  # a late packet of another servo is no answer
+                    try:
+                        return protocol.data_of(status, count, self.name)
+                    except DeviceRefused as error:
+                        return error
+
+        with self._link.lock:
+            self._asked = servo
+            answer = self._link.exchange(
+                protocol.packet(servo, instruction, parameters),
+                read_reply,
+                deadline_s=deadline_s,
+                urgent=urgent,
+            )
+        if isinstance(answer, DeviceRefused):
+            raise answer
+        return answer
+
+    def _parse(self, data: bytes) -> Packet:
+        return protocol.parse(data, self.name)
+
+    def _is_echo(self, data: bytes) -> bool:
+        """Whether a packet is an instruction: an adapter of one wire hears what it sends."""
+        return self._parse(data).instruction != protocol.STATUS
+
+    def _resynchronise(self) -> None:
+        """Wait for silence; then get the answer to a ping, which no other instruction has, alone on the line."""
+
+        def exchange_marker() -> bool:
+            self._exchange(self._asked, protocol.PING, b"", 3, deadline_s=_MARKER_S, urgent=True)
+            return True
+
+        if not resynchronise(self._link, exchange_marker, quiet_s=_QUIET_S, limit_s=_LONGEST_DRAIN_S):
+            raise ReplyGarbled(
+                "more bytes come than were asked for.",
+                where=self.name,
+                remedy="Check the cable, and that no two servos have the same id.",
+            )
+
+
+def _resting_goal(state: State) -> int:
+    """Return the goal at which a servo comes to rest by its ramp, at most the present goal."""
+    away = state.goal - state.position
+    if not state.moving:
+        return state.goal if abs(away) <= _PUSHING_COUNTS else state.position
+    speed, ramp = state.velocity * _SPEED_UNIT_COUNTS, state.ramp * _RAMP_UNIT_COUNTS
+    braking = math.trunc(speed * abs(speed) / (2.0 * ramp)) if ramp else 0
+    if braking * away > 0 and abs(braking) > abs(away):
+        return state.goal
+    return state.position + braking

@@ -1,0 +1,389 @@
+"""Build requests and parse replies of Thorlabs' APT protocol: a header of six bytes, little-endian data. Sends nothing.
+
+A short message is its id, two parameters, the destination and the source. A long one has the length of its data in
+place of the parameters, and the top bit of its destination set. There is no checksum and no number of a request: a
+reply is recognised by its id, its addresses, its length and its channel. Moves and settings have no reply.
+
+Source: Thorlabs, "APT Controllers Host-Controller Communications Protocol", issue 25 and later.
+"""
+
+from __future__ import annotations
+
+import struct
+from dataclasses import dataclass
+from typing import Final, Self
+
+from drivers.errors import DeviceRefused, ReplyGarbled
+
+HOST: Final = 0x01
+UNIT: Final = 0x50
+"""Address of a controller with its own USB port."""
+CHANNEL: Final = 1
+HEAD_SIZE: Final = 6
+_LONG: Final = 0x80
+_LONGEST_DATA: Final = 255
+
+STOP_UPDATES: Final = 0x0012
+REQUEST_INFORMATION: Final = 0x0005
+SET_ENABLED: Final = 0x0210
+REQUEST_ENABLED: Final = 0x0211
+REQUEST_POSITION: Final = 0x0411
+SET_SPEED: Final = 0x0413
+REQUEST_SPEED: Final = 0x0414
+REQUEST_STATUS: Final = 0x0429
+HOME: Final = 0x0443
+HOMED: Final = 0x0444
+MOVE_TO: Final = 0x0453
+STOP: Final = 0x0465
+STILL_THERE: Final = 0x0492
+"""A sign of life of the computer. Some controllers fall silent after about 50 requests without it."""
+
+UNASKED: Final = frozenset({0x0080, 0x0081, HOMED, 0x0464, 0x0466, 0x0481, 0x0491})
+"""Ids of what a controller sends without a request of this driver: errors, ends of motions, updates."""
+ON: Final = 1
+OFF: Final = 2
+STOP_BY_RAMP: Final = 2
+
+INFORMATION_LAYOUT: Final = struct.Struct("<I8sH4B60sHHH")
+POSITION_LAYOUT: Final = struct.Struct("<Hi")
+STATUS_LAYOUT: Final = struct.Struct("<HI")
+SPEED_LAYOUT: Final = struct.Struct("<Hiii")
+
+_MOVING: Final = 0x0000_00F0
+_HOMING: Final = 0x0000_0200
+_HOMED: Final = 0x0000_0400
+LIMITS: Final = {
+    0x0000_0001: "forward limit switch",
+    0x0000_0002: "reverse limit switch",
+    0x0000_0004: "forward limit of the controller",
+    0x0000_0008: "reverse limit of the controller",
+}
+FAULTS: Final = {
+    0x0000_4000: "the motor does not follow (position error)",
+    0x0000_8000: "the controller reports a fault of itself",
+    0x0002_0000: "too hot",
+    0x0004_0000: "supply voltage fault",
+    0x0008_0000: "the motor lost its commutation",
+    0x0100_0000: "the motor is overloaded",
+    0x0200_0000: "encoder fault",
+    0x0400_0000: "too much current",
+    0x0800_0000: "supply current fault",
+    0x4000_0000: "the controller reports an error",
+}
+"""Meanings of the status bits with which this driver moves no axis."""
+_USED: Final = _MOVING | _HOMING | _HOMED | sum(LIMITS) | sum(FAULTS)
+
+
+@dataclass(frozen=True)
+class Family:
+    """What differs between families of controllers.
+
+    Attributes
+    ----------
+    speed_factor
+        Units of speed for one count per second.
+    acceleration_factor
+        Units of acceleration for one count per second squared.
+    sign_of_life
+        Whether the controller needs signs of life.
+    counts_per_deg
+        Scale of a stage with a built-in controller; 0 where the stage is a separate one.
+    """
+
+    speed_factor: float
+    acceleration_factor: float
+    sign_of_life: bool
+    counts_per_deg: float = 0.0
+
+
+def _by_sample_time(sample_s: float) -> Family:
+    return Family(65536.0 * sample_s, 65536.0 * sample_s**2, sign_of_life=True)
+
+
+_STEPPER: Final = (53.68, 53.68 * 204.94e-6)
+FAMILIES: Final = {
+    "K10CR1": Family(*_STEPPER, sign_of_life=False, counts_per_deg=409_600 / 3),
+    "K10CR2": Family(*_STEPPER, sign_of_life=False),
+    "KST": Family(*_STEPPER, sign_of_life=False),
+    "TST101": Family(*_STEPPER, sign_of_life=False),
+    "KDC101": _by_sample_time(2048 / 6e6),
+    "TDC001": _by_sample_time(2048 / 6e6),
+    "KBD101": _by_sample_time(102.4e-6),
+    "TBD001": _by_sample_time(102.4e-6),
+}
+"""Families by the beginning of the model's name, as the controller reports it."""
+
+
+@dataclass(frozen=True)
+class Information:
+    """What a controller says of itself.
+
+    Attributes
+    ----------
+    serial
+        Serial number, as on its label.
+    model
+        Name of the model.
+    firmware
+        Version of the firmware.
+    """
+
+    serial: str
+    model: str
+    firmware: str
+
+    @classmethod
+    def unpack(cls, data: bytes) -> Self:
+        """Unpack the data of a reply.
+
+        Parameters
+        ----------
+        data
+            The data, 84 bytes.
+
+        Returns
+        -------
+        Information
+            The information.
+        """
+        serial, model, _, minor, interim, major, *_ = INFORMATION_LAYOUT.unpack(data)
+        name = model.split(b"\0")[0].decode("ascii", errors="replace").strip()
+        return cls(str(serial), name, f"{major}.{interim}.{minor}")
+
+
+@dataclass(frozen=True)
+class Status:
+    """The status bits that this driver uses.
+
+    Attributes
+    ----------
+    bits
+        The bits, with all others cleared: some tremble at rest.
+    """
+
+    bits: int
+
+    @classmethod
+    def unpack(cls, data: bytes) -> Self:
+        """Unpack the data of a reply.
+
+        Parameters
+        ----------
+        data
+            The data, 6 bytes.
+
+        Returns
+        -------
+        Status
+            The status.
+        """
+        return cls(STATUS_LAYOUT.unpack(data)[1] & _USED)
+
+    @property
+    def moving(self) -> bool:
+        """Whether the axis moves, for any reason."""
+        return bool(self.bits & (_MOVING | _HOMING))
+
+    @property
+    def homing(self) -> bool:
+        """Whether it searches its reference."""
+        return bool(self.bits & _HOMING)
+
+    @property
+    def homed(self) -> bool:
+        """Whether it has a reference."""
+        return bool(self.bits & _HOMED)
+
+    @property
+    def limits(self) -> list[str]:
+        """Limits at which it stands."""
+        return [words for bit, words in LIMITS.items() if self.bits & bit]
+
+    @property
+    def faults(self) -> list[str]:
+        """Faults, in words."""
+        return [words for bit, words in FAULTS.items() if self.bits & bit]
+
+
+def short(message: int, first: int = 0, second: int = 0) -> bytes:
+    """Return a short message.
+
+    Parameters
+    ----------
+    message
+        Its id.
+    first, second
+        Its parameters.
+
+    Returns
+    -------
+    bytes
+        Six bytes.
+
+    Examples
+    --------
+    >>> short(HOME, CHANNEL).hex(" ")
+    '43 04 01 00 50 01'
+    """
+    return struct.pack("<HBBBB", message, first, second, UNIT, HOST)
+
+
+def long(message: int, data: bytes) -> bytes:
+    """Return a message with data.
+
+    Parameters
+    ----------
+    message
+        Its id.
+    data
+        Its data.
+
+    Returns
+    -------
+    bytes
+        Header and data.
+
+    Examples
+    --------
+    >>> long(MOVE_TO, POSITION_LAYOUT.pack(CHANNEL, -2)).hex(" ")
+    '53 04 06 00 d0 01 01 00 fe ff ff ff'
+    """
+    return struct.pack("<HHBB", message, len(data), UNIT | _LONG, HOST) + data
+
+
+def size(head: bytes, where: str) -> int:
+    """Return the size of the message that begins with a header.
+
+    Parameters
+    ----------
+    head
+        The first six bytes.
+    where
+        Name of the port, for messages.
+
+    Returns
+    -------
+    int
+        Size with the header, in bytes.
+
+    Raises
+    ------
+    ReplyGarbled
+        No controller sends such a header to a computer.
+    """
+    _, length, destination, source = struct.unpack("<HHBB", head)
+    if destination & ~_LONG not in {0, HOST} or source != UNIT:
+        raise _garbled(f"{head.hex(' ')} came, which is not from a controller to this computer.", where)
+    if not destination & _LONG:
+        return HEAD_SIZE
+    if length > _LONGEST_DATA:
+        raise _garbled(f"a message of {length} bytes was announced ({head.hex(' ')}).", where)
+    return HEAD_SIZE + int(length)
+
+
+def is_unasked(message: bytes) -> bool:
+    """Return whether a message answers no request of this driver.
+
+    Parameters
+    ----------
+    message
+        The whole message.
+
+    Returns
+    -------
+    bool
+        Whether it came unasked.
+    """
+    return struct.unpack_from("<H", message)[0] in UNASKED
+
+
+def data_of(message: bytes, wanted: int, layout: struct.Struct, where: str) -> bytes:
+    """Check a message, and return its data.
+
+    Parameters
+    ----------
+    message
+        The whole message.
+    wanted
+        Id of the request; the reply's id is the next number.
+    layout
+        Form of the data.
+    where
+        Name of the port, for messages.
+
+    Returns
+    -------
+    bytes
+        The data.
+
+    Raises
+    ------
+    ReplyGarbled
+        It is no reply to this request.
+    """
+    data = message[HEAD_SIZE:]
+    if struct.unpack_from("<H", message)[0] != wanted + 1 or len(data) != layout.size:
+        raise _garbled(f"{message[:20].hex(' ')} came, which is no answer to request {wanted:#06x}.", where)
+    if wanted != REQUEST_INFORMATION and struct.unpack_from("<H", data)[0] != CHANNEL:
+        raise _garbled(f"a reply for another channel came: {message.hex(' ')}.", where)
+    return data
+
+
+def parameter_of(message: bytes, wanted: int, where: str) -> int:
+    """Check a short message, and return its second parameter.
+
+    Parameters
+    ----------
+    message, wanted, where
+        See `data_of`.
+
+    Returns
+    -------
+    int
+        The parameter.
+
+    Raises
+    ------
+    ReplyGarbled
+        It is no reply to this request.
+    """
+    number, channel, value, destination, _ = struct.unpack_from("<HBBBB", message)
+    if number != wanted + 1 or destination & _LONG or channel != CHANNEL:
+        raise _garbled(f"{message[:20].hex(' ')} came, which is no answer to request {wanted:#06x}.", where)
+    return int(value)
+
+
+def family_of(model: str, where: str) -> Family:
+    """Return the family of a model.
+
+    Parameters
+    ----------
+    model
+        Name of the model, as the controller reports it.
+    where
+        Name of the port, for messages.
+
+    Returns
+    -------
+    Family
+        The family.
+
+    Raises
+    ------
+    DeviceRefused
+        This driver does not know the units of this model.
+    """
+    for beginning, family in FAMILIES.items():
+        if model.upper().startswith(beginning):
+            return family
+    raise DeviceRefused(
+        f"the controller is a {model!r}, whose units of speed this driver does not know.",
+        where=where,
+        remedy=f"Use one of: {', '.join(FAMILIES)}.",
+    )
+
+
+def _garbled(what: str, where: str) -> ReplyGarbled:
+    return ReplyGarbled(
+        what, where=where, remedy="Check that the port is that of the Thorlabs controller, and its cable."
+    )

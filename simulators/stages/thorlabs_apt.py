@@ -1,0 +1,362 @@
+"""A simulated Thorlabs controller with one channel, which speaks the APT protocol: K10CR1, or KDC101 with a PRM1Z8.
+
+    id (2), parameter, parameter, destination, source            a short message
+    id (2), length (2), destination | 0x80, source, data         a message with data
+
+All numbers are little endian; the computer is 0x01, the unit 0x50. Commands have no answer, and no message has a
+checksum or a number. The end of a motion is told unasked (0x0464 arrived, 0x0444 homed, 0x0466 stopped). Updates of the
+status come ten times a second while they are switched on. A K10CR1 counts the steps that it sends; a KDC101 counts the
+encoder of the motor, and falls silent after 50 requests without a sign of life (0x0492) from the computer.
+
+Source: Thorlabs, "APT Controllers Host-Controller Communications Protocol". That bytes of a message that is not
+completed are dropped after 0.5 s, and what the unit does at unknown ids (nothing), was written without a unit at hand.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Final
+
+from simulators.stages.axis_motion import Axis
+from simulators.stages.mechanics import Mechanics
+from simulators.world.load import LoadTrajectory
+
+_COMPUTER: Final = 0x01
+_UNIT: Final = 0x50
+_BYTE_TIMEOUT_S: Final = 0.5
+_UPDATE_S: Final = 0.1
+_PATIENCE: Final = 50
+_SERVO_PERIOD_S: Final = 2048.0 / 6.0e6
+_LONGEST: Final = 255
+
+#: Settings that are kept as they come: length of their data by the id that sets them. The next ids ask and answer.
+_KEPT: Final = {0x0413: 14, 0x0416: 22, 0x0423: 16, 0x043A: 6, 0x0440: 14, 0x0445: 6, 0x0450: 6}
+
+_FORWARD_SWITCH, _REVERSE_SWITCH = 0x1, 0x2
+_TURNS_FORWARD, _TURNS_BACK = 0x10, 0x20
+_CONNECTED, _HOMING, _HOMED = 0x100, 0x200, 0x400
+_TRACKING, _SETTLED, _DOES_NOT_FOLLOW = 0x1000, 0x2000, 0x4000
+_POWER_OK, _ENABLED = 0x1000_0000, 0x8000_0000
+
+
+@dataclass(frozen=True)
+class AptModel:
+    """Identity of a controller, and the axis behind it.
+
+    Attributes
+    ----------
+    mechanics
+        Mechanical properties.
+    serial
+        Serial number.
+    name
+        Name of the model: "K10CR1" or "KDC101".
+    speed_deg_s, acceleration_deg_s2
+        Ramp settings at power-up, degrees/s and degrees/s^2.
+    home_speed_deg_s
+        Speed of homing, degrees/s; the last part is ten times slower.
+    boot_s
+        Time without answers after a restart, s.
+    """
+
+    mechanics: Mechanics
+    serial: int
+    name: str = "K10CR1"
+    speed_deg_s: float = 10.0
+    acceleration_deg_s2: float = 10.0
+    home_speed_deg_s: float = 10.0
+    boot_s: float = 1.0
+
+    @property
+    def servo(self) -> bool:
+        """Whether the motor has an encoder."""
+        return not self.name.startswith("K10CR")
+
+    def speed_units(self) -> tuple[float, float]:
+        """Return the scales of the ramp settings.
+
+        Returns
+        -------
+        tuple of float
+            Units for one count/s, and for one count/s^2.
+        """
+        if self.servo:
+            return _SERVO_PERIOD_S * 65_536.0, _SERVO_PERIOD_S**2 * 65_536.0
+        return 53.68, 1.0 / 90.9
+
+
+class AptController:
+    """The controller, as a dialect of a serial line.
+
+    Parameters
+    ----------
+    model
+        Identity and axis.
+    clock
+        Returns the time in seconds.
+    publish
+        Called with each new trajectory of the axis.
+
+    Attributes
+    ----------
+    axis
+        Motion of the axis.
+    """
+
+    def __init__(
+        self,
+        model: AptModel,
+        clock: Callable[[], float],
+        publish: Callable[[LoadTrajectory], None] = lambda _pointing: None,
+    ) -> None:
+        self.model = model
+        self._clock = clock
+        self.axis = Axis(model.mechanics, clock(), publish)
+        self._powered = True
+        self._boot_ends_s = self._received_at_s = clock()
+        self._power_up()
+
+    def _power_up(self) -> None:
+        self._buffer = b""
+        self._kept = {number: bytes(length) for number, length in _KEPT.items()}
+        speed, acceleration = self.model.speed_units()
+        scale = self.model.mechanics.counts_per_deg
+        ramp = round(self.model.acceleration_deg_s2 * scale * acceleration)
+        self._kept[0x0413] = struct.pack("<Hiii", 1, 0, ramp, round(self.model.speed_deg_s * scale * speed))
+        self._enabled = True
+        self._updates = False
+        self._updated_at_s = self._clock()
+        self._unanswered = 0
+        self._switches = 0
+        self._does_not_follow = False
+        self._motion = ""
+
+    @property
+    def baud(self) -> int:
+        """Baud rate of all APT controllers."""
+        return 115_200
+
+    # ------------------------------------------------------------------ the line
+    def receive(self, data: bytes) -> bytes:
+        """See `Dialect.receive`."""
+        now = self._clock()
+        self._take_events(now)
+        if not self._powered or now < self._boot_ends_s:
+            return b""
+        if now - self._received_at_s > _BYTE_TIMEOUT_S:
+            self._buffer = b""
+        self._received_at_s = now
+        self._buffer += data
+        answers = b""
+        while len(self._buffer) >= 6:
+            number, first, second, destination, source = struct.unpack_from("<HBBBB", self._buffer)
+            length = first | second << 8 if destination & 0x80 else 0
+            if destination & 0x7F not in {_UNIT, 0x11, 0x21} or source != _COMPUTER or length > _LONGEST:
+                self._buffer = self._buffer[1:]
+                continue
+            if len(self._buffer) < 6 + length:
+                break
+            content, self._buffer = self._buffer[6 : 6 + length], self._buffer[6 + length :]
+            answers += self._execute(number, first, second, content, now)
+        return answers
+
+    def unsolicited(self) -> bytes:
+        """See `Dialect.unsolicited`. These are ends of motions, and updates of the status."""
+        now = self._clock()
+        self._take_events(now)
+        if not self._powered or now < self._boot_ends_s:
+            return b""
+        said = b""
+        if self._motion and not self.axis.reports_busy(now):
+            said, self._motion = self._end_of_motion(now), ""
+        if self._updates and now - self._updated_at_s >= _UPDATE_S:
+            self._updated_at_s = now
+            said += self._long(0x0491 if self.model.servo else 0x0481, self._update(now))
+        return said
+
+    def _end_of_motion(self, now: float) -> bytes:
+        if self._motion == "home":
+            return struct.pack("<HBBBB", 0x0444, 1, 0, _COMPUTER, _UNIT)
+        return self._long(0x0464 if self._motion == "move" else 0x0466, self._update(now))
+
+    def _long(self, number: int, content: bytes) -> bytes:
+        return struct.pack("<HHBB", number, len(content), _COMPUTER | 0x80, _UNIT) + content
+
+    def _short(self, number: int, first: int, second: int) -> bytes:
+        return struct.pack("<HBBBB", number, first, second, _COMPUTER, _UNIT)
+
+    # ------------------------------------------------------------------ messages
+    def _execute(self, number: int, first: int, second: int, content: bytes, now: float) -> bytes:
+        if number == 0x0492:
+            self._unanswered = 0
+            return b""
+        self._unanswered += 1
+        if self.model.servo and self._unanswered > _PATIENCE:
+            return b""
+        if number in {0x0005, 0x0211, 0x0411, 0x040A, 0x0429, 0x0480, 0x0490} or number - 1 in _KEPT:
+            return self._tell(number, now)
+        if number in _KEPT:
+            if len(content) == _KEPT[number] and content[:2] == b"\x01\x00":
+                self._kept[number] = content
+        elif number in {0x0011, 0x0012}:
+            self._updates, self._updated_at_s = number == 0x0011, now
+        elif number == 0x0210 and first == 1 and second in {1, 2}:
+            self._enable(second == 1, now)
+        elif number in {0x0410, 0x0409} and len(content) == 6:
+            (value,) = struct.unpack("<i", content[2:])
+            (self.axis.set_counter if number == 0x0410 else self.axis.set_encoder)(float(value), now)
+        elif self._enabled:
+            self._command(number, first, second, content, now)
+        return b""
+
+    def _command(self, number: int, first: int, second: int, content: bytes, now: float) -> None:
+        if number == 0x0443 and first == 1:
+            self._switches, self._motion = 0, "home"
+            _, acceleration = self._ramp()
+            speed = self.model.home_speed_deg_s * self.model.mechanics.counts_per_deg
+            self.axis.home(now, speed, speed / 10.0, acceleration)
+        elif number == 0x0465 and first == 1:
+            if self.axis.busy(now):
+                self._motion = "stop"
+                self.axis.halt(now) if second == 1 else self.axis.stop(now, self._ramp()[1])
+        elif number in {0x0453, 0x0448}:
+            kept = content if len(content) == 6 else self._kept[0x0450 if number == 0x0453 else 0x0445]
+            channel, value = struct.unpack("<Hi", kept)
+            if channel == 1:
+                self._move(value + (self._position(now) if number == 0x0448 else 0), now)
+
+    def _move(self, target: int, now: float) -> None:
+        self._switches, self._motion = 0, "move"
+        self.axis.move_to(float(target), now, *self._ramp())
+
+    def _ramp(self) -> tuple[float, float]:
+        """Return speed and acceleration in counts/s and counts/s^2."""
+        _, _, acceleration, speed = struct.unpack("<Hiii", self._kept[0x0413])
+        speed_unit, acceleration_unit = self.model.speed_units()
+        return max(speed / speed_unit, 1.0), max(acceleration / acceleration_unit, 1.0)
+
+    def _enable(self, enabled: bool, now: float) -> None:
+        self._enabled = enabled
+        if not enabled and self.axis.busy(now):
+            self.axis.halt(now)
+        if enabled:
+            self._does_not_follow = False
+
+    # ------------------------------------------------------------------ readings
+    def _tell(self, number: int, now: float) -> bytes:
+        if number == 0x0005:
+            return self._information()
+        if number == 0x0211:
+            return self._short(0x0212, 1, 1 if self._enabled else 2)
+        if number in {0x0411, 0x040A}:
+            counts = self._position(now) if number == 0x0411 else self._encoder(now)
+            return self._long(number + 1, struct.pack("<Hi", 1, counts))
+        if number == 0x0429:
+            return self._long(0x042A, struct.pack("<HI", 1, self._bits(now)))
+        if number - 1 in _KEPT:
+            return self._long(number + 1, self._kept[number - 1])
+        return self._long(number + 1, self._update(now, servo=number == 0x0490))
+
+    def _information(self) -> bytes:
+        name = self.model.name.encode("ascii", "replace")[:8]
+        kind = 44 if self.model.servo else 16
+        return self._long(
+            0x0006,
+            struct.pack("<I8sHBBBB60sHHH", self.model.serial, name, kind, 3, 0, 2, 0, b"simulated", 1, 3, 1),
+        )
+
+    def _update(self, now: float, *, servo: bool | None = None) -> bytes:
+        if self.model.servo if servo is None else servo:
+            speed = round(self.axis.velocity(now) * self.model.speed_units()[0] / 65_536.0)
+            low = max(-32_768, min(32_767, speed))
+            return struct.pack("<HihhI", 1, self._position(now), low, 12, self._bits(now))
+        return struct.pack("<HiiI", 1, self._position(now), self._encoder(now), self._bits(now))
+
+    def _position(self, now: float) -> int:
+        counted = self.axis.encoder(now) if self.model.servo else self.axis.counter(now)
+        return max(-(2**31), min(2**31 - 1, round(counted)))
+
+    def _encoder(self, now: float) -> int:
+        return self._position(now) if self.model.servo else 0
+
+    def _bits(self, now: float) -> int:
+        busy = self.axis.reports_busy(now)
+        bits = _CONNECTED | _POWER_OK | (_ENABLED if self._enabled else 0)
+        bits |= _HOMED if self.axis.referenced(now) else 0
+        if busy and self._motion == "home":
+            bits |= _HOMING
+        if busy:
+            bits |= _TURNS_FORWARD if self.axis.velocity(now) >= 0.0 else _TURNS_BACK
+        else:
+            bits |= self._switches | (_SETTLED if self.model.servo else 0)
+        bits |= _TRACKING if self.model.servo else 0
+        return bits | (_DOES_NOT_FOLLOW if self._does_not_follow else 0)
+
+    # ------------------------------------------------------------------ events outside the protocol
+    def restart(self, t_s: float) -> None:
+        """Reboot: no answers for a while, then no reference, counter 0, and the settings of a power-up.
+
+        Parameters
+        ----------
+        t_s
+            Time of the reboot, s.
+        """
+        self.axis.restart(t_s)
+        self._power_up()
+        self._boot_ends_s = t_s + self.model.boot_s
+
+    def emergency_stop(self, t_s: float, *, released: bool = False) -> None:
+        """Cut the power of the controller, or restore it; nothing happens if it was never cut.
+
+        Parameters
+        ----------
+        t_s
+            Time, s.
+        released
+            True restores it.
+        """
+        if released and not self._powered:
+            self._powered = True
+            self.restart(t_s)
+        elif not released:
+            self._powered = False
+            self.axis.halt(t_s)
+
+    def exchange(self, serial: str, t_s: float) -> None:
+        """Replace the controller by another one of this model, fresh from power-up.
+
+        Parameters
+        ----------
+        serial
+            Serial number of the new controller; 0 is used if it is not a number.
+        t_s
+            Time, s.
+        """
+        self.model = replace(self.model, serial=int(serial) if serial.isdigit() else 0)
+        self.restart(t_s)
+
+    def switch_off_channel(self, t_s: float) -> None:
+        """Switch the channel off at the panel.
+
+        Parameters
+        ----------
+        t_s
+            Time, s.
+        """
+        self._enable(False, t_s)
+
+    def _take_events(self, now: float) -> None:
+        """Process the events of the motion so far."""
+        event = self.axis.take_event(now)
+        if event is None:
+            return
+        if event.kind == "restart":
+            self.restart(event.t_s)
+        elif event.kind == "limit":
+            self._switches = _FORWARD_SWITCH if self.axis.counter(now) > 0.0 else _REVERSE_SWITCH
+        else:
+            self._does_not_follow = True
+            self._enabled = False
+            self.axis.forget_reference()
