@@ -15,7 +15,7 @@ from sequences.plain_number import Within
 from sequences.strict_model import StrictModel
 
 CalibrationModel = Literal["spherical", "radial", "pupil", "rim", "field", "coma", "drift", "planar", "auto"]
-DistortionTerm = Literal["k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6", "kb1", "kb2", "kb3", "kb4"]
+DistortionTerm = Literal["k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6", "skew", "kb1", "kb2", "kb3", "kb4"]
 DistortionSet = Literal[
     "none", "k1", "k1k2", "k1k2k3", "k1k2p1p2", "k1k2k3p1p2", "rational", "fisheye", "auto"
 ]
@@ -42,6 +42,7 @@ class LimitConfig(StrictModel):
     sigma_k4: Limit = None
     sigma_k5: Limit = None
     sigma_k6: Limit = None
+    sigma_skew_px: Limit = None
     sigma_kb1: Limit = None
     sigma_kb2: Limit = None
     sigma_kb3: Limit = None
@@ -55,10 +56,11 @@ class LimitConfig(StrictModel):
 
 
 LENS_FAMILIES: tuple[tuple[str, ...], ...] = (
-    ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6"),
+    ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6", "skew"),
     ("kb1", "kb2", "kb3", "kb4"),
 )
-"""Coefficients of each lens model; coefficients of two models cannot be estimated together."""
+"""Coefficients of each lens model, with the skew of the camera matrix; those of two models cannot be estimated
+together."""
 DISTORTION_SETS: Mapping[str, tuple[str, ...]] = {
     "none": (),
     "k1": ("k1",),
@@ -66,7 +68,7 @@ DISTORTION_SETS: Mapping[str, tuple[str, ...]] = {
     "k1k2k3": ("k1", "k2", "k3"),
     "k1k2p1p2": ("k1", "k2", "p1", "p2"),
     "k1k2k3p1p2": ("k1", "k2", "p1", "p2", "k3"),
-    "rational": LENS_FAMILIES[0],
+    "rational": LENS_FAMILIES[0][:8],
     "fisheye": LENS_FAMILIES[1],
 }
 """Coefficients by the name of their set."""

@@ -46,6 +46,7 @@ _BROWN = (
     " u = fx (L x + 2 p1 x y + p2 (r2 + 2 x x)) + cx and v = fy (L y + p1 (r2 + 2 y y) + 2 p2 x y) + cy, in pixels;"
     " the centre of the first pixel is (0, 0). Coefficients that are not listed are zero (Brown's model as in OpenCV)."
 )
+_SKEW = " To u, the skew times the factor of fy in v is added: K[0, 1] of the camera matrix, in pixels."
 _FISHEYE = (
     "A point (X, Y, Z) in the frame of the camera has x = X / Z, y = Y / Z, r = sqrt(x x + y y) and the angle"
     " t = atan(r). With d = t (1 + kb1 t^2 + kb2 t^4 + kb3 t^6 + kb4 t^8) / r its image point is u = fx d x + cx and"
@@ -83,7 +84,7 @@ def statements_of(found: Json, lab: LabConfig, *, also: str, verified: str) -> t
         ("items", _ITEMS),
         ("identity", _READ_FROM_THE_ITEM if is_unnamed(found) else ""),
         ("reproduction", _REPRODUCTION),
-        ("model", _FISHEYE if is_fisheye(calibration["camera"]) else _BROWN),
+        ("model", _model_of(calibration["camera"])),
         ("uncertainty", _UNCERTAINTY),
         ("notes", notes),
         ("not_included", f"Not known and not included in the uncertainty: {left_out}." if left_out else ""),
@@ -95,3 +96,10 @@ def statements_of(found: Json, lab: LabConfig, *, also: str, verified: str) -> t
         ("also", f"This is a further certificate of the same run. Reason: {also}" if also else ""),
     ]
     return tuple(Statement(name, text) for name, text in pairs if text)
+
+
+def _model_of(camera: Json) -> str:
+    """Return the equations of a camera's model in words."""
+    if is_fisheye(camera):
+        return _FISHEYE
+    return _BROWN + _SKEW if "skew" in camera else _BROWN

@@ -17,7 +17,7 @@ NOTHING = "\N{EN DASH}"
 MINUS = "\N{MINUS SIGN}"
 _ARCSEC_PER_TENTH_DEGREE = 360.0
 
-_UNITS = {"fx": "px", "fy": "px", "cx": "px", "cy": "px", "x": "mm", "y": "mm", "r": "mm"}
+_UNITS = {"fx": "px", "fy": "px", "cx": "px", "cy": "px", "skew": "px", "x": "mm", "y": "mm", "r": "mm"}
 _MEANINGS = {
     "fx": "focal length, along rows",
     "fy": "focal length, along columns",
@@ -31,6 +31,7 @@ _MEANINGS = {
     "k6": "radial distortion, denominator, 6th order",
     "p1": "tangential distortion",
     "p2": "tangential distortion",
+    "skew": "skew of the pixels' axes, K[0, 1]",
     "x": "collimator axis on the target, X",
     "y": "collimator axis on the target, Y",
     "r": "collimator focal length, in the target's scale",
@@ -46,6 +47,17 @@ _MEANINGS = {
     "rim_4": "collimator: rim of the beam, 4th order",
     "rim_10": "collimator: rim of the beam, 10th order",
 }
+
+
+def known_parameters() -> tuple[str, ...]:
+    """Return the names of all parameters that have a meaning in words.
+
+    Returns
+    -------
+    tuple of str
+        Parameters of the camera, then of the collimator.
+    """
+    return tuple(_MEANINGS)
 
 
 def unit_of(parameter: str) -> str:

@@ -32,7 +32,7 @@ import yaml
 
 from bench.base.errors import BenchError
 from calib.calibration import Calibration
-from calib.model.camera import BROWN, CameraModel
+from calib.model.camera import BROWN, SKEW, CameraModel
 from calib.target import StarTarget
 
 _RADTAN = BROWN[:4]
@@ -75,12 +75,13 @@ def exports(
         with the reason; it is absent if there are none.
     """
     files: dict[str, bytes] = {}
-    refused = []
+    refused: list[str] = []
     camera_name = re.sub(r"[^A-Za-z0-9_]", "_", camera_name)
     described = partial(metavision_json, target=target)
     writers: dict[str, Writer] = {**WRITERS, "metavision.json": described}
     for name, write in writers.items():
         try:
+            _refuse_skew(calibration.camera, name)
             files[name] = write(calibration, camera_name)
         except FormatCannotCarry as refusal:
             refused.append(f"{name}: {refusal}\n")
@@ -332,6 +333,15 @@ def _refuse_beyond(names: Sequence[str], camera: CameraModel, what: str) -> None
         raise FormatCannotCarry(
             f"{what} cannot represent {', '.join(further)}.",
             remedy=f"For this format, calibrate with no other coefficients than {' '.join(names)}.",
+        )
+
+
+def _refuse_skew(camera: CameraModel, what: str) -> None:
+    """Refuse a camera with skew: the programs that read these formats ignore K[0, 1]."""
+    if SKEW in camera.distortion:
+        raise FormatCannotCarry(
+            f"{what} cannot represent the skew of the camera matrix.",
+            remedy="For this format, calibrate without skew. results.json has all values.",
         )
 
 

@@ -6,6 +6,7 @@ targets, collimators or views.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
@@ -15,11 +16,14 @@ from numpy.typing import NDArray
 from calib.errors import InputMismatch
 from calib.model.lens import BROWN, FISHEYE, distort, distort_with_jacobians, is_fisheye
 
-__all__ = ["BROWN", "DISTORTION_SETS", "FISHEYE", "PINHOLE", "CameraModel", "distortion_names"]
+__all__ = ["BROWN", "DISTORTION_SETS", "FISHEYE", "PINHOLE", "SKEW", "CameraModel", "distortion_names"]
 
 Array = NDArray[np.float64]
 
 PINHOLE = ("fx", "fy", "cx", "cy")
+#: Name of the skew: the element K[0, 1] of the camera matrix, px. MATLAB can estimate it; OpenCV's model has none. It
+#: is estimated beside coefficients of Brown's model.
+SKEW = "skew"
 #: Sets of distortion coefficients, by the names that the command line accepts.
 DISTORTION_SETS: Mapping[str, tuple[str, ...]] = {
     "none": (),
@@ -33,13 +37,19 @@ DISTORTION_SETS: Mapping[str, tuple[str, ...]] = {
 }
 
 
+#: Coefficients that can be estimated together.
+_FAMILIES = ((*BROWN, SKEW), FISHEYE)
+_ONE_NAME = re.compile(r"k[1-6]|p[12]|kb[1-4]|skew")
+
+
 def distortion_names(chosen: str | Sequence[str]) -> tuple[str, ...]:
     """Return the coefficients of a named set, or check a sequence of coefficients.
 
     Parameters
     ----------
     chosen
-        Name of a set in `DISTORTION_SETS`, or names of coefficients of one lens family.
+        Name of a set in `DISTORTION_SETS`; names of coefficients of one lens family, and `SKEW` beside those of Brown's
+        model; or such names in one word, as ``k1k2skew``.
 
     Returns
     -------
@@ -55,17 +65,24 @@ def distortion_names(chosen: str | Sequence[str]) -> tuple[str, ...]:
     --------
     >>> distortion_names("k1k2")
     ('k1', 'k2')
+    >>> distortion_names("k1k2skew")
+    ('k1', 'k2', 'skew')
     """
     if isinstance(chosen, str):
-        if chosen not in DISTORTION_SETS:
+        if chosen in DISTORTION_SETS:
+            return DISTORTION_SETS[chosen]
+        names = _ONE_NAME.findall(chosen)
+        if not names or "".join(names) != chosen or len(set(names)) != len(names):
             known = ", ".join(DISTORTION_SETS)
-            raise InputMismatch(f"Unknown distortion {chosen!r}.", remedy=f"Known: {known}.")
-        return DISTORTION_SETS[chosen]
-    families = (BROWN, FISHEYE)
-    for family in families:
+            raise InputMismatch(
+                f"Unknown distortion {chosen!r}.",
+                remedy=f"Known: {known}; or coefficients in one word, such as k1k2skew.",
+            )
+        chosen = names
+    for family in _FAMILIES:
         if set(chosen) <= set(family):
             return tuple(name for name in family if name in chosen)
-    known = " or ".join(" ".join(family) for family in families)
+    known = " or ".join(" ".join(family) for family in _FAMILIES)
     raise InputMismatch(f"No lens model has the coefficients {' '.join(chosen)}.", remedy=f"Known: {known}.")
 
 
@@ -82,8 +99,8 @@ class CameraModel:
     image_size
         Width and height, px.
     distortion
-        Distortion coefficients by name, dimensionless. Coefficients that are not named are zero. The named ones are
-        estimated in a calibration.
+        Distortion coefficients by name, dimensionless, and the skew (`SKEW`), px. Those that are not named are zero.
+        The named ones are estimated in a calibration.
     """
 
     fx: float
@@ -96,7 +113,12 @@ class CameraModel:
     @property
     def matrix(self) -> Array:
         """(3, 3) float64 camera matrix K, px."""
-        return np.array([[self.fx, 0.0, self.cx], [0.0, self.fy, self.cy], [0.0, 0.0, 1.0]])
+        return np.array([[self.fx, self.skew, self.cx], [0.0, self.fy, self.cy], [0.0, 0.0, 1.0]])
+
+    @property
+    def skew(self) -> float:
+        """Element K[0, 1] of the camera matrix, px; 0 unless `distortion` names it."""
+        return self.distortion.get(SKEW, 0.0)
 
     @property
     def parameter_names(self) -> tuple[str, ...]:
@@ -105,7 +127,7 @@ class CameraModel:
 
     @property
     def values(self) -> Array:
-        """(4 + K,) float64 values of the parameters: fx, fy, cx, cy in px, then K distortion coefficients."""
+        """(4 + K,) float64 values of the parameters: fx, fy, cx, cy in px, then `distortion`."""
         return np.array([self.fx, self.fy, self.cx, self.cy, *self.distortion.values()])
 
     @property
@@ -174,7 +196,10 @@ class CameraModel:
         x, y, z = np.ascontiguousarray(points.T)
         inverse_z = 1.0 / np.where(z > 0, z, np.nan)
         distorted = distort(np.array([x * inverse_z, y * inverse_z]).T, self.distortion)
-        return np.asarray(distorted * [self.fx, self.fy] + [self.cx, self.cy])
+        pixels = np.asarray(distorted * [self.fx, self.fy] + [self.cx, self.cy])
+        if self.skew:
+            pixels[:, 0] += self.skew * distorted[:, 1]
+        return pixels
 
     def project_with_jacobians(self, points: Array) -> tuple[Array, Array, Array]:
         """Project points to the image and return the derivatives.
@@ -199,16 +224,25 @@ class CameraModel:
         distorted, by_normalised, by_coefficients = distort_with_jacobians(normalised.T, self.distortion)
         focal = np.array([self.fx, self.fy])
         pixels = distorted * focal + [self.cx, self.cy]
+        skew = self.skew
+        if skew:
+            pixels[:, 0] += skew * distorted[:, 1]
 
         # One contiguous row over the points for each derivative: several times faster than one small matrix a point.
         by_points = np.empty((2, 3, len(x)))
         by_points[:, :2] = by_normalised.transpose(1, 2, 0) * (focal[:, None, None] * inverse_z)
+        if skew:
+            by_points[0, :2] += by_normalised.transpose(1, 2, 0)[1] * (skew * inverse_z)
         by_points[:, 2] = -(by_points[:, 0] * normalised[0] + by_points[:, 1] * normalised[1])
 
         by_parameters = np.zeros((4 + len(self.distortion), 2, len(x)))
         by_parameters[0, 0], by_parameters[1, 1] = distorted.T
         by_parameters[2, 0] = by_parameters[3, 1] = 1.0
-        by_parameters[4:] = by_coefficients.transpose(2, 1, 0) * focal[:, None]
+        lens = by_coefficients.transpose(2, 1, 0)
+        by_parameters[4:] = lens * focal[:, None]
+        if SKEW in self.distortion:
+            by_parameters[4:, 0] += lens[:, 1] * skew
+            by_parameters[4 + list(self.distortion).index(SKEW), 0] = distorted[:, 1]
         return pixels, by_points.transpose(2, 0, 1), by_parameters.transpose(2, 1, 0)
 
     def rays(self, points_px: Array) -> Array:
@@ -229,6 +263,7 @@ class CameraModel:
             which it folds back).
         """
         wanted = (np.asarray(points_px, float) - [self.cx, self.cy]) / [self.fx, self.fy]
+        wanted[:, 0] -= self.skew / self.fx * wanted[:, 1]
         normalised = wanted.copy()
         for _ in range(30):
             distorted, slope, _ = distort_with_jacobians(normalised, self.distortion)

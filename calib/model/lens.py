@@ -64,17 +64,24 @@ def distort_with_jacobians(points: Array, coefficients: Mapping[str, float]) -> 
     points
         (N, 2) normalised points, dimensionless.
     coefficients
-        K coefficients by name, of `BROWN` or of `FISHEYE`; those that are not named are zero.
+        K coefficients by name, of `BROWN` or of `FISHEYE`; those that are not named are zero. A further name, such as
+        the skew of the camera matrix, has no part in the distortion.
 
     Returns
     -------
     tuple of Array
-        (N, 2) distorted points; (N, 2, 2) derivatives by the points; (N, 2, K) derivatives by the named coefficients.
+        (N, 2) distorted points; (N, 2, 2) derivatives by the points; (N, 2, K) derivatives by the named coefficients,
+        zero for a further name.
     """
     family = FISHEYE if is_fisheye(coefficients) else BROWN
     evaluate = _fisheye_with_jacobians if family is FISHEYE else _brown_with_jacobians
-    wanted = [family.index(name) for name in coefficients]
-    return evaluate(points, _ordered(coefficients, family), wanted)
+    wanted = [family.index(name) for name in coefficients if name in family]
+    bent, by_points, by_coefficients = evaluate(points, _ordered(coefficients, family), wanted)
+    if len(wanted) == len(coefficients):
+        return bent, by_points, by_coefficients
+    every = np.zeros((len(points), 2, len(coefficients)))
+    every[:, :, [i for i, name in enumerate(coefficients) if name in family]] = by_coefficients
+    return bent, by_points, every
 
 
 def is_fisheye(coefficients: Mapping[str, float]) -> bool:

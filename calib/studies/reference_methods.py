@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 
 from calib.adjustment.levenberg_marquardt import Loss, refine
 from calib.calibration import Calibration, CalibrationOptions
-from calib.errors import CalibrationError, DegenerateViews, NotConverged
+from calib.errors import CalibrationError, DegenerateViews, InputMismatch, NotConverged
 from calib.fit import fit_model, initialize
-from calib.model.camera import PINHOLE, CameraModel
+from calib.model.camera import PINHOLE, SKEW, CameraModel
 from calib.model.lens import BROWN, FISHEYE, is_fisheye
 from calib.uncertainty.covariance import covariance_at_optimum
 from calib.uncertainty.cross_validation import MIN_VIEWS, leave_one_out
@@ -148,8 +148,12 @@ def opencv_planar(views: Sequence[View], options: CalibrationOptions) -> MethodR
     ------
     DegenerateViews
         If OpenCV fails, or its result is not finite.
+    InputMismatch
+        If the options ask for skew, which OpenCV's model does not have.
     """
     names = tuple(options.distortion)
+    if SKEW in names:
+        raise InputMismatch("OpenCV's camera has no skew.", remedy="Compare without skew.")
     fisheye = _fisheye(options)
     try:
         rms, matrix, found, spread = (_opencv_fisheye if fisheye else _opencv_brown)(views, names)

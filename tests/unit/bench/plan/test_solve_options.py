@@ -6,7 +6,7 @@ import pytest
 
 from bench.plan.job import calibration_options
 from calib.calibration import LossName, ModelName
-from calib.model.camera import BROWN, DISTORTION_SETS, FISHEYE
+from calib.model.camera import BROWN, DISTORTION_SETS, FISHEYE, SKEW
 from sequences import solve_schema as schema
 from sequences.flatten import flatten
 from sequences.reader import check_document
@@ -22,12 +22,12 @@ def solve_step(settings: str):
 def test_the_script_language_has_every_model_lens_and_loss_of_the_engine():
     assert set(get_args(schema.CalibrationModel)) == set(get_args(ModelName))
     assert set(get_args(schema.Loss)) == set(get_args(LossName))
-    assert schema.LENS_FAMILIES == (BROWN, FISHEYE)
-    assert get_args(schema.DistortionTerm) == (*BROWN, *FISHEYE)
+    assert ((*BROWN, SKEW), FISHEYE) == schema.LENS_FAMILIES
+    assert get_args(schema.DistortionTerm) == (*BROWN, SKEW, *FISHEYE)
     assert dict(schema.DISTORTION_SETS) == dict(DISTORTION_SETS)
     assert set(get_args(schema.DistortionSet)) == {*DISTORTION_SETS, "auto"}
     limits = set(schema.LimitConfig.model_fields)
-    assert {f"sigma_{name}" for name in (*BROWN, *FISHEYE)} <= limits
+    assert {f"sigma_{name}" for name in (*BROWN, "skew_px", *FISHEYE)} <= limits
 
 
 @pytest.mark.parametrize("model", sorted(set(get_args(schema.CalibrationModel)) & set(get_args(ModelName))))

@@ -25,8 +25,9 @@ def test_projection_is_that_of_opencv(names):
     assert np.allclose(model.project_with_jacobians(POINTS)[0], expected, atol=1e-9)
 
 
-def test_derivatives_agree_with_finite_differences():
-    model = camera(**COEFFICIENTS)
+@pytest.mark.parametrize("skew", [{}, {"skew": 2.5}])
+def test_derivatives_agree_with_finite_differences(skew):
+    model = camera(**COEFFICIENTS, **skew)
     _, by_points, by_parameters = model.project_with_jacobians(POINTS)
     for i in range(3):
         h = 1e-6 * POINTS[:, 2:]
@@ -41,7 +42,7 @@ def test_derivatives_agree_with_finite_differences():
 
 
 def test_rays_invert_the_projection():
-    model = camera(k1=-0.2, k2=0.1, p1=1e-3, p2=-2e-3, k3=0.01)
+    model = camera(k1=-0.2, k2=0.1, p1=1e-3, p2=-2e-3, k3=0.01, skew=3.0)
     unit = POINTS / np.linalg.norm(POINTS, axis=1, keepdims=True)
     assert np.allclose(model.rays(model.project(POINTS)), unit, atol=1e-12)
 

@@ -1,0 +1,115 @@
+"""The planar model with the lens options of OpenCV and of MATLAB: the same optimum as OpenCV's, and skew."""
+
+from functools import cache
+
+import cv2
+import numpy as np
+import pytest
+
+from calib.boards.board import Board
+from calib.calibration import CalibrationOptions
+from calib.engine import calibrate
+from calib.errors import CalibrationError, InputMismatch
+from calib.model.camera import CameraModel, distortion_names
+from calib.model.rotation import exp_map
+from calib.studies.reference_methods import opencv_planar
+from calib.view import View
+
+SIZE = (1280, 720)
+BOARD = Board("checkerboard", 9, 6, 25.0)
+TRUE = {"k1": -0.21, "k2": 0.13, "p1": 8e-4, "p2": -6e-4, "k3": -0.04, "skew": 1.7}
+TURNS_DEG = ((0, 0, 5), (25, 5, 0), (-24, 8, 20), (4, 27, 50), (6, -26, 80), (-18, -17, -30), (17, -15, 10))
+STOP = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_MAX_ITER, 500, 1e-16)
+RADIAL_2, NO_TANGENTIAL = cv2.CALIB_FIX_K3, cv2.CALIB_ZERO_TANGENT_DIST
+OPTIONS = {
+    "k1k2": RADIAL_2 | NO_TANGENTIAL,
+    "k1k2k3": NO_TANGENTIAL,
+    "k1k2p1p2": RADIAL_2,
+    "k1k2k3p1p2": 0,
+}
+
+
+@cache
+def views(lens, sigma_px=0.0):
+    """Placements of a board, with points as OpenCV takes them: of single precision."""
+    names = distortion_names(lens)
+    camera = CameraModel(1105.0, 1102.0, 633.0, 352.0, SIZE, {name: TRUE[name] for name in names})
+    rng = np.random.default_rng(3)
+    found = []
+    for number, turn in enumerate(TURNS_DEG):
+        rotation = exp_map(np.deg2rad(np.array(turn, float)))
+        middle = np.array([30.0 * (number - 3), 20.0 * (number % 3 - 1), 420.0])
+        plane = np.column_stack([BOARD.points_mm - BOARD.points_mm.mean(axis=0), np.zeros(54)])
+        points = camera.project(plane @ rotation.T + middle) + sigma_px * rng.normal(size=(54, 2))
+        found.append(
+            View(
+                f"placement {number}",
+                SIZE,
+                np.arange(54),
+                points.astype(np.float32).astype(float),
+                BOARD.points_mm,
+                np.tile(0.01 * np.eye(2), (54, 1, 1)),
+            )
+        )
+    return found, camera
+
+
+@pytest.mark.parametrize("sigma_px", [0.0, 0.1])
+@pytest.mark.parametrize("lens", OPTIONS)
+def test_the_result_is_that_of_opencv_with_the_same_flags(lens, sigma_px):
+    shown, camera = views(lens, sigma_px)
+    objects = [np.column_stack([v.target_mm, np.zeros(len(v))]).astype(np.float32) for v in shown]
+    _, matrix, bent, _, _ = cv2.calibrateCamera(
+        objects, [v.points_px.astype(np.float32) for v in shown], SIZE, None, None,
+        flags=OPTIONS[lens], criteria=STOP,
+    )  # fmt: skip
+    ours = calibrate(shown, CalibrationOptions("planar", lens, "l2")).camera
+    np.testing.assert_allclose(ours.matrix, matrix, rtol=1e-6, atol=1e-9)
+    np.testing.assert_allclose(ours.coefficients[:5], np.ravel(bent)[:5], rtol=0, atol=1e-6)
+    if not sigma_px:
+        np.testing.assert_allclose(ours.values, camera.values, rtol=1e-6, atol=3e-5)  # rounded points
+
+
+@pytest.mark.parametrize("lens", ["k1k2skew", "k1k2k3p1p2skew"])
+def test_skew_is_found_with_an_uncertainty_that_holds(lens):
+    shown, camera = views(lens)
+    clean = calibrate(shown, CalibrationOptions("planar", lens, "l2"))
+    assert clean.camera.skew == pytest.approx(1.7, abs=1e-4)
+    np.testing.assert_allclose(clean.camera.values, camera.values, rtol=1e-6, atol=1e-4)
+    noisy = calibrate(views(lens, 0.1)[0], CalibrationOptions("planar", lens, "l2"))
+    assert abs(noisy.camera.skew - 1.7) < 3 * noisy.sigma["skew"]
+    assert 0.01 < noisy.sigma["skew"] < 0.6
+    assert noisy.to_dict()["camera"]["skew"] == noisy.camera.skew
+
+
+def test_a_camera_without_skew_gets_none():
+    found = calibrate(views("k1k2")[0], CalibrationOptions("planar", "k1k2skew", "l2"))
+    assert abs(found.camera.skew) < 1e-3
+
+
+@pytest.mark.parametrize("text", ["skew", "k2k1skew", "skewk1k2p1p2k3"])
+def test_a_lens_is_given_in_one_word(text):
+    assert "".join(sorted(distortion_names(text))) == "".join(sorted(name for name in TRUE if name in text))
+
+
+@pytest.mark.parametrize("text", ["", "k1k1", "kb1skew", "k7", "k1,k2", "k1k2 skew", "tangential"])
+def test_an_unknown_lens_is_refused(text):
+    with pytest.raises(InputMismatch):
+        distortion_names(text)
+
+
+def test_opencv_cannot_be_compared_with_skew():
+    with pytest.raises(CalibrationError, match="no skew"):
+        opencv_planar(views("k1k2skew")[0], CalibrationOptions("planar", "k1k2skew"))
+
+
+def test_skew_is_that_of_gtsam():
+    """GTSAM's Cal3DS2 has fx fy s u0 v0 k1 k2 p1 p2, with K = [[fx, s, u0], [0, fy, v0], [0, 0, 1]] as MATLAB."""
+    gtsam = pytest.importorskip("gtsam")
+    camera = CameraModel(
+        1105.0, 1102.0, 633.0, 352.0, SIZE, {"k1": -0.21, "k2": 0.13, "p1": 8e-4, "p2": -6e-4, "skew": 1.7}
+    )
+    theirs = gtsam.Cal3DS2(1105.0, 1102.0, 1.7, 633.0, 352.0, -0.21, 0.13, 8e-4, -6e-4)
+    for x, y in np.random.default_rng(1).uniform(-0.5, 0.5, (20, 2)):
+        (found,) = camera.project(np.array([[x, y, 1.0]]))
+        np.testing.assert_allclose(found, theirs.uncalibrate(np.array([x, y])), atol=1e-9)
