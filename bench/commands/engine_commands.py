@@ -31,6 +31,7 @@ _Command = TypeVar("_Command", bound=Callable[..., Any])
 _MODELS = ["spherical", "radial", "pupil", "rim", "field", "coma", "drift", "planar", "auto"]
 _LOSSES = ["l2", "huber", "cauchy"]
 _LOSS_HELP = "Loss function for outliers: l2 gives them full weight, huber less, cauchy least."
+_CUTOFF_HZ = (0.01, 1000.0)
 _MODEL_HELP = "Model of the collimator and its aberrations (docs/calibration.md)."
 
 
@@ -46,6 +47,27 @@ class _Station(click.ParamType):
 
         load_station(value)
         return str(value)
+
+
+class _Cutoff(click.ParamType):
+    """A cutoff frequency in Hz."""
+
+    name = "hz"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
+        """Return the frequency; fail if the value is none, such as a path that follows the option."""
+        try:
+            frequency_hz = float(value)
+        except ValueError:
+            frequency_hz = 0.0
+        if not _CUTOFF_HZ[0] <= frequency_hz <= _CUTOFF_HZ[1]:  # nan too
+            self.fail(
+                f"{value!r} is not a frequency of {_CUTOFF_HZ[0]:g} to {_CUTOFF_HZ[1]:g} Hz. "
+                "Put --reconstruct after the paths, or write a number: --reconstruct 10.",
+                param,
+                ctx,
+            )
+        return frequency_hz
 
 
 _OPTIONS = (
@@ -101,6 +123,21 @@ _OPTIONS = (
         help="A board at finite distance in place of the star target: checkerboard:11x7:20mm (inner corners), "
         "circles:9x6:25mm, asymmetric-circles:4x11:10mm. The planar model is used.",
     ),
+    click.option(
+        "--reconstruct",
+        "reconstruct_hz",
+        type=_Cutoff(),
+        is_flag=False,
+        flag_value="10",
+        metavar="[HZ]",
+        help="The board does not flicker and the camera moves: reconstruct pictures from RAW files, with a high-pass "
+        "filter of this cutoff frequency.  [10 without a number; less for slower motion]",
+    ),
+    click.option(
+        "--pictures-at",
+        metavar="0.5,1,1.5",
+        help="Times of these pictures, s after the first event.  [default: at most 40, spread evenly]",
+    ),
 )
 
 
@@ -153,11 +190,12 @@ def calibrate(
     from bench.commands.keys_output import key_or_draft
     from bench.records.run_folder import REPORT
     from bench.results.offline import calibrate_paths, compare_methods
-    from bench.results.offline_folder import require_new, write_offline_results
     from bench.results.offline_options import OfflineOptions
     from bench.views.kept_views import KeptViews
 
     if output is not None:
+        from bench.results.offline_folder import require_new, write_offline_results
+
         require_new(output)
     key = None if output is None or no_seal else key_or_draft()
     choices = OfflineOptions.from_command_line(**options)

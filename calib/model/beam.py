@@ -14,7 +14,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import minimize
 
 from calib.model.homography import apply_homography, view_homography
 from calib.model.rim_fit import fit_rims
@@ -170,6 +169,10 @@ def visible_disc(view: View, expected: tuple[Array, Array] | None = None) -> Dis
     TooFewStars, DegenerateViews, InputMismatch
         As `calib.model.homography.view_homography`.
     """
+    from scipy.optimize import (
+        minimize,
+    )  # loading it takes longer than a fit, and few calibrations need a disc
+
     h, pitch = view_homography(view), _pitch(view)
     middle = view.target_mm.mean(axis=0)
     reach = float(np.linalg.norm(view.target_mm - middle, axis=1).max())

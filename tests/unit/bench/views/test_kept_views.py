@@ -1,0 +1,215 @@
+"""Kept views: found once, equal to the last bit, never trusted when broken, bounded, private, safe with two processes."""
+
+import os
+import threading
+
+import grimp
+import numpy as np
+import pytest
+
+from bench.views import kept_views
+from bench.views.kept_views import DETECTOR_SOURCES, KeptViews, detector_version, view_key
+from calib.view import RimPoints, View
+
+OPTIONS = {"kind": "recording", "name": "left", "image": "auto"}
+
+
+def a_view(seed=1, stars=50, *, rim=True, name="left"):
+    rng = np.random.default_rng(seed)
+    found = RimPoints(rng.normal(size=(7, 2)), rng.random(7), np.empty((0, 2)), 0.25) if rim else None
+    return View(
+        name,
+        (1280, 720),
+        np.arange(stars),
+        rng.normal(size=(stars, 2)),
+        rng.normal(size=(stars, 2)),
+        rng.normal(size=(stars, 2, 2)),
+        found,
+    )
+
+
+def same(one, other):
+    arrays = [
+        (getattr(one, n), getattr(other, n)) for n in ("ids", "points_px", "target_mm", "covariances_px2")
+    ]
+    if one.rim is not None:
+        names = ("points_mm", "sigmas_mm", "lit_mm")
+        arrays += [(getattr(one.rim, n), getattr(other.rim, n)) for n in names]
+        assert one.rim.level_sigma_mm == other.rim.level_sigma_mm
+    assert (one.name, one.image_size, one.rim is None) == (other.name, other.image_size, other.rim is None)
+    return all(a.dtype == b.dtype and a.shape == b.shape and a.tobytes() == b.tobytes() for a, b in arrays)
+
+
+class Finder:
+    def __init__(self, view):
+        self.view, self.calls = view, 0
+
+    def __call__(self):
+        self.calls += 1
+        return self.view
+
+
+@pytest.fixture
+def kept(tmp_path):
+    return KeptViews(tmp_path / "home" / "kept-views")
+
+
+@pytest.fixture
+def recording(tmp_path):
+    path = tmp_path / "left.raw"
+    path.write_bytes(b"events")
+    return path
+
+
+@pytest.mark.parametrize("rim", [True, False])
+def test_stars_are_found_once_and_are_equal_to_the_last_bit(kept, recording, rim):
+    find = Finder(a_view(rim=rim))
+    assert same(kept.view(recording, OPTIONS, find), find.view)
+    again = KeptViews(kept.folder)
+    assert same(again.view(recording, OPTIONS, find), find.view)
+    assert (find.calls, kept.found, again.used, again.remarks) == (1, 1, 1, [])
+
+
+def test_other_bytes_other_options_and_another_detector_are_found_again(kept, recording, monkeypatch):
+    find = Finder(a_view())
+    kept.view(recording, OPTIONS, find)
+    kept.view(recording, {**OPTIONS, "image": "accumulated"}, find)
+    assert find.calls == 2
+    recording.write_bytes(b"Events")
+    kept.view(recording, OPTIONS, find)
+    assert find.calls == 3
+    monkeypatch.setattr(kept_views, "detector_version", lambda: "another")
+    kept.view(recording, OPTIONS, find)
+    assert find.calls == 4
+
+
+@pytest.mark.parametrize("damage", ["flip", "cut", "empty", "of another"])
+def test_a_broken_entry_is_found_again_and_told(kept, recording, damage):
+    find = Finder(a_view())
+    kept.view(recording, OPTIONS, find)
+    (entry,) = kept.folder.glob("*/*.view")
+    data = bytearray(entry.read_bytes())
+    data[len(data) // 2] ^= 1
+    broken = {"flip": bytes(data), "cut": bytes(data[:-10]), "empty": b""}
+    broken["of another"] = kept_views.pack_view(a_view(2), "0" * 64)
+    entry.write_bytes(broken[damage])
+    assert same(kept.view(recording, OPTIONS, find), find.view)
+    assert find.calls == 2
+    assert len(kept.remarks) == 1
+    assert "the stars are found again" in kept.remarks[0]
+    assert str(entry) in kept.remarks[0]
+    kept.view(recording, OPTIONS, find)
+    assert find.calls == 2, "the broken entry was replaced"
+
+
+def test_a_recording_that_is_replaced_meanwhile_is_not_kept(kept, recording):
+    def find():
+        recording.write_bytes(b"other events")
+        return a_view()
+
+    kept.view(recording, OPTIONS, find)
+    assert not list(kept.folder.glob("*/*.view"))
+
+
+def test_the_size_is_bounded_and_what_was_used_last_stays(tmp_path):
+    size = len(kept_views.pack_view(a_view(), "0" * 64))
+    kept = KeptViews(tmp_path / "views", most_bytes=256 * (3 * size + 10))
+    keys = [f"ab{number:062x}" for number in range(5)]
+    for age, key in enumerate(keys[:3]):
+        kept.write(key, a_view())
+        os.utime(kept.folder / "ab" / f"{key}.view", (1000 + age, 1000 + age))
+    assert kept.read(keys[0]) is not None
+    stale = kept.folder / "ab" / ".left.tmp"
+    stale.write_bytes(b"")
+    os.utime(stale, (1000, 1000))
+    kept.write(keys[3], a_view())
+    assert [kept.read(key) is not None for key in keys] == [True, False, True, True, False]
+    assert not stale.exists()
+    kept.write(keys[4], a_view(stars=500))
+    assert kept.read(keys[4]) is None, "an entry above its share is not kept"
+
+
+def test_the_folder_is_private_and_one_that_is_not_is_refused(kept, recording):
+    find = Finder(a_view())
+    kept.view(recording, OPTIONS, find)
+    (entry,) = kept.folder.glob("*/*.view")
+    assert [path.stat().st_mode & 0o777 for path in (kept.folder, entry.parent, entry)] == [
+        0o700,
+        0o700,
+        0o600,
+    ]
+    kept.folder.chmod(0o770)
+    open_to_others = KeptViews(kept.folder)
+    open_to_others.view(recording, OPTIONS, find)
+    assert find.calls == 2
+    assert "chmod 700" in open_to_others.remarks[0]
+
+
+def test_a_folder_that_cannot_be_made_is_told_once(tmp_path, recording):
+    (tmp_path / "file").write_text("")
+    kept = KeptViews(tmp_path / "file" / "views")
+    find = Finder(a_view())
+    for _ in range(3):
+        kept.view(recording, OPTIONS, find)
+    assert find.calls == 3
+    assert len(kept.remarks) == 1
+
+
+def test_several_writers_of_one_entry_leave_it_whole(kept):
+    key = view_key("0" * 64, OPTIONS)
+    view, torn = a_view(stars=2000), []
+
+    def work():
+        own = KeptViews(kept.folder, most_bytes=1 << 34)
+        for _ in range(20):
+            own.write(key, view)
+            if (read := own.read(key)) is None or not same(read, view):
+                torn.append(own.remarks)
+
+    threads = [threading.Thread(target=work) for _ in range(4)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert torn == []
+    assert [path.name for path in (kept.folder / key[:2]).iterdir()] == [f"{key}.view"]
+
+
+def test_a_recording_without_stars_is_not_kept(kept, recording):
+    calls = []
+
+    def find():
+        calls.append(1)
+        raise ValueError("no stars")
+
+    for _ in range(2):
+        with pytest.raises(ValueError, match="no stars"):
+            kept.view(recording, OPTIONS, find)
+    assert len(calls) == 2
+
+
+def test_the_version_of_the_detector_covers_all_that_finds_stars():
+    """Every module of ours that a detector imports is part of the hash, or has no influence on a view."""
+    without_influence = {"bench.base.errors", "bench.records.", "sequences."}
+    graph = grimp.build_graph(
+        "bench", "calib", "drivers", "sequences", "simulators", exclude_type_checking_imports=True
+    )
+    hashed = tuple(name.removesuffix(".py").replace("/", ".") for name in DETECTOR_SOURCES)
+    for detector in (
+        "bench.views.measure",
+        "bench.views.frames",
+        "calib.boards.detect",
+        "drivers.camera.formats",
+    ):
+        for module in graph.find_upstream_modules(detector):
+            assert module.startswith((*hashed, *without_influence)), f"{detector} imports {module}"
+
+
+def test_the_version_changes_with_a_source(monkeypatch, tmp_path):
+    before = detector_version()
+    assert before == detector_version.__wrapped__()
+    changed = tmp_path / "calib" / "errors.py"
+    changed.parent.mkdir()
+    changed.write_text("")
+    monkeypatch.setattr(kept_views, "source_files", lambda _root: [])
+    assert detector_version.__wrapped__() != before
