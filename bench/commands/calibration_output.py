@@ -137,8 +137,7 @@ def print_calibration(
     if baselines is not None:
         click.echo("\n" + comparison_text(baselines))
     elif result.planar is not None:
-        click.echo("\nThe planar model (Zhang) on the same points, for comparison:")
-        click.echo(calibration_text(result.planar.to_dict()))
+        click.echo("\n" + _planar_text(result.planar.to_dict()))
 
 
 def _run_text(results: Mapping[str, Any]) -> str:
@@ -192,6 +191,23 @@ def calibration_text(calibration: Mapping[str, Any]) -> str:
     if not calibration["converged"]:
         lines.append("NOT CONVERGED: do not use these numbers.")
     return "\n".join([*lines, *(f"Note: {note}" for note in calibration["notes"])])
+
+
+def _planar_text(calibration: Mapping[str, Any]) -> str:
+    """Return the planar calibration in a few lines, without its notes: it is not the result."""
+    from bench.report.calibration_tables import coverage_factor
+    from bench.report.text import with_uncertainty
+
+    k = coverage_factor(calibration)
+    shown = []
+    for name in ("fx", "fy", "cx", "cy"):
+        value, expanded = with_uncertainty(calibration["camera"][name], k * calibration["sigma"][name])
+        shown.append(f"{name} {value} ± {expanded} px")
+    return (
+        "Only for comparison, not the result: the planar model (Zhang) on the same stars. It does not know that a\n"
+        "collimator stands between them and the camera.\n"
+        f"  {', '.join(shown)}; rms {calibration['rms_px']:.4f} px"
+    )
 
 
 def unit_text(name: str) -> str:

@@ -48,6 +48,14 @@ def test_other_methods_are_compared_on_the_same_points(capsys, points):
     )
 
 
+def test_the_planar_model_is_told_in_few_lines_and_not_as_the_result(capsys, points):
+    said = say(capsys, "calibrate", points[0], "--image-size", "1280x720")
+    result, _, planar = said.partition("Only for comparison, not the result")
+    assert result.count("Note:") == said.count("Note:")
+    assert planar.rstrip().splitlines()[-1].lstrip().startswith("fx 3")
+    assert len(planar.rstrip().splitlines()) == 3
+
+
 def test_a_method_without_a_result_has_a_row_with_the_reason(capsys, points, tmp_path):
     folder, bench = points
     made = tmp_path / "collimator.json"
