@@ -32,6 +32,7 @@ from numpy.typing import NDArray
 from scipy import fft
 from scipy.special import j1
 
+from simulators.world import placing
 from simulators.world.lens_truth import (
     BEYOND_M,
     CLOSEST_M,
@@ -90,7 +91,7 @@ def focus_of(truth: Truth) -> Focus:
         Focal length, focus distance and image distance.
     """
     delivered_mm = truth.lens.pixel_um * 1e-3 * 0.5 * (truth.camera.fx + truth.camera.fy)
-    vergence = 0.0 if truth.screen.columns else pattern_vergence_per_m(truth)
+    vergence = 0.0 if truth.at_finite_distance else pattern_vergence_per_m(truth)
     focal_mm = 1.0 / (1.0 / delivered_mm + vergence * 1e-3)
     distance_m = truth.lens.focus_distance_m
     if distance_m is None:
@@ -387,7 +388,7 @@ def truth_record(truth: Truth) -> dict[str, Any]:
     -------
     dict
         As ``Truth.to_dict``; ``fx`` and ``fy`` of the camera are those of the present focus. Section ``lens`` holds
-        focus, aperture, blur and the law.
+        focus, aperture, blur and the law; ``placed`` of section ``board`` is where the board stands.
     """
     record, focus = replace(truth, camera=camera_of(truth)).to_dict(), focus_of(truth)
     record["lens"] = {
@@ -399,8 +400,12 @@ def truth_record(truth: Truth) -> dict[str, Any]:
         "focal_mm": focus.focal_mm,
         "image_distance_mm": focus.image_mm,
         "breathing": focus.stretch,
-        "blur_px": blur_px(truth) if not truth.screen.columns else None,
+        "blur_px": None if truth.at_finite_distance else blur_px(truth),
         "brightness": brightness(truth),
         "law": dict(LAW),
     }
+    if truth.board.present:
+        for name in ("state", "shake"):
+            del record["board"][name]
+        record["board"]["placed"] = placing.record(truth.board, placing.view_of(truth))
     return record

@@ -1,6 +1,6 @@
-"""The scene in front of the camera: the target behind the collimator, or a checkerboard on a screen at finite distance.
+"""The scene in front of the camera: the target behind the collimator, or a board at finite distance.
 
-This module selects one of the two by the truth, and computes the pose of the screen.
+This module selects one of them by the truth, and computes the pose of the screen.
 """
 
 from __future__ import annotations
@@ -14,10 +14,11 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from simulators.optics import board_scene
 from simulators.optics import picture as optics
-from simulators.optics.board_blur import board_blur, spread_unevenly
+from simulators.optics.board_blur import plane_blur, spread_unevenly
 from simulators.optics.lens_focus import brightness, camera_of, reach_px
-from simulators.optics.screen import Checkerboard, project_board, render_board
+from simulators.optics.screen import Checkerboard, project_board, project_outline, render_board
 from simulators.world.truth import ScreenTruth, Truth
 
 FloatArray = NDArray[np.float64]
@@ -45,11 +46,12 @@ def picture(truth: Truth, angles_deg: Mapping[Any, float], *, subsamples: int = 
     SimulationMisuse
         If a screen is not wholly in front of the camera.
     """
-    rotation = optics.true_rotation(angles_deg, truth)
-    if truth.screen.columns == 0:
-        image = optics.render(truth, rotation, subsamples=subsamples)
+    if truth.board.present:
+        image = board_scene.picture(truth, angles_deg, subsamples=subsamples)
+    elif truth.screen.columns:
+        image = _screen_picture(truth, optics.true_rotation(angles_deg, truth), subsamples)
     else:
-        image = _screen_picture(truth, rotation, subsamples)
+        image = optics.render(truth, optics.true_rotation(angles_deg, truth), subsamples=subsamples)
     light = brightness(truth)
     return image if light == 1.0 else np.asarray(image * np.float32(light))
 
@@ -82,7 +84,8 @@ def _screen_picture(truth: Truth, rotation: FloatArray, subsamples: int) -> NDAr
     """Return the picture of the checkerboard, each part of it blurred as its distance demands."""
     board, (turn, position) = board_of(truth.screen), board_pose(_screen_of(truth), rotation)
     camera, psf = camera_of(truth), truth.optics.psf_px
-    blur = board_blur(truth, board, turn, position)
+    seen = project_outline(board, camera, turn, position)
+    blur = plane_blur(truth, seen, turn, position)
     image = render_board(
         board, camera, turn, position, psf_px=psf, subsamples=subsamples, margin_px=reach_px(blur.largest_px)
     )
@@ -90,20 +93,22 @@ def _screen_picture(truth: Truth, rotation: FloatArray, subsamples: int) -> NDAr
 
 
 def corners(truth: Truth, angles_deg: Mapping[Any, float]) -> FloatArray:
-    """Return the image points of the board's inner corners in a pose.
+    """Return the image points of the board in a pose: its inner corners, circles, dots or stars.
 
     Parameters
     ----------
     truth
-        Camera, optics and screen.
+        Camera, optics, and screen or board.
     angles_deg
         Angles of the axes by name; missing = 0.
 
     Returns
     -------
-    (columns * rows, 2) float64
+    (N, 2) float64
         Image points, px, row by row.
     """
+    if truth.board.present:
+        return board_scene.points(truth, angles_deg)
     rotation = optics.true_rotation(angles_deg, truth)
     return project_board(board_of(truth.screen), camera_of(truth), *board_pose(_screen_of(truth), rotation))
 

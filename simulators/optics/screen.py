@@ -83,6 +83,36 @@ def project_board(
     return np.asarray(image_points(board.corners_mm, _projection(board, camera, rotation, position)))
 
 
+def project_outline(
+    board: Checkerboard, camera: CameraTruth, rotation: FloatArray, position: FloatArray
+) -> FloatArray:
+    """Return the image points of the corners of all bright squares.
+
+    Projection: Hartley and Zisserman (2004), section 6.1.
+
+    Parameters
+    ----------
+    board
+        Board on the screen.
+    camera
+        True parameters of the camera.
+    rotation, position
+        R, (3, 3), and t, (3,) mm: X_cam = R P + t.
+
+    Returns
+    -------
+    (N, 2) float64
+        Image points, px.
+
+    Raises
+    ------
+    SimulationMisuse
+        If the board is not wholly in front of the camera.
+    """
+    outline = np.ascontiguousarray(board.bright_mm.reshape(-1, 2))
+    return np.asarray(image_points(outline, _projection(board, camera, rotation, position)))
+
+
 def _projection(
     board: Checkerboard, camera: CameraTruth, rotation: FloatArray, position: FloatArray
 ) -> Projection:

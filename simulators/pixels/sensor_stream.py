@@ -23,7 +23,7 @@ import hashlib
 import json
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, Final
 
 import numpy as np
@@ -33,9 +33,11 @@ from simulators.optics import scene
 from simulators.pixels.biases import FACTORY, PixelSettings
 from simulators.pixels.event_filters import FILTERS, EventFilters
 from simulators.pixels.evt3_writer import Evt3Writer
-from simulators.pixels.sensor import Sensor
+from simulators.pixels.many_lights import ManyLightsSensor, make_sensor
 from simulators.world import mount, temperature
 from simulators.world.camera_setup import setup_of, with_setup
+from simulators.world.placing import HandShake
+from simulators.world.truth import Truth
 from simulators.world.world import AxisName, LightState, World
 
 FRAME_US: Final = 2000
@@ -123,14 +125,15 @@ class SensorStream:
         self._start_drift_arcsec = mount.drift_since_on_arcsec(truth.mount, world.on_s(asked_s))
         self._angles = self._angles_now()
         width, height = truth.camera.width, truth.camera.height
-        self._sensor = Sensor(
-            width,
-            height,
-            noise=truth.noise,
+        self._sensor = make_sensor(
+            truth,
+            self._angles,
             settings=PixelSettings.from_biases(camera.biases),
             camera_seed=world.camera_seed,
             seed=seeds.spawn(1)[0],
         )
+        hand = truth.board.hand
+        self._shake = HandShake(hand, np.random.default_rng(seeds.spawn(1)[0])) if hand.shakes else None
         self._filters = EventFilters(width, height, camera.filters)
         self._writer = Evt3Writer(self._begins_us, width=width, height=height)
         self._sensor.begin(self._picture(moving=False), self._light, phase)
@@ -171,7 +174,7 @@ class SensorStream:
             return
         self._angles, self._truth, self._moved = angles, truth, moving
         phase = (self._now_us - self._period_starts_us) / self._light.period_us % 1.0
-        self._sensor.change(self._picture(moving=moving), self._light, phase, FRAME_US)
+        self._show(self._picture(moving=moving), self._light, phase, anew=True)
         self._now_us += SILENT_FRAMES * FRAME_US
         self._sensor.run(self._now_us)
 
@@ -217,17 +220,27 @@ class SensorStream:
         light = self._world.light(now_s)
         truth = with_setup(self._truth, self._world.camera_setup(now_s))
         moved = angles != self._angles or truth is not self._truth
-        if not moved and light == self._light:
+        if not moved and light == self._light and self._shake is None:
             return
         picture = None
-        if moved:
+        if moved or self._shake is not None:
             self._angles, self._truth, self._moved = angles, truth, True
             picture = self._picture(moving=True)
         if light != self._light:
             self._light = light
             self._period_starts_us = self._now_us - light.phase_at(now_s) * light.period_us
         phase = (self._now_us - self._period_starts_us) / light.period_us % 1.0
-        self._sensor.change(picture, light, phase, FRAME_US)
+        self._show(picture, light, phase, anew=moved)
+
+    def _show(
+        self, picture: NDArray[np.float32] | None, light: LightState, phase: float, *, anew: bool
+    ) -> None:
+        """Show the sensor a change; if the view is another one, many lights are looked for anew, settled."""
+        if anew and picture is not None and isinstance(self._sensor, ManyLightsSensor):
+            self._sensor.look_again(self._truth, self._angles)
+            self._sensor.begin(picture, light, phase, at_us=self._now_us)
+        else:
+            self._sensor.change(picture, light, phase, FRAME_US)
 
     def _angles_now(self) -> Mapping[AxisName, float]:
         """Return the angles at which the camera points, with the mount's own motion."""
@@ -240,10 +253,17 @@ class SensorStream:
 
     def _picture(self, *, moving: bool) -> NDArray[np.float32]:
         """Return the picture in the present pose."""
-        if moving:
+        if moving or self._shake is not None:
             subsamples = PREVIEW_SUBSAMPLES if self._preview else MOVING_SUBSAMPLES
-            return scene.picture(self._truth, self._angles, subsamples=subsamples)
+            return scene.picture(self._shaken(), self._angles, subsamples=subsamples)
         return scene.still_picture(self._truth, self._angles)
+
+    def _shaken(self) -> Truth:
+        """Return the truth with the board where a shaking hand holds it now."""
+        if self._shake is None:
+            return self._truth
+        shake = self._shake.at(self._now_us * 1e-6)
+        return replace(self._truth, board=replace(self._truth.board, shake=shake))
 
     def _edges(self, first_us: int, end_us: int) -> tuple[NDArray[np.int64], NDArray[np.uint8]]:
         """Return times and values of the light's sync edges that reach the trigger input."""
@@ -323,6 +343,8 @@ def stream_key(world: World, camera: CameraState, at_s: float) -> str:
         key["turn_deg"] = setup.turn_deg
     if setup.lens != start.lens:
         key["lens"] = setup.lens.focus_distance_m, setup.lens.f_number
+    if setup.board != start.board:
+        key["board"] = repr(setup.board)
     return json.dumps(key, sort_keys=True)
 
 

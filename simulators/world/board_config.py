@@ -64,6 +64,7 @@ def board_from_config(given: object) -> BoardTruth:
     pitch_mm = values.get("pitch_mm", 0.0)
     values.setdefault("dot_mm", _DOT_SHARES.get(kind, 0.0) * pitch_mm)
     values.setdefault("margin_mm", 10.0 if kind == "stars" else pitch_mm if surface == "print" else 0.0)
+    values.setdefault("black", 0.04 if surface == "print" else 0.0)
     _check_dots(kind, values)
     _check_screen(surface, values)
     count = values.get("columns", 0) * values.get("rows", 0)

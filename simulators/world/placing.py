@@ -13,6 +13,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from simulators.errors import ConfigError
 from simulators.world.board_truth import Anywhere, BoardTruth, HandTruth, Placement
 from simulators.world.truth import Truth
 
@@ -24,6 +25,10 @@ _WAVES: Final = 48
 _MOST_DRAWS: Final = 400
 _VIEW: Final = 0.92
 """Share of the image, about its middle, in which a random placement keeps the board."""
+_AROUND_TAG: Final = 12
+"""Squares of a star target around its tag that a random placement keeps in view."""
+_NEAREST_MM: Final = 5.0
+_CORNERS: Final = np.array([[-1.0, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]])
 
 
 class View(NamedTuple):
@@ -77,16 +82,51 @@ def view_of(truth: Truth) -> View:
         (camera.height - 0.5 - camera.cy) / camera.fy,
     )
     if board.kind == "stars":
-        squares = (truth.target.squares_x, truth.target.squares_y)
-        width, height = (truth.target.pitch_mm * n for n in squares)
-    else:
-        across = 2.0 if board.kind == "asymmetric-circles" else 1.0
-        beyond = 2.0 * board.pitch_mm if board.kind == "checkerboard" else board.dot_mm
-        width = across * board.pitch_mm * (board.columns - 1) + beyond
-        height = board.pitch_mm * (board.rows - 1) + beyond
-        if board.kind == "asymmetric-circles":
-            width += board.pitch_mm
-    return View(edges, (width + 2.0 * board.margin_mm, height + 2.0 * board.margin_mm))
+        side = truth.target.pitch_mm * (truth.target.tag_squares + _AROUND_TAG)
+        return View(edges, (side, side))
+    asymmetric = board.kind == "asymmetric-circles"
+    columns = 2 * board.columns - 1 if asymmetric else board.columns - 1
+    around = 2.0 * (
+        board.margin_mm + (board.pitch_mm if board.kind == "checkerboard" else 0.5 * board.dot_mm)
+    )
+    return View(edges, (board.pitch_mm * columns + around, board.pitch_mm * (board.rows - 1) + around))
+
+
+def check_placements(truth: Truth) -> None:
+    """Check that the board can stand where it shall.
+
+    Parameters
+    ----------
+    truth
+        Camera and board.
+
+    Raises
+    ------
+    ConfigError
+        If a placement of the script reaches behind the camera, or the board does not fit into the picture where it is
+        to be placed at random.
+    """
+    board, view = truth.board, view_of(truth)
+    if not board.present:
+        return
+    half = 0.5 * np.asarray([*view.board_mm, 0.0]) * _CORNERS
+    for index, one in enumerate(board.placements):
+        depth = half @ _matrix(np.asarray(one.turn_deg))[2] + one.position_mm[2]
+        if depth.min() < _NEAREST_MM:
+            raise ConfigError(
+                f"A corner of the board would stand {depth.min():.0f} mm in front of the lens.",
+                where=f"board.placements[{index}]",
+                remedy="Put the board further away, or turn it less.",
+            )
+    left, top, right, bottom = (_VIEW * t * board.anywhere.distance_mm for t in view.tangents)
+    width, height = view.board_mm
+    if not board.placements and (width > right - left or height > bottom - top):
+        nearest = board.anywhere.distance_mm * max(width / (right - left), height / (bottom - top))
+        raise ConfigError(
+            f"The board of {width:.0f} x {height:.0f} mm does not fit into the picture.",
+            where="board.anywhere.distance_mm",
+            remedy=f"Give at least {math.ceil(1.2 * nearest / 10.0) * 10:.0f}, or a list of placements.",
+        )
 
 
 def placement(board: BoardTruth, view: View) -> Placement:
@@ -253,10 +293,10 @@ def _drawn_frequencies(
 
 
 def _drawn(chosen: Anywhere, view: View, rng: np.random.Generator) -> Placement:
-    """Draw a placement with the whole board in view; if none is found, the last one with the board in the middle."""
+    """Draw a placement with the whole board in view; if none is found, one in the middle that faces the camera."""
     left, top, right, bottom = (_VIEW * t for t in view.tangents)
     half = 0.5 * np.asarray([*view.board_mm, 0.0])
-    corners = half * np.array([[-1.0, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]])
+    corners = half * _CORNERS
     for _ in range(_MOST_DRAWS):
         distance = chosen.distance_mm * (1.0 + chosen.distance_spread * rng.uniform(-1.0, 1.0))
         around, tilt = 2.0 * math.pi * rng.random(), chosen.tilt_deg * math.sqrt(rng.random())
@@ -269,7 +309,7 @@ def _drawn(chosen: Anywhere, view: View, rng: np.random.Generator) -> Placement:
         if x.min() > left and x.max() < right and y.min() > top and y.max() < bottom and seen[:, 2].min() > 0:
             break
     else:
-        middle = np.array([0.0, 0.0, distance])
+        middle, rotation = np.array([0.5 * (left + right), 0.5 * (top + bottom), 1.0]) * distance, np.eye(3)
     x_mm, y_mm, z_mm = middle.tolist()
     a, b, c = np.degrees(np.asarray(cv2.Rodrigues(rotation)[0]).ravel()).tolist()
     return Placement((x_mm, y_mm, z_mm), (a, b, c))

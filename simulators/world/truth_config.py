@@ -15,6 +15,7 @@ from simulators.errors import ConfigError
 from simulators.world.board_config import board_from_config
 from simulators.world.gimbal import AXES, GimbalTruth
 from simulators.world.lens_config import lens_from_config
+from simulators.world.placing import check_placements
 from simulators.world.truth import (
     CAMERAS,
     COLLIMATORS,
@@ -89,7 +90,7 @@ def truth_from_config(config: Mapping[str, Any]) -> Truth:
         raise ConfigError(
             "There is a screen and a board.", where="board", remedy="Remove one of the two sections."
         )
-    return Truth(
+    truth = Truth(
         camera=camera,
         lens=lens_from_config(config.get("lens", {}), camera),
         collimator=_collimator(config.get("collimator", {}), target),
@@ -103,6 +104,8 @@ def truth_from_config(config: Mapping[str, Any]) -> Truth:
         board=board,
         target=target,
     )
+    check_placements(truth)
+    return truth
 
 
 def _gimbal(given: object) -> GimbalTruth:

@@ -1,0 +1,151 @@
+"""Outlines of boards: their points, and the areas from which they shine or reflect.
+
+This module works on the board's plane only: Z = 0, X right, Y down, mm; origin at the board's first point (of a star
+target at the corner of its print). An area is a ring of corners, clockwise as seen; a ring that runs the other way is
+dark and lies within bright ones.
+"""
+
+from __future__ import annotations
+
+import math
+from functools import lru_cache
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calib.target import StarTarget
+from simulators.optics.print_outline import black_polygons
+from simulators.world.board_truth import BoardTruth
+
+FloatArray = NDArray[np.float64]
+
+ROUND: Final = 64
+"""Corners of a circle's ring."""
+_RING: Final = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])
+
+
+def points_mm(board: BoardTruth, target: StarTarget) -> FloatArray:
+    """Return the points that a detector finds.
+
+    Parameters
+    ----------
+    board
+        The board.
+    target
+        The star target, for a board of stars.
+
+    Returns
+    -------
+    (N, 2) float64
+        Inner corners, centres of circles or dots, row by row, or stars by id, mm.
+    """
+    if board.kind == "stars":
+        return np.asarray(target.positions_mm(target.ids), np.float64)
+    row, column = np.mgrid[: board.rows, : board.columns].astype(np.float64)
+    if board.kind == "asymmetric-circles":
+        column = 2.0 * column + row % 2.0
+    return np.asarray(board.pitch_mm * np.column_stack([column.ravel(), row.ravel()]))
+
+
+def middle_mm(board: BoardTruth, target: StarTarget) -> FloatArray:
+    """Return the point of the board that a placement puts somewhere.
+
+    Parameters
+    ----------
+    board
+        The board.
+    target
+        The star target, for a board of stars.
+
+    Returns
+    -------
+    (3,) float64
+        Middle of the points; of a star target the centre of its tag, mm.
+    """
+    if board.kind == "stars":
+        return np.array([*target.tag_centre_mm, 0.0])
+    points = points_mm(board, target)
+    return np.array([*(0.5 * (points.min(axis=0) + points.max(axis=0))), 0.0])
+
+
+def bright_areas(board: BoardTruth, target: StarTarget, *, pixels: bool) -> tuple[FloatArray, ...]:
+    """Return the rings from which the board's light comes.
+
+    Parameters
+    ----------
+    board
+        The board.
+    target
+        The star target, for a board of stars.
+    pixels
+        Whether the pixels of a screen are drawn one by one.
+
+    Returns
+    -------
+    tuple of (N, corners, 2) float64
+        Rings, mm; kept, so do not change them.
+    """
+    key = (board.kind, board.columns, board.rows, board.pitch_mm, board.surface, board.dot_mm)
+    return _areas(*key, board.margin_mm, board.pixel_mm if pixels else 0.0, board.fill, target)
+
+
+@lru_cache(maxsize=4)
+def _areas(
+    kind: str, columns: int, rows: int, pitch_mm: float, surface: str, dot_mm: float, margin_mm: float,
+    pixel_mm: float, fill: float, target: StarTarget,
+) -> tuple[FloatArray, ...]:  # fmt: skip
+    """Compute the rings of ``bright_areas``."""
+    board = BoardTruth(kind=kind, columns=columns, rows=rows, pitch_mm=pitch_mm)
+    points = points_mm(board, target)
+    if kind == "stars":
+        size = target.pitch_mm * np.array([target.squares_x, target.squares_y])
+        low, high = np.zeros(2), size
+        marks: FloatArray = black_polygons(target)
+    elif kind == "checkerboard":
+        low, high = points.min(axis=0) - pitch_mm, points.max(axis=0) + pitch_mm
+        marks = _squares(columns, rows, pitch_mm)
+        if pixel_mm > 0.0:
+            marks = _screen_pixels(marks[:, 0], round(pitch_mm / pixel_mm), pixel_mm, fill)
+    else:
+        low, high = points.min(axis=0) - 0.5 * dot_mm, points.max(axis=0) + 0.5 * dot_mm
+        marks = points[:, None] + _circle(0.5 * dot_mm)
+    if surface != "print":
+        return (marks,)
+    return _paper(low - margin_mm, high + margin_mm, pitch_mm or 8.0 * target.pitch_mm), marks[:, ::-1]
+
+
+def _squares(columns: int, rows: int, side_mm: float) -> FloatArray:
+    """Return every second square of a checkerboard, with the upper left one."""
+    i, j = np.meshgrid(np.arange(columns + 1), np.arange(rows + 1))
+    chosen = (i + j) % 2 == 0
+    upper_left = np.column_stack([i[chosen], j[chosen]]) - 1.0
+    return np.asarray(side_mm * (upper_left[:, None] + _RING))
+
+
+def _screen_pixels(corners_mm: FloatArray, count: int, pixel_mm: float, fill: float) -> FloatArray:
+    """Return the shining squares in the pixels of a screen, for squares of ``count`` pixels a side."""
+    side = math.sqrt(fill)
+    j, i = np.divmod(np.arange(count * count), count)
+    first = np.column_stack([i, j]) + 0.5 * (1.0 - side)
+    pixels = pixel_mm * (first[:, None] + side * _RING)
+    return np.asarray((corners_mm[:, None, None] + pixels).reshape(-1, 4, 2))
+
+
+def _circle(radius_mm: float) -> FloatArray:
+    """Return a ring of the same area as a circle about the origin."""
+    turn = 2.0 * math.pi / ROUND
+    radius_mm *= math.sqrt(turn / math.sin(turn))
+    angles = turn * np.arange(ROUND)
+    return np.asarray(radius_mm * np.column_stack([np.cos(angles), np.sin(angles)]))
+
+
+def _paper(low: FloatArray, high: FloatArray, tile_mm: float) -> FloatArray:
+    """Return white paper as tiles; a single large ring would be left out if all its corners lie out of view."""
+    across, down = (
+        np.linspace(a, b, 1 + math.ceil((b - a) / tile_mm)) for a, b in zip(low, high, strict=True)
+    )
+    x, y = np.meshgrid(across, down)
+    corners = np.stack([x, y], axis=-1)
+    ring = [corners[:-1, :-1], corners[:-1, 1:], corners[1:, 1:], corners[1:, :-1]]
+    return np.asarray(np.stack(ring, axis=2).reshape(-1, 4, 2))
