@@ -150,35 +150,10 @@ def offline_results(
     dict
         The schema of a run's results; ``run.offline`` is true, and there are no devices, gates and states.
     """
-    jobs = _jobs(result)
-    job = jobs[0] if len(jobs) == 1 else None
-    started = _started(result.sources[0]) if job is not None else {}
-    now = datetime.now(UTC).isoformat(timespec="milliseconds").replace("+00:00", "Z")
     calibration = result.calibration
-    frames = all(
-        source.path.suffix.lower() in PHOTOGRAPHS or (source.job and source.job.camera_kind.name == "frame")
-        for source in result.sources
-    )
     return {
         "schema": "starbench/results/1",
-        "run": {
-            "id": name,
-            "offline": True,
-            "statement": RECALCULATION,
-            "sealed_by": {"principal": key.principal, "fingerprint": key.fingerprint} if key else None,
-            "of_runs": _runs(result),
-            "calibrated_utc": now,
-            "of_run": started.get("id"),
-            "sequence": started.get("sequence"),
-            "station": started.get("station"),
-            "operator": started.get("operator"),
-            "laboratory": job.laboratory if job else None,
-            "collimator": collimator_data(job) if job else None,
-            **({"target": stated} if job and (stated := target_data(job)) else {}),
-            "simulated": any(one.simulated for one in jobs),
-            "camera": "frame" if frames else "event",
-            "software": software(),
-        },
+        "run": _run_facts(result, name, key),
         "devices": {},
         "calibration": calibration.to_dict(),
         "projection": projection_facts(
@@ -190,24 +165,59 @@ def offline_results(
         "planar": result.planar.to_dict() if result.planar else None,
         "passport": result.passport.to_dict() if result.passport else None,
         "gimbal_readings": result.readings,
-        "poses": [
-            {
-                "index": index,
-                "name": view.name,
-                "commanded_deg": source.attempt.stored["commanded_deg"] if source.attempt else None,
-                "measured_deg": source.attempt.stored["measured_deg"] if source.attempt else None,
-                "stars": view.n,
-                "rms_px": view.rms_px,
-                "mean_px": view.mean_px,
-            }
-            for index, (view, source) in enumerate(zip(calibration.views, result.sources, strict=True), 1)
-        ],
+        "poses": _pose_rows(result),
         "gates": [],
         "deviations": [f"Left out: {why}" for why in result.skipped],
         "sources": list(sources),
         "truth": None,
         "comparison": [],
     }
+
+
+def _run_facts(result: OfflineResult, name: str, key: BenchKey | None) -> dict[str, Any]:
+    """Return what results.json states about the origin of a recalculation."""
+    jobs = _jobs(result)
+    job = jobs[0] if len(jobs) == 1 else None
+    started = _started(result.sources[0]) if job is not None else {}
+    now = datetime.now(UTC).isoformat(timespec="milliseconds").replace("+00:00", "Z")
+    frames = all(
+        source.path.suffix.lower() in PHOTOGRAPHS or (source.job and source.job.camera_kind.name == "frame")
+        for source in result.sources
+    )
+    return {
+        "id": name,
+        "offline": True,
+        "statement": RECALCULATION,
+        "sealed_by": {"principal": key.principal, "fingerprint": key.fingerprint} if key else None,
+        "of_runs": _runs(result),
+        "calibrated_utc": now,
+        "of_run": started.get("id"),
+        "sequence": started.get("sequence"),
+        "station": started.get("station"),
+        "operator": started.get("operator"),
+        "laboratory": job.laboratory if job else None,
+        "collimator": collimator_data(job) if job else None,
+        **({"target": stated} if job and (stated := target_data(job)) else {}),
+        "simulated": any(one.simulated for one in jobs),
+        "camera": "frame" if frames else "event",
+        "software": software(),
+    }
+
+
+def _pose_rows(result: OfflineResult) -> list[dict[str, Any]]:
+    """Return what results.json states about each pose."""
+    return [
+        {
+            "index": index,
+            "name": view.name,
+            "commanded_deg": source.attempt.stored["commanded_deg"] if source.attempt else None,
+            "measured_deg": source.attempt.stored["measured_deg"] if source.attempt else None,
+            "stars": view.n,
+            "rms_px": view.rms_px,
+            "mean_px": view.mean_px,
+        }
+        for index, (view, source) in enumerate(zip(result.calibration.views, result.sources, strict=True), 1)
+    ]
 
 
 def _jobs(result: OfflineResult) -> list[Job]:
