@@ -8,11 +8,11 @@ that they are from. Without a key the folder is a draft.
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 from bench.base.errors import UsageError
 from bench.evidence.keys import BenchKey
@@ -34,6 +34,7 @@ from bench.views.views_file import VIEWS, views_file
 from calib.view import View
 
 SOURCES = "sources.json"
+EXPORTS = "exports"
 SCHEMA = "starbench/sources/1"
 RECALCULATION = (
     "These results are a recalculation: they were calculated from existing files, without devices, and are not the"
@@ -48,6 +49,18 @@ class _Stars:
 
     view: View
     image: None = None
+
+
+class Sealer(Protocol):
+    """Who seals a folder, as its results state it: a `bench.evidence.keys.BenchKey`, or its public part."""
+
+    @property
+    def principal(self) -> str:
+        """Name of the signer, as ``name@place``."""
+
+    @property
+    def fingerprint(self) -> str:
+        """Fingerprint of the public key."""
 
 
 def require_new(folder: Path) -> None:
@@ -97,40 +110,102 @@ def write_offline_results(result: OfflineResult, folder: Path, key: BenchKey | N
         If a file cannot be read or written.
     """
     require_new(folder)
-    sources = [
-        source_data(source, view.name) for source, view in zip(result.sources, result.views, strict=True)
-    ]
-    results = offline_results(result, folder.resolve().name, sources, key)
-    runs = results["run"]["of_runs"]
-    make_folder(folder / "exports")
-    camera_name = _camera_name(result)
-    target = asdict(result.target) if result.target is not None else None
-    described = {
-        "camera_name": camera_name,
-        "target": target,
-        "paths": [str(path.absolute()) for path in result.paths],
-        "options": options_data(result.choices),
-        "option_target": asdict(result.choices.target),
-    }
-    write_atomic(
-        folder / SOURCES, _json_bytes({"schema": SCHEMA, "runs": runs, "sources": sources, **described})
-    )
-    stars = [_Stars(view) for view in result.views]
-    write_atomic(folder / VIEWS, views_file(stars, result.calibration.residuals_px))
-    if result.passport is not None:
-        write_atomic(folder / PASSPORT_COPY, result.passport.data)
-    written = exports(result.calibration, camera_name=camera_name, target=result.target)
-    for name, data in written.items():
-        write_atomic(folder / "exports" / name, data)
-    html = render_report(ReportData(results, _pictures(result)))
-    write_atomic(folder / REPORT, html.encode())
-    write_atomic(folder / RESULTS, _json_bytes(results))
+    write_files(folder, offline_files(result, folder.resolve().name, key))
     if key is not None:
         seal_folder(folder, key)
 
 
+def write_files(folder: Path, files: Mapping[str, bytes]) -> None:
+    """Write the files of an offline calibration to a new folder, in their order.
+
+    Parameters
+    ----------
+    folder
+        The folder; it is made if it does not exist.
+    files
+        As `offline_files` returns them.
+
+    Raises
+    ------
+    StorageError
+        If a file cannot be written.
+    """
+    make_folder(folder / EXPORTS)
+    for name, data in files.items():
+        write_atomic(folder / name, data)
+
+
+def offline_files(
+    result: OfflineResult,
+    name: str,
+    key: Sealer | None = None,
+    *,
+    read_from: Mapping[str, str] | None = None,
+) -> dict[str, bytes]:
+    """Return the files of an offline calibration, before its seal.
+
+    Parameters
+    ----------
+    result
+        The calibration and its views.
+    name
+        Name of the calibration, as the report prints it.
+    key
+        Who will seal the folder; None if it stays a draft.
+    read_from
+        For each folder that is a copy for this calculation only, the place that it was copied from.
+
+    Returns
+    -------
+    dict
+        Contents by name within the folder; ``results.json`` is the last one.
+
+    Raises
+    ------
+    StorageError
+        If a source cannot be read.
+    """
+    sources = [
+        source_data(source, view.name) for source, view in zip(result.sources, result.views, strict=True)
+    ]
+    results = offline_results(result, name, sources, key)
+    camera_name = _camera_name(result)
+    described = {
+        "schema": SCHEMA,
+        "runs": results["run"]["of_runs"],
+        "sources": sources,
+        "camera_name": camera_name,
+        "target": asdict(result.target) if result.target is not None else None,
+        "paths": [str(path.absolute()) for path in result.paths],
+        "options": options_data(result.choices),
+        "option_target": asdict(result.choices.target),
+    }
+    results, described = (_read_from(content, read_from or {}) for content in (results, described))
+    stars = [_Stars(view) for view in result.views]
+    files = {SOURCES: _json_bytes(described), VIEWS: views_file(stars, result.calibration.residuals_px)}
+    if result.passport is not None:
+        files[PASSPORT_COPY] = result.passport.data
+    written = exports(result.calibration, camera_name=camera_name, target=result.target)
+    files |= {f"{EXPORTS}/{export}": data for export, data in written.items()}
+    files[REPORT] = render_report(ReportData(results, _pictures(result))).encode()
+    files[RESULTS] = _json_bytes(results)
+    return files
+
+
+def _read_from(value: Any, places: Mapping[str, str]) -> Any:
+    """Replace the paths of copies in all texts of a JSON value by the places that were copied."""
+    if isinstance(value, dict):
+        return {name: _read_from(one, places) for name, one in value.items()}
+    if isinstance(value, list | tuple):
+        return [_read_from(one, places) for one in value]
+    if isinstance(value, str):
+        for copy, place in places.items():
+            value = value.replace(copy, place)
+    return value
+
+
 def offline_results(
-    result: OfflineResult, name: str, sources: Sequence[dict[str, Any]], key: BenchKey | None = None
+    result: OfflineResult, name: str, sources: Sequence[dict[str, Any]], key: Sealer | None = None
 ) -> dict[str, Any]:
     """Return the content of results.json of an offline calibration.
 
@@ -143,7 +218,7 @@ def offline_results(
     sources
         Path, size and hash of each input file.
     key
-        The bench's key that will seal the folder; None if it stays a draft.
+        Who will seal the folder; None if it stays a draft.
 
     Returns
     -------
