@@ -14,7 +14,7 @@ from serial.tools import list_ports
 
 from drivers.camera import FoundCamera
 from drivers.camera.discovery import find_cameras
-from drivers.camera.usb_permission import unreadable_cameras
+from drivers.camera.usb_permission import slow_cameras, unreadable_cameras
 
 BY_ID = Path("/dev/serial/by-id")
 
@@ -89,7 +89,7 @@ def discover(by_id: Path = BY_ID) -> Discovery:
     names = {os.path.realpath(link): str(link) for link in by_id.iterdir()} if by_id.is_dir() else {}
     ports = tuple(_port(info, names) for info in sorted(list_ports.comports(), key=lambda info: info.device))
     cameras, missing = find_cameras()
-    missing += unreadable_cameras()
+    missing += [*unreadable_cameras(), *slow_cameras()]
     if not ports:
         missing.append("No serial port was found: connect the adapters of stage and light.")
     if not cameras:

@@ -18,6 +18,10 @@ class CameraIdentity:
         Empty if the camera does not state it.
     width, height
         Size of the sensor, px.
+    firmware_built
+        When the firmware was built; empty if the camera does not state it.
+    link_mbit_s
+        Speed of its USB connection, Mbit/s: 480 for USB 2, 5000 or more for USB 3; None if it is not known.
     """
 
     maker: str
@@ -27,6 +31,8 @@ class CameraIdentity:
     firmware: str
     width: int
     height: int
+    firmware_built: str = ""
+    link_mbit_s: int | None = None
 
 
 @dataclass(frozen=True)

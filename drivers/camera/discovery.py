@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from drivers.camera import FoundCamera, metavision, neuromorphic_evk4
+from drivers.camera import FoundCamera, metavision_discovery, neuromorphic_evk4
 from drivers.camera.video_devices import video_devices
 from drivers.errors import DriverError
 
@@ -19,7 +19,7 @@ def find_cameras() -> tuple[list[FoundCamera], list[str]]:
     """
     found: list[FoundCamera] = []
     missing: list[str] = []
-    for discover in (metavision.discover, neuromorphic_evk4.discover):
+    for discover in (metavision_discovery.discover, neuromorphic_evk4.discover):
         try:
             found += discover()
         except DriverError as error:

@@ -7,28 +7,33 @@ It does not report a full disk, so the driver reads the file afterwards to check
 
 from __future__ import annotations
 
-import importlib
 import math
-import re
 import threading
 from collections.abc import Mapping
 from contextlib import suppress
 from pathlib import Path
 from typing import Any, Final
 
-from drivers.camera import CameraIdentity, CameraSettings, FoundCamera, RecordingFacts
+from drivers.camera import CameraIdentity, CameraSettings, RecordingFacts
 from drivers.camera.camera_lock import CameraLock, event_camera_name
+from drivers.camera.maker_log import listening
+from drivers.camera.metavision_discovery import (
+    link_mbit_s,
+    not_opened,
+    reason_of,
+    stated,
+    vendor_software,
+)
 from drivers.camera.metavision_settings import apply_settings, read_biases, read_filters, read_monitoring
 from drivers.camera.raw_file import RawFile, RecordingStatistics
 from drivers.camera.raw_writer import check_new, check_space, sync_file
 from drivers.camera.recording import RecordingOutcome, check_duration, recording_facts
+from drivers.camera.usb_permission import check_link
 from drivers.clock import Clock
 from drivers.errors import (
     CameraError,
     CameraLost,
-    CameraNotFound,
     CameraSettingRefused,
-    CameraSoftwareMissing,
     RecordingFailed,
     RecordingFileError,
     WrongDevice,
@@ -37,48 +42,12 @@ from drivers.errors import (
 SILENCE_S: Final = 5.0
 """Longest silence before the camera counts as lost, s. A sensor that streams sends its clock every 16 us."""
 
-LEAST_MBIT_S: Final = 5000
-"""Slowest connection that is used, Mbit/s: that of USB 3."""
-
 _POLL_S: Final = 0.001
 
 _RECONNECT: Final = "Check the camera's cable and power, then resume the run."
 
 _LARGEST_STEP_US: Final = 1_000_000
 """Between two buffers of one stream lie milliseconds. A longer step means that the sensor's clock was restarted."""
-
-
-def discover() -> tuple[FoundCamera, ...]:
-    """List the cameras that the maker's software finds.
-
-    Returns
-    -------
-    tuple of FoundCamera
-        The cameras.
-
-    Raises
-    ------
-    CameraSoftwareMissing
-        If ``metavision_hal`` cannot be imported.
-    CameraError
-        If it cannot list cameras.
-    """
-    hal = _vendor_software()
-    try:
-        return tuple(
-            FoundCamera(
-                driver="metavision",
-                serial=str(found.serial),
-                description=f"{found.integrator_name}, {str(found.connection).rsplit('.', 1)[-1]}, {found.plugin_name}",
-            )
-            for found in hal.DeviceDiscovery.list_available_sources()
-        )
-    except RuntimeError as error:
-        raise CameraError(
-            f"The software cannot list cameras ({_reason(error)}).",
-            where="metavision_hal",
-            remedy="Check that its plugins are found (MV_HAL_PLUGIN_PATH), and that this user may use USB.",
-        ) from error
 
 
 class MetavisionEvk4:
@@ -137,14 +106,14 @@ class MetavisionEvk4:
         CameraSettingRefused
             If the camera does not send EVT3, or is connected by USB 2.
         """
-        hal = _vendor_software()
+        hal = vendor_software()
         lock = CameraLock(event_camera_name(serial)) if serial else None
         camera = cls(None, hal, serial=serial, clock=clock, lock=lock)
         try:
             camera._device = cls._opened(hal, serial)
             identity = camera.identify()
             camera._check_encoding()
-            camera._check_speed()
+            check_link(identity.link_mbit_s, camera._where)
             if lock is None:
                 camera._lock = CameraLock(event_camera_name(identity.serial))
         except BaseException:
@@ -160,17 +129,12 @@ class MetavisionEvk4:
         reason = ""
         device = None
         try:
-            device = hal.DeviceDiscovery.open(serial or "", config)
+            with listening():
+                device = hal.DeviceDiscovery.open(serial or "", config)
         except RuntimeError as error:
-            reason = f" ({_reason(error)})"
+            reason = f" ({reason_of(error)})"
         if device is None:
-            seen = ", ".join(camera.serial for camera in discover()) or "none"
-            raise CameraNotFound(
-                f"Cannot open {f'camera {serial}' if serial else 'any camera'}{reason}; connected cameras: {seen}.",
-                remedy="Check the camera's cable and power, the serial number in the station file, the udev rules, "
-                "that no other program uses the camera, and that its firmware is 3.8 or newer: the maker's software "
-                "refuses an older one, and says so on standard error only.",
-            )
+            raise not_opened(serial, reason)
         return device
 
     def identify(self) -> CameraIdentity:
@@ -201,6 +165,8 @@ class MetavisionEvk4:
                 firmware=str(about.get(version, "")),
                 width=int(geometry.get_width()),
                 height=int(geometry.get_height()),
+                firmware_built=stated(about, " Build Date"),
+                link_mbit_s=link_mbit_s(about),
             )
         except RuntimeError as error:
             raise self._lost(error) from error
@@ -373,46 +339,11 @@ class MetavisionEvk4:
                 remedy="Update the camera's firmware, or use a camera that sends EVT3.",
             )
 
-    def _check_speed(self) -> None:
-        """Refuse a camera on USB 2, which loses events at the rates of a measurement. Raises CameraSettingRefused."""
-        try:
-            about = dict(self._facility("get_i_hw_identification", "identification").get_system_info())
-        except RuntimeError as error:
-            raise self._lost(error) from error
-        stated = next((str(text) for key, text in about.items() if key.endswith(" Speed")), "")
-        speed = re.match(r"\d+", stated)
-        if speed is not None and int(speed[0]) < LEAST_MBIT_S:
-            raise CameraSettingRefused(
-                f"The camera is connected at {speed[0]} Mbit/s (USB 2); it would lose events.",
-                where=self._where,
-                remedy=f"Use a USB 3 port and cable ({LEAST_MBIT_S} Mbit/s or more).",
-            )
-
     def _lost(self, error: Exception, path: Path | None = None) -> CameraLost:
         kept = f" What was recorded before is in {path}." if path else ""
         cause = (
             error.what
             if isinstance(error, CameraError)
-            else f"The connection to the camera is lost ({_reason(error)})."
+            else f"The connection to the camera is lost ({reason_of(error)})."
         )
         return CameraLost(cause + kept, where=self._where, remedy=_RECONNECT)
-
-
-def _vendor_software() -> Any:
-    """Import ``metavision_hal``. Raises CameraSoftwareMissing."""
-    try:
-        return importlib.import_module("metavision_hal")
-    except ImportError as error:
-        raise CameraSoftwareMissing(
-            f"The camera's software, metavision_hal, cannot be imported ({error}).",
-            remedy="Install OpenEB or the Metavision SDK 5 (docs.prophesee.ai; not from PyPI) for the Python "
-            "version that runs Starbench, and add its Python folder to PYTHONPATH.",
-        ) from error
-
-
-def _reason(error: Exception) -> str:
-    """Return the line of the maker's message, often framed and titled, that states the cause."""
-    lines = [line.strip() for line in str(error).splitlines() if any(c.isalpha() for c in line)]
-    return next(
-        (line for line in lines if line.startswith("Error")), lines[0] if lines else "no reason given"
-    )

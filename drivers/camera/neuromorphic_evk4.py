@@ -23,6 +23,7 @@ from drivers.camera.camera_lock import CameraLock, event_camera_name
 from drivers.camera.evt3 import first_time_high
 from drivers.camera.raw_header import render_header
 from drivers.camera.recording import StopConditions, check_duration, record_words, recording_facts, refuse_roi
+from drivers.camera.usb_permission import check_link, only_camera_mbit_s
 from drivers.clock import Clock
 from drivers.errors import (
     CameraError,
@@ -140,6 +141,8 @@ class NeuromorphicEvk4:
             If another process of this bench has locked it; with a serial number given, the camera has not been touched.
         WrongDevice
             If another camera answers.
+        CameraSettingRefused
+            If the camera is connected by USB 2.
         """
         package = _package()
         lock = CameraLock(event_camera_name(serial)) if serial else None
@@ -152,6 +155,7 @@ class NeuromorphicEvk4:
         camera = cls(device, package, serial=serial, clock=clock, utc_now=utc_now, lock=lock)
         try:
             identity = camera.identify()
+            check_link(identity.link_mbit_s, camera._where)
             if lock is None:
                 camera._lock = CameraLock(event_camera_name(identity.serial))
         except BaseException:
@@ -205,7 +209,16 @@ class NeuromorphicEvk4:
                 where=self._where,
                 remedy="Correct the serial number in the station file, or plug in the right camera.",
             )
-        return CameraIdentity("Prophesee", "EVK4", "IMX636", serial, "", int(size.width), int(size.height))
+        return CameraIdentity(
+            maker="Prophesee",
+            model="EVK4",
+            sensor="IMX636",
+            serial=serial,
+            firmware="",
+            width=int(size.width),
+            height=int(size.height),
+            link_mbit_s=only_camera_mbit_s(),
+        )
 
     def apply(self, settings: CameraSettings) -> CameraSettings:
         """Set all biases and the trigger input; the rate limiter stays off.

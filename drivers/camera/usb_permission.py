@@ -1,4 +1,6 @@
-"""Cameras on USB that this user may not open: then the maker's software lists none, and gives no reason.
+"""Event cameras on USB: those that this user may not open, and the speed of their connection.
+
+The maker's software lists no camera that this user may not open, and gives no reason.
 
 Reads the lists of the Linux kernel only; sends nothing to any device.
 """
@@ -11,8 +13,12 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Final
 
+from drivers.errors import CameraSettingRefused
+
 USB_DEVICES: Final = Path("/sys/bus/usb/devices")
 """Folder in which Linux lists the devices on USB."""
+LEAST_MBIT_S: Final = 5000
+"""Slowest connection that an event camera needs, Mbit/s: that of USB 3."""
 USB_NODES: Final = Path("/dev/bus/usb")
 """Folder with the file of each device on USB."""
 
@@ -39,11 +45,8 @@ def unreadable_cameras(devices: Path = USB_DEVICES, nodes: Path = USB_NODES) -> 
         What is connected, and what to do; empty on other systems.
     """
     found = []
-    for device in sorted(devices.iterdir()) if devices.is_dir() else ():
+    for device, name in _cameras(devices):
         with suppress(OSError, ValueError):
-            name = _CAMERAS.get((_read(device, "idVendor").lower(), _read(device, "idProduct").lower()))
-            if name is None:
-                continue
             node = nodes / f"{int(_read(device, 'busnum')):03d}" / f"{int(_read(device, 'devnum')):03d}"
             if not os.access(node, os.R_OK | os.W_OK):
                 found.append(
@@ -51,6 +54,88 @@ def unreadable_cameras(devices: Path = USB_DEVICES, nodes: Path = USB_NODES) -> 
                     " maker (in OpenEB: hal_psee_plugins/resources/rules), then plug it in again."
                 )
     return found
+
+
+def slow_cameras(devices: Path = USB_DEVICES) -> list[str]:
+    """Return a sentence for each known event camera that is not connected by USB 3.
+
+    Parameters
+    ----------
+    devices
+        Folder in which Linux lists the devices on USB.
+
+    Returns
+    -------
+    list of str
+        What is connected, and what to do; empty on other systems.
+    """
+    found = []
+    for device, name in _cameras(devices):
+        speed_mbit_s = _speed_mbit_s(device)
+        if speed_mbit_s is not None and speed_mbit_s < LEAST_MBIT_S:
+            found.append(
+                f"A {name} is connected at {speed_mbit_s} Mbit/s (USB 2); it would lose events. Use a USB 3 port and"
+                f" cable ({LEAST_MBIT_S} Mbit/s or more)."
+            )
+    return found
+
+
+def only_camera_mbit_s(devices: Path = USB_DEVICES) -> int | None:
+    """Return the speed of the connection of the only known event camera.
+
+    Parameters
+    ----------
+    devices
+        Folder in which Linux lists the devices on USB.
+
+    Returns
+    -------
+    int or None
+        Mbit/s; None if it is not known, or if there are several cameras: a USB device states no serial number that
+        belongs to the camera for certain.
+    """
+    cameras = _cameras(devices)
+    return _speed_mbit_s(cameras[0][0]) if len(cameras) == 1 else None
+
+
+def check_link(link_mbit_s: int | None, where: str) -> None:
+    """Refuse a camera on USB 2, which loses events at the rates of a measurement.
+
+    Parameters
+    ----------
+    link_mbit_s
+        Speed of its connection, Mbit/s; None if it is not known.
+    where
+        The camera, for the message.
+
+    Raises
+    ------
+    CameraSettingRefused
+        If the connection is known to be too slow.
+    """
+    if link_mbit_s is not None and link_mbit_s < LEAST_MBIT_S:
+        raise CameraSettingRefused(
+            f"The camera is connected at {link_mbit_s} Mbit/s (USB 2); it would lose events.",
+            where=where,
+            remedy=f"Use a USB 3 port and cable ({LEAST_MBIT_S} Mbit/s or more).",
+        )
+
+
+def _cameras(devices: Path) -> list[tuple[Path, str]]:
+    """List the folders of the known event cameras, and what they are."""
+    found = []
+    for device in sorted(devices.iterdir()) if devices.is_dir() else ():
+        with suppress(OSError, ValueError):
+            name = _CAMERAS.get((_read(device, "idVendor").lower(), _read(device, "idProduct").lower()))
+            if name is not None:
+                found.append((device, name))
+    return found
+
+
+def _speed_mbit_s(device: Path) -> int | None:
+    with suppress(OSError, ValueError):
+        return int(float(_read(device, "speed"))) or None
+    return None
 
 
 def _read(device: Path, name: str) -> str:

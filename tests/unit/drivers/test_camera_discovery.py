@@ -2,7 +2,7 @@
 
 import pytest
 
-from drivers.camera import FoundCamera, discovery, metavision, neuromorphic_evk4
+from drivers.camera import FoundCamera, discovery, metavision_discovery, neuromorphic_evk4
 from drivers.camera.discovery import find_cameras
 from drivers.camera.video_devices import usb_serial, video_devices
 from drivers.errors import CameraSoftwareMissing
@@ -14,7 +14,7 @@ def test_cameras_of_all_drivers_are_listed_and_missing_software_is_told(monkeypa
     def missing():
         raise CameraSoftwareMissing("It is not installed.", remedy="Install it.")
 
-    monkeypatch.setattr(metavision, "discover", lambda: (EVK4,))
+    monkeypatch.setattr(metavision_discovery, "discover", lambda: (EVK4,))
     monkeypatch.setattr(neuromorphic_evk4, "discover", missing)
     monkeypatch.setattr(discovery, "video_devices", list)
     assert find_cameras() == ([EVK4], ["It is not installed. Install it."])

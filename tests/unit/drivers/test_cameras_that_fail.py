@@ -8,7 +8,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from drivers.camera import CameraSettings, frame_cameras, metavision, neuromorphic_evk4
+from drivers.camera import CameraSettings, frame_cameras, metavision_discovery, neuromorphic_evk4
 from drivers.camera.frame_cameras import OpenCvFrameCamera
 from drivers.camera.frames import read_frames, write_frames
 from drivers.camera.image_folder import FolderFrameCamera
@@ -71,7 +71,7 @@ def test_a_camera_that_turns_out_wrong_is_let_go_before_its_lock(clock, monkeypa
         DeviceConfig=lambda: SimpleNamespace(set_format=lambda _: None),
         DeviceDiscovery=SimpleNamespace(open=open_device, list_available_sources=list),
     )
-    monkeypatch.setattr(metavision.importlib, "import_module", lambda _: hal)
+    monkeypatch.setattr(metavision_discovery.importlib, "import_module", lambda _: hal)
     for serial in ("50423", None, "50423"):  # the lock has been given back as well
         with pytest.raises(CameraError, match="identification cannot be reached") as caught:
             MetavisionEvk4.open(serial=serial, clock=clock)

@@ -250,3 +250,12 @@ def test_an_existing_file_is_never_overwritten(camera, tmp_path):
     (tmp_path / "pose.raw").write_bytes(b"precious")
     with pytest.raises(RecordingFailed, match="file exists already"):
         camera.record(tmp_path / "pose.raw", 0.01)
+
+
+def test_a_camera_on_usb_2_is_refused_and_free_again(package, clock, monkeypatch):
+    speeds = iter([480, 5000])
+    monkeypatch.setattr("drivers.camera.neuromorphic_evk4.only_camera_mbit_s", lambda: next(speeds))
+    with pytest.raises(CameraSettingRefused, match=r"480 Mbit/s \(USB 2\)"):
+        NeuromorphicEvk4.open(serial=SERIAL, clock=clock, utc_now=lambda: NOW)
+    NeuromorphicEvk4.open(serial=SERIAL, clock=clock, utc_now=lambda: NOW).close()
+    assert not package.trouble

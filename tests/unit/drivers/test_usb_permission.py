@@ -1,19 +1,20 @@
-"""A camera on USB that this user may not open is named; `devices` showed nothing."""
+"""A camera on USB that this user may not open, or that is on USB 2, is named; `devices` showed nothing."""
 
 import os
 
 import pytest
 
-from drivers.camera.usb_permission import unreadable_cameras
+from drivers.camera.usb_permission import only_camera_mbit_s, slow_cameras, unreadable_cameras
 
 
-def plug(tmp_path, vendor="04b4", product="00f5", mode=0o666):
-    device = tmp_path / "sys" / "1-2"
+def plug(tmp_path, vendor="04b4", product="00f5", mode=0o666, speed="5000", port="1-2"):
+    device = tmp_path / "sys" / port
     device.mkdir(parents=True)
-    for name, text in (("idVendor", vendor), ("idProduct", product), ("busnum", "1"), ("devnum", "7")):
+    numbers = {"idVendor": vendor, "idProduct": product, "busnum": "1", "devnum": "7", "speed": speed}
+    for name, text in numbers.items():
         (device / name).write_text(f"{text}\n")
     node = tmp_path / "dev" / "001" / "007"
-    node.parent.mkdir(parents=True)
+    node.parent.mkdir(parents=True, exist_ok=True)
     node.touch(mode)
     node.chmod(mode)
     return tmp_path / "sys", tmp_path / "dev"
@@ -39,3 +40,23 @@ def test_other_devices_are_not_looked_at(tmp_path, vendor):
 
 def test_a_system_without_this_list_has_no_fault(tmp_path):
     assert unreadable_cameras(tmp_path / "none", tmp_path) == []
+
+
+@pytest.mark.parametrize(
+    ("speed", "read"), [("480", 480), ("12", 12), ("1.5", 1), ("5000", 5000), ("", None)]
+)
+def test_the_speed_of_the_only_camera_is_read(tmp_path, speed, read):
+    devices, _ = plug(tmp_path, speed=speed)
+    assert only_camera_mbit_s(devices) == read
+    said = slow_cameras(devices)
+    assert bool(said) is (read is not None and read < 5000)
+    if said:
+        assert f"connected at {read} Mbit/s (USB 2)" in said[0]
+        assert "USB 3 port" in said[0]
+
+
+def test_of_two_cameras_the_speed_belongs_to_none(tmp_path):
+    plug(tmp_path)
+    devices, _ = plug(tmp_path, port="1-3", speed="480")
+    assert only_camera_mbit_s(devices) is None
+    assert len(slow_cameras(devices)) == 1

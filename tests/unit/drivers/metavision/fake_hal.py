@@ -180,7 +180,11 @@ class Identification:
         return "Prophesee"
 
     def get_system_info(self):
-        return {"EVK4 Release Version": "3.9.0", "EVK4 Speed": "5000"}
+        return {
+            "EVK4 Release Version": "3.9.0",
+            "EVK4 Build Date": "Thu Jan  5 10:11:12 2023",
+            "EVK4 Speed": "5000",
+        }
 
     def get_current_data_encoding_format(self):
         return self.encoding

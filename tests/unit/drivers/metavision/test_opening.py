@@ -1,14 +1,16 @@
 """Opening a camera behind the Metavision HAL: found or not, free or held, the one that was asked for."""
 
+import os
 import sys
 from datetime import UTC, datetime
 from types import ModuleType
 
 import pytest
 
-from drivers.camera import FoundCamera
+from drivers.camera import FoundCamera, maker_log
 from drivers.camera import metavision as metavision_driver
-from drivers.camera.metavision import MetavisionEvk4, discover
+from drivers.camera.metavision import MetavisionEvk4
+from drivers.camera.metavision_discovery import discover
 from drivers.camera.neuromorphic_evk4 import NeuromorphicEvk4
 from drivers.errors import (
     CameraBusy,
@@ -105,7 +107,7 @@ def test_a_closed_camera_is_told_as_such(camera):
 
 @pytest.mark.parametrize(
     ("stated", "refused"),
-    [("480", True), ("480 Mbit/s", True), ("5000", False), ("10000", False), ("", False)],
+    [("480", True), ("480 Mbit/s", True), ("5000", False), ("10000", False), ("", False), ("0", False)],
 )
 def test_a_camera_on_usb_2_is_refused_when_it_is_opened(devices, clock, monkeypatch, stated, refused):
     identification = devices[SERIAL].facilities["hw_identification"]
@@ -119,8 +121,71 @@ def test_a_camera_on_usb_2_is_refused_when_it_is_opened(devices, clock, monkeypa
     monkeypatch.undo()
 
 
-def test_an_old_firmware_is_among_the_causes(devices, clock):
+def test_the_connection_and_the_firmware_are_kept_in_the_identity(camera, devices, monkeypatch):
+    identity = camera.identify()
+    assert (identity.link_mbit_s, identity.firmware_built) == (5000, "Thu Jan  5 10:11:12 2023")
+    identification = devices[SERIAL].facilities["hw_identification"]
+    monkeypatch.setattr(type(identification), "get_system_info", lambda _self: {"EVK4 Speed": "0"})
+    assert (camera.identify().link_mbit_s, camera.identify().firmware_built) == (None, "")
+
+
+OLD = (
+    b"[HAL][ERROR] The EVK camera with serial 00051234 is using an old firmware version. Please upgrade to latest"
+    b" version. Check https://support.prophesee.ai for more information.\n"
+)
+
+
+@pytest.fixture
+def old_firmware(devices, monkeypatch):
+    """A camera that the maker's software leaves out, saying why on standard error, once in a process."""
     devices.clear()
-    with pytest.raises(CameraNotFound) as caught:
+    hal, said = sys.modules["metavision_hal"], []
+    monkeypatch.setattr(maker_log, "_old", set())
+
+    def looked(answer):
+        if not said:
+            said.append(os.write(2, OLD))
+        return answer
+
+    monkeypatch.setattr(hal.DeviceDiscovery, "open", staticmethod(lambda *_: looked(None)))
+    monkeypatch.setattr(hal.DeviceDiscovery, "list_available_sources", staticmethod(lambda: looked([])))
+
+
+@pytest.mark.usefixtures("old_firmware")
+def test_a_firmware_that_is_too_old_is_named_at_each_opening(clock, capfd):
+    for serial in (None, SERIAL):
+        with pytest.raises(CameraNotFound, match=r"firmware of camera 00051234 is older than 3\.8") as caught:
+            MetavisionEvk4.open(serial=serial, clock=clock)
+        assert "Update the camera's firmware" in caught.value.remedy
+    assert capfd.readouterr().err.encode() == OLD  # the maker's words are not lost
+    with pytest.raises(CameraNotFound, match="Cannot open camera 00099999; connected cameras: 00051234"):
+        MetavisionEvk4.open(serial="00099999", clock=clock)
+
+
+@pytest.mark.usefixtures("old_firmware")
+def test_a_camera_with_an_old_firmware_is_listed_with_its_trouble(capfd):
+    (found,) = discover()
+    assert (found.serial, found.trouble) == (
+        SERIAL,
+        "its firmware is older than 3.8. Update the camera's firmware with the maker's updater (support.prophesee.ai).",
+    )
+    assert capfd.readouterr().err.encode() == OLD
+
+
+def test_a_closed_standard_error_hides_the_cause_only(devices, clock, monkeypatch):
+    def closed(_number):
+        raise OSError(9, "Bad file descriptor")
+
+    monkeypatch.setattr(maker_log.os, "dup", closed)
+    MetavisionEvk4.open(serial=SERIAL, clock=clock).close()
+    assert devices
+
+
+def test_a_camera_that_this_user_may_not_use_is_named(devices, clock, monkeypatch):
+    devices.clear()
+    monkeypatch.setattr(
+        "drivers.camera.metavision_discovery.unreadable_cameras",
+        lambda: ["A Prophesee camera is connected, but."],
+    )
+    with pytest.raises(CameraNotFound, match=r"connected cameras: none\. A Prophesee camera is connected, but"):
         MetavisionEvk4.open(clock=clock)
-    assert "firmware is 3.8 or newer" in caught.value.remedy

@@ -1,0 +1,172 @@
+"""Find cameras by the HAL of Metavision or OpenEB, and say why one cannot be opened.
+
+The maker's software is imported here. It looks at each camera itself in order to list it.
+"""
+
+from __future__ import annotations
+
+import importlib
+import re
+from collections.abc import Mapping
+from typing import Any, Final
+
+from drivers.camera import FoundCamera
+from drivers.camera.maker_log import cameras_with_old_firmware, listening
+from drivers.camera.usb_permission import unreadable_cameras
+from drivers.errors import CameraError, CameraNotFound, CameraSoftwareMissing
+
+OLDEST_FIRMWARE: Final = "3.8"
+"""The maker's software refuses an EVK4 with an older firmware."""
+_UPDATE: Final = "Update the camera's firmware with the maker's updater (support.prophesee.ai)"
+
+
+def discover() -> tuple[FoundCamera, ...]:
+    """List the cameras that the maker's software finds.
+
+    Returns
+    -------
+    tuple of FoundCamera
+        The cameras, also those that the software refuses because of their firmware.
+
+    Raises
+    ------
+    CameraSoftwareMissing
+        If ``metavision_hal`` cannot be imported.
+    CameraError
+        If it cannot list cameras.
+    """
+    hal = vendor_software()
+    try:
+        with listening():
+            listed = list(hal.DeviceDiscovery.list_available_sources())
+    except RuntimeError as error:
+        raise CameraError(
+            f"The software cannot list cameras ({reason_of(error)}).",
+            where="metavision_hal",
+            remedy="Check that its plugins are found (MV_HAL_PLUGIN_PATH), and that this user may use USB.",
+        ) from error
+    cameras = [
+        FoundCamera(
+            driver="metavision",
+            serial=str(found.serial),
+            description=f"{found.integrator_name}, {str(found.connection).rsplit('.', 1)[-1]}, {found.plugin_name}",
+        )
+        for found in listed
+    ]
+    refused = sorted(cameras_with_old_firmware() - {camera.serial for camera in cameras})
+    trouble = f"its firmware is older than {OLDEST_FIRMWARE}. {_UPDATE}."
+    cameras += [FoundCamera("metavision", serial, "Prophesee", trouble) for serial in refused]
+    return tuple(cameras)
+
+
+def not_opened(serial: str | None, reason: str) -> CameraNotFound:
+    """Return the error of a camera that cannot be opened, with its cause where one is known.
+
+    Parameters
+    ----------
+    serial
+        The serial number; None for any camera.
+    reason
+        What the maker's software said, in brackets; empty if nothing.
+
+    Returns
+    -------
+    CameraNotFound
+        The error.
+    """
+    camera = f"camera {serial}" if serial else "any camera"
+    found = discover()
+    refused = [one for one in found if one.trouble and serial in {None, one.serial}]
+    if refused:
+        return CameraNotFound(
+            f"Cannot open {camera}: the firmware of camera {refused[0].serial} is older than {OLDEST_FIRMWARE}, and the"
+            " maker's software refuses it.",
+            remedy=f"{_UPDATE}, then resume the run.",
+        )
+    if found:
+        seen = ", ".join(one.serial for one in found)
+        hints: list[str] = []
+    else:
+        seen, hints = "none", unreadable_cameras()
+    return CameraNotFound(
+        f"Cannot open {camera}{reason}; connected cameras: {seen}.{''.join(f' {hint}' for hint in hints)}",
+        remedy="Check the camera's cable and power, the serial number in the station file, the udev rules, and that no"
+        " other program uses the camera.",
+    )
+
+
+def stated(about: Mapping[str, Any], ending: str) -> str:
+    """Return what the camera states under the name with this ending.
+
+    Parameters
+    ----------
+    about
+        What the camera states about itself, by name.
+    ending
+        End of the name.
+
+    Returns
+    -------
+    str
+        Empty if it states nothing.
+    """
+    return next((str(text) for name, text in about.items() if name.endswith(ending)), "")
+
+
+def link_mbit_s(about: Mapping[str, Any]) -> int | None:
+    """Return the speed of the USB connection. OpenEB states 0 where it is not known.
+
+    Parameters
+    ----------
+    about
+        What the camera states about itself, by name.
+
+    Returns
+    -------
+    int or None
+        Mbit/s; None if it is not known.
+    """
+    speed = re.match(r"\d+", stated(about, " Speed"))
+    return int(speed[0]) or None if speed is not None else None
+
+
+def vendor_software() -> Any:
+    """Import ``metavision_hal``.
+
+    Returns
+    -------
+    module
+        The maker's software.
+
+    Raises
+    ------
+    CameraSoftwareMissing
+        If it cannot be imported.
+    """
+    try:
+        return importlib.import_module("metavision_hal")
+    except ImportError as error:
+        raise CameraSoftwareMissing(
+            f"The camera's software, metavision_hal, cannot be imported ({error}).",
+            remedy="Install OpenEB or the Metavision SDK 5 (docs.prophesee.ai; not from PyPI) for the Python "
+            "version that runs Starbench, and add its Python folder to PYTHONPATH.",
+        ) from error
+
+
+def reason_of(error: Exception) -> str:
+    """Return the line of the maker's message, often framed and titled, that states the cause.
+
+    Parameters
+    ----------
+    error
+        The maker's error.
+
+    Returns
+    -------
+    str
+        The line.
+    """
+    lines = [line.strip() for line in str(error).splitlines() if any(c.isalpha() for c in line)]
+    return next(
+        (line for line in lines if line.startswith("Error")), lines[0] if lines else "no reason given"
+    )
