@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.adjustment.gimbal_observations import GimbalObservations
-from calib.adjustment.linearisation import Places, blocks, camera_points, view_equations
+from calib.adjustment.linearisation import Places, blocks, residuals_px, view_equations
 from calib.adjustment.normal_equations import NormalEquations
 from calib.adjustment.observations import Observations
 from calib.adjustment.parameters import AdjustmentParameters
@@ -174,9 +174,7 @@ class Bundle:
         Array
             (N, 2) residuals, px; NaN for a star that cannot be projected.
         """
-        return np.asarray(
-            self.observations.points_px - parameters.camera.project(self._camera_points(parameters))
-        )
+        return residuals_px(self.observations, self.displacements, parameters).T
 
     def weighted_residuals(self, parameters: AdjustmentParameters) -> Array:
         """Return the residuals in units of the stars' standard deviations.
@@ -272,8 +270,10 @@ class Bundle:
 
         J^T W J and J^T psi, with the curvature of the robust cost (Triggs et al., 2000, section 4.3).
         """
-        every = blocks(self.observations, self.displacements, parameters, self._places(parameters))
-        normal, gradient = view_equations(self.observations, every, influence, curvature_root)
+        places = self.places(parameters)
+        normal, gradient = view_equations(
+            self.observations, self.displacements, parameters, places, influence, curvature_root
+        )
         from_readings = self.reading_equations(parameters)
         if from_readings is None:
             return normal, gradient
@@ -320,10 +320,6 @@ class Bundle:
                 parameters.values(self.prior.names) - self.prior.mean
             )
 
-    def _camera_points(self, parameters: AdjustmentParameters) -> Array:
-        """Return (N, 3) the stars in the camera frame, mm: R (P - c)."""
-        return camera_points(self.observations, self.displacements, parameters).T
-
     def jacobians(self, parameters: AdjustmentParameters) -> Iterator[Array]:
         """Yield the derivatives of the image points of each view.
 
@@ -340,12 +336,23 @@ class Bundle:
             (G + L, 2, n_i) derivatives of one view's n_i image points, px per unit, by the G free shared parameters and
             by the L local ones (rotation in rad, then centre in mm).
         """
-        for block in blocks(self.observations, self.displacements, parameters, self._places(parameters)):
+        for block in blocks(self.observations, self.displacements, parameters, self.places(parameters)):
             for own in block.own:
                 yield block.jacobian[:, :, own]
 
-    def _places(self, parameters: AdjustmentParameters) -> Places:
-        """Return where the derivatives by the free parameters come from."""
+    def places(self, parameters: AdjustmentParameters) -> Places:
+        """Return where the derivatives by the free parameters come from.
+
+        Parameters
+        ----------
+        parameters
+            Camera, collimator and gimbal that have these parameters.
+
+        Returns
+        -------
+        Places
+            Kind and index of each free shared parameter, and the number of local ones.
+        """
         kinds = {
             "camera": parameters.camera.parameter_names,
             "centre": CENTRE,

@@ -7,14 +7,18 @@ gradient and by its curvature along and across the residual, so that the search 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from calib.adjustment import search_kernel
 from calib.adjustment.bundle import Bundle
+from calib.adjustment.linearisation import packed, shifts_of, state_places, unpacked
 from calib.adjustment.normal_equations import NormalEquations
 from calib.adjustment.parameters import AdjustmentParameters
+from calib.adjustment.search_kernel import FIRST_DAMPING, MAX_DAMPING
+from calib.adjustment.star_kernels import LOSSES
 from calib.errors import InputMismatch
 
 Array = NDArray[np.float64]
@@ -22,10 +26,6 @@ Array = NDArray[np.float64]
 #: A predicted reduction below this share of the cost is far below the uncertainty of the parameters.
 RELATIVE_TOLERANCE = 1e-12
 _ABSOLUTE_TOLERANCE = 1e-16
-#: Focal length and radius lie along a curved valley, and a damped step follows its tangent only. Little damping needs
-#: fewer steps, and more starts reach the bottom.
-_FIRST_DAMPING = 1e-6
-_MAX_DAMPING = 1e12
 #: Number of rounded operations in a projection.
 _ROUNDED_OPERATIONS = 10.0
 
@@ -198,9 +198,28 @@ def refine(
     Refinement
         ``converged`` is False if the number of steps was reached, or if a star cannot be projected at the start.
     """
+    search = _search if bundle.gimbal is None or start.gimbal is None else search_with_readings
+    return search(bundle, start, loss, max_iterations, tolerance)
+
+
+def search_with_readings(
+    bundle: Bundle, start: AdjustmentParameters, loss: Loss, max_iterations: int, tolerance: float
+) -> Refinement:
+    """Minimise the cost of a bundle that may have readings of the gimbal (Marquardt, 1963; Nielsen, 1999).
+
+    Parameters
+    ----------
+    bundle, start, loss, max_iterations, tolerance
+        As for `refine`.
+
+    Returns
+    -------
+    Refinement
+        As from `refine`.
+    """
     parameters, (cost, equations) = start, _linearised(bundle, start, loss)
-    damping, growth, iteration = _FIRST_DAMPING, 2.0, 0
-    while equations is not None and iteration < max_iterations and damping < _MAX_DAMPING:
+    damping, growth, iteration = FIRST_DAMPING, 2.0, 0
+    while equations is not None and iteration < max_iterations and damping < MAX_DAMPING:
         iteration += 1
         try:
             shared, local = equations.damped(damping).step()
@@ -221,6 +240,40 @@ def refine(
         else:
             damping, growth = damping * growth, growth * 2.0
     return Refinement(parameters, cost, converged=False, iterations=iteration)
+
+
+def _search(
+    bundle: Bundle, start: AdjustmentParameters, loss: Loss, max_iterations: int, tolerance: float
+) -> Refinement:
+    """Minimise the cost without readings of the gimbal: the same search, compiled."""
+    obs, prior, state = bundle.observations, bundle.prior, packed(start)
+    places = state_places(start, bundle.places(start), bundle.displacements)
+    rotations, offsets = start.rotations.copy(), start.offsets.copy()
+    at = [bundle.names.index(name) for name in prior.names] if prior else []
+    cost, converged, iterations = search_kernel.search(
+        obs.target_rows,
+        shifts_of(obs, bundle.displacements),
+        obs.point_rows,
+        obs.factors,
+        obs.starts,
+        start.camera.is_fisheye,
+        places,
+        state,
+        rotations,
+        offsets,
+        bundle.free_centres,
+        LOSSES[loss.name] if np.isfinite(loss.limit) else LOSSES["l2"],
+        float(loss.limit),
+        float(bundle.local_prior_information[-1, -1]) if bundle.has_drift_prior else 0.0,
+        np.array(at, np.int64),
+        np.ascontiguousarray(bundle.noise_variance * prior.information) if prior else np.empty((0, 0)),
+        prior.mean if prior else np.empty(0),
+        max_iterations,
+        np.array([tolerance, _ABSOLUTE_TOLERANCE, _rounding(bundle, 0.5)]),
+    )
+    camera, collimator = unpacked(start, state)
+    end = replace(start, camera=camera, collimator=collimator, rotations=rotations, offsets=offsets)
+    return Refinement(end, cost, converged, iterations)
 
 
 def _rounding(bundle: Bundle, cost: float) -> float:

@@ -13,9 +13,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from calib.adjustment import star_kernels
 from calib.adjustment.observations import Observations
 from calib.adjustment.parameters import AdjustmentParameters
-from calib.model.collimator import CENTRE
+from calib.adjustment.star_kernels import ABERRATIONS_AT, CENTRE_AT, LENS_AT, NOWHERE
+from calib.model.camera import CameraModel
+from calib.model.collimator import CENTRE, Collimator
+from calib.model.lens import BROWN, FISHEYE
 
 Array = NDArray[np.float64]
 
@@ -61,39 +65,6 @@ class Block:
     rows: slice
     own: Sequence[slice]
     jacobian: Array
-
-
-def camera_points(
-    observations: Observations, displacements: Array | None, parameters: AdjustmentParameters
-) -> Array:
-    """Return all stars in the camera frame: P = R (X - c).
-
-    Spherical motion: arXiv:2512.16092, eq. 2. The aberrations are those of `calib.model.aberrations`.
-
-    Parameters
-    ----------
-    observations
-        The stars of all views.
-    displacements
-        (N, 2, T) displacement of each star by a unit of each aberration, mm; None if there are none.
-    parameters
-        Camera, collimator, rotations and centres.
-
-    Returns
-    -------
-    Array
-        (3, N) float64 points, mm.
-    """
-    x, y, z = observations.target_rows
-    if displacements is not None:
-        dx, dy = (displacements @ np.array(list(parameters.collimator.aberrations.values()))).T
-        x, y = x + dx, y + dy
-    plane = np.array([x, y, z])
-    points = np.empty_like(plane)
-    views = zip(observations.slices, parameters.rotations, parameters.centres, strict=True)
-    for rows, rotation, centre in views:
-        np.matmul(rotation, plane[:, rows] - centre[:, None], out=points[:, rows])
-    return points
 
 
 def _turned(
@@ -186,7 +157,12 @@ def _jacobian(
 
 
 def view_equations(
-    observations: Observations, every: Iterator[Block], influence: Array, curvature_root: Array | None
+    observations: Observations,
+    displacements: Array | None,
+    parameters: AdjustmentParameters,
+    places: Places,
+    influence: Array,
+    curvature_root: Array | None,
 ) -> tuple[Array, Array]:
     """Return the normal matrix and the gradient of each view, without priors.
 
@@ -194,10 +170,8 @@ def view_equations(
 
     Parameters
     ----------
-    observations
-        The stars of all views.
-    every
-        All blocks, from `blocks`.
+    observations, displacements, parameters, places
+        As for `blocks`.
     influence
         (N, 2) gradient of the cost by each weighted residual.
     curvature_root
@@ -209,25 +183,151 @@ def view_equations(
     tuple of Array
         (n, G + L, G + L) normal matrices and (n, G + L) gradients.
     """
-    along_x, across, along_y = _square(observations, curvature_root)
-    by_points = np.ascontiguousarray(observations.unwhitened(influence).T)
-    normal, gradient = [], []
-    for block in every:
-        jacobian, rows = block.jacobian, block.rows
-        count = len(jacobian)
-        # The last row is the gradient by the image points, so that one product gives normal matrix and gradient.
-        weighted = np.empty((2, count + 1, jacobian.shape[2]))
-        weighted[0, :count] = jacobian[:, 0] * along_x[rows]
-        weighted[0, :count] += jacobian[:, 1] * across[rows]
-        weighted[1, :count] = jacobian[:, 1] * along_y[rows]
-        weighted[1, :count] += jacobian[:, 0] * across[rows]
-        weighted[:, count] = by_points[:, rows]
-        for own in block.own:
-            product = jacobian[:, 0, own] @ weighted[0, :, own].T
-            product += jacobian[:, 1, own] @ weighted[1, :, own].T
-            normal.append(product[:, :count])
-            gradient.append(product[:, count])
-    return np.array(normal), np.array(gradient)
+    obs, state = observations, packed(parameters)
+    views, width = len(obs.slices), len(places.shared) + places.local
+    normal, gradient = np.empty((views, width, width)), np.empty((views, width))
+    star_kernels.view_equations(
+        obs.target_rows,
+        shifts_of(obs, displacements),
+        obs.starts,
+        state,
+        parameters.camera.is_fisheye,
+        np.ascontiguousarray(parameters.rotations),
+        np.ascontiguousarray(parameters.offsets),
+        state_places(parameters, places, displacements),
+        np.ascontiguousarray(obs.unwhitened(influence).T),
+        np.array(_square(obs, curvature_root)),
+        normal,
+        gradient,
+    )
+    return normal, gradient
+
+
+def residuals_px(
+    observations: Observations, displacements: Array | None, parameters: AdjustmentParameters
+) -> Array:
+    """Return the residuals of all stars: image point found minus image point predicted (arXiv:2512.16092, eq. 6).
+
+    Parameters
+    ----------
+    observations, displacements, parameters
+        As for `blocks`.
+
+    Returns
+    -------
+    Array
+        (2, N) float64 residuals, px; NaN for a star that cannot be projected.
+    """
+    found = np.empty_like(observations.point_rows)
+    star_kernels.residuals_px(
+        observations.target_rows,
+        shifts_of(observations, displacements),
+        observations.point_rows,
+        observations.starts,
+        packed(parameters),
+        parameters.camera.is_fisheye,
+        np.ascontiguousarray(parameters.rotations),
+        np.ascontiguousarray(parameters.offsets),
+        found,
+    )
+    return found
+
+
+def packed(parameters: AdjustmentParameters) -> Array:
+    """Return the shared parameters as the state of `calib.adjustment.star_kernels`.
+
+    Parameters
+    ----------
+    parameters
+        Camera and collimator with T aberrations.
+
+    Returns
+    -------
+    Array
+        (15 + T,) float64 pinhole, coefficients of the lens's family, centre, aberrations.
+    """
+    camera, collimator = parameters.camera, parameters.collimator
+    family = FISHEYE if camera.is_fisheye else BROWN
+    coefficients = [camera.distortion.get(name, 0.0) for name in family]
+    lens = coefficients + [0.0] * (CENTRE_AT - LENS_AT - len(family))
+    return np.array([camera.fx, camera.fy, camera.cx, camera.cy, *lens, *collimator.values])
+
+
+def unpacked(parameters: AdjustmentParameters, state: Array) -> tuple[CameraModel, Collimator]:
+    """Return camera and collimator with the values of a state: the inverse of `packed`.
+
+    Parameters
+    ----------
+    parameters
+        Camera and collimator whose coefficients and aberrations are wanted.
+    state
+        (15 + T,) float64 from `packed`.
+
+    Returns
+    -------
+    tuple of CameraModel and Collimator
+        The same models with other values.
+    """
+    camera, collimator, values = parameters.camera, parameters.collimator, state.tolist()
+    family = FISHEYE if camera.is_fisheye else BROWN
+    lens = [values[LENS_AT + family.index(name)] for name in camera.distortion]
+    x, y, r, *aberrations = values[CENTRE_AT:]
+    named = dict(zip(collimator.aberrations, aberrations, strict=True))
+    return (
+        CameraModel(*values[:LENS_AT], camera.image_size, dict(zip(camera.distortion, lens, strict=True))),
+        Collimator(x, y, r, named, collimator.reference),
+    )
+
+
+def state_places(
+    parameters: AdjustmentParameters, places: Places, displacements: Array | None
+) -> NDArray[np.int64]:
+    """Return where the free parameters stand in the state.
+
+    Parameters
+    ----------
+    parameters
+        Camera and collimator.
+    places
+        The free parameters.
+    displacements
+        Displacements of the stars; None if there are none.
+
+    Returns
+    -------
+    NDArray of int64
+        (G,) places; `calib.adjustment.star_kernels.NOWHERE` for a parameter that moves no star.
+    """
+    family = FISHEYE if parameters.camera.is_fisheye else BROWN
+    lens = [LENS_AT + family.index(name) for name in parameters.camera.distortion]
+    aberrations = range(ABERRATIONS_AT, ABERRATIONS_AT + len(parameters.collimator.aberrations))
+    known = {
+        "camera": [*range(LENS_AT), *lens],
+        "centre": range(CENTRE_AT, ABERRATIONS_AT),
+        "aberration": aberrations if displacements is not None else [NOWHERE] * len(aberrations),
+    }
+    found = [known[kind][at] if kind in known else NOWHERE for kind, at in places.shared]
+    return np.array(found, np.int64)
+
+
+def shifts_of(observations: Observations, displacements: Array | None) -> Array:
+    """Return displacements for `calib.adjustment.star_kernels`.
+
+    Parameters
+    ----------
+    observations
+        N stars.
+    displacements
+        (N, 2, T) float64 displacements, mm; None if there are none.
+
+    Returns
+    -------
+    Array
+        (N, 2, T) float64 contiguous displacements; T is 0 if there are none.
+    """
+    if displacements is None:
+        return np.empty((len(observations.view), 2, 0))
+    return np.ascontiguousarray(displacements)
 
 
 def _square(observations: Observations, curvature_root: Array | None) -> tuple[Array, Array, Array]:

@@ -83,6 +83,16 @@ class Observations:
         return np.ascontiguousarray(self.target.T)
 
     @cached_property
+    def point_rows(self) -> Array:
+        """(2, N) float64 image points, px: one contiguous row for each axis."""
+        return np.ascontiguousarray(self.points_px.T)
+
+    @cached_property
+    def starts(self) -> NDArray[np.int64]:
+        """(n + 1,) int64 first star of each view, and the number of stars."""
+        return np.array([0, *(rows.stop for rows in self.slices)], np.int64)
+
+    @cached_property
     def factors(self) -> Array:
         """(3, N) float64 elements 00, 10 and 11 of the whitening, 1 / px; element 01 is zero."""
         return np.array([self.whitening[:, 0, 0], self.whitening[:, 1, 0], self.whitening[:, 1, 1]])

@@ -83,3 +83,68 @@ def test_a_covariance_that_is_none_is_refused(bench):
     view = bench.views()[0]
     with pytest.raises(InputMismatch, match="positive definite"):
         Observations.from_views([replace(view, covariances_px2=np.zeros((len(view), 2, 2)))])
+
+
+LENSES = [
+    ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6"),
+    ("k2", "p2", "k6"),
+    ("kb1", "kb2", "kb3", "kb4"),
+    (),
+]
+
+
+@pytest.mark.parametrize("free_centres", [False, True])
+@pytest.mark.parametrize("lens", LENSES)
+def test_the_compiled_equations_are_the_sums_over_the_derivatives_of_all_stars(bench, lens, free_centres):
+    """The derivatives of `Bundle.jacobians` are computed by NumPy, those of the equations by a compiled loop."""
+    rng = np.random.default_rng(16)
+    views = bench.views(rng, 0.05)
+    names = ("fy", *lens, "fx", "cy", "r", "x", "tilt", "cx", "radial")
+    obs = Observations.from_views(views)
+    root = rng.normal(size=(len(obs.view), 2, 2))
+    root += np.swapaxes(root, 1, 2)
+    bundle = Bundle(
+        obs, names, free_centres=free_centres, displacements=rng.normal(size=(len(obs.view), 2, 2))
+    )
+    near = parameters_near(bench, rng)
+    camera = replace(near.camera, distortion={name: 0.1 * rng.normal() for name in lens})
+    parameters = replace(
+        near, camera=camera, collimator=Collimator(97.5, 140.0, 254.0, {"radial": 0.2, "tilt": -0.1})
+    )
+    influence = rng.normal(size=(len(obs.view), 2))
+
+    found = bundle.normal_equations(parameters, influence, root)
+
+    weight = root @ obs.whitening
+    pull = np.einsum("nji,nj->ni", obs.whitening, influence)
+    count = len(names)
+    shared, gradient = np.zeros((count, count)), np.zeros(count)
+    for i, (rows, jacobian) in enumerate(zip(obs.slices, bundle.jacobians(parameters), strict=True)):
+        weighted = np.einsum("nij,gjn->gin", weight[rows], jacobian).reshape(len(jacobian), -1)
+        normal = weighted @ weighted.T
+        right = np.einsum("gjn,nj->g", jacobian, pull[rows])
+        shared += normal[:count, :count]
+        gradient += right[:count]
+        assert np.allclose(found.local[i], normal[count:, count:], rtol=1e-9)
+        assert np.allclose(
+            found.coupling[i], normal[:count, count:], rtol=1e-9, atol=1e-9 * abs(normal).max()
+        )
+        assert np.allclose(found.local_gradient[i], right[count:], rtol=1e-8, atol=1e-11 * abs(right).max())
+    unit = np.sqrt(np.outer(np.diag(shared), np.diag(shared)))
+    assert np.abs((found.shared - shared) / unit).max() < 1e-12
+    assert np.allclose(found.shared_gradient, gradient, rtol=1e-8, atol=1e-11 * abs(gradient).max())
+
+
+@pytest.mark.parametrize("lens", LENSES)
+def test_the_compiled_projection_is_that_of_the_camera(bench, lens):
+    rng = np.random.default_rng(17)
+    obs = Observations.from_views(bench.views(rng, 0.05))
+    near = parameters_near(bench, rng)
+    camera = replace(near.camera, distortion={name: 0.1 * rng.normal() for name in lens})
+    parameters = replace(near, camera=camera)
+    found = Bundle(obs, NAMES[:4]).residuals_px(parameters)
+    for i, rows in enumerate(obs.slices):
+        points = (obs.target[rows] - parameters.centres[i]) @ parameters.rotations[i].T
+        assert np.allclose(found[rows], obs.points_px[rows] - camera.project(points), atol=1e-9)
+    behind = replace(parameters, collimator=Collimator(97.5, 140.0, -254.0))
+    assert np.isnan(Bundle(obs, NAMES[:4]).residuals_px(behind)).all()

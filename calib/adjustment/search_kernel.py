@@ -1,0 +1,316 @@
+"""The compiled Levenberg-Marquardt search over camera, collimator and poses.
+
+The steps are those of `calib.adjustment.levenberg_marquardt`, which calls it, and the equations those of
+`calib.adjustment.normal_equations`. This module is arithmetic only.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numba import njit
+
+from calib.adjustment.star_kernels import (
+    NOWHERE,
+    residuals_px,
+    robust_cost,
+    robust_curvature,
+    view_equations,
+    whiten,
+)
+
+#: The search stops when the damping exceeds this.
+MAX_DAMPING = 1e12
+#: Focal length and radius lie along a curved valley, and a damped step follows its tangent only. Little damping needs
+#: fewer steps, and more starts reach the bottom.
+FIRST_DAMPING = 1e-6
+
+_TINY = float(np.finfo(float).tiny)
+
+
+@njit(cache=True, error_model="numpy")
+def solve_in_place(matrix: Any, right: Any) -> bool:
+    """Solve matrix x = right in place, by Gaussian elimination with partial pivoting (Golub and Van Loan, 2013).
+
+    Parameters
+    ----------
+    matrix
+        (L, L) float64; overwritten.
+    right
+        (L, M) float64 right sides; overwritten by the solutions.
+
+    Returns
+    -------
+    bool
+        False if a pivot is zero.
+    """
+    n, m = right.shape
+    for i in range(n):
+        best = i + np.argmax(np.abs(matrix[i:, i]))
+        if not abs(matrix[best, i]) > 0.0:
+            return False
+        if best != i:
+            for j in range(i, n):
+                matrix[i, j], matrix[best, j] = matrix[best, j], matrix[i, j]
+            for j in range(m):
+                right[i, j], right[best, j] = right[best, j], right[i, j]
+        for j in range(i + 1, n):
+            factor = matrix[j, i] / matrix[i, i]
+            for k in range(i + 1, n):
+                matrix[j, k] -= factor * matrix[i, k]
+            for k in range(m):
+                right[j, k] -= factor * right[i, k]
+    for i in range(n - 1, -1, -1):
+        for k in range(m):
+            total = right[i, k]
+            for j in range(i + 1, n):
+                total -= matrix[i, j] * right[j, k]
+            right[i, k] = total / matrix[i, i]
+    return True
+
+
+@njit(cache=True, error_model="numpy")
+def _turn(rotation: Any, vector: Any, out: Any) -> None:
+    """Write exp([t]x) R for a rotation vector t (Rodrigues' formula; Diebel, 2006)."""
+    x, y, z = vector[0], vector[1], vector[2]
+    square = x * x + y * y + z * z
+    angle = np.sqrt(square)
+    if angle > 1e-4:
+        a, b = np.sin(angle) / angle, 2.0 * (np.sin(0.5 * angle) / angle) ** 2
+    else:
+        a, b = 1.0 - square / 6.0, 0.5 - square / 24.0
+    for j in range(3):
+        u, v, w = rotation[0, j], rotation[1, j], rotation[2, j]
+        along = x * u + y * v + z * w
+        out[0, j] = u + a * (y * w - z * v) + b * (x * along - square * u)
+        out[1, j] = v + a * (z * u - x * w) + b * (y * along - square * v)
+        out[2, j] = w + a * (x * v - y * u) + b * (z * along - square * w)
+
+
+@njit(cache=True, error_model="numpy")
+def _prior_cost(
+    state: Any, offsets: Any, places: Any, drift: float, prior_at: Any, prior: Any, mean: Any
+) -> float:
+    """Return the contribution of the priors to the cost, as `Bundle.prior_cost`."""
+    total = 0.0
+    if drift > 0.0:
+        for i in range(len(offsets)):
+            for j in range(3):
+                total += drift * offsets[i, j] * offsets[i, j]
+    for i in range(len(mean)):
+        for j in range(len(mean)):
+            left = state[places[prior_at[i]]] - mean[i]
+            total += left * prior[i, j] * (state[places[prior_at[j]]] - mean[j])
+    return 0.5 * total
+
+
+@njit(cache=True, error_model="numpy")
+def _add_priors(
+    normal: Any,
+    right: Any,
+    state: Any,
+    offsets: Any,
+    places: Any,
+    drift: float,
+    prior_at: Any,
+    prior: Any,
+    mean: Any,
+) -> None:
+    """Add the priors to the equations; those of shared parameters to the equations of the first view."""
+    shared = len(places)
+    if drift > 0.0:
+        for i in range(len(offsets)):
+            for j in range(3):
+                normal[i, shared + 3 + j, shared + 3 + j] += drift
+                right[i, shared + 3 + j] -= drift * offsets[i, j]
+    for i in range(len(mean)):
+        for j in range(len(mean)):
+            normal[0, prior_at[i], prior_at[j]] += prior[i, j]
+            right[0, prior_at[i]] -= prior[i, j] * (state[places[prior_at[j]]] - mean[j])
+
+
+@njit(cache=True, error_model="numpy")
+def _eliminate(normal: Any, right: Any, damping: float, solved: Any, information: Any, score: Any) -> bool:
+    """Eliminate the local parameters of a view, and add what is left to the equations of the shared ones.
+
+    Schur complement (Triggs et al., 2000, section 6.1). ``solved`` (L, G + 1) becomes the damped local block's solution
+    for the coupling and the local gradient. False if that block is singular.
+    """
+    count, own = len(score), len(solved)
+    block = np.empty((own, own))
+    for a in range(own):
+        for b in range(own):
+            block[a, b] = normal[count + a, count + b]
+        block[a, a] *= 1.0 + damping
+        for g in range(count):
+            solved[a, g] = normal[count + a, g]
+        solved[a, count] = right[count + a]
+    if not solve_in_place(block, solved):
+        return False
+    for g in range(count):
+        score[g, 0] += right[g]
+        for h in range(count):
+            information[g, h] += normal[g, h]
+        for a in range(own):
+            score[g, 0] -= normal[g, count + a] * solved[a, count]
+            for h in range(count):
+                information[g, h] -= normal[g, count + a] * solved[a, h]
+    return True
+
+
+@njit(cache=True, error_model="numpy")
+def _step(normal: Any, right: Any, damping: float, shared: Any, local: Any) -> bool:
+    """Compute the damped step of all parameters; False if the equations are singular.
+
+    Marquardt (1963); Schur complement onto the shared parameters (Triggs et al., 2000, section 6.1; Brown, 1976),
+    scaled to a unit diagonal (van der Sluis, 1969).
+    """
+    count, views = len(shared), len(local)
+    information, score = np.zeros((count, count)), np.zeros((count, 1))
+    solved = np.empty((views, local.shape[1], count + 1))
+    for i in range(views):
+        if not _eliminate(normal[i], right[i], damping, solved[i], information, score):
+            return False
+    for g in range(count):
+        for i in range(views):
+            information[g, g] += damping * normal[i, g, g]
+    scale = 1.0 / np.sqrt(np.maximum(np.diag(information), _TINY))
+    for g in range(count):
+        score[g, 0] *= scale[g]
+        for h in range(count):
+            information[g, h] *= scale[g] * scale[h]
+    if not solve_in_place(information, score):
+        return False
+    shared[:] = scale * score[:, 0]
+    for i in range(views):
+        for a in range(local.shape[1]):
+            local[i, a] = solved[i, a, count]
+            for g in range(count):
+                local[i, a] -= solved[i, a, g] * shared[g]
+    return True
+
+
+@njit(cache=True, error_model="numpy")
+def _decrement(right: Any, shared: Any, local: Any) -> float:
+    """Return gradient times step, as `NormalEquations.decrement`."""
+    total, count = 0.0, len(shared)
+    for i in range(len(local)):
+        for g in range(count):
+            total += right[i, g] * shared[g]
+        for a in range(local.shape[1]):
+            total += right[i, count + a] * local[i, a]
+    return total
+
+
+@njit(cache=True, error_model="numpy")
+def search(
+    target: Any,
+    displacements: Any,
+    points: Any,
+    factors: Any,
+    starts: Any,
+    fisheye: bool,
+    places: Any,
+    state: Any,
+    rotations: Any,
+    offsets: Any,
+    free_centres: bool,
+    loss: int,
+    limit: float,
+    drift: float,
+    prior_at: Any,
+    prior: Any,
+    mean: Any,
+    max_iterations: int,
+    tolerances: Any,
+) -> tuple[float, bool, int]:
+    """Minimise the robust cost (Marquardt, 1963; damping by the rule of Nielsen, 1999), in place.
+
+    Parameters
+    ----------
+    target, displacements, points, starts, fisheye
+        As for `calib.adjustment.star_kernels.residuals_px`.
+    factors
+        (3, N) float64 elements 00, 10 and 11 of the whitening of each star, 1 / px.
+    places
+        (G,) int64 places of the free shared parameters in the state.
+    state, rotations, offsets
+        The parameters: the start, then the end.
+    free_centres
+        Whether the centre of each view is free.
+    loss, limit
+        As for `calib.adjustment.star_kernels.robust_cost`.
+    drift
+        Prior information on a free centre, times the noise variance; 0 for none.
+    prior_at, prior, mean
+        (K,) int64 indices of the free parameters that have a prior, (K, K) float64 its information times the noise
+        variance, and (K,) float64 its mean.
+    max_iterations
+        Largest number of steps tried.
+    tolerances
+        (3,) float64 relative and absolute tolerance of the predicted reduction, and how much rounding changes the root
+        of twice the cost.
+
+    Returns
+    -------
+    tuple of float, bool and int
+        Cost at the end, whether no further step promises a reduction, and the number of steps tried.
+    """
+    shared, views, stars = len(places), len(rotations), points.shape[1]
+    width = shared + (6 if free_centres else 3)
+    normal, right = np.empty((views, width, width)), np.empty((views, width))
+    residuals, gradient, curvature = np.empty((2, stars)), np.empty((2, stars)), np.empty((3, stars))
+    step, local = np.empty(shared), np.empty((views, width - shared))
+    new_state, new_rotations, new_offsets = state.copy(), rotations.copy(), offsets.copy()
+    damping, growth, iteration = FIRST_DAMPING, 2.0, 0
+
+    residuals_px(target, displacements, points, starts, state, fisheye, rotations, offsets, residuals)
+    whiten(residuals, factors)
+    cost = robust_cost(residuals, loss, limit)
+    cost += _prior_cost(state, offsets, places, drift, prior_at, prior, mean)
+    if not np.isfinite(cost):
+        return np.inf, False, 0
+    fresh = True
+    while iteration < max_iterations and damping < MAX_DAMPING:
+        if fresh:
+            robust_curvature(residuals, factors, loss, limit, gradient, curvature)
+            view_equations(
+                target, displacements, starts, state, fisheye, rotations, offsets, places, gradient,
+                curvature, normal, right,
+            )  # fmt: skip
+            _add_priors(normal, right, state, offsets, places, drift, prior_at, prior, mean)
+            fresh = False
+        iteration += 1
+        if not _step(normal, right, damping, step, local):
+            damping, growth = damping * growth, growth * 2.0
+            continue
+        predicted = _decrement(right, step, local)
+        if predicted * (1.0 + damping) <= tolerances[0] * cost + tolerances[1]:
+            return cost, True, iteration
+        new_state[:] = state
+        for g in range(shared):
+            if places[g] != NOWHERE:
+                new_state[places[g]] += step[g]
+        for i in range(views):
+            _turn(rotations[i], local[i], new_rotations[i])
+            for a in range(3, width - shared):
+                new_offsets[i, a - 3] = offsets[i, a - 3] + local[i, a]
+        residuals_px(
+            target, displacements, points, starts, new_state, fisheye, new_rotations, new_offsets, residuals
+        )
+        whiten(residuals, factors)
+        new_cost = robust_cost(residuals, loss, limit)
+        new_cost += _prior_cost(new_state, new_offsets, places, drift, prior_at, prior, mean)
+        gain = 2.0 * (cost - new_cost) / predicted
+        if gain > 0.0:
+            state[:] = new_state
+            rotations[:] = new_rotations
+            offsets[:] = new_offsets
+            cost, fresh = new_cost, True
+            damping, growth = damping * max(0.1, 1.0 - (2.0 * gain - 1.0) ** 3), 2.0
+        elif predicted * (1.0 + damping) <= tolerances[2] * np.sqrt(2.0 * cost):
+            return cost, True, iteration
+        else:
+            damping, growth = damping * growth, growth * 2.0
+    return cost, False, iteration

@@ -1,0 +1,411 @@
+"""Compiled loops over the stars of all views: residuals, robust cost, normal equations of each view.
+
+One loop does what a chain of array operations would do: nothing but the results is written to memory. The shared
+parameters are one vector, the state; `Places` says where each free parameter stands in it. This module is arithmetic
+only; `calib.adjustment.bundle` says which parameters are free, and `calib.model.lens` has the same lenses in NumPy.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numba import njit
+
+#: Places in the state: fx, fy, cx, cy, then the lens coefficients in the order of their family, then the centre
+#: (x, y, r), then the aberrations.
+LENS_AT = 4
+CENTRE_AT = 12
+ABERRATIONS_AT = 15
+#: Place of a parameter that moves no star.
+NOWHERE = -1
+#: Robust losses by number.
+LOSSES = {"l2": 0, "huber": 1, "cauchy": 2}
+
+_TINY = float(np.finfo(float).tiny)
+_HUBER, _CAUCHY = LOSSES["huber"], LOSSES["cauchy"]
+_RADIUS_AT = CENTRE_AT + 2
+#: Stars whose derivatives are kept at a time: those by 20 parameters fit in the processor's nearest cache.
+_CHUNK = 64
+
+
+@njit(cache=True, error_model="numpy")
+def _plane_point(target: Any, displacements: Any, state: Any, k: int) -> tuple[float, float]:
+    """Return where star ``k`` appears on the target, mm: its position plus its displacement by the aberrations."""
+    x, y = target[0, k], target[1, k]
+    for t in range(displacements.shape[2]):
+        x += displacements[k, 0, t] * state[ABERRATIONS_AT + t]
+        y += displacements[k, 1, t] * state[ABERRATIONS_AT + t]
+    return x, y
+
+
+@njit(cache=True, error_model="numpy")
+def _camera_point(rotation: Any, centre: Any, x: float, y: float, z: float) -> tuple[float, float, float]:
+    """Return the point R (X - c) in the camera frame (arXiv:2512.16092, eq. 2)."""
+    a, b, c = x - centre[0], y - centre[1], z - centre[2]
+    return (
+        rotation[0, 0] * a + rotation[0, 1] * b + rotation[0, 2] * c,
+        rotation[1, 0] * a + rotation[1, 1] * b + rotation[1, 2] * c,
+        rotation[2, 0] * a + rotation[2, 1] * b + rotation[2, 2] * c,
+    )
+
+
+@njit(cache=True, error_model="numpy")
+def _distorted(x: float, y: float, state: Any, fisheye: bool) -> tuple[float, float]:
+    """Return a distorted normalised point: Brown (1971) with OpenCV's denominator, or Kannala and Brandt (2006)."""
+    k = state[LENS_AT:CENTRE_AT]
+    if fisheye:
+        r = max(np.sqrt(x * x + y * y), 1e-12)
+        theta = np.arctan(r)
+        t2 = theta * theta
+        scale = theta * (1.0 + t2 * (k[0] + t2 * (k[1] + t2 * (k[2] + t2 * k[3])))) / r
+        return x * scale, y * scale
+    r2 = x * x + y * y
+    radial = (1.0 + r2 * (k[0] + r2 * (k[1] + r2 * k[4]))) / (1.0 + r2 * (k[5] + r2 * (k[6] + r2 * k[7])))
+    return (
+        x * radial + 2.0 * k[2] * x * y + k[3] * (r2 + 2.0 * x * x),
+        y * radial + k[2] * (r2 + 2.0 * y * y) + 2.0 * k[3] * x * y,
+    )
+
+
+@njit(cache=True, error_model="numpy")
+def residuals_px(
+    target: Any,
+    displacements: Any,
+    points: Any,
+    starts: Any,
+    state: Any,
+    fisheye: bool,
+    rotations: Any,
+    offsets: Any,
+    out: Any,
+) -> None:
+    """Write the residuals of all stars: image point found minus image point predicted (arXiv:2512.16092, eq. 6).
+
+    Parameters
+    ----------
+    target
+        (3, N) float64 positions on the target, mm.
+    displacements
+        (N, 2, T) float64 displacement of each star by a unit of each aberration, mm.
+    points
+        (2, N) float64 image points, px.
+    starts
+        (n + 1,) int64 first star of each view, and the number of stars.
+    state
+        (15 + T,) float64 the shared parameters.
+    fisheye
+        Whether the lens is a fisheye lens.
+    rotations, offsets
+        (n, 3, 3) float64 rotations, and (n, 3) float64 centres of the views minus the shared one, mm.
+    out
+        (2, N) float64 residuals, px; NaN for a star that cannot be projected.
+    """
+    centre = np.empty(3)
+    for i in range(len(rotations)):
+        centre[0] = state[CENTRE_AT] + offsets[i, 0]
+        centre[1] = state[CENTRE_AT + 1] + offsets[i, 1]
+        centre[2] = -state[_RADIUS_AT] + offsets[i, 2]
+        for k in range(starts[i], starts[i + 1]):
+            x, y = _plane_point(target, displacements, state, k)
+            x, y, z = _camera_point(rotations[i], centre, x, y, target[2, k])
+            inverse = 1.0 / z if z > 0.0 else np.nan
+            u, v = _distorted(x * inverse, y * inverse, state, fisheye)
+            out[0, k] = points[0, k] - (u * state[0] + state[2])
+            out[1, k] = points[1, k] - (v * state[1] + state[3])
+
+
+@njit(cache=True, error_model="numpy")
+def whiten(residuals: Any, factors: Any) -> None:
+    """Divide residuals by their standard deviations, in place (Aitken, 1936); infinite if a star was not projected.
+
+    Parameters
+    ----------
+    residuals
+        (2, N) float64 residuals, px.
+    factors
+        (3, N) float64 elements 00, 10 and 11 of the whitening of each star, 1 / px.
+    """
+    for k in range(residuals.shape[1]):
+        x, y = residuals[0, k], residuals[1, k]
+        x, y = factors[0, k] * x, factors[1, k] * x + factors[2, k] * y
+        good = np.isfinite(x) and np.isfinite(y)
+        residuals[0, k] = x if good else np.inf
+        residuals[1, k] = y if good else np.inf
+
+
+@njit(cache=True, error_model="numpy")
+def robust_cost(residuals: Any, loss: int, limit: float) -> float:
+    """Return the sum of the robust costs of weighted residuals, as `Loss.cost` (Huber, 1964; Holland and Welsch, 1977).
+
+    Parameters
+    ----------
+    residuals
+        (2, N) float64 weighted residuals.
+    loss
+        Number of the loss, see `LOSSES`.
+    limit
+        Length at which the loss leaves the parabola.
+
+    Returns
+    -------
+    float
+        The cost.
+    """
+    total = 0.0
+    for k in range(residuals.shape[1]):
+        square = residuals[0, k] * residuals[0, k] + residuals[1, k] * residuals[1, k]
+        if loss == _HUBER:
+            length = np.sqrt(square)
+            inside = min(length, limit)
+            total += inside * (length - 0.5 * inside)
+        elif loss == _CAUCHY:
+            total += 0.5 * limit * limit * np.log1p(square / (limit * limit))
+        else:
+            total += 0.5 * square
+    return total
+
+
+@njit(cache=True, error_model="numpy")
+def robust_curvature(
+    residuals: Any, factors: Any, loss: int, limit: float, gradient: Any, curvature: Any
+) -> None:
+    """Write the gradient and the curvature of the robust cost by the image points of all stars.
+
+    The curvature is rho'' along the residual, zero where negative, and rho' / e across it, as in
+    `Loss.curvature_root` (Triggs et al., 2000, section 4.3).
+
+    Parameters
+    ----------
+    residuals
+        (2, N) float64 weighted residuals.
+    factors
+        (3, N) float64 elements 00, 10 and 11 of the whitening of each star, 1 / px.
+    loss
+        Number of the loss, see `LOSSES`.
+    limit
+        Length at which the loss leaves the parabola.
+    gradient
+        (2, N) float64 negative gradient, 1 / px.
+    curvature
+        (3, N) float64 elements xx, xy and yy of the curvature, 1 / px^2.
+    """
+    for k in range(residuals.shape[1]):
+        x, y = residuals[0, k], residuals[1, k]
+        a, b, c = factors[0, k], factors[1, k], factors[2, k]
+        length = np.sqrt(x * x + y * y)
+        across, along = 1.0, 1.0
+        if loss == _HUBER and length > limit:
+            across, along = limit / length, 0.0
+        elif loss == _CAUCHY:
+            square = (length / limit) ** 2
+            across = 1.0 / (1.0 + square)
+            along = max((1.0 - square) * across * across, 0.0)
+        gradient[0, k] = across * (a * x + b * y)
+        gradient[1, k] = across * (c * y)
+        length = max(length, _TINY)
+        ux, uy = x / length, y / length
+        excess = along - across
+        xx, xy, yy = across + excess * ux * ux, excess * ux * uy, across + excess * uy * uy
+        curvature[0, k] = a * a * xx + 2.0 * a * b * xy + b * b * yy
+        curvature[1, k] = c * (a * xy + b * yy)
+        curvature[2, k] = c * c * yy
+
+
+@njit(cache=True, error_model="numpy")
+def _bend(x: Any, y: Any, state: Any, fisheye: bool, bent: Any, by_normalised: Any, radial: Any) -> None:
+    """Distort M normalised points (x, y): Brown (1971) with OpenCV's denominator, or Kannala and Brandt (2006).
+
+    Own derivatives, as in `calib.model.lens`. Writes the distorted point (u, v) to ``bent`` (2, M), the derivatives
+    du/dx, du/dy = dv/dx and dv/dy to ``by_normalised`` (3, M). The first radial coefficient moves the point by (x, y)
+    times ``radial[0]``, a further one by ``radial[1]`` times more; ``radial[2]`` is minus the radial factor.
+    """
+    c = state[LENS_AT:CENTRE_AT]
+    if fisheye:
+        for k in range(len(x)):
+            r = max(np.sqrt(x[k] * x[k] + y[k] * y[k]), 1e-12)
+            theta = np.arctan(r)
+            t2 = theta * theta
+            scale = theta * (1.0 + t2 * (c[0] + t2 * (c[1] + t2 * (c[2] + t2 * c[3])))) / r
+            slope = 1.0 + t2 * (3.0 * c[0] + t2 * (5.0 * c[1] + t2 * (7.0 * c[2] + t2 * 9.0 * c[3])))
+            more = slope / (1.0 + r * r) - scale
+            ux, uy = x[k] / r, y[k] / r
+            bent[0, k], bent[1, k] = x[k] * scale, y[k] * scale
+            by_normalised[0, k], by_normalised[1, k] = scale + more * ux * ux, more * ux * uy
+            by_normalised[2, k] = scale + more * uy * uy
+            radial[0, k], radial[1, k], radial[2, k] = theta * t2 / r, t2, 0.0
+        return
+    p1, p2 = c[2], c[3]
+    for k in range(len(x)):
+        r2 = x[k] * x[k] + y[k] * y[k]
+        inverse = 1.0 / (1.0 + r2 * (c[5] + r2 * (c[6] + r2 * c[7])))
+        factor = (1.0 + r2 * (c[0] + r2 * (c[1] + r2 * c[4]))) * inverse
+        slope = c[0] + r2 * (2.0 * c[1] + 3.0 * c[4] * r2)
+        slope = 2.0 * (slope - factor * (c[5] + r2 * (2.0 * c[6] + 3.0 * c[7] * r2))) * inverse
+        xx, xy, yy = x[k] * x[k], x[k] * y[k], y[k] * y[k]
+        bent[0, k] = x[k] * factor + 2.0 * p1 * xy + p2 * (r2 + 2.0 * xx)
+        bent[1, k] = y[k] * factor + p1 * (r2 + 2.0 * yy) + 2.0 * p2 * xy
+        by_normalised[0, k] = factor + xx * slope + 2.0 * p1 * y[k] + 6.0 * p2 * x[k]
+        by_normalised[1, k] = xy * slope + 2.0 * p1 * x[k] + 2.0 * p2 * y[k]
+        by_normalised[2, k] = factor + yy * slope + 6.0 * p1 * y[k] + 2.0 * p2 * x[k]
+        radial[0, k], radial[1, k], radial[2, k] = r2 * inverse, r2, -factor
+
+
+@njit(cache=True, error_model="numpy")
+def _write_lens(
+    column: Any, at: int, x: Any, y: Any, state: Any, fisheye: bool, bent: Any, radial: Any
+) -> None:
+    """Write the derivatives (2, M) of M image points by the camera's parameter in place ``at`` of the state, px."""
+    fx, fy, count = state[0], state[1], len(x)
+    if at < LENS_AT:
+        column[:] = 0.0
+        if at < 2:
+            column[at] = bent[at]
+        else:
+            column[at - 2] = 1.0
+        return
+    at -= LENS_AT
+    if not fisheye and 2 <= at < 4:
+        for k in range(count):
+            r2, xy = x[k] * x[k] + y[k] * y[k], 2.0 * x[k] * y[k]
+            column[0, k] = fx * (xy if at == 2 else r2 + 2.0 * x[k] * x[k])
+            column[1, k] = fy * (xy if at == 3 else r2 + 2.0 * y[k] * y[k])
+        return
+    power, below = at, False
+    if not fisheye:
+        # k1 k2 and k3 of the numerator, k4 k5 k6 of the denominator.
+        power, below = min(at, 2) if at < 5 else at - 5, at >= 5
+    for k in range(count):
+        factor = radial[0, k]
+        for _ in range(power):
+            factor *= radial[1, k]
+        if below:
+            factor *= radial[2, k]
+        column[0, k] = fx * factor * x[k]
+        column[1, k] = fy * factor * y[k]
+
+
+@njit(cache=True, error_model="numpy")
+def _write_geometry(
+    p: Any, x: Any, y: Any, by_normalised: Any, rotation: Any, state: Any, turned: Any, moved: Any
+) -> None:
+    """Write the derivatives of M image points by a rotation and a shift of the centre, (3, 2, M) each.
+
+    Own derivation, by the chain rule: with P = R (X - c), a rotation t on the camera's side moves P by t x P, and a
+    shift s of the centre moves it by -R s. ``p`` (3, M) is P.
+    """
+    for axis in range(2):
+        for k in range(len(x)):
+            scale = state[axis] / p[2, k]
+            u, v = by_normalised[axis, k] * scale, by_normalised[axis + 1, k] * scale
+            w = -(u * x[k] + v * y[k])
+            turned[0, axis, k] = p[1, k] * w - p[2, k] * v
+            turned[1, axis, k] = p[2, k] * u - p[0, k] * w
+            turned[2, axis, k] = p[0, k] * v - p[1, k] * u
+            for j in range(3):
+                moved[j, axis, k] = -(rotation[0, j] * u + rotation[1, j] * v + rotation[2, j] * w)
+
+
+@njit(cache=True, error_model="numpy")
+def _write_centre(column: Any, at: int, moved: Any, shifts: Any) -> None:
+    """Write the derivatives (2, M) by the shared centre or an aberration, in place ``at`` of the state.
+
+    ``moved`` (3, 2, M) are those by a shift of the centre, ``shifts`` (M, 2, T) the displacements of the stars by a
+    unit of each aberration, mm.
+    """
+    for axis in range(2):
+        for k in range(len(shifts)):
+            if at < _RADIUS_AT:
+                column[axis, k] = moved[at - CENTRE_AT, axis, k]
+            elif at == _RADIUS_AT:
+                column[axis, k] = -moved[2, axis, k]
+            else:
+                t = at - ABERRATIONS_AT
+                column[axis, k] = -(moved[0, axis, k] * shifts[k, 0, t] + moved[1, axis, k] * shifts[k, 1, t])
+
+
+@njit(cache=True, error_model="numpy", fastmath={"reassoc", "contract", "nsz"})
+def _add_products(
+    columns: Any, gradient: Any, curvature: Any, first: int, count: int, normal: Any, right: Any
+) -> None:
+    """Add J^T C J of ``count`` stars from star ``first`` to the lower half of ``normal``, and J^T g to ``right``."""
+    xx, xy = curvature[0, first : first + count], curvature[1, first : first + count]
+    yy = curvature[2, first : first + count]
+    gx, gy = gradient[0, first : first + count], gradient[1, first : first + count]
+    wx, wy = np.empty(count), np.empty(count)
+    for i in range(len(right)):
+        x, y = columns[i, 0], columns[i, 1]
+        total = 0.0
+        for k in range(count):
+            wx[k] = xx[k] * x[k] + xy[k] * y[k]
+            wy[k] = xy[k] * x[k] + yy[k] * y[k]
+            total += gx[k] * x[k] + gy[k] * y[k]
+        right[i] += total
+        for j in range(i + 1):
+            u, v = columns[j, 0], columns[j, 1]
+            total = 0.0
+            for k in range(count):
+                total += wx[k] * u[k] + wy[k] * v[k]
+            normal[i, j] += total
+
+
+@njit(cache=True, error_model="numpy")
+def view_equations(
+    target: Any,
+    displacements: Any,
+    starts: Any,
+    state: Any,
+    fisheye: bool,
+    rotations: Any,
+    offsets: Any,
+    places: Any,
+    gradient: Any,
+    curvature: Any,
+    normal: Any,
+    right: Any,
+) -> None:
+    """Compute the normal matrix and the gradient of each view, without priors: J^T C J and J^T g.
+
+    Parameters
+    ----------
+    target, displacements, starts, state, fisheye, rotations, offsets
+        As for `residuals_px`. All stars must be in front of the camera.
+    places
+        (G,) int64 places of the free shared parameters in the state; `NOWHERE` for one that moves no star.
+    gradient, curvature
+        (2, N) and (3, N) float64 from `robust_curvature`.
+    normal, right
+        (n, G + L, G + L) and (n, G + L) float64 results; L is 3, or 6 with the centre of each view.
+    """
+    shared, count = len(places), right.shape[1]
+    columns, moved = np.zeros((count, 2, _CHUNK)), np.empty((3, 2, _CHUNK))
+    p, plane = np.empty((3, _CHUNK)), np.empty((2, _CHUNK))
+    bent, by_normalised, radial = np.empty((2, _CHUNK)), np.empty((3, _CHUNK)), np.empty((3, _CHUNK))
+    centre = np.empty(3)
+    normal[:] = 0.0
+    right[:] = 0.0
+    for i in range(len(rotations)):
+        centre[0] = state[CENTRE_AT] + offsets[i, 0]
+        centre[1] = state[CENTRE_AT + 1] + offsets[i, 1]
+        centre[2] = -state[_RADIUS_AT] + offsets[i, 2]
+        for first in range(starts[i], starts[i + 1], _CHUNK):
+            size = min(_CHUNK, starts[i + 1] - first)
+            for k in range(size):
+                x, y = _plane_point(target, displacements, state, first + k)
+                x, y, z = _camera_point(rotations[i], centre, x, y, target[2, first + k])
+                p[0, k], p[1, k], p[2, k] = x, y, z
+                plane[0, k], plane[1, k] = x / z, y / z
+            x, y = plane[0, :size], plane[1, :size]
+            _bend(x, y, state, fisheye, bent, by_normalised, radial)
+            _write_geometry(p, x, y, by_normalised, rotations[i], state, columns[shared : shared + 3], moved)
+            if count > shared + 3:
+                columns[shared + 3 :] = moved
+            for g in range(shared):
+                if places[g] >= CENTRE_AT:
+                    _write_centre(columns[g], places[g], moved, displacements[first : first + size])
+                elif places[g] != NOWHERE:
+                    _write_lens(columns[g], places[g], x, y, state, fisheye, bent, radial)
+            _add_products(columns, gradient, curvature, first, size, normal[i], right[i])
+        for g in range(count):
+            for h in range(g):
+                normal[i, h, g] = normal[i, g, h]
