@@ -5,16 +5,21 @@ Arguments, options and exit statuses only, like `bench.commands.cli`; other modu
 
 from __future__ import annotations
 
+from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
+from typing import Literal
 
 import click
 
+from bench.base.errors import UsageError
 from bench.commands.options import JSON, RUN, ExistingFolder, RunFolder
 
 _BY = click.option("--operator", "by", metavar="NAME", help="Your name.  [default: user@host]")
 _MOMENT = click.DateTime(["%Y-%m-%d", "%Y-%m-%dT%H:%M", "%Y-%m-%d %H:%M", "%Y-%m-%dT%H:%M:%S"])
 _MOMENT_FORM = "DATE[THH:MM]"
+EVERY_PARAMETER = "all"
+"""Stands for `--chart` without a parameter."""
 _TAKE_OVER = click.option("--take-over", is_flag=True, help="Do it even if another person holds the run.")
 
 
@@ -108,6 +113,47 @@ def answer(run_folder: Path, word: str, by: str | None, as_json: bool) -> int:
     help="Only runs with this outcome or status.",
 )
 @click.option("--compare", is_flag=True, help="Compare the parameters of the runs that have a result.")
+@click.option(
+    "--ledger",
+    "ledgers",
+    multiple=True,
+    metavar="FOLDER",
+    type=ExistingFolder(),
+    help="Use the ledger in this configuration folder of a bench, or in a copy of it, not this bench's own."
+    " Repeat it to merge several benches.",
+)
+@click.option(
+    "--export",
+    type=click.Path(path_type=Path),
+    metavar="FILE",
+    help="Write all runs as a table: .parquet or .csv.",
+)
+@click.option(
+    "--chart",
+    is_flag=False,
+    flag_value=EVERY_PARAMETER,
+    metavar="[PARAMETER]",
+    help="Write control charts and drift tests of a parameter, such as fx, as an HTML page; of all without a name.",
+)
+@click.option(
+    "--by",
+    type=click.Choice(["camera", "type"]),
+    help="Charts for each camera, or for each camera type.  [default: both]",
+)
+@click.option(
+    "--baseline",
+    type=click.IntRange(2),
+    metavar="N",
+    help="Limits of a chart from its first N runs.  [default: all]",
+)
+@click.option(
+    "--page",
+    type=click.Path(path_type=Path),
+    metavar="FILE",
+    default="runs-charts.html",
+    show_default=True,
+    help="File of the page with the charts.",
+)
 @JSON
 def runs(
     folder: Path | None,
@@ -117,18 +163,44 @@ def runs(
     sequence: str | None,
     how: str | None,
     compare: bool,
+    ledgers: tuple[Path, ...],
+    export: Path | None,
+    chart: str | None,
+    by: Literal["camera", "type"] | None,
+    baseline: int | None,
+    page: Path,
     as_json: bool,
 ) -> int:
-    """List, filter and compare the runs in FOLDER; without FOLDER, all runs in the ledger of this bench."""
-    from bench.commands.run_output import show_runs
+    """List, filter, compare, chart or export the runs in FOLDER; without FOLDER, all runs in the ledger of this bench.
 
-    begun = {
-        "since": since.replace(tzinfo=UTC) if since else None,
-        "until": until.replace(tzinfo=UTC) if until else None,
-    }
-    return show_runs(
-        folder, camera=serial, **begun, sequence=sequence, how=how, compare=compare, as_json=as_json
+    Runs of several benches are merged with --ledger. Double, missing and changed runs are named. Charts never mix
+    simulated runs with real ones, nor different targets or models.
+    """
+    from bench.commands.history_output import chart_runs, export_runs
+    from bench.commands.run_output import RunChoice, show_runs
+
+    choice = RunChoice(
+        folder,
+        ledgers,
+        camera=serial,
+        since=since.replace(tzinfo=UTC) if since else None,
+        until=until.replace(tzinfo=UTC) if until else None,
+        sequence=sequence,
+        how=how,
     )
+    if sum([compare, export is not None, chart is not None]) > 1:
+        raise UsageError(
+            "--compare, --export and --chart cannot be used together.",
+            remedy="Call the command once for each.",
+        )
+    if export is not None:
+        return export_runs(choice, export, as_json=as_json)
+    if chart is not None:
+        if folder is None and Path(chart).is_dir():  # `runs --chart FOLDER`: the folder, not a parameter
+            choice, chart = replace(choice, folder=Path(chart)), EVERY_PARAMETER
+        parameter = None if chart == EVERY_PARAMETER else chart
+        return chart_runs(choice, parameter, by=by, baseline=baseline, page=page, as_json=as_json)
+    return show_runs(choice, compare=compare, as_json=as_json)
 
 
 @click.command()

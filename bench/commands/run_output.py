@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -24,6 +24,9 @@ from bench.records.run_index import IndexedRun, RunIndex, run_folders
 from bench.report.text import with_uncertainty
 from bench.results.agreement import Agreement, compare_runs
 from bench.terminal.wording import counted
+
+_MOST_SHOWN = 40
+"""Most faults that are printed as text."""
 
 
 def show_intentions(lines: Sequence[str], *, as_json: bool) -> int:
@@ -94,33 +97,47 @@ def send_command(folder: Path, word: str, *, by: str | None, as_json: bool, **fi
 # ---------------------------------------------------------------- all runs
 
 
-def show_runs(
-    folder: Path | None,
-    *,
-    camera: str | None,
-    since: datetime | None,
-    until: datetime | None,
-    sequence: str | None,
-    how: str | None,
-    compare: bool,
-    as_json: bool,
-) -> int:
-    """Print a list of runs, or compare their parameters.
+@dataclass(frozen=True)
+class RunChoice:
+    """Which runs a command is about.
 
-    Parameters
+    Attributes
     ----------
     folder
         Folder whose runs to list; all runs of the ledger where None.
+    ledgers
+        Configuration folders of the benches whose ledgers to merge; this bench's own where empty.
     camera
         Serial number of the camera.
-    since
-        Only runs that began at or after this time, UTC.
-    until
-        Only runs that began before this time, UTC.
+    since, until
+        Only runs that began at or after ``since`` and before ``until``, UTC.
     sequence
         Text that the name of the sequence must contain.
     how
         Outcome or status of the runs.
+    """
+
+    folder: Path | None
+    ledgers: Sequence[Path] = ()
+    camera: str | None = None
+    since: datetime | None = None
+    until: datetime | None = None
+    sequence: str | None = None
+    how: str | None = None
+
+    @property
+    def filters(self) -> dict[str, Any]:
+        """The filters as `bench.records.run_index.RunIndex.runs` takes them."""
+        return {name: getattr(self, name) for name in ("camera", "since", "until", "sequence", "how")}
+
+
+def show_runs(choice: RunChoice, *, compare: bool, as_json: bool) -> int:
+    """Print a list of runs, or compare their parameters.
+
+    Parameters
+    ----------
+    choice
+        The runs.
     compare
         Whether to compare the parameters.
     as_json
@@ -129,13 +146,25 @@ def show_runs(
     Returns
     -------
     int
-        Exit status: 1 if the ledger and the folders do not agree, else 0.
+        Exit status: 1 if the ledgers and the folders do not agree, else 0.
+
+    Raises
+    ------
+    UsageError
+        If a ledger is missing, or the runs cannot be compared.
     """
-    index, ledger = RunIndex(home_folder()), bench_ledger()
-    folders, missing = (run_folders(folder), []) if folder else _ledger_folders(ledger, index)
-    found, faults = index.runs(folders, camera=camera, since=since, until=until, sequence=sequence, how=how)
-    broken, notes = ledger_findings(ledger)
-    faults += [*missing, *broken]
+    if choice.ledgers:
+        from bench.commands.history_output import find_runs
+
+        merged = find_runs(choice)
+        found, faults, notes = merged.runs, merged.faults, merged.notes
+    else:
+        index, ledger = RunIndex(home_folder()), bench_ledger()
+        folder = choice.folder
+        folders, missing = (run_folders(folder), []) if folder else _ledger_folders(ledger, index)
+        found, faults = index.runs(folders, **choice.filters)
+        broken, notes = ledger_findings(ledger)
+        faults += [*missing, *broken]
     solved = [run for run in found if run.parameters]
     compared = compare_runs(solved) if compare else None
     if as_json:
@@ -147,11 +176,23 @@ def show_runs(
         print_json({**facts, "faults": faults, **({"notes": notes} if notes else {})})
         return 1 if faults else 0
     click.echo(_agreement_text(solved, compared) if compared is not None else _runs_text(found))
-    for note in notes:
-        click.echo(f"Note: {note}", err=True)
-    for fault in faults:
-        click.echo(f"FAULT: {fault}", err=True)
+    print_findings(notes, faults)
     return 1 if faults else 0
+
+
+def print_findings(notes: Sequence[str], faults: Sequence[str]) -> None:
+    """Print notes and faults to the standard error stream; of very many, the first ones and their number.
+
+    Parameters
+    ----------
+    notes, faults
+        Sentences.
+    """
+    for word, sentences in (("Note", notes), ("FAULT", faults)):
+        for sentence in sentences[:_MOST_SHOWN]:
+            click.echo(f"{word}: {sentence}", err=True)
+        if len(sentences) > _MOST_SHOWN:
+            click.echo(f"{word}: and {len(sentences) - _MOST_SHOWN} more; --json lists all.", err=True)
 
 
 def _ledger_folders(ledger: Ledger, index: RunIndex) -> tuple[list[Path], list[str]]:

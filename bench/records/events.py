@@ -53,8 +53,11 @@ class Event(StrEnum):
     INTERLOCK_RELEASED = "interlock_released"
     """An interlock that held the run releases it."""
     SUPERVISOR_LOST = "supervisor_lost"
-    COMPUTER_BUSY = "computer_busy"
     """The process that watched this one is gone; the run goes on to its own end."""
+    COMPUTER_BUSY = "computer_busy"
+    """The computer is too busy for the run."""
+    DEVICES_LEFT = "devices_left"
+    """How the run left each device after the last step that needs devices."""
     DEVIATION = "deviation"
     """The run departed from its sequence; printed in the report."""
     RUN_ENDED = "run_ended"
@@ -98,15 +101,6 @@ class RunResumed(TypedDict):
     crash: NotRequired[str]
     ledger: NotRequired[LedgerPlace]
     rehearsal: NotRequired[bool]
-
-
-class DevicesFound(TypedDict):
-    """Payload of ``devices``: identities, and the camera's settings as read back."""
-
-    camera: Mapping[str, Any]
-    stage: Sequence[Mapping[str, Any]]
-    light: Mapping[str, Any]
-    camera_settings: Mapping[str, Any]
 
 
 class Circumstances(TypedDict, total=False):

@@ -11,11 +11,11 @@ from types import MappingProxyType
 from typing import Any, TypedDict, cast
 
 from bench.base.errors import JournalBroken
+from bench.records.device_events import DevicesFound
 from bench.records.events import (
     AttemptChecked,
     CaptureStored,
     Commanded,
-    DevicesFound,
     Event,
     FailureData,
     GateData,
@@ -90,6 +90,10 @@ class History:
     started: RunStarted = field(default_factory=lambda: cast("RunStarted", {}))
     started_utc: str = ""
     devices: DevicesFound = field(default_factory=lambda: cast("DevicesFound", {}))
+    devices_left: Sequence[Mapping[str, str]] = ()
+    """How each device was left after the last step that needs devices; empty before, or if nothing states it."""
+    devices_at_end: Sequence[Mapping[str, str]] = ()
+    """How each device was left at the last end of the run; empty if nothing states it."""
     done_steps: set[int] = field(default_factory=set)
     attempts: list[Attempt] = field(default_factory=list)
     lost: dict[int, int] = field(default_factory=dict)
@@ -334,8 +338,8 @@ def apply_entry(history: History, entry: Entry) -> None:
             history.ended = history.why = ""
             _clear_hold(history)
             count_crash(history, data.get("crash"))
-        case Event.DEVICES:
-            history.devices = cast("DevicesFound", data)
+        case Event.DEVICES | Event.DEVICES_LEFT:
+            _apply_devices(history, entry)
         case Event.ENTERING:
             history.interlock = f"{data['rule']}: {data['why']}" if "rule" in data else ""
             history.states.append({"state": data["state"], "utc": entry.utc, "mono_s": entry.mono_s})
@@ -352,12 +356,21 @@ def apply_entry(history: History, entry: Entry) -> None:
             _apply_command(history, cast("Commanded", data))
         case Event.RUN_ENDED:
             history.ended, history.why = str(data["how"]), str(data["why"])
+            history.devices_at_end = tuple(data.get("devices", ()))
             if "error" in data:
                 history.failures.append(cast("FailureData", data["error"]))
             _clear_hold(history)
             count_crash(history, data.get("crashed"))
         case _:
             _apply_pose_entry(history, entry)
+
+
+def _apply_devices(history: History, entry: Entry) -> None:
+    if entry.event == Event.DEVICES_LEFT:
+        history.devices_left = tuple(entry.data["devices"])
+        return
+    history.devices = cast("DevicesFound", entry.data)
+    history.devices_left = history.devices_at_end = ()
 
 
 def _apply_lateness(history: History, entry: Entry) -> None:

@@ -10,6 +10,7 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from typing import Any, Literal, Unpack, overload
 
+from bench.records.device_events import DevicesFound, DevicesLeft
 from bench.records.events import (
     Answered,
     Asked,
@@ -19,7 +20,6 @@ from bench.records.events import (
     Commanded,
     ComputerBusy,
     Deviation,
-    DevicesFound,
     Entering,
     Event,
     InterlockReleased,
@@ -110,6 +110,8 @@ class RunLog:
     def write(self, event: Literal[Event.DEVIATION], **data: Unpack[Deviation]) -> None: ...
     @overload
     def write(self, event: Literal[Event.RUN_ENDED], **data: Unpack[RunEnded]) -> None: ...
+    @overload
+    def write(self, event: Literal[Event.DEVICES_LEFT], **data: Unpack[DevicesLeft]) -> None: ...
     def write(self, event: Event, **data: Any) -> None:
         """Write one line and update the history.
 

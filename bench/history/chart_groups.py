@@ -1,0 +1,171 @@
+"""Which runs belong in one chart: of one bench, station, camera or camera type, target, collimator, and model.
+
+Measured, simulated and rehearsed runs are never in one group. Pure: it reads no file.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from datetime import UTC, datetime
+from typing import Any, Literal, NamedTuple
+
+from bench.history.merged_runs import RunPlace
+from bench.history.table_rows import kind_of
+from bench.records.run_index import IndexedRun
+
+Level = Literal["camera", "type"]
+
+
+class ChartKey(NamedTuple):
+    """What all runs of a group have in common; ``serial`` is empty for a camera type."""
+
+    level: Level
+    kind: str
+    bench: str
+    station: str
+    camera_type: str
+    serial: str
+    collimator: str
+    target: str
+    model: str
+    parameters: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class ChartRun:
+    """One run in a chart.
+
+    Attributes
+    ----------
+    run, folder, serial
+        Name and folder of the run, serial number of its camera.
+    begun
+        Begin of the run.
+    temperature_c
+        Temperature of the camera, degrees Celsius; None if it is not known.
+    k
+        Coverage factor of its expanded uncertainties.
+    parameters
+        Value and standard uncertainty by name.
+    """
+
+    run: str
+    folder: str
+    serial: str
+    begun: datetime
+    temperature_c: float | None
+    k: float
+    parameters: Mapping[str, tuple[float, float]]
+
+
+@dataclass
+class ChartGroup:
+    """The runs of a chart.
+
+    Attributes
+    ----------
+    key
+        What they have in common.
+    runs
+        Oldest first.
+    """
+
+    key: ChartKey
+    runs: list[ChartRun] = field(default_factory=list)
+
+
+@dataclass
+class Grouped:
+    """Runs in groups.
+
+    Attributes
+    ----------
+    groups
+        Types first, then cameras, each in the order of their keys.
+    left_out
+        One sentence for each reason why runs are in no chart.
+    """
+
+    groups: list[ChartGroup]
+    left_out: list[str]
+
+
+def group_runs(
+    found: Iterable[tuple[IndexedRun, Mapping[str, Any], RunPlace]], by: Level | None = None
+) -> Grouped:
+    """Put runs into groups that can be in one chart.
+
+    Parameters
+    ----------
+    found
+        Runs with their details from the index and their places in the ledgers, in any order.
+    by
+        ``camera`` or ``type``; both where None. Types have a group of their own if they have several cameras.
+
+    Returns
+    -------
+    Grouped
+        The groups, and what was left out.
+    """
+    by_key: dict[ChartKey, ChartGroup] = {}
+    without: dict[str, list[str]] = {}
+    for run, details, place in found:
+        point = _point(run)
+        if isinstance(point, str):
+            without.setdefault(point, []).append(run.id)
+            continue
+        key = _key(run, details, place)
+        for level in ("camera", "type"):
+            one = key if level == "camera" else key._replace(level="type", serial="")
+            by_key.setdefault(one, ChartGroup(one)).runs.append(point)
+    groups = [by_key[key] for key in sorted(by_key, key=lambda key: (key.level == "camera", key))]
+    for group in groups:
+        group.runs.sort(key=lambda point: (point.begun, point.folder))
+    chosen = [group for group in groups if _wanted(group, by)]
+    return Grouped(chosen, [_left_out(why, names) for why, names in without.items()])
+
+
+def _wanted(group: ChartGroup, by: Level | None) -> bool:
+    if group.key.level == "type" and by is None:
+        return len({point.serial for point in group.runs}) > 1
+    return by in {None, group.key.level}
+
+
+def _key(run: IndexedRun, details: Mapping[str, Any], place: RunPlace) -> ChartKey:
+    bench = f"{place.bench}, ledger {place.ledger}" if place.ledger else "bench not known"
+    return ChartKey(
+        "camera",
+        kind_of(run),
+        bench,
+        run.station,
+        str(details.get("camera_type") or "camera type not known"),
+        run.camera,
+        str(details.get("collimator_serial") or ""),
+        str(details.get("target_serial") or ""),
+        str(run.model),
+        tuple(run.parameters),
+    )
+
+
+def _point(run: IndexedRun) -> ChartRun | str:
+    """Return a run as a chart has it, or why it is in none."""
+    if not run.parameters:
+        return "have no result"
+    if any(not (math.isfinite(value) and 0 < sigma < math.inf) for value, sigma in run.parameters.values()):
+        return "have a value or an uncertainty that is no usable number"
+    try:
+        begun = datetime.fromisoformat(run.begun_utc)
+    except ValueError:
+        return "have no time of their begin"
+    if begun.tzinfo is None:
+        begun = begun.replace(tzinfo=UTC)
+    return ChartRun(run.id, run.folder, run.camera, begun, run.temperature_c, run.k, run.parameters)
+
+
+def _left_out(why: str, names: Sequence[str]) -> str:
+    shown = ", ".join(names[:5]) + (", ..." if len(names) > 5 else "")
+    if len(names) == 1:
+        return f"1 run is in no chart: it {why.replace('have', 'has', 1).replace('their', 'its')} ({shown})."
+    return f"{len(names)} runs are in no chart: they {why} ({shown})."

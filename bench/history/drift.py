@@ -1,0 +1,198 @@
+"""Drift of a parameter with time and with temperature, and the test whether it is more than chance. Pure.
+
+The model of a run's value: a straight line in time and temperature, plus an effect of the run (standard deviation tau,
+the same for all runs), plus the error that the run states. This is a random-effects meta-regression.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import optimize, stats
+
+Array = NDArray[np.float64]
+
+LEVEL = 0.05
+"""Chance of one false drift or more on a whole page."""
+LEAST_RUNS = 5
+"""Fewest runs for the test of one slope."""
+LEAST_RUNS_JOINT = 8
+"""Fewest runs for the test of both slopes together."""
+LEAST_RANGE_C = 0.2
+"""Smallest range of temperatures for which a slope is tested, degrees Celsius."""
+INSEPARABLE = 0.9
+"""From this correlation of time and temperature on, their slopes are tested one at a time."""
+
+
+@dataclass(frozen=True)
+class Slope:
+    """A slope and its test.
+
+    Attributes
+    ----------
+    value, sigma
+        Slope per day or per degree Celsius, in the parameter's unit, and its standard uncertainty.
+    p
+        Chance of a slope at least as large without drift (two-sided).
+    degrees_of_freedom
+        Of Student's t in the test.
+    runs
+        Number of runs in the test.
+    """
+
+    value: float
+    sigma: float
+    p: float
+    degrees_of_freedom: int
+    runs: int
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the content as JSON holds it.
+
+        Returns
+        -------
+        dict
+            All attributes, and ``expanded``: the 95 % half-width by Student's t.
+        """
+        k = float(stats.t.ppf(0.975, self.degrees_of_freedom))
+        return {**vars(self), "expanded": k * self.sigma}
+
+
+@dataclass(frozen=True)
+class Drift:
+    """The drift of one parameter.
+
+    Attributes
+    ----------
+    per_day, per_c
+        Slopes; None if they cannot be tested.
+    joint
+        Whether both slopes were fitted together, so that each holds with the other quantity unchanged.
+    separable
+        False if time and temperature changed together, so that the slopes cannot be told apart.
+    between_runs
+        tau, the standard deviation between runs that their stated uncertainties do not explain; None with fewer than
+        `LEAST_RUNS` runs.
+    scatter
+        Scatter around the fit over the scatter that the stated uncertainties predict (Birge ratio).
+    """
+
+    per_day: Slope | None
+    per_c: Slope | None
+    joint: bool
+    separable: bool
+    between_runs: float | None
+    scatter: float | None
+
+
+def find_drift(
+    days: Sequence[float],
+    degrees_c: Sequence[float | None],
+    values: Sequence[float],
+    sigmas: Sequence[float],
+) -> Drift:
+    """Fit the drift of a parameter with time and with temperature.
+
+    Parameters
+    ----------
+    days
+        Time of each run, days.
+    degrees_c
+        Temperature of each run, degrees Celsius; None where it is not known.
+    values, sigmas
+        Value of each run and its standard uncertainty, greater than 0.
+
+    Returns
+    -------
+    Drift
+        Slopes with their tests. Runs without a temperature are left out of the test of the temperature.
+    """
+    t, y, u = (np.asarray(one, float) for one in (days, values, sigmas))
+    warm = np.array([math.nan if c is None else c for c in degrees_c], float)
+    known = np.isfinite(warm)
+    has_time = len(t) >= LEAST_RUNS and float(np.ptp(t)) > 0.0
+    has_warm = int(known.sum()) >= LEAST_RUNS and float(np.ptp(warm[known])) >= LEAST_RANGE_C
+    separable = True
+    if has_time and has_warm:
+        separable = abs(float(np.corrcoef(t[known], warm[known])[0, 1])) < INSEPARABLE
+        if separable and known.all() and len(t) >= LEAST_RUNS_JOINT:
+            (per_day, per_c), tau, scatter = _fit(np.column_stack([t, warm]), y, u)
+            return Drift(per_day, per_c, True, True, tau, scatter)
+    _, tau, scatter = _fit(np.empty((len(y), 0)), y, u)
+    day = slope_of = None
+    if has_time:
+        (day,), tau, scatter = _fit(t[:, None], y, u)
+    if has_warm:
+        (slope_of,), _, _ = _fit(warm[known, None], y[known], u[known])
+    return Drift(day, slope_of, False, separable, tau, scatter)
+
+
+def _fit(x: Array, y: Array, u: Array) -> tuple[list[Slope], float | None, float | None]:
+    """Fit a line in some quantities by weighted least squares with an effect of each run.
+
+    The variance of the effect solves sum w r^2 = n - p (Paule and Mandel, J. Res. NBS 87 (1982) 377; with covariates:
+    DerSimonian and Kacker, Contemp. Clin. Trials 28 (2007) 105), w = 1 / (u^2 + tau^2). The covariance of the slopes is
+    multiplied by sum w r^2 / (n - p), and Student's t has n - p degrees of freedom (Knapp and Hartung, Statist. Med. 22
+    (2003) 2693). This factor is below 1 if runs scatter less than they state, as with an error common to all.
+    """
+    n, p = len(y), x.shape[1] + 1
+    if n < max(LEAST_RUNS, p + 1):
+        return [], None, None
+    middle, scale = x.mean(axis=0), np.ptp(x, axis=0)
+    design = np.column_stack([np.ones(n), (x - middle) / scale])
+    size = float(np.median(u))
+    y, u = (y - y.mean()) / size, u / size
+
+    def solve(tau2: float) -> tuple[Array, Array, float]:
+        w = 1.0 / (u**2 + tau2)
+        normal = design.T @ (w[:, None] * design)
+        found = np.linalg.solve(normal, design.T @ (w * y))
+        return found, normal, float(np.sum(w * (y - design @ found) ** 2))
+
+    chi2 = solve(0.0)[2]
+    tau2 = 0.0
+    if chi2 > n - p:
+        high = float(np.sum((y - y.mean()) ** 2)) + 1.0
+        tau2 = float(optimize.brentq(lambda v: solve(v)[2] - (n - p), 0.0, high, xtol=1e-12 * high))
+    found, normal, rest = solve(tau2)
+    covariance = rest / (n - p) * np.linalg.inv(normal)
+    slopes = []
+    for place in range(1, p):
+        value, sigma = float(found[place]), math.sqrt(float(covariance[place, place]))
+        chance = float(2.0 * stats.t.sf(abs(value) / sigma, n - p)) if sigma > 0 else float(value == 0)
+        unit = size / float(scale[place - 1])
+        slopes.append(Slope(value * unit, sigma * unit, chance, n - p, n))
+    return slopes, math.sqrt(tau2) * size, math.sqrt(chi2 / (n - p))
+
+
+def holm(chances: Sequence[float]) -> list[float]:
+    """Adjust the chances of several tests, so that one false alarm or more has at most the level of one test.
+
+    Holm, Scand. J. Statist. 6 (1979) 65.
+
+    Parameters
+    ----------
+    chances
+        The chance (p value) of each test.
+
+    Returns
+    -------
+    list of float
+        The adjusted chances, in the same order.
+
+    Examples
+    --------
+    >>> [round(p, 3) for p in holm([0.01, 0.04, 0.03])]
+    [0.03, 0.06, 0.06]
+    """
+    order = sorted(range(len(chances)), key=lambda place: chances[place])
+    adjusted, least = [0.0] * len(chances), 0.0
+    for rank, place in enumerate(order):
+        least = max(least, min(1.0, (len(chances) - rank) * chances[place]))
+        adjusted[place] = least
+    return adjusted

@@ -1,0 +1,219 @@
+"""The runs of several ledgers and folders as one list. What is missing, double or changed is named.
+
+A run is recognised by the hash of its line in the ledger, which its own journal states. So its folder may have been
+copied to another computer. Reads run folders and writes the index alone.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from bench.base.errors import BenchError
+from bench.evidence.ledger_check import is_sealed_by
+from bench.history.ledger_sources import EnteredRun, LedgerSource, MergedLedgers
+from bench.records.run_folder import JOURNAL, MANIFEST, is_sealed
+from bench.records.run_index import IndexedRun, RunIndex
+from bench.records.storage import sha256_of
+
+IN_LEDGER, NOT_IN_LEDGER, NO_LEDGER = "entered", "not in the ledgers", "no ledger"
+
+
+@dataclass(frozen=True)
+class RunPlace:
+    """Where a run stands in the ledgers.
+
+    Attributes
+    ----------
+    bench
+        Name of the bench; empty if no ledger enters the run.
+    ledger
+        Identity of the ledger; empty as ``bench``.
+    state
+        ``entered``, ``not in the ledgers``, or ``no ledger`` for a rehearsal and for a run without a place.
+    """
+
+    bench: str = ""
+    ledger: str = ""
+    state: str = NO_LEDGER
+
+
+@dataclass
+class MergedRuns:
+    """All runs, each once.
+
+    Attributes
+    ----------
+    runs
+        Oldest first.
+    places
+        Place of each run in the ledgers, by its folder.
+    faults
+        Sentences: folders that are missing, changed, cannot be read, or contradict a ledger.
+    notes
+        Sentences: copies that were left out, and runs of ledgers that were not given.
+    """
+
+    runs: list[IndexedRun] = field(default_factory=list)
+    places: dict[str, RunPlace] = field(default_factory=dict)
+    faults: list[str] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)
+
+
+def merge_runs(
+    index: RunIndex, ledgers: MergedLedgers, folders: Sequence[Path], *, only_folders: bool = False
+) -> MergedRuns:
+    """Find the runs of ledgers and folders.
+
+    Parameters
+    ----------
+    index
+        The index of runs of this computer.
+    ledgers
+        The ledgers.
+    folders
+        Run folders that were found elsewhere; they go before the paths that the ledgers state.
+    only_folders
+        Whether to leave out the runs that are in ``ledgers`` alone.
+
+    Returns
+    -------
+    MergedRuns
+        The runs, and what was noticed.
+
+    Raises
+    ------
+    StorageError
+        When the index cannot be read or written.
+    """
+    merged = MergedRuns(faults=list(ledgers.faults), notes=list(ledgers.notes))
+    stated = [] if only_folders else [Path(one.run.folder) for one in ledgers.entered.values()]
+    present = [path for path in stated if (path / JOURNAL).is_file()]
+    found, unreadable = index.runs([*folders, *present])
+    merged.faults += unreadable
+    by_head: dict[str, list[IndexedRun]] = {}
+    for run in found:
+        by_head.setdefault(run.ledger_head or run.folder, []).append(run)
+    for head, same in by_head.items():
+        entered = ledgers.entered.get(head)
+        kept = _one_of(merged, same, entered)
+        merged.runs.append(kept)
+        merged.places[kept.folder] = _place(kept, entered)
+        if entered is not None:
+            merged.faults += _changed(kept, entered)
+    if not only_folders:
+        unread = {str(path.resolve()) for path in [*folders, *present]} - {run.folder for run in found}
+        _name_missing(merged, ledgers.entered, by_head, found, unread)
+    _strangers(merged, ledgers.sources)
+    merged.runs.sort(key=lambda run: (run.begun_utc, run.folder))
+    return merged
+
+
+def _place(run: IndexedRun, entered: EnteredRun | None) -> RunPlace:
+    if entered is not None:
+        return RunPlace(entered.bench, entered.ledger, IN_LEDGER)
+    return RunPlace(state=NO_LEDGER if run.ledger_head is None else NOT_IN_LEDGER)
+
+
+def _one_of(merged: MergedRuns, same: Sequence[IndexedRun], entered: EnteredRun | None) -> IndexedRun:
+    """Choose among folders of the same run: the one with the ledger's seal, then the one at the ledger's path."""
+    if len(same) == 1:
+        return same[0]
+    seals = {run.folder: _content_of(run) for run in same}
+    stated = entered.run if entered is not None else None
+    kept = min(
+        same,
+        key=lambda run: (
+            stated is None or seals[run.folder] != stated.seal,
+            stated is None or run.folder != stated.folder,
+            run.folder,
+        ),
+    )
+    for other in same:
+        if other is kept:
+            continue
+        what = f"{other.folder} is the same run as {kept.folder}"
+        if seals[other.folder] == seals[kept.folder]:
+            merged.notes.append(f"{what}: a copy. It counts once.")
+        else:
+            merged.faults.append(f"{what}, but its content differs. Only {kept.folder} is listed.")
+    return kept
+
+
+def _content_of(run: IndexedRun) -> str | None:
+    """Return the hash of a folder's seal, or of its journal if it is not sealed; None if it cannot be read."""
+    folder = Path(run.folder)
+    try:
+        return sha256_of(folder / (MANIFEST if is_sealed(folder) else JOURNAL))
+    except (BenchError, OSError):
+        return None
+
+
+def _changed(run: IndexedRun, entered: EnteredRun) -> list[str]:
+    """Compare a folder with what the ledger enters."""
+    stated, folder = entered.run, Path(run.folder)
+    found = []
+    named = f"run {stated.number} of {entered.bench} ({run.folder})"
+    pairs = (
+        ("number", run.ledger_number, stated.number),
+        ("simulated", run.simulated, stated.simulated),
+        ("camera", run.camera or stated.camera, stated.camera or run.camera),
+    )
+    for what, here, there in pairs:
+        if here != there:
+            found.append(f"{named}: its journal states the {what} {here}, the ledger {there}")
+    if stated.seal is not None:
+        if not is_sealed(folder):
+            found.append(f"{named}: the ledger states a seal, but the folder has none: it was removed")
+        elif _content_of(run) != stated.seal:
+            found.append(f"{named}: {MANIFEST} is not the sealed one: the folder was changed after sealing")
+    return found
+
+
+def _name_missing(
+    merged: MergedRuns,
+    entered: Mapping[str, EnteredRun],
+    by_head: Mapping[str, Sequence[IndexedRun]],
+    found: Sequence[IndexedRun],
+    unread: set[str],
+) -> None:
+    """Name the runs of the ledgers that no folder holds."""
+    at_path = {run.folder: run for run in found}
+    for head, one in entered.items():
+        resolved = str(Path(one.run.folder).resolve())
+        if head in by_head or resolved in unread:  # a folder that cannot be read is named already
+            continue
+        named = f"run {one.run.number} of {one.bench} ({one.run.run_id}, {one.run.how})"
+        other = at_path.get(resolved)
+        if other is None:
+            merged.faults.append(f"{named}: its folder {one.run.folder} is missing")
+        elif other.id == one.run.run_id:
+            merged.notes.append(f"{named} was resumed with another ledger, as number {other.ledger_number}.")
+        else:
+            merged.faults.append(
+                f"{named}: its folder {one.run.folder} now holds another run (number {other.ledger_number})"
+            )
+
+
+def _strangers(merged: MergedRuns, sources: Sequence[LedgerSource]) -> None:
+    """Name the runs whose ledger line is in no given ledger: those of a given bench are faults, others notes."""
+    unknown = [run for run in merged.runs if merged.places[run.folder].state == NOT_IN_LEDGER]
+    numbers = {(source.identity, run.number): run for source in sources for run in source.runs}
+    foreign, lost = [], []
+    for run in unknown:
+        own = next((s for s in sources if is_sealed_by(Path(run.folder), s.public_keys)), None)
+        if own is None:
+            foreign.append(run)
+            continue
+        holder = numbers.get((own.identity, run.ledger_number or 0))
+        other = f" There, number {run.ledger_number} is {holder.folder}." if holder else ""
+        lost.append(
+            f"{own.bench} has sealed {run.folder} as run {run.ledger_number}, but its ledger does not contain it:"
+            f" lines were removed or replaced.{other}"
+        )
+    merged.faults += lost
+    if foreign and sources:
+        named = ", ".join(run.folder for run in foreign[:3]) + (", ..." if len(foreign) > 3 else "")
+        what = "1 run names" if len(foreign) == 1 else f"{len(foreign)} runs name"
+        merged.notes.append(f"{what} a ledger that was not given: {named}. Name it with --ledger.")
