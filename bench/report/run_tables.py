@@ -11,6 +11,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from bench.base.device_ends import DeviceEnd
 from bench.report.bench_knowledge import passport_rows, readings_rows
 from bench.report.text import NOTHING, duration, fixed, moment, number, value_text
 
@@ -233,6 +234,39 @@ def devices(found: Json) -> list[DeviceRow]:
             )
             rows.append(DeviceRow(name, model or NOTHING, serial, firmware, details))
     return rows
+
+
+def connections(found: Json) -> list[tuple[str, str]]:
+    """List what the devices answered about the cables between them and to the computer.
+
+    Parameters
+    ----------
+    found
+        ``devices`` of results.json.
+
+    Returns
+    -------
+    list of tuple
+        Name and value; empty if the run did not ask.
+    """
+    return [(_readable(name), str(value)) for name, value in (found.get("connections") or {}).items()]
+
+
+def left(found: Sequence[Mapping[str, str]]) -> list[tuple[str, str, str]]:
+    """List how each device was left after the last step that needs devices.
+
+    Parameters
+    ----------
+    found
+        ``devices_left`` of results.json.
+
+    Returns
+    -------
+    list of tuple
+        Device, state, and what it answered, or what may be the case.
+    """
+    ends = [DeviceEnd.from_dict(end) for end in found]
+    return [(end.device, end.state, " ".join(filter(None, (end.said, end.advice)))) for end in ends]
 
 
 def poses(found: Sequence[Json]) -> list[PoseRow]:

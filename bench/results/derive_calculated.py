@@ -92,6 +92,7 @@ def check_calculated(
         "poses",
         "untils",
         "deviations",
+        "devices_left",
         "failures",
         "states",
     }

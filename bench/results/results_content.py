@@ -93,7 +93,7 @@ def journal_content(job: Job, history: History, views: Sequence[ViewSummary]) ->
     -------
     dict
         ``run`` without ``software``, ``devices``, ``conditions``, ``poses``, ``gates`` of the poses, ``untils``,
-        ``deviations``, ``failures`` and ``states``.
+        ``deviations``, ``failures``, ``devices_left`` and ``states``.
     """
     started, kind = history.started, job.camera_kind
     return {
@@ -120,6 +120,7 @@ def journal_content(job: Job, history: History, views: Sequence[ViewSummary]) ->
         **({"untils": list(history.decisions)} if history.decisions else {}),
         "deviations": list(history.deviations),
         **({"failures": list(history.failures)} if history.failures else {}),
+        **({"devices_left": [dict(end) for end in history.devices_left]} if history.devices_left else {}),
         "states": list(history.states),
     }
 

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from typing import Any
 
+from bench.base.device_ends import DeviceEnd
+from bench.records.device_events import DevicesLeft
 from bench.records.events import (
     Asked,
     AttemptChecked,
@@ -21,7 +23,6 @@ from bench.records.journal_entry import Entry
 from bench.report.until_text import decision_text
 from bench.run.interlock_text import interlock_text
 from bench.run.machine import END_STATES
-from bench.stations.device_ends import DeviceEnd
 
 
 def line_text(entry: Entry) -> str:
@@ -75,6 +76,12 @@ def _end_text(data: RunEnded) -> str:
     return f"{data['how']}{': ' if data['why'] else ''}{data['why']}{unsure}"
 
 
+def _left_text(data: DevicesLeft) -> str:
+    ends = [DeviceEnd.from_dict(end) for end in data["devices"]]
+    unsure = [end.text for end in ends if end.state != "confirmed safe"]
+    return f"the devices after the last step that needs them: {'; '.join(unsure) or 'all confirmed safe'}"
+
+
 def _question_text(data: Asked) -> str:
     return f"question: {data['text']} ({data['default']} after {data['timeout_s']:g} s)"
 
@@ -106,6 +113,7 @@ _ENTRY_TEXTS: Mapping[str, Callable[[Any], str]] = {
     Event.POSE_SKIPPED: lambda data: f"deviation: {data['what']}",
     Event.UNTIL_DECIDED: decision_text,
     Event.RUN_ENDED: _end_text,
+    Event.DEVICES_LEFT: _left_text,
     Event.ASKED: _question_text,
     Event.ANSWERED: lambda data: f"answer: {data['answer']} ({data['by']})",
     Event.INTERLOCK_RELEASED: _interlock_released_text,

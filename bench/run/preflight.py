@@ -2,12 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import asdict
-from typing import Any
+from typing import Any, Final
 
 from bench.base.errors import PreflightFailed
 from bench.plan.job import Job
 from bench.stations.devices import Devices
+from drivers.camera import CameraIdentity
+from drivers.camera.usb_permission import LEAST_MBIT_S
+from drivers.light import Light, StatesSyncPolarity
+
+OPTIONAL: Final = ("firmware_built", "link_mbit_s")
+"""Parts of a camera's identity that are left out where the camera does not state them."""
+NOT_STATED: Final = "not stated by the device"
 
 
 def preflight(devices: Devices, job: Job) -> dict[str, Any]:
@@ -25,7 +33,8 @@ def preflight(devices: Devices, job: Job) -> dict[str, Any]:
     Returns
     -------
     dict
-        ``camera``, ``stage`` (a list) and ``light``: identities; ``camera_settings``: settings as read back.
+        ``camera``, ``stage`` (a list) and ``light``: identities; ``camera_settings``: settings as read back;
+        ``connections``, of an event camera: see `connections`.
 
     Raises
     ------
@@ -47,11 +56,46 @@ def preflight(devices: Devices, job: Job) -> dict[str, Any]:
             f"The bench is not ready: {'; '.join(reasons)}.",
             remedy="Correct this and run again; nothing has moved.",
         )
-    return {
-        "camera": {**asdict(camera), "lens": job.lens},
+    stated = {name: value for name, value in asdict(camera).items() if name not in OPTIONAL or value}
+    found = {
+        "camera": {**stated, "lens": job.lens},
         "stage": [asdict(axis) for axis in stage],
         "light": asdict(light),
         "camera_settings": settings,
+    }
+    if job.camera_kind.name == "event":
+        found["connections"] = connections(camera, settings, devices.light)
+    return found
+
+
+def connections(camera: CameraIdentity, settings: Mapping[str, Any], light: Light) -> dict[str, str]:
+    """Return what camera and light answer about the cables between them and to the computer.
+
+    Parameters
+    ----------
+    camera
+        Identity of the camera.
+    settings
+        Settings of the camera, as read back.
+    light
+        The open light. A generator's sync polarity is made normal.
+
+    Returns
+    -------
+    dict
+        In words: ``camera_link``, ``camera_firmware``, ``trigger_input``, ``sync_polarity``, ``sync_level``. What a
+        device does not state is said to be so; the wiring test (`bench.run.wiring`) measures it.
+    """
+    link = camera.link_mbit_s
+    built = f", built {camera.firmware_built}" if camera.firmware_built else ""
+    return {
+        "camera_link": f"{link} Mbit/s ({'USB 3' if link >= LEAST_MBIT_S else 'USB 2'})"
+        if link
+        else NOT_STATED,
+        "camera_firmware": f"{camera.firmware}{built}" if camera.firmware else NOT_STATED,
+        "trigger_input": "on" if settings.get("trigger_in") else "off",
+        "sync_polarity": light.sync_polarity() if isinstance(light, StatesSyncPolarity) else NOT_STATED,
+        "sync_level": NOT_STATED,
     }
 
 

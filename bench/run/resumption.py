@@ -8,11 +8,12 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 
 from bench.plan.job import Job, ScriptStep
 from bench.records.history import History, count_crash
 from bench.report.until_text import goals_text
-from sequences.script import ChooseStep, MoveStep, RecordStep, ReportStep, SettleStep, SolveStep
+from sequences.script import ChooseStep, MoveStep, PromptStep, RecordStep, ReportStep, SettleStep, SolveStep
 
 CRASHES_ALLOWED = 1
 """A pose at which the process crashed more often than this is not tried again."""
@@ -221,9 +222,18 @@ def _has(steps: Sequence[ScriptStep], kind: type) -> bool:
 def _places_to_repeat(steps: Sequence[ScriptStep], first: int) -> list[int]:
     """Return the places of the steps before ``first`` that the step at ``first`` depends on."""
     solving = isinstance(steps[first], SolveStep | ReportStep)
-    base: type = SolveStep if solving else MoveStep
-    if isinstance(steps[first], base):
+    prepares = partial(_is, SolveStep) if solving else _prepares_recordings
+    if prepares(steps[first]):
         return []
     kept = (SolveStep,) if solving else (MoveStep, SettleStep)
-    begin = max((i for i in range(first) if isinstance(steps[i], base)), default=first)
-    return [i for i in range(begin, first) if isinstance(steps[i], kept)]
+    begin = max((i for i in range(first) if prepares(steps[i])), default=first)
+    return [i for i in range(begin, first) if isinstance(steps[i], kept) or prepares(steps[i])]
+
+
+def _is(kind: type, step: ScriptStep) -> bool:
+    return isinstance(step, kind)
+
+
+def _prepares_recordings(step: ScriptStep) -> bool:
+    """Return whether recordings depend on a step: a move, or a board that a person places."""
+    return isinstance(step, MoveStep) or (isinstance(step, PromptStep) and step.placement > 0)

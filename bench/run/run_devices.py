@@ -10,13 +10,13 @@ from collections.abc import Callable, Mapping
 from dataclasses import asdict
 from typing import Any, cast
 
+from bench.base.device_ends import DeviceEnd, all_ends, lost_ends
 from bench.plan.job import Job
 from bench.records.events import Event
 from bench.records.run_folder import RunFolder
 from bench.records.run_log import RunLog
 from bench.records.storage import storage_errors
 from bench.run.interlock_text import loss_text
-from bench.stations.device_ends import DeviceEnd, all_ends, lost_ends
 from bench.stations.devices import Devices, left_devices
 from drivers.camera import EventCamera
 from drivers.errors import DriverError, WrongDevice
@@ -26,6 +26,10 @@ PROBE = "probe.raw"
 
 NOT_REOPENED = "the devices were lost and could not be opened again; nothing confirmed a safe state"
 """Fault of a run that ended while its devices were lost."""
+
+
+NOT_ASKED = "the process that used it ended before it could be asked"
+"""What is known of a device if a run is resumed after its last step with devices, and no line states more."""
 
 
 class RunDevices:
@@ -154,6 +158,20 @@ class RunDevices:
         self.unsafe = list(dict.fromkeys(end.said for end in self._ends if end.state == "not confirmed"))
         for fault in self.unsafe:
             self._say(f"CHECK THE BENCH: {fault}")
+
+    def leave(self) -> None:
+        """Stop the stage, switch the light off, stop the camera, and journal what each confirmed.
+
+        The devices stay open. A resumed run that uses no device states what the run before it stated.
+        """
+        history = self._log.history
+        if self._devices is not None:
+            ends = [end.to_dict() for end in all_ends(self._devices.make_each_safe())]
+        elif history.devices_at_end:
+            ends = [dict(end) for end in history.devices_at_end]
+        else:
+            ends = [end.to_dict() for end in lost_ends(NOT_ASKED)]
+        self._log.write(Event.DEVICES_LEFT, devices=ends)
 
     def ends(self) -> list[DeviceEnd]:
         """Return how the run leaves each device, as far as anything is known.

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any, Literal, NotRequired, TypedDict
 
 from bench.base.clock import Aborted, BenchClock, Interrupted
+from bench.base.device_ends import DeviceEnd
 from bench.base.errors import StorageError
 from bench.base.failure import FORESEEN, Failure
 from bench.plan.job import DEVICE_STEPS, Job, ScriptStep
@@ -37,7 +38,6 @@ from bench.run.run_devices import RunDevices
 from bench.run.safe_points import SafePoints
 from bench.run.state_work import StateWork
 from bench.run.steps import Steps
-from bench.stations.device_ends import DeviceEnd
 from bench.stations.devices import Devices
 from bench.terminal.progress import Progress
 from drivers.errors import CameraLost, PortLost, ReplyTimeout
@@ -201,7 +201,10 @@ class Runner:
         if any(isinstance(step, DEVICE_STEPS) for step in steps):
             self._with_interlocks(None, partial(self._machine.fire, "preflight"))
             self._with_interlocks(None, partial(self._prepare_bench, steps))
-        for step in steps:
+        needs_devices = [place for place, step in enumerate(steps) if isinstance(step, DEVICE_STEPS)]
+        for place, step in enumerate(steps):
+            if place > max(needs_devices, default=-1):
+                self._leave_devices()
             if history.is_left_out(step.number):
                 continue
             if isinstance(step, (*DEVICE_STEPS, WaitStep)):
@@ -209,6 +212,13 @@ class Runner:
             else:
                 self._do_step(step)
         self._machine.fire("finish")
+
+    def _leave_devices(self) -> None:
+        """Journal how the devices are left, once, when the remaining steps need none; the report states it."""
+        history = self._log.history
+        if history.devices and not history.devices_left:
+            with self._clock.shielded():
+                self._devices.leave()
 
     def _end_early(
         self, how: End, why: str, failure: Failure | None = None, *, crashed: bool = False

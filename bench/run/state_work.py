@@ -27,6 +27,7 @@ from bench.run.run_devices import RunDevices
 from bench.views.expected_grid import grid_from_earlier_poses
 from bench.views.gates import failed_gate_texts
 from bench.views.measure import Measurement
+from bench.views.placements import with_advice
 from sequences.script import (
     ChooseStep,
     LightStep,
@@ -266,7 +267,13 @@ class StateWork:
         by
             Operator who holds the run; empty if there is none.
         """
-        self._holding.hold(step if isinstance(step, PromptStep) else None, trip, by=by)
+        question = step if isinstance(step, PromptStep) else None
+        if question is not None and self._job.board is not None:
+            question = with_advice(question, self._log.history, self._job.board)
+        self._holding.hold(question, trip, by=by)
+        simulation = self._devices.opened.simulation if question and question.placement else None
+        if question and simulation:  # on a simulated bench nobody else can place the board
+            simulation.hands.place_board(question.placement)
 
     def park(self, *_: Any, **__: Any) -> None:
         """Switch the light off and move the stage to zero, because no later step needs them."""

@@ -12,10 +12,10 @@ from types import MappingProxyType
 from typing import Any
 
 from bench.base.clock import BenchClock
+from bench.base.device_ends import DeviceEnd, DeviceName, lost_ends
 from bench.base.errors import SimulationError
 from bench.simulated import SimulatedBench
 from bench.stations import station_cameras, station_lights, station_stages
-from bench.stations.device_ends import DeviceEnd, DeviceName, lost_ends
 from bench.stations.device_identities import hold_serial_devices
 from bench.stations.sections import EventCameraSection, FrameCameraSection, LightSection, StageSection
 from bench.stations.station import Station

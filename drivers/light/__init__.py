@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal, Protocol
+from typing import Literal, Protocol, runtime_checkable
 
 Waveform = Literal["square", "sine", "steady"]
 
@@ -148,4 +148,19 @@ class Light(Protocol):
 
     def close(self) -> None:
         """Close the port. This switches nothing."""
+        ...
+
+
+@runtime_checkable
+class StatesSyncPolarity(Protocol):
+    """A light that can say whether its sync output rises at the start of the high phase."""
+
+    def sync_polarity(self) -> str:
+        """Make the polarity of the sync output normal, if the device can, and say what is known of it.
+
+        Returns
+        -------
+        str
+            "normal", or that the device does not state it.
+        """
         ...

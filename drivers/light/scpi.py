@@ -70,6 +70,7 @@ class ScpiLight:
         self._dialect = DIALECTS[dialect]
         self._switched_on = False
         self._modes_reset = False
+        self._sync_is_normal = False
         try:
             self._line = ScpiLine(port, clock=clock, wire_log=wire_log)
             self.identify()
@@ -152,6 +153,11 @@ class ScpiLight:
             lambda: self._dialect.query_settings(self._line, backwards=next(backwards)), "the settings"
         )
 
+    def sync_polarity(self) -> str:
+        """See `StatesSyncPolarity.sync_polarity`. Ends bursts and modulations, too, as `apply` does."""
+        self._reset_modes()
+        return "normal" if self._sync_is_normal else "not stated by the device"
+
     def on(self) -> None:
         """See `Light.on`.
 
@@ -216,7 +222,12 @@ class ScpiLight:
         if not self._modes_reset:
             for setting in self._dialect.reset_modes():
                 self._set(setting, may_be_unknown=True)
+            self._sync_is_normal = any(map(self._accepts, self._dialect.normal_sync()))
             self._modes_reset = True
+
+    def _accepts(self, command: str) -> bool:
+        """Send a command that the generator may lack; return whether it confirms that it took it."""
+        return not self._line.command(command) and self._line.has_error_queue
 
     def _set(self, setting: Setting, *, may_be_unknown: bool = False) -> None:
         name, command = setting

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Literal, Protocol
 
@@ -63,6 +64,16 @@ class Dialect(Protocol):
         -------
         list of Setting
             Names and commands.
+        """
+        ...
+
+    def normal_sync(self) -> Sequence[str]:
+        """Return commands of which one makes the polarity of the sync output normal.
+
+        Returns
+        -------
+        sequence of str
+            Commands, to be sent until one is accepted; empty for a generator with a fixed polarity.
         """
         ...
 
@@ -179,6 +190,10 @@ class HeaderDialect:
         off = [(name, f"{self.source}{header}:STAT OFF") for name, header in modes.items()]
         return [*off, ("polarity", f"{self.output_header}:POL NORM")]
 
+    def normal_sync(self) -> Sequence[str]:
+        """See `Dialect.normal_sync`. Keysight 33500B says NORM, Rigol DG1000Z POS; a 33220A has no such setting."""
+        return [f"{self.output_header}:SYNC:POL {word}" for word in ("NORM", "POS")] if self.source else []
+
     def settings(self, wanted: LightSettings, present_low_v: float) -> list[Setting]:
         """See `Dialect.settings`."""
         source = self.source
@@ -241,6 +256,10 @@ class SiglentDialect:
         modes = {"burst": "BTWV", "sweep": "SWWV", "modulation": "MDWV"}
         off = [(name, f"C1:{header} STATE,OFF") for name, header in modes.items()]
         return [*off, ("polarity", "C1:OUTP PLRT,NOR")]
+
+    def normal_sync(self) -> Sequence[str]:
+        """See `Dialect.normal_sync`. The polarity is fixed."""
+        return []
 
     def settings(self, wanted: LightSettings, present_low_v: float) -> list[Setting]:  # noqa: ARG002
         """See `Dialect.settings`. One command holds both levels, so their order does not matter."""

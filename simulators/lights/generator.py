@@ -15,6 +15,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Final, Literal
 
+from simulators.world.light_state import SyncLine
 from simulators.world.world import LightState
 
 Shape = Literal["square", "sine", "dc"]
@@ -53,6 +54,8 @@ class Settings:
         Load for which voltages are shown, ohm; infinite for an open circuit.
     output, sync
         Whether the output and the sync output are on.
+    sync_inverted
+        Whether the sync output falls where it otherwise rises.
     """
 
     shape: Shape = "sine"
@@ -63,6 +66,7 @@ class Settings:
     load_ohm: float = SOURCE_OHM
     output: bool = False
     sync: bool = True
+    sync_inverted: bool = False
 
     @property
     def amplitude_v(self) -> float:
@@ -130,6 +134,16 @@ class Generator:
                 now, output=now.output if output is None else output, sync=now.sync if sync is None else sync
             )
         )
+
+    def invert_sync(self, inverted: bool) -> None:
+        """Set the polarity of the sync output.
+
+        Parameters
+        ----------
+        inverted
+            Whether it is inverted.
+        """
+        self._apply(replace(self.settings, sync_inverted=inverted))
 
     def set_load(self, ohm: float) -> None:
         """Set the load for which voltages are shown; the output itself stays as it is.
@@ -251,6 +265,7 @@ class Generator:
             high_v=levels[1] * open_circuit,
             output=settings.output,
             sync=settings.sync and settings.shape != "dc",
+            sync_line=SyncLine(inverted=settings.sync_inverted),
             origin_s=now - self._light.phase_at(now) / settings.frequency_hz,
         )
         self._drive(self._light)

@@ -97,7 +97,11 @@ class Lamp:
                 frequency_hz=state.frequency_hz * effect.frequency,
                 duty_percent=min(99.0, state.duty_percent * effect.duty),
                 sync=state.sync and effect.sync,
-                sync_line=replace(effect.line, jitter_us=effect.jitter * state.period_us / effect.frequency),
+                sync_line=replace(
+                    effect.line,
+                    inverted=effect.line.inverted != state.sync_line.inverted,
+                    jitter_us=effect.jitter * state.period_us / effect.frequency,
+                ),
             )
         )
 

@@ -141,6 +141,14 @@ class ScpiGenerator(GeneratorLine):
             lambda words: generator.switch(sync=boolean(only_argument(words))),
             lambda _: self._format_switch(generator.settings.sync),
         )
+        if model.numbered_channels:
+            tree.add(
+                f"{output}:SYNC:POLarity",
+                lambda words: generator.invert_sync(
+                    choice(only_argument(words), self._sync_words()) in {"INV", "NEG"}
+                ),
+                lambda _: choice(self._sync_words()[generator.settings.sync_inverted], self._sync_words()),
+            )
         tree.add(
             f"{output}:LOAD",
             self._set_load,
@@ -194,6 +202,12 @@ class ScpiGenerator(GeneratorLine):
         _raise_if_clipped(
             "lower limit" if asked < _LOAD_OHM[0] else "upper limit" if asked > _LOAD_OHM[1] else ""
         )
+
+    def _sync_words(self) -> list[str]:
+        """Return the words for the polarities of the sync output: of Rigol's DG series, or of Keysight's 33500B."""
+        if self.model.maker.upper().startswith("RIGOL"):
+            return ["POSitive", "NEGative"]
+        return ["NORMal", "INVerted"]
 
     def _format_switch(self, on: bool) -> str:
         if self.model.numbered_channels:

@@ -156,3 +156,21 @@ def test_a_steady_light_burns_at_its_level_without_an_edge_and_goes_dark(device,
         light.apply(FLICKER)
         light.on()
         assert states[-1].low == 0.0 < states[-1].high
+
+
+@pytest.mark.parametrize(
+    ("maker", "inverted"), [("Agilent Technologies", "INV"), ("RIGOL TECHNOLOGIES", "NEG")]
+)
+def test_an_inverted_sync_output_of_a_simulated_generator_is_made_normal(
+    tmp_path, states, maker, inverted
+) -> None:
+    generator = ScpiGenerator(
+        GeneratorModel(numbered_channels=True, maker=maker), time.monotonic, states.append
+    )
+    generator.receive(f"OUTP1:SYNC:POL {inverted}\n".encode())
+    assert states[-1].sync_line.inverted
+    with SerialDevice(PseudoTerminal(tmp_path / "light"), generator) as device:
+        light = ScpiLight.open(device.address, dialect="numbered", clock=SystemClock())
+        with closing(light):
+            assert light.sync_polarity() == "normal"
+    assert not states[-1].sync_line.inverted

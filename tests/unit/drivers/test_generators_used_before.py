@@ -80,3 +80,39 @@ def test_a_number_beyond_all_numbers_is_no_setting(clock) -> None:
     generator.spoil = lambda line: line.replace(b"FRQ,1000HZ", b"FRQ,1E999HZ")
     with pytest.raises(ReplyError, match="no number FRQ"):
         light.read()
+
+
+class InvertedSync(NumberedGenerator):
+    """One whose sync output was inverted; it knows the polarity by its own words."""
+
+    def __init__(self, words: str) -> None:
+        super().__init__()
+        self.normal, self.inverted = words.split(",")
+        self.values["OUTP:SYNC:POL"] = self.inverted
+
+    def set(self, header: str, value: str) -> None:
+        if header != "OUTP:SYNC:POL":
+            super().set(header, value)
+        elif value in {self.normal, self.inverted}:
+            self.values[header] = value
+        else:
+            self.queue.append('-224,"Illegal parameter value"')
+
+
+@pytest.mark.parametrize("words", ["NORM,INV", "POS,NEG"])
+def test_an_inverted_sync_output_is_made_normal(clock, words) -> None:
+    generator = InvertedSync(words)
+    light = ScpiLight(generator, clock=clock, dialect="numbered")
+    assert generator.values["OUTP:SYNC:POL"] == generator.inverted  # opening sets nothing
+    assert light.sync_polarity() == "normal"
+    assert generator.values["OUTP:SYNC:POL"] == generator.normal
+    assert not generator.queue
+
+
+@pytest.mark.parametrize(
+    ("kind", "dialect"),
+    [(Generator, "keysight"), (NumberedGenerator, "numbered"), (SiglentGenerator, "siglent")],
+)
+def test_a_generator_without_that_setting_is_not_said_to_have_it(clock, kind, dialect) -> None:
+    light = ScpiLight(kind(), clock=clock, dialect=dialect)
+    assert light.sync_polarity() == "not stated by the device"

@@ -7,6 +7,7 @@ from dataclasses import replace
 import pytest
 from rehearsed import Scene
 
+from bench.base.device_ends import DeviceEnd
 from bench.base.errors import BenchError, JournalBroken
 from bench.base.failure import FORESEEN, Failure
 from bench.commands.calibration_output import show_run
@@ -15,7 +16,6 @@ from bench.records.history import replay
 from bench.records.journal import read_journal
 from bench.run.journal_text import line_text
 from bench.run.runner import RunEnd
-from bench.stations.device_ends import DeviceEnd
 from calib.errors import CalibrationError
 from drivers.errors import DriverError, MoveFailed, ReplyTimeout
 from sequences.errors import SequencesError

@@ -3,8 +3,8 @@
 import pytest
 
 from bench.base.clock import BenchClock
+from bench.base.device_ends import DeviceEnd, all_ends
 from bench.stations import devices
-from bench.stations.device_ends import DeviceEnd, all_ends
 from bench.stations.station import load_station
 from drivers.errors import PortNotFound, ReplyTimeout
 

@@ -48,11 +48,15 @@ class DeviceEnd:
     def text(self) -> str:
         """The state as a line for people; it says what may be the case where nothing was confirmed."""
         said = f": {self.said}" if self.said else ""
-        advice = ""
-        if self.state != "confirmed safe":
-            advice = (_MAY_BE if self.state == "not confirmed" else _UNTOUCHED)[self.device]
         stop = "" if said.endswith((".", "!")) else "."
-        return f"{self.device}: {self.state}{said}{stop}{f' {advice}' if advice else ''}"
+        return f"{self.device}: {self.state}{said}{stop}{f' {self.advice}' if self.advice else ''}"
+
+    @property
+    def advice(self) -> str:
+        """What may be the case where nothing was confirmed; empty if the device confirmed that it is safe."""
+        if self.state == "confirmed safe":
+            return ""
+        return (_MAY_BE if self.state == "not confirmed" else _UNTOUCHED)[self.device]
 
     def to_dict(self) -> dict[str, str]:
         """Return the state as the journal and JSON hold it.
