@@ -15,7 +15,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Final, Literal
 
-from simulators.world.light_state import SyncLine
+from simulators.world.sync_line import SyncLine
 from simulators.world.world import LightState
 
 Shape = Literal["square", "sine", "dc"]
