@@ -49,7 +49,8 @@ def show_devices(found: Discovery, *, as_json: bool) -> int:
     for sentence in found.missing:
         click.echo(f"missing      {sentence}")
     click.echo(
-        "simulated    -s simulated, simulated_frames, simulated_ideal, simulated_unaligned: stations without devices"
+        "simulated    -s simulated, simulated_board, simulated_frames, simulated_ideal, simulated_unaligned: "
+        "stations without devices"
     )
     return 0
 

@@ -129,9 +129,10 @@ def _at_board(order: FaultOrder, start: Truth) -> Callable[[CameraSetup], Camera
         return lambda setup: replace(setup, board=replace(setup.board, second_mm=(x, y, z)))
 
     def shift(setup: CameraSetup) -> CameraSetup:
-        name = "move_mm" if order.fault == "move" else "turn_deg"
-        a, b, c = getattr(setup.board, name)
-        return replace(setup, board=replace(setup.board, **{name: (a + x, b + y, c + z)}))
+        moved, board = order.fault == "move", setup.board
+        a, b, c = board.move_mm if moved else board.turn_deg
+        to = a + x, b + y, c + z
+        return replace(setup, board=replace(board, move_mm=to) if moved else replace(board, turn_deg=to))
 
     return shift
 

@@ -28,7 +28,7 @@ _STEADY = LightState(output=True, low_v=FULL_DRIVE_V, high_v=FULL_DRIVE_V)
 _LONGEST_S = 100.0
 
 
-class _Window(Sensor):
+class Window(Sensor):
     """A sensor of some of a camera's pixels."""
 
     @property
@@ -47,11 +47,19 @@ class _Window(Sensor):
         self._pixels.gains[:, : self.width, sensor_state.GAINS] = gains
 
 
-class _Part(NamedTuple):
-    """One light, and the sensor that sees it."""
+class Part(NamedTuple):
+    """One light, and the sensor that sees it.
+
+    Attributes
+    ----------
+    light
+        Image of the light.
+    sensor
+        Sensor of its window.
+    """
 
     light: ImageOfLight
-    sensor: _Window
+    sensor: Window
 
 
 class ManyLightsSensor:
@@ -69,6 +77,13 @@ class ManyLightsSensor:
         Seed of the fixed pattern.
     seed
         Seed of the noise over time, and of the moment at which the lights' clock is met.
+
+    Attributes
+    ----------
+    width, height
+        Pixels of the sensor.
+    parts
+        The lights in view and their sensors, from `begin` on.
     """
 
     def __init__(
@@ -86,13 +101,13 @@ class ManyLightsSensor:
         self._clock_s = float(np.random.default_rng(seed.spawn(1)[0]).uniform(0.0, _LONGEST_S))
         self._now_us = 0.0
         self._whole = self._sensor(self.width, self.height, truth.noise)
-        self._parts: list[_Part] = []
+        self.parts: list[Part] = []
         self._truth, self._angles = truth, dict(angles_deg)
 
-    def _sensor(self, width: int, height: int, noise: NoiseTruth) -> _Window:
+    def _sensor(self, width: int, height: int, noise: NoiseTruth) -> Window:
         """Return a sensor with a seed of its own."""
         seed = self._seed.spawn(1)[0]
-        return _Window(
+        return Window(
             width, height, noise=noise, settings=self._settings, camera_seed=self._camera_seed, seed=seed
         )
 
@@ -161,7 +176,7 @@ class ManyLightsSensor:
             In order of time.
         """
         found = [self._whole.run(until_us)]
-        for light, sensor in self._parts:
+        for light, sensor in self.parts:
             events = sensor.run(until_us)
             x, y = events.x + np.uint16(light.left), events.y + np.uint16(light.top)
             found.append(Events(events.t, x, y, events.p))
@@ -174,12 +189,12 @@ class ManyLightsSensor:
         """Make a sensor for the window of each light, with the fixed pattern of its pixels."""
         quiet = replace(NOISE_LEVELS["none"], reset_noise=self._noise.reset_noise)
         gains = self._whole.gains
-        self._parts = []
+        self.parts = []
         for light in board_lights.images_of_lights(self._truth, self._angles):
             height, width = light.share.shape
             sensor = self._sensor(width, height, quiet)
             sensor.take_gains(gains[light.top : light.top + height, light.left : light.left + width])
-            self._parts.append(_Part(light, sensor))
+            self.parts.append(Part(light, sensor))
 
     def _for_each(
         self,
@@ -189,7 +204,7 @@ class ManyLightsSensor:
         act: Callable[..., None],
     ) -> None:
         """Show each part its window of a picture, under its light and phase."""
-        for seen, sensor in self._parts:
+        for seen, sensor in self.parts:
             part = None
             if picture is not None:
                 rows = slice(seen.top, seen.top + sensor.height)

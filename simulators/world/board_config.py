@@ -148,10 +148,9 @@ def _frequencies(given: object, count: int) -> tuple[float, ...]:
     if isinstance(given, Mapping):
         unknown = sorted(set(given) - {"first", "last"})
         _refuse(bool(unknown), f"{where}.{(unknown or [''])[0]}", "Unknown key.", "Known are: first, last.")
-        ends = (
-            _number(given.get(k, v), f"{where}.{k}") for k, v in (("first", _FIRST_HZ), ("last", _LAST_HZ))
-        )
-        found = tuple(np.linspace(*ends, count).tolist())
+        first = _number(given.get("first", _FIRST_HZ), f"{where}.first")
+        last = _number(given.get("last", _LAST_HZ), f"{where}.last")
+        found = tuple(np.linspace(first, last, count).tolist())
     else:
         found = _numbers(given, count, where)
     bad = min(found) < 1.0 or max(found) > 1e4
