@@ -16,10 +16,13 @@ from bench.base.errors import BenchError, RunFolderError
 from bench.batch.batch_events import Requested
 from bench.batch.batch_record import BatchRecord, RunAttempt, replay_batch
 from bench.batch.schedule import Item, by_priority
+from bench.history.chart_findings import find_charts
+from bench.history.chart_groups import group_runs
+from bench.history.merged_runs import RunPlace
 from bench.records.journal import read_journal
 from bench.records.reading import read_json
 from bench.records.run_folder import JOURNAL, PLAN, REPORT
-from bench.records.run_index import QUEUE_COPY, IndexedRun, is_batch, read_run
+from bench.records.run_index import QUEUE_COPY, IndexedRun, is_batch, read_run_and_details
 from bench.records.storage import write_atomic
 from bench.report.batch_page import render_batch
 from bench.results.trends import by_camera, hours_after, trends_of
@@ -112,14 +115,17 @@ def summarise(folder: Path, record: BatchRecord) -> dict[str, Any]:
         Content of ``summary.json``.
     """
     runs: dict[str, IndexedRun] = {}
+    details: dict[str, dict[str, Any]] = {}
     unread: dict[str, str] = {}
     for key in record.attempts:
         if (folder / RUNS / key / JOURNAL).is_file():
             try:
-                runs[key] = read_run(folder / RUNS / key)
+                runs[key], details[key] = read_run_and_details(folder / RUNS / key)
             except BenchError as error:
                 unread[key] = str(error)
-    solved = [runs[key] for key, end in record.ends.items() if end.how == "finished" and key in runs]
+    ended = [key for key, end in record.ends.items() if end.how == "finished" and key in runs]
+    solved = [runs[key] for key in ended]
+    grouped = group_runs(((runs[key], details[key], RunPlace()) for key in ended), "camera")
     items = [_item(item, record, folder, runs.get(item.key), unread) for item in _in_order_of_begin(record)]
     return {
         "schema": SCHEMA,
@@ -142,6 +148,7 @@ def summarise(folder: Path, record: BatchRecord) -> dict[str, Any]:
             }
             for (camera, model), of_camera in by_camera(solved).items()
         ],
+        "charts": find_charts(grouped.groups),
         "requests": [_request(data) for data in record.answered.values()],
     }
 

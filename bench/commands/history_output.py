@@ -9,68 +9,24 @@ from typing import Any
 
 import click
 
-from bench.base.clock import BenchClock
 from bench.base.errors import UsageError
 from bench.base.home import home_folder
 from bench.commands.output import print_json
-from bench.commands.run_output import RunChoice, print_findings
+from bench.commands.run_choice import RunChoice, find_runs, print_findings
 from bench.evidence.shown_state import home_trust, shown_state
 from bench.history.chart_findings import drifts, find_charts, needs_attention
 from bench.history.chart_groups import Grouped, Level, group_runs
-from bench.history.ledger_sources import LedgerSource, merge_ledgers, read_source
-from bench.history.merged_runs import MergedRuns, merge_runs
-from bench.history.seen_ledgers import compare_with_seen
+from bench.history.merged_runs import MergedRuns
 from bench.history.table_files import require_writable_table, write_table
 from bench.history.table_rows import table_row
 from bench.history.table_schema import SCHEMA
-from bench.records.ledger import Ledger
-from bench.records.run_index import RunIndex, run_folders
+from bench.records.run_index import RunIndex
 from bench.records.storage import write_atomic
 from bench.report.chart_page import render_charts
 from bench.terminal.wording import counted
 
 _MOST_GROUPS = 12
 """Most groups of one kind that the terminal describes; it counts the others."""
-
-
-def find_runs(choice: RunChoice) -> MergedRuns:
-    """Find runs by ledgers and folders, and name what does not agree.
-
-    Parameters
-    ----------
-    choice
-        The runs.
-
-    Returns
-    -------
-    MergedRuns
-        The runs, filtered.
-
-    Raises
-    ------
-    UsageError
-        When a named folder holds no ledger.
-    StorageError
-        When a file cannot be read.
-    """
-    home, clock = home_folder(), BenchClock()
-
-    def source(folder: Path, *, required: bool) -> LedgerSource:
-        ledger = Ledger(folder, utc_now=clock.utc_now, monotonic=clock.monotonic)
-        return read_source(ledger, required=required)
-
-    named = [source(folder, required=True) for folder in choice.ledgers]
-    ledgers = merge_ledgers(named or [source(home, required=False)])
-    if named:
-        faults, notes = compare_with_seen(home, ledgers.sources)
-        ledgers.faults += faults
-        ledgers.notes += notes
-    folders = run_folders(choice.folder) if choice.folder else []
-    index = RunIndex(home)
-    merged = merge_runs(index, ledgers, folders, only_folders=bool(choice.folder and not choice.ledgers))
-    if any(value is not None for value in choice.filters.values()):
-        merged.runs, _ = index.runs([Path(run.folder) for run in merged.runs], **choice.filters)
-    return merged
 
 
 def export_runs(choice: RunChoice, path: Path, *, as_json: bool) -> int:

@@ -177,7 +177,8 @@ def runs(
     simulated runs with real ones, nor different targets or models.
     """
     from bench.commands.history_output import chart_runs, export_runs
-    from bench.commands.run_output import RunChoice, show_runs
+    from bench.commands.run_choice import RunChoice
+    from bench.commands.run_output import show_runs
 
     choice = RunChoice(
         folder,

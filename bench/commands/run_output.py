@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -17,6 +17,7 @@ from bench.base.errors import JournalBroken, UsageError
 from bench.base.home import home_folder
 from bench.commands.ledger_output import bench_ledger, ledger_findings
 from bench.commands.output import print_json
+from bench.commands.run_choice import RunChoice, find_runs, print_findings
 from bench.evidence.shown_state import home_trust, shown_state
 from bench.records.ledger import Ledger
 from bench.records.run_folder import JOURNAL
@@ -24,9 +25,6 @@ from bench.records.run_index import IndexedRun, RunIndex, run_folders
 from bench.report.text import with_uncertainty
 from bench.results.agreement import Agreement, compare_runs
 from bench.terminal.wording import counted
-
-_MOST_SHOWN = 40
-"""Most faults that are printed as text."""
 
 
 def show_intentions(lines: Sequence[str], *, as_json: bool) -> int:
@@ -97,40 +95,6 @@ def send_command(folder: Path, word: str, *, by: str | None, as_json: bool, **fi
 # ---------------------------------------------------------------- all runs
 
 
-@dataclass(frozen=True)
-class RunChoice:
-    """Which runs a command is about.
-
-    Attributes
-    ----------
-    folder
-        Folder whose runs to list; all runs of the ledger where None.
-    ledgers
-        Configuration folders of the benches whose ledgers to merge; this bench's own where empty.
-    camera
-        Serial number of the camera.
-    since, until
-        Only runs that began at or after ``since`` and before ``until``, UTC.
-    sequence
-        Text that the name of the sequence must contain.
-    how
-        Outcome or status of the runs.
-    """
-
-    folder: Path | None
-    ledgers: Sequence[Path] = ()
-    camera: str | None = None
-    since: datetime | None = None
-    until: datetime | None = None
-    sequence: str | None = None
-    how: str | None = None
-
-    @property
-    def filters(self) -> dict[str, Any]:
-        """The filters as `bench.records.run_index.RunIndex.runs` takes them."""
-        return {name: getattr(self, name) for name in ("camera", "since", "until", "sequence", "how")}
-
-
 def show_runs(choice: RunChoice, *, compare: bool, as_json: bool) -> int:
     """Print a list of runs, or compare their parameters.
 
@@ -154,8 +118,6 @@ def show_runs(choice: RunChoice, *, compare: bool, as_json: bool) -> int:
         If a ledger is missing, or the runs cannot be compared.
     """
     if choice.ledgers:
-        from bench.commands.history_output import find_runs
-
         merged = find_runs(choice)
         found, faults, notes = merged.runs, merged.faults, merged.notes
     else:
@@ -178,21 +140,6 @@ def show_runs(choice: RunChoice, *, compare: bool, as_json: bool) -> int:
     click.echo(_agreement_text(solved, compared) if compared is not None else _runs_text(found))
     print_findings(notes, faults)
     return 1 if faults else 0
-
-
-def print_findings(notes: Sequence[str], faults: Sequence[str]) -> None:
-    """Print notes and faults to the standard error stream; of very many, the first ones and their number.
-
-    Parameters
-    ----------
-    notes, faults
-        Sentences.
-    """
-    for word, sentences in (("Note", notes), ("FAULT", faults)):
-        for sentence in sentences[:_MOST_SHOWN]:
-            click.echo(f"{word}: {sentence}", err=True)
-        if len(sentences) > _MOST_SHOWN:
-            click.echo(f"{word}: and {len(sentences) - _MOST_SHOWN} more; --json lists all.", err=True)
 
 
 def _ledger_folders(ledger: Ledger, index: RunIndex) -> tuple[list[Path], list[str]]:

@@ -134,7 +134,7 @@ def _wanted(group: ChartGroup, by: Level | None) -> bool:
 
 
 def _key(run: IndexedRun, details: Mapping[str, Any], place: RunPlace) -> ChartKey:
-    bench = f"{place.bench}, ledger {place.ledger}" if place.ledger else "bench not known"
+    bench = f"{place.bench}, ledger {place.ledger}" if place.ledger else ""
     return ChartKey(
         "camera",
         kind_of(run),

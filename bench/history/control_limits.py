@@ -165,7 +165,7 @@ def ewma(
     for place, value in enumerate(x):
         now = weight * value + (1.0 - weight) * now
         averages[place] = now
-    half = limit * ewma_sigma(np.arange(1, len(x) + 1), sigma, weight)
+    half = limit * ewma_sigma(np.arange(1.0, len(x) + 1.0), sigma, weight)
     slack = 1e-12 * max(abs(centre), sigma)
     beyond = _places(np.abs(averages - centre) > half + slack)
     return Ewma(weight, limit, averages, centre - half, centre + half, beyond)
@@ -179,7 +179,7 @@ def ewma_sigma(number: Array, sigma: float, weight: float) -> Array:
     Parameters
     ----------
     number
-        (N,) int, number of values so far.
+        (N,) float64, number of values so far.
     sigma
         Standard deviation of a value.
     weight

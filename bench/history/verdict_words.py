@@ -216,7 +216,8 @@ def group_place(group: Json) -> str:
     str
         Station, bench, collimator, target and model.
     """
-    parts = [f"Station {group['station'] or 'without a name'}", group["bench"]]
+    parts = [f"Station {group['station'] or 'without a name'}"]
+    parts += [group["bench"]] if group["bench"] else []
     parts += [f"collimator {group['collimator']}"] if group["collimator"] else []
     parts += [f"target {group['target']}"] if group["target"] else []
     return ", ".join([*parts, f"model {group['model']}"])

@@ -10,21 +10,26 @@ from __future__ import annotations
 import json
 import math
 import sqlite3
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator
 from contextlib import closing, contextmanager
-from dataclasses import asdict, dataclass
 from datetime import datetime
 from pathlib import Path
 from typing import Any
 
 from bench.base.errors import BenchError, JournalBroken, StorageError
 from bench.records.folder_lock import is_locked
-from bench.records.history import replay
+from bench.records.history import History, replay
+from bench.records.indexed_run import IndexedRun
 from bench.records.journal import read_journal
 from bench.records.ledger_breaks import KnownRun
 from bench.records.run_facts import run_details, run_facts, run_parameters
 from bench.records.run_folder import JOURNAL, RESULTS, is_sealed
 from bench.records.storage import make_folder, storage_errors
+
+__all__ = [
+    "INDEX", "QUEUE_COPY", "VERSION", "IndexedRun", "RunIndex", "is_batch", "is_rehearsal", "read_run",
+    "read_run_and_details", "run_folders",
+]  # fmt: skip
 
 INDEX = "runs.sqlite3"
 QUEUE_COPY = "queue.yaml"
@@ -45,76 +50,6 @@ CREATE TABLE parameters (folder TEXT, name TEXT, place INTEGER, value REAL, sigm
     WITHOUT ROWID;
 PRAGMA user_version = {VERSION};
 """
-
-
-@dataclass(frozen=True)
-class IndexedRun:
-    """One run.
-
-    Attributes
-    ----------
-    folder, id
-        Folder and name of the run.
-    sequence, station, camera, operator, simulated, rehearsal
-        What was run; ``camera`` is the serial number, empty while no camera has answered.
-    begun_utc
-        Time of the start, ISO 8601.
-    how
-        ``finished``, ``aborted``, ``failed``, ``running``, or ``cut off``.
-    sealed
-        Whether it is sealed.
-    accepted, recordings, deviations
-        Number of recorded poses, of recordings made for them (also lost ones), and of deviations from the sequence.
-    temperature_c
-        Temperature of the camera, mean of the accepted recordings, degrees Celsius; None if the camera does not report
-        it.
-    model, rms_px
-        Model and root mean square of the residuals of its calibration, px; None without a calibration.
-    parameters
-        Value and standard uncertainty of each parameter, by name.
-    coverage_factor
-        The k of its expanded uncertainties; None without a calibration, or if an earlier version made it.
-    ledger_number, ledger_head
-        Its number in the ledger of its bench, and the hash of its line there; None for a rehearsal.
-    """
-
-    folder: str
-    id: str
-    sequence: str
-    station: str
-    camera: str
-    operator: str | None
-    simulated: bool
-    rehearsal: bool
-    begun_utc: str
-    how: str
-    sealed: bool
-    accepted: int
-    recordings: int
-    deviations: int
-    temperature_c: float | None
-    model: str | None
-    rms_px: float | None
-    parameters: Mapping[str, tuple[float, float]]
-    coverage_factor: float | None = None
-    ledger_number: int | None = None
-    ledger_head: str | None = None
-
-    @property
-    def k(self) -> float:
-        """The k of its expanded uncertainties; 2 if it is not known."""
-        return self.coverage_factor or 2.0
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return the run as JSON carries it.
-
-        Returns
-        -------
-        dict
-            All attributes.
-        """
-        parameters = {name: {"value": v, "sigma": s} for name, (v, s) in self.parameters.items()}
-        return {**asdict(self), "parameters": parameters}
 
 
 def is_batch(folder: Path) -> bool:
@@ -379,16 +314,7 @@ def _results_mtime_ns(folder: Path) -> int:
 
 
 def _index(index: sqlite3.Connection, folder: Path, stamp: tuple[int, int, int]) -> None:
-    entries = read_journal(folder / JOURNAL)[0]
-    history = replay(entries)
-    try:
-        facts, found = run_facts(history, folder), run_details(history, entries, folder)
-    except (AttributeError, LookupError, TypeError, ValueError) as error:
-        raise JournalBroken(
-            f"A line of the journal has another form: {error}.",
-            where=str(folder / JOURNAL),
-            remedy="Another program or version wrote it; this version cannot list the run.",
-        ) from error
+    history, facts, found = _read(folder)
     places = ", ".join("?" * (len(_COLUMNS) + len(stamp) + 1))
     row = (str(folder), *stamp, *(facts[name] for name in _COLUMNS))
     index.execute(f"INSERT OR REPLACE INTO runs VALUES ({places})", row)  # noqa: S608
@@ -403,7 +329,7 @@ def _index(index: sqlite3.Connection, folder: Path, stamp: tuple[int, int, int])
 
 
 def read_run(folder: Path) -> IndexedRun:
-    """Read one run from its journal, without an index.
+    """Read one run from its folder, without an index.
 
     Parameters
     ----------
@@ -420,13 +346,48 @@ def read_run(folder: Path) -> IndexedRun:
     JournalBroken, StorageError
         When the journal is not valid, or cannot be read.
     """
-    history = replay(read_journal(folder / JOURNAL)[0])
-    facts = run_facts(history, folder)
+    return read_run_and_details(folder)[0]
+
+
+def read_run_and_details(folder: Path) -> tuple[IndexedRun, dict[str, Any]]:
+    """Read one run and its details from its folder, without an index.
+
+    Parameters
+    ----------
+    folder
+        The run folder.
+
+    Returns
+    -------
+    run, details
+        The run, and what `bench.records.run_facts.run_details` returns.
+
+    Raises
+    ------
+    JournalBroken, StorageError
+        When the journal is not valid, or cannot be read.
+    """
+    history, facts, details = _read(folder)
     ended = facts.pop("ended")
-    return IndexedRun(
+    run = IndexedRun(
         folder=str(folder),
         how=ended or ("running" if is_locked(folder) else "cut off"),
         sealed=is_sealed(folder),
         parameters=run_parameters(history),
         **facts,
     )
+    return run, details
+
+
+def _read(folder: Path) -> tuple[History, dict[str, Any], dict[str, Any]]:
+    """Return the history of a run, the values of its columns, and its details."""
+    entries = read_journal(folder / JOURNAL)[0]
+    history = replay(entries)
+    try:
+        return history, run_facts(history, folder), run_details(history, entries, folder)
+    except (AttributeError, LookupError, TypeError, ValueError) as error:
+        raise JournalBroken(
+            f"A line of the journal has another form: {error}.",
+            where=str(folder / JOURNAL),
+            remedy="Another program or version wrote it; this version cannot list the run.",
+        ) from error

@@ -14,6 +14,7 @@ from zoneinfo import ZoneInfo
 
 from markupsafe import Markup
 
+from bench.report.chart_page import chart_section, choose_drawn
 from bench.report.html import environment
 from bench.report.text import NOTHING, duration, fixed, meaning_of, number, unit_of, with_uncertainty
 from bench.report.trend_plots import Series, against_temperature, bars_of, over_time, timeline
@@ -24,6 +25,8 @@ _SCATTER_SIGMAS = 3.0
 _LEAST_RANGE_C = 0.2
 """Smallest range of temperatures for which the page shows parameters against temperature, degrees Celsius."""
 _HEADLINE = "fx"
+_CONTROL_PICTURES = 3
+"""Pictures of one parameter: values, moving ranges, EWMA."""
 
 Json = Mapping[str, Any]
 
@@ -97,6 +100,7 @@ def render_batch(summary: Json) -> str:
             withdrawn=[item["item"] for item in summary["items"] if item["how"] == "withdrawn"],
             cameras=[_camera_section(camera, place, zone) for place, camera in enumerate(summary["cameras"])],
             rows=[_run_row(item, zone) for item in summary["items"] if item["begun_utc"]],
+            charts=_chart_sections(summary),
             requests=summary["requests"],
             ledger=_newest_line(summary["items"]),
         )
@@ -173,6 +177,17 @@ def _newest_line(items: Sequence[Json]) -> str:
     """Return the place of the newest run in the ledger as text; empty if no run is in a ledger."""
     places = [(item["ledger_number"], item["ledger_head"]) for item in items if item.get("ledger_head")]
     return "run {} of this bench, line {}".format(*max(places)) if places else ""
+
+
+def _chart_sections(summary: Json) -> list[dict[str, Any]]:
+    """Return the control charts of the cameras with enough runs; a summary of an earlier version has none."""
+    groups = [group for group in summary.get("charts", {}).get("groups", ()) if group["state"] != "too few"]
+    drawn = choose_drawn(groups)
+    sections = [chart_section(group, drawn.get(place, frozenset())) for place, group in enumerate(groups)]
+    for section in sections:
+        for chart in section["charts"]:
+            del chart["pictures"][_CONTROL_PICTURES:]  # the page shows time and temperature already
+    return sections
 
 
 def _camera_section(camera: Json, place: int, zone: tzinfo | None) -> dict[str, Any]:

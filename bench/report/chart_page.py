@@ -38,7 +38,7 @@ def render_charts(page: Json, notes: Sequence[str] = (), faults: Sequence[str] =
         A complete HTML document; the same input gives the same text.
     """
     groups = page["groups"]
-    drawn = _drawn(groups)
+    drawn = choose_drawn(groups)
     sections = [chart_section(group, drawn.get(number, frozenset())) for number, group in enumerate(groups)]
     kinds = sorted({group["kind"] for group in groups} - {"measured"})
     return (
@@ -60,8 +60,19 @@ def render_charts(page: Json, notes: Sequence[str] = (), faults: Sequence[str] =
     )
 
 
-def _drawn(groups: Sequence[Json]) -> dict[int, frozenset[str]]:
-    """Choose what is drawn: the parameters with findings first, then in order."""
+def choose_drawn(groups: Sequence[Json]) -> dict[int, frozenset[str]]:
+    """Choose what is drawn: the parameters with findings first, then in order.
+
+    Parameters
+    ----------
+    groups
+        The groups.
+
+    Returns
+    -------
+    dict
+        Names of the parameters by the place of their group; at most `MOST_DRAWN` in all.
+    """
     waiting = [
         (not _drifts(chart), _ORDER.index(chart["state"]), number, place, chart["name"])
         for number, group in enumerate(groups)
