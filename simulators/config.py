@@ -28,6 +28,8 @@ STAGE_KINDS: Final[Mapping[str, int]] = {
     "grbl": 640,
     "esp301": 10_000,
     "flir_ptu": 800,
+    "thorlabs_apt": 136_533,
+    "dynamixel": 11,
 }
 
 #: Kinds of light drivers: makes of function generators, a strobe controller, and a microcontroller.
@@ -282,9 +284,10 @@ def _stage(
             )
         fresh = AxisConfig(f"1001{len(axes) + 1:02d}", 180.0, microsteps_per_deg=STAGE_KINDS[kind])
         axes[name] = _checked(f"stage.{name}", _section(f"stage.{name}", usual.get(name, fresh), section))
-        if kind == "ximc" and not axes[name].serial.isdigit():
+        if kind in {"ximc", "thorlabs_apt"} and not axes[name].serial.isdigit():
             raise ConfigError(
-                "The serial number of a XIMC controller must have digits only.", where=f"stage.{name}.serial"
+                f"The serial number of a {kind} controller must have digits only.",
+                where=f"stage.{name}.serial",
             )
     return kind, axes
 

@@ -27,6 +27,7 @@ from bench.commands.keys_commands import keys
 from bench.commands.ledger_commands import LEDGER_COMMANDS
 from bench.commands.options import JSON, RUN, SEED, NewFile, OutputFolder
 from bench.commands.panel_command import panel
+from bench.commands.recalibrate_command import recalibrate
 from bench.commands.run_commands import RUN_COMMANDS
 from bench.commands.target_commands import TARGET_COMMANDS
 from bench.commands.verify_command import verify
@@ -223,7 +224,7 @@ def station() -> None:
 @click.option("--name", default="My bench", show_default=True, help="Name of the bench.")
 @click.option(
     "--stage",
-    type=click.Choice(["zaber_ascii", "ximc", "grbl", "esp30x", "text"]),
+    type=click.Choice(["zaber_ascii", "ximc", "grbl", "esp30x", "thorlabs_apt", "dynamixel", "text"]),
     default="zaber_ascii",
     show_default=True,
     help="Kind of stage.",
@@ -264,6 +265,7 @@ for run_command in (*RUN_COMMANDS, *BATCH_COMMANDS, *LEDGER_COMMANDS, *CERTIFICA
 cli.add_command(align)
 cli.add_command(keys)
 cli.add_command(panel)
+cli.add_command(recalibrate)
 cli.add_command(compare)
 cli.add_command(verify)
 for target_command in TARGET_COMMANDS:

@@ -148,7 +148,7 @@ def rig(kind: str, section: Mapping[str, Any], device: SimulatedDevice, folder: 
     kind
         "stage" or "light".
     section
-        Section of the station file, with `PORT` as its port.
+        Section of the station file, with `PORT` as its port, or as the port of its axis.
     device
         The simulated device.
     folder
@@ -163,12 +163,20 @@ def rig(kind: str, section: Mapping[str, Any], device: SimulatedDevice, folder: 
     with SerialDevice(PseudoTerminal(folder / "port"), line) as plugged:
 
         def station(changes: Mapping[str, Any]) -> Station:
-            filled = {key: plugged.address if value == PORT else value for key, value in section.items()}
+            filled = _filled(section, plugged.address)
             document = {"format": "starbench/station/1", "name": "Contract tests", **_OTHERS}
             text = json.dumps({**document, kind: {**filled, **changes}}, indent=1)
             return check_document(text.encode(), "contract.yaml", Station).value
 
         yield Rig(plugged, line, station)
+
+
+def _filled(section: Mapping[str, Any], address: str) -> dict[str, Any]:
+    """Return a section with an address for each `PORT`, those of its axes included."""
+    return {
+        key: _filled(value, address) if isinstance(value, Mapping) else address if value == PORT else value
+        for key, value in section.items()
+    }
 
 
 def fails_in_time(act: Callable[[], object], kind: type[DriverError] = DriverError) -> DriverError:

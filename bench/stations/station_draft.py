@@ -52,6 +52,19 @@ STAGE_SECTIONS = {
     pan: {{{{number: 1, serial: {UNKNOWN_SERIAL}, {_AXIS_END}}}}}
     tilt: {{{{number: 2, serial: {UNKNOWN_SERIAL}, {_AXIS_END}}}}}
 """,
+    "thorlabs_apt": f"""\
+  driver: thorlabs_apt
+  axes:   # 136533.333 for a K10CR1; 1919.6418579 for a PRM1Z8 on a KDC101 (docs/devices/thorlabs.md)
+    pan: {{{{port: {{stage_port}}, serial: {UNKNOWN_SERIAL}, counts_per_deg: {UNKNOWN_NUMBER}, {_AXIS_END}}}}}
+    # tilt: its own controller, with the same keys
+""",
+    "dynamixel": f"""\
+  driver: dynamixel
+  port: {{stage_port}}
+  axes:   # 11.377778 without a gear, negative if the counter falls; zero_count: docs/devices/dynamixel.md
+    pan: {{{{id: 1, model: XL430-W250, counts_per_deg: {UNKNOWN_NUMBER}, zero_count: 2048, {_AXIS_END}}}}}
+    tilt: {{{{id: 2, model: XL430-W250, counts_per_deg: {UNKNOWN_NUMBER}, zero_count: 2048, {_AXIS_END}}}}}
+""",
     "text": f"""\
   driver: text
   protocol: flir_ptu   # or a file of your own that describes the device: docs/devices-by-description.md

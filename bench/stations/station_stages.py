@@ -14,6 +14,7 @@ from bench.stations.placeholders import ToFillIn
 from bench.stations.plugins import with_plugins
 from bench.stations.sections import AxisConfig, StageSection
 from bench.stations.station_fields import Port, Serial
+from bench.stations.station_motors import DynamixelStageConfig, ThorlabsStageConfig
 from bench.stations.station_text import TextStageConfig
 from sequences.plain_number import Within
 from sequences.schema import Axis
@@ -160,7 +161,8 @@ class EspStageConfig(StrictModel):
 if TYPE_CHECKING:
     _Stages = ZaberStageConfig | XimcStageConfig | GrblStageConfig | EspStageConfig | StageSection
 else:
-    _BUILT_IN = (ZaberStageConfig, XimcStageConfig, GrblStageConfig, EspStageConfig, TextStageConfig)
+    _OWN = (ZaberStageConfig, XimcStageConfig, GrblStageConfig, EspStageConfig)
+    _BUILT_IN = (*_OWN, ThorlabsStageConfig, DynamixelStageConfig, TextStageConfig)
     _Stages = with_plugins("stage", _BUILT_IN)
 
 StageConfig = _Stages

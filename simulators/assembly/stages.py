@@ -14,11 +14,14 @@ from typing import Final
 from simulators.config import AxisConfig
 from simulators.faults.fault_injection import AxisController
 from simulators.ports.serial_device import Dialect
+from simulators.stages.dynamixel import DynamixelBus
+from simulators.stages.dynamixel_servo import ServoModel
 from simulators.stages.esp301 import EspAxisModel, EspController
 from simulators.stages.flir_ptu import PtuAxisModel, PtuController
 from simulators.stages.grbl import GrblAxis, GrblController
 from simulators.stages.grbl_planner import GrblAxisModel
 from simulators.stages.mechanics import Mechanics
+from simulators.stages.thorlabs_apt import AptController, AptModel
 from simulators.stages.ximc import XimcController, XimcModel
 from simulators.stages.zaber import ZaberChain
 from simulators.stages.zaber_controller import ZaberController
@@ -31,6 +34,9 @@ _STOP_MARGIN_DEG: Final = 2.0
 
 #: A GRBL axis homes at its upper soft limit, this far below its switch, degrees.
 _PULL_OFF_DEG: Final = 1.0
+
+#: Scales that are no whole numbers, by the whole number that the configuration gives: a K10CR1, a servo without a gear.
+_EXACT_SCALES: Final = {136_533: 409_600 / 3, 11: 4096 / 360}
 
 Axes = Mapping[AxisName, AxisConfig]
 Clock = Callable[[], float]
@@ -62,7 +68,7 @@ def make_stage(kind: str, axes: Axes, clock: Clock, publish: Publish) -> Stage:
     Parameters
     ----------
     kind
-        "zaber", "ximc", "grbl", "esp301" or "flir_ptu"; the configuration has checked it.
+        A key of `simulators.config.STAGE_KINDS`; the configuration has checked it.
     axes
         Its axes, in the order of their addresses.
     clock
@@ -80,7 +86,7 @@ def make_stage(kind: str, axes: Axes, clock: Clock, publish: Publish) -> Stage:
 
 def _mechanics(axis: AxisConfig, *, home_deg: float = 0.0, notices_stalls: bool = True) -> Mechanics:
     return Mechanics(
-        counts_per_deg=float(axis.microsteps_per_deg),
+        counts_per_deg=_EXACT_SCALES.get(axis.microsteps_per_deg, float(axis.microsteps_per_deg)),
         lowest_deg=-axis.limit_deg - _STOP_MARGIN_DEG,
         highest_deg=axis.limit_deg + _STOP_MARGIN_DEG,
         home_deg=home_deg,
@@ -195,10 +201,43 @@ def _flir_ptu(axes: Axes, clock: Clock, publish: Publish) -> Stage:
     return Stage({"gimbal": unit}, controllers, dict.fromkeys(controllers, "gimbal"))
 
 
+def _thorlabs_apt(axes: Axes, clock: Clock, publish: Publish) -> Stage:
+    """Build one K10CR1 with its own port for each axis."""
+    controllers = {
+        str(name): AptController(
+            AptModel(
+                _mechanics(axis, notices_stalls=False),
+                int(axis.serial),
+                speed_deg_s=axis.speed_deg_s,
+                acceleration_deg_s2=axis.acceleration_deg_s2,
+            ),
+            clock,
+            partial(publish, name),
+        )
+        for name, axis in axes.items()
+    }
+    return Stage(
+        {f"gimbal-{name}": one for name, one in controllers.items()},
+        controllers,
+        {name: f"gimbal-{name}" for name in axes},
+    )
+
+
+def _dynamixel(axes: Axes, clock: Clock, publish: Publish) -> Stage:
+    """Build one XL430-W250 for each axis on one bus, with the ids 1, 2, 3 in their order."""
+    names = dict(enumerate(axes, start=1))
+    models = {number: ServoModel(_mechanics(axes[name])) for number, name in names.items()}
+    bus = DynamixelBus(models, clock, lambda number, pointing: publish(names[number], pointing))
+    controllers = {str(name): bus.servos[number] for number, name in names.items()}
+    return Stage({"gimbal": bus}, controllers, dict.fromkeys(controllers, "gimbal"))
+
+
 _MAKERS: Final[Mapping[str, Callable[[Axes, Clock, Publish], Stage]]] = {
     "zaber": _zaber,
     "ximc": _ximc,
     "grbl": _grbl,
     "esp301": _esp301,
     "flir_ptu": _flir_ptu,
+    "thorlabs_apt": _thorlabs_apt,
+    "dynamixel": _dynamixel,
 }

@@ -10,8 +10,12 @@ import pytest
 
 from bench.plugin_tests import LightContract, StageContract
 from simulators.lights.microcontroller import MicrocontrollerLight
+from simulators.stages.dynamixel import DynamixelBus
+from simulators.stages.dynamixel_servo import ServoModel
 from simulators.stages.flir_ptu import PtuAxisModel, PtuController
 from simulators.stages.mechanics import Mechanics
+from simulators.stages.thorlabs_apt import AptController, AptModel
+from tests.hil.direct_stages import K10CR1_COUNTS_PER_DEG
 
 AXIS = {"counts_per_deg": 800, "limits_deg": [-15, 15], "speed_deg_s": 40, "acceleration_deg_s2": 200}
 
@@ -21,6 +25,20 @@ class Unit(PtuController):
         names = {"P": "pan", "T": "tilt"}
         return {
             names[letter]: one.axis.pointing.angle_deg(time.monotonic()) for letter, one in self.axes.items()
+        }
+
+
+class Rotator(AptController):
+    def angles_deg(self) -> Mapping[str, float]:
+        return {"pan": self.axis.pointing.angle_deg(time.monotonic())}
+
+
+class Servos(DynamixelBus):
+    def angles_deg(self) -> Mapping[str, float]:
+        names = {1: "pan", 2: "tilt"}
+        return {
+            names[number]: one.axis.pointing.angle_deg(time.monotonic())
+            for number, one in self.servos.items()
         }
 
 
@@ -44,6 +62,55 @@ class TestFlirPtu(StageContract):
     def device(self, clock: Callable[[], float]) -> Unit:
         model = PtuAxisModel(Mechanics(800.0, -17.0, 17.0, start_deg=2.4, stall_detection=False), 15.0)
         return Unit({"P": model, "T": model}, "E1042", clock, baud=57_600)
+
+
+@pytest.mark.slow
+class TestThorlabs(StageContract):
+    """One axis: the suite has one port."""
+
+    section: ClassVar[Mapping[str, Any]] = {
+        "driver": "thorlabs_apt",
+        "axes": {
+            "pan": {
+                "port": "PORT",
+                "serial": "55000123",
+                "counts_per_deg": K10CR1_COUNTS_PER_DEG,
+                "limits_deg": [-15, 15],
+                "speed_deg_s": 40,
+                "acceleration_deg_s2": 200,
+            }
+        },
+    }
+
+    def device(self, clock: Callable[[], float]) -> Rotator:
+        mechanics = Mechanics(
+            K10CR1_COUNTS_PER_DEG, -17.0, 17.0, start_deg=2.4, settle_s=0.001, stall_detection=False
+        )
+        return Rotator(AptModel(mechanics, 55000123), clock)
+
+
+@pytest.mark.slow
+class TestDynamixel(StageContract):
+    section: ClassVar[Mapping[str, Any]] = {
+        "driver": "dynamixel",
+        "port": "PORT",
+        "axes": {
+            name: {
+                "id": number,
+                "model": "XL430-W250",
+                "counts_per_deg": 4096 / 360,
+                "limits_deg": [-15, 15],
+                "speed_deg_s": 40,
+                "acceleration_deg_s2": 200,
+            }
+            for name, number in (("pan", 1), ("tilt", 2))
+        },
+    }
+    tolerance_deg = 0.05
+
+    def device(self, clock: Callable[[], float]) -> Servos:
+        model = ServoModel(Mechanics(4096 / 360, -17.0, 17.0, start_deg=2.4))
+        return Servos({1: model, 2: model}, clock)
 
 
 @pytest.mark.slow

@@ -25,9 +25,11 @@ from drivers.errors import (
 )
 from drivers.serial_port import SerialPort
 from drivers.stage import AxisLimits, Stage
+from drivers.stage.dynamixel import DynamixelAxis, DynamixelStage
 from drivers.stage.esp import EspAxis, EspStage
 from drivers.stage.grbl import GrblAxis, GrblStage
 from drivers.stage.text import TextAxis, TextStage
+from drivers.stage.thorlabs import ThorlabsAxis, ThorlabsStage
 from drivers.stage.ximc import XimcAxis, XimcStage
 from drivers.stage.zaber import ZaberAxis, ZaberStage
 from simulators.faults.line_faults import FaultLine, LineFault
@@ -35,6 +37,8 @@ from simulators.ports.pseudo_terminal import PseudoTerminal
 from simulators.ports.serial_device import SerialDevice
 from simulators.ports.tcp_port import TcpPort
 from simulators.stages.axis_motion import Axis
+from simulators.stages.dynamixel import DynamixelBus
+from simulators.stages.dynamixel_servo import ServoModel
 from simulators.stages.esp301 import EspAxisModel, EspController
 from simulators.stages.flir_ptu import PtuAxisModel, PtuController
 from simulators.stages.grbl import GrblAxis as BoardAxis
@@ -42,16 +46,17 @@ from simulators.stages.grbl import GrblController
 from simulators.stages.grbl_planner import GrblAxisModel
 from simulators.stages.mechanics import Mechanics
 from simulators.stages.motion_faults import MotionFault
+from simulators.stages.thorlabs_apt import AptController, AptModel
 from simulators.stages.ximc import XimcController, XimcModel
 from simulators.stages.zaber import ZaberChain
 from simulators.stages.zaber_controller import ZaberController
 from simulators.stages.zaber_model import ZaberModel
-from tests.hil.direct_stages import FLIR_PTU
+from tests.hil.direct_stages import FLIR_PTU, K10CR1_COUNTS_PER_DEG, SERVO_COUNTS_PER_DEG
 
 ENDS = {"pan": 15.0, "tilt": 10.0}
 STARTS = {"pan": 2.4, "tilt": -1.7}
 LIMITS = {name: AxisLimits(-end, end, 20.0, 100.0) for name, end in ENDS.items()}
-FAMILIES = ["zaber", "ximc", "grbl", "esp", "flir"]
+FAMILIES = ["zaber", "ximc", "grbl", "esp", "flir", "thorlabs", "dynamixel"]
 
 
 def mechanics(name: str, counts_per_deg: float, **more) -> Mechanics:
@@ -199,7 +204,70 @@ def flir(plug: Callable) -> Rig:
     return Rig(opened, [device], [line], {n: c.axis for n, c in controllers.items()}, controllers)
 
 
-MAKERS = {"zaber": zaber, "ximc": ximc, "grbl": grbl, "esp": esp, "flir": flir}
+def thorlabs(plug: Callable) -> Rig:
+    controllers = {
+        name: AptController(
+            AptModel(mechanics(name, K10CR1_COUNTS_PER_DEG, stall_detection=False), number), time.monotonic
+        )
+        for number, name in ((100101, "pan"), (100102, "tilt"))
+    }
+    plugged = {name: plug(controller) for name, controller in controllers.items()}
+
+    def opened(serial: str = "100101", baudrate: int = 115200) -> Stage:
+        axes = [
+            ThorlabsAxis(
+                name=name,
+                port=device.address,
+                serial=serial if name == "pan" else "",
+                counts_per_deg=K10CR1_COUNTS_PER_DEG,
+                limits=LIMITS[name],
+            )
+            for name, (device, _) in plugged.items()
+        ]
+        if baudrate == 115200:
+            return ThorlabsStage.open(axes, clock=SystemClock())
+        ports = [SerialPort(axis.port, baudrate=baudrate) for axis in axes]
+        return ThorlabsStage(ports, axes, clock=SystemClock())
+
+    devices, lines = zip(*plugged.values(), strict=True)
+    return Rig(opened, list(devices), list(lines), {n: c.axis for n, c in controllers.items()}, controllers)
+
+
+def dynamixel(plug: Callable) -> Rig:
+    models = {
+        number: ServoModel(mechanics(name, SERVO_COUNTS_PER_DEG))
+        for number, name in ((1, "pan"), (2, "tilt"))
+    }
+    bus = DynamixelBus(models, time.monotonic)
+    device, line = plug(bus)
+
+    def opened(serial: str = "", baudrate: int = 57_600) -> Stage:
+        axes = [
+            DynamixelAxis(
+                name=name,
+                id=number,
+                model="XM430-W350" if serial and name == "pan" else "XL430-W250",
+                counts_per_deg=SERVO_COUNTS_PER_DEG,
+                limits=LIMITS[name],
+                tolerance_deg=0.02,
+            )
+            for number, name in ((1, "pan"), (2, "tilt"))
+        ]
+        return DynamixelStage.open(device.address, axes, baudrate=baudrate, clock=SystemClock())
+
+    controllers = {"pan": bus.servos[1], "tilt": bus.servos[2]}
+    return Rig(opened, [device], [line], {n: c.axis for n, c in controllers.items()}, controllers)
+
+
+MAKERS = {
+    "zaber": zaber,
+    "ximc": ximc,
+    "grbl": grbl,
+    "esp": esp,
+    "flir": flir,
+    "thorlabs": thorlabs,
+    "dynamixel": dynamixel,
+}
 
 
 @pytest.fixture
@@ -239,7 +307,7 @@ def families(*names: str) -> pytest.MarkDecorator:
 
 every_family = pytest.mark.parametrize("rig", FAMILIES, indirect=True)
 each_in_turn = families(*FAMILIES)
-with_encoder = families("zaber", "ximc", "esp")
+with_encoder = families("zaber", "ximc", "esp", "dynamixel")
 
 
 @pytest.mark.parametrize("rig", [*FAMILIES, "zaber over TCP", "ximc over TCP"], indirect=True)
@@ -267,7 +335,7 @@ def test_opening_and_closing_moves_nothing(rig) -> None:
     for _ in range(2):
         rig.open().close()
     for name, axis in rig.axes.items():
-        assert axis.pointing.angle_deg(time.monotonic()) == pytest.approx(STARTS[name], abs=1e-6)
+        assert axis.pointing.angle_deg(time.monotonic()) == pytest.approx(STARTS[name], abs=1e-5)
 
 
 @every_family

@@ -49,7 +49,14 @@ def as_filled_in(station: str, folder: Path) -> str:
 
 
 @pytest.mark.parametrize(
-    ("station", "missing"), [("example_evk4", 10), ("example_network", 8), ("example_turntable", 6)]
+    ("station", "missing"),
+    [
+        ("example_evk4", 10),
+        ("example_network", 8),
+        ("example_turntable", 6),
+        ("example_thorlabs", 11),
+        ("example_dynamixel", 8),
+    ],
 )
 def test_an_example_is_refused_until_it_is_filled_in_and_then_runs(station, missing, tmp_path):
     made = make_plan(*load_documents("turntable", station))

@@ -44,10 +44,16 @@ def test_the_simulated_station_has_the_simulated_bench_s_devices():
 
 def test_every_shipped_station_reads_without_a_fault():
     shipped = sorted(path.stem for path in SHIPPED_STATIONS.glob("*.yaml"))
-    examples = ["example_evk4", "example_network", "example_turntable"]
-    simulated = ["simulated", "simulated_frames", "simulated_ideal", "simulated_unaligned"]
+    examples = [
+        "example_dynamixel",
+        "example_evk4",
+        "example_network",
+        "example_thorlabs",
+        "example_turntable",
+    ]
+    simulated = ["simulated", "simulated_board", "simulated_frames", "simulated_ideal", "simulated_unaligned"]
     assert shipped == [*examples, *simulated]
-    assert [load_station(name).value.is_simulated for name in shipped] == [False] * 3 + [True] * 4
+    assert [load_station(name).value.is_simulated for name in shipped] == [False] * 5 + [True] * 5
 
 
 def test_an_unknown_station_is_met_with_those_that_are_shipped():
@@ -184,10 +190,13 @@ def test_simulated_ports_are_refused_where_nothing_is_simulated():
     ("stage", "fault"),
     [
         ("{driver: esp30x, port: a, axes: {}}", "stage.axes: must have 1 or more entries."),
-        ("{driver: esp, port: a}", "stage.driver: must be one of 'zaber_ascii', 'ximc', 'grbl', 'esp30x', 'text' (got 'esp')."),
+        ("{driver: esp, port: a}", "stage.driver: must be one of 'zaber_ascii', 'ximc', 'grbl', 'esp30x', 'thorlabs_apt', 'dynamixel', 'text' (got 'esp')."),
         ("{driver: grbl, port: a, axes: {pan: {letter: Q}}}", "stage.axes.pan.letter: must be 'X', 'Y', 'Z', 'A', 'B' or 'C'"),
         ("{driver: esp30x, port: a, axes: {pan: {direction: 0}}}", "stage.axes.pan.direction: must be 1 or -1 (got '0')."),
         ("{driver: ximc, axes: {pan: {steps_per_deg: 0}}}", "stage.axes.pan.steps_per_deg: a scale of 0 moves nothing."),
+        ("{driver: thorlabs_apt, axes: {pan: {counts_per_deg: 0}}}", "stage.axes.pan.counts_per_deg: a scale of 0 moves nothing."),
+        ("{driver: dynamixel, port: a, axes: {pan: {id: 253}}}", "stage.axes.pan.id: must be 252 or less"),
+        ("{driver: dynamixel, port: a, axes: {pan: {id: 1}}}", "stage.axes.pan.model"),
     ],
 )  # fmt: skip
 def test_other_stages_are_checked_in_their_own_terms(stage, fault):
@@ -204,6 +213,8 @@ MOTION = "limits_deg: [-1, 1], speed_deg_s: 1, acceleration_deg_s2: 1"
         ("ximc", "port: a, serial: b, steps_per_deg: 1", "port"),
         ("esp30x, port: a", "number: 1, serial: b", "number"),
         ("grbl, port: a, serial: b", "letter: X, steps_per_deg: 1", "letter"),
+        ("thorlabs_apt", "port: a, serial: b, counts_per_deg: 1", "port"),
+        ("dynamixel, port: a", "id: 1, model: b, counts_per_deg: 1", "id"),
     ],
 )
 def test_two_axes_must_differ_in_what_tells_them_apart(driver, axis, shared):
