@@ -102,12 +102,18 @@ class RehearsedWorld:
     Raises
     ------
     ConfigError
-        If a key is unknown or its value is not valid; the error names the key.
+        If a key is unknown or its value is not valid, or there is a board; the error names the key.
     """
 
     def __init__(self, config: Mapping[str, Any], seed: int) -> None:
         self.night = _night(config.get("rehearsal", {}))
         self.bench: BenchConfig = bench_config(config)
+        if self.bench.truth.board.present:
+            raise ConfigError(
+                "A rehearsal knows the star target behind the collimator only.",
+                where="board",
+                remedy="Run on the simulated bench itself.",
+            )
         self._truth = self.bench.truth_for(seed)
         self._seed = seed
         self._read_deg: dict[str, float] = {}

@@ -405,7 +405,7 @@ def truth_record(truth: Truth) -> dict[str, Any]:
         "law": dict(LAW),
     }
     if truth.board.present:
-        for name in ("state", "shake"):
+        for name in ("field_tangents", "state", "shake"):
             del record["board"][name]
         record["board"]["placed"] = placing.record(truth.board, placing.view_of(truth))
     return record

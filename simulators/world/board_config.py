@@ -20,7 +20,7 @@ _MOST_POINTS: Final = 2000
 _MOST_DOTS: Final = 255
 _WHOLE_PIXELS: Final = 1e-3
 _READ_ELSEWHERE: Final = ("placements", "anywhere", "hand", "frequencies_hz", "phases")
-_COMPUTED: Final = ("seed", "state", "shake")
+_COMPUTED: Final = ("seed", "field_tangents", "state", "shake")
 
 
 def board_from_config(given: object) -> BoardTruth:

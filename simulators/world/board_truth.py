@@ -148,6 +148,9 @@ class BoardTruth:
         Who places and holds the board.
     seed
         Seed of the hand's scatter and of random placements.
+    field_tangents
+        Tangents of the left, upper, right and lower edge of the camera's field, as configured: random placements
+        depend on them, and must not on the camera's temperature.
     state
         What a person has done so far.
     shake
@@ -174,6 +177,7 @@ class BoardTruth:
     anywhere: Anywhere = field(default_factory=Anywhere)
     hand: HandTruth = field(default_factory=HandTruth)
     seed: int = 0
+    field_tangents: tuple[float, float, float, float] = (-1.0, -1.0, 1.0, 1.0)
     state: BoardState = field(default_factory=BoardState)
     shake: tuple[float, float, float, float, float, float] = (0.0,) * 6
 

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from simulators.errors import ConfigError
 from simulators.world.board_truth import Anywhere, BoardTruth, HandTruth, Placement
-from simulators.world.truth import Truth
+from simulators.world.truth import CameraTruth, Truth
 
 FloatArray = NDArray[np.float64]
 
@@ -61,35 +61,50 @@ class BoardPose(NamedTuple):
     middle_mm: FloatArray
 
 
+def field_tangents(camera: CameraTruth) -> tuple[float, float, float, float]:
+    """Return the tangents of the edges of a camera's field of view, without the lens's distortion.
+
+    Parameters
+    ----------
+    camera
+        The camera.
+
+    Returns
+    -------
+    tuple of float
+        Left, upper, right and lower edge.
+    """
+    return (
+        (-0.5 - camera.cx) / camera.fx,
+        (-0.5 - camera.cy) / camera.fy,
+        (camera.width - 0.5 - camera.cx) / camera.fx,
+        (camera.height - 0.5 - camera.cy) / camera.fy,
+    )
+
+
 def view_of(truth: Truth) -> View:
     """Return the camera's field of view, and the size of the board in it.
 
     Parameters
     ----------
     truth
-        Camera, board and printed target.
+        Board and printed target.
 
     Returns
     -------
     View
-        The lens's distortion and focus are left out.
+        Of the camera as configured.
     """
-    camera, board = truth.camera, truth.board
-    edges = (
-        (-0.5 - camera.cx) / camera.fx,
-        (-0.5 - camera.cy) / camera.fy,
-        (camera.width - 0.5 - camera.cx) / camera.fx,
-        (camera.height - 0.5 - camera.cy) / camera.fy,
-    )
+    board = truth.board
     if board.kind == "stars":
         side = truth.target.pitch_mm * (truth.target.tag_squares + _AROUND_TAG)
-        return View(edges, (side, side))
-    asymmetric = board.kind == "asymmetric-circles"
-    columns = 2 * board.columns - 1 if asymmetric else board.columns - 1
+        return View(board.field_tangents, (side, side))
+    columns = 2 * board.columns - 1 if board.kind == "asymmetric-circles" else board.columns - 1
     around = 2.0 * (
         board.margin_mm + (board.pitch_mm if board.kind == "checkerboard" else 0.5 * board.dot_mm)
     )
-    return View(edges, (board.pitch_mm * columns + around, board.pitch_mm * (board.rows - 1) + around))
+    size = (board.pitch_mm * columns + around, board.pitch_mm * (board.rows - 1) + around)
+    return View(board.field_tangents, size)
 
 
 def check_placements(truth: Truth) -> None:

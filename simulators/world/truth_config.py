@@ -15,7 +15,7 @@ from simulators.errors import ConfigError
 from simulators.world.board_config import board_from_config
 from simulators.world.gimbal import AXES, GimbalTruth
 from simulators.world.lens_config import lens_from_config
-from simulators.world.placing import check_placements
+from simulators.world.placing import check_placements, field_tangents
 from simulators.world.truth import (
     CAMERAS,
     COLLIMATORS,
@@ -86,6 +86,8 @@ def truth_from_config(config: Mapping[str, Any]) -> Truth:
     target = _target(config.get("target", {}))
     camera = _camera(config.get("camera", {}))
     screen, board = _screen(config.get("screen", {})), board_from_config(config.get("board", {}))
+    if board.present:
+        board = dataclasses.replace(board, field_tangents=field_tangents(camera))
     if screen.columns and board.present:
         raise ConfigError(
             "There is a screen and a board.", where="board", remedy="Remove one of the two sections."

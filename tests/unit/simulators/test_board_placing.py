@@ -12,6 +12,7 @@ from simulators.errors import ConfigError
 from simulators.faults.catalogue import fault_order_from_text
 from simulators.optics import scene
 from simulators.optics.lens_focus import truth_record
+from simulators.rehearsed_world import RehearsedWorld
 from simulators.world.board_truth import BoardState, HandTruth
 from simulators.world.placing import HandShake, placement, pose, view_of
 
@@ -184,3 +185,17 @@ def test_a_star_target_is_placed_by_its_tag():
     nearest = np.linalg.norm(truth.target.positions_mm(ids) - truth.target.tag_centre_mm, axis=1)
     corners = scene.corners(truth, {})[np.argsort(nearest)[:8]].mean(axis=0)
     assert np.abs(corners - [642.1 + 3345 * 10 / 700, 363.3 + 3345 * 5 / 700]).max() < 40
+
+
+def test_a_random_placement_does_not_depend_on_the_cameras_temperature():
+    truth = truth_of(anywhere={})
+    warm = replace(truth, camera=replace(truth.camera, fx=truth.camera.fx * 1.001))
+    for number in range(1, 30):
+        one, other = (placement(placed(t, number).board, view_of(t)) for t in (truth, warm))
+        assert one == other
+
+
+def test_a_rehearsal_refuses_a_board():
+    with pytest.raises(ConfigError, match="star target") as error:
+        RehearsedWorld({"board": CHECKER}, 1)
+    assert error.value.where == "board"

@@ -168,3 +168,22 @@ def test_a_shaking_hand_moves_the_dots():
     near = np.hypot(x - u, y - v) < 11
     places = [x[near & (t > a) & (t < a + 0.01)].mean() for a in t[0] + np.arange(0, 0.09, 0.01)]
     assert 1.0 < np.ptp(places) < 12.0  # 1 mm is 1.6 px
+
+
+@pytest.mark.parametrize("hand", [{}, {"shake_mm": 0.5}])
+def test_a_live_picture_follows_the_dots(hand):
+    truth = truth_of(
+        {**DOTS, "placements": [*DOTS["placements"], {"position_mm": [30, 12, 600]}], "hand": hand}
+    )
+    now = [100.0]
+    world = World(truth, clock=lambda: now[0])
+    stream = SensorStream(world, CameraState(), {}, preview=True)
+    for number in (1, 2):
+        world.change_setup(lambda setup, number=number: replace(setup, board=BoardState(number)))
+        now[0] += 1.0
+        assert stream.go_on(CameraState(), stream.clock_us)
+        words = np.frombuffer(b"".join(stream.next_frame() for _ in range(10)), "<u2")
+        decoded = [e for e, _ in Evt3Decoder(320, 240).decode(words)]
+        x, y = (np.concatenate([getattr(e, name) for e in decoded]) for name in "xy")
+        corners = scene.corners(replace(truth, board=truth.board.in_state(BoardState(number))), {})
+        assert all(np.count_nonzero(np.hypot(x - u, y - v) < 7) > 100 for u, v in corners)
