@@ -14,7 +14,7 @@ SECTIONS = {
     "While it runs, from another terminal": ("panel", "status", "hold", "release", "skip", "abort", "answer"),
     "After a run": ("certificate",),
     "Many runs": ("batch", "rehearse", "runs", "ledger", "messages"),
-    "Without devices": ("calibrate", "passport", "rig", "study", "compare", "convert"),
+    "Without devices": ("calibrate", "recalibrate", "passport", "rig", "study", "compare", "convert"),
     "The bench": ("devices", "station", "target", "simulate", "keys", "schema"),
 }
 
@@ -55,6 +55,10 @@ EXAMPLES = {
         "starbench runs runs/night --how failed",
     ),
     "messages": ("starbench messages", "starbench messages --send"),
+    "recalibrate": (
+        "starbench recalibrate runs/ --output recalculated --workers 4",
+        "starbench recalibrate s3://captures/2026 --scheduler tls://cluster.lab:8786 -o recalculated",
+    ),
     "calibrate": (
         "starbench calibrate runs/cam7 --model auto --compare",
         "starbench calibrate runs/cam8 --passport collimator.json --views 1",
@@ -176,6 +180,7 @@ _SHORT = {
     "runs": "List, filter and compare runs.",
     "ledger": "Check the ledger of this bench; explain a break of it.",
     "messages": "List or send the messages of this bench.",
+    "recalibrate": "Calibrate many runs again, on all processors or on a cluster.",
     "calibrate": "Calibrate from existing recordings, images or point files.",
     "passport": "Calibrate a collimator once, then cameras from 1 to 3 views.",
     "rig": "Calculate the rotation between two cameras of a rig.",
@@ -199,7 +204,7 @@ class Sections(click.Group):
         del ctx
         for title, names in SECTIONS.items():
             with formatter.section(title):
-                formatter.write_dl([(name, _SHORT[name]) for name in names], col_max=12)
+                formatter.write_dl([(name, _SHORT[name]) for name in names], col_max=13)
 
 
 def complete(group: click.Group, path: str = "") -> None:

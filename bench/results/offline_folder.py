@@ -140,6 +140,7 @@ def offline_files(
     name: str,
     key: Sealer | None = None,
     *,
+    sources: Sequence[dict[str, Any]] | None = None,
     read_from: Mapping[str, str] | None = None,
 ) -> dict[str, bytes]:
     """Return the files of an offline calibration, before its seal.
@@ -152,6 +153,8 @@ def offline_files(
         Name of the calibration, as the report prints it.
     key
         Who will seal the folder; None if it stays a draft.
+    sources
+        What `source_data` returns for each view; None to read and hash the files now.
     read_from
         For each folder that is a copy for this calculation only, the place that it was copied from.
 
@@ -165,15 +168,15 @@ def offline_files(
     StorageError
         If a source cannot be read.
     """
-    sources = [
-        source_data(source, view.name) for source, view in zip(result.sources, result.views, strict=True)
-    ]
+    if sources is None:
+        pairs = zip(result.sources, result.views, strict=True)
+        sources = [source_data(source, view.name) for source, view in pairs]
     results = offline_results(result, name, sources, key)
     camera_name = _camera_name(result)
     described = {
         "schema": SCHEMA,
         "runs": results["run"]["of_runs"],
-        "sources": sources,
+        "sources": list(sources),
         "camera_name": camera_name,
         "target": asdict(result.target) if result.target is not None else None,
         "paths": [str(path.absolute()) for path in result.paths],

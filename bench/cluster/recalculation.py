@@ -1,0 +1,254 @@
+"""Calibrates many runs again: one piece of work for each recording, then one for each run.
+
+Recordings of the next runs are handed out while earlier ones are in progress, and never more than keeps the workers
+busy. Each run ends with one row: done, or failed with the reason. A run that fails stops no other.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+from bench.base.failure import FORESEEN, Failure
+from bench.cluster.places import Place
+from bench.cluster.results_folders import DONE, FAILED, ResultsFolders
+from bench.cluster.tasks import (
+    ROW_FORMAT,
+    FoundView,
+    SealedBy,
+    Task,
+    calibrate_found,
+    find_view,
+    list_recordings,
+)
+from bench.cluster.work import Finished, TimeLeft, Work, Workers, most_handed_out
+
+_WAIT_S = 0.5
+
+
+@dataclass
+class _Run:
+    """A run in progress."""
+
+    number: int
+    place: Place
+    key: str
+    captures: Sequence[str]
+    name: str
+    found: dict[int, FoundView] = field(default_factory=dict)
+    share: float = 0.0
+
+
+@dataclass
+class Counts:
+    """How far a recalculation is.
+
+    Attributes
+    ----------
+    runs
+        Number of all runs.
+    done, failed, skipped
+        Runs calibrated now, failed now, and done before.
+    recordings
+        Recordings measured, or taken from kept views.
+    kept
+        Of these, how many were kept.
+    """
+
+    runs: int
+    done: int = 0
+    failed: int = 0
+    skipped: int = 0
+    recordings: int = 0
+    kept: int = 0
+
+    @property
+    def ended(self) -> int:
+        """Number of runs that have a row."""
+        return self.done + self.failed + self.skipped
+
+
+class Recalculation:
+    """Calibrates many runs again.
+
+    Parameters
+    ----------
+    places
+        The runs, each once.
+    task
+        What is to be done.
+    workers
+        Who does it.
+    output
+        The folder for results; None for the table only.
+    ended
+        Called with the row of each run when it ends.
+    progress
+        Called with the counts, and the seconds left if known, when anything ends or time passes.
+    remark
+        Called with sentences for the user.
+    """
+
+    def __init__(
+        self,
+        places: Sequence[Place],
+        task: Task,
+        workers: Workers,
+        output: ResultsFolders | None = None,
+        *,
+        ended: Callable[[Mapping[str, Any]], None] = lambda _row: None,
+        progress: Callable[[Counts, float | None], None] = lambda _counts, _left: None,
+        remark: Callable[[str], None] = lambda _text: None,
+    ) -> None:
+        self._places, self._task, self._workers, self._output = places, task, workers, output
+        self._ended, self._progress, self._remark = ended, progress, remark
+        self.counts = Counts(len(places))
+        self._rows: dict[int, Mapping[str, Any]] = {}
+        self._runs: dict[int, _Run] = {}
+        self._waiting: deque[Work] = deque()
+        self._out: set[str] = set()
+        self._defects: set[str] = set()
+        self._time = TimeLeft()
+
+    def run(self) -> list[Mapping[str, Any]]:
+        """Calibrate all runs.
+
+        Returns
+        -------
+        list of dict
+            A row for each run, in their order.
+
+        Raises
+        ------
+        WorkersLost
+            If nobody is left who could do the work. The rows so far are in the table.
+        StorageError, EvidenceError
+            If results cannot be written or sealed.
+        """
+        source = iter(enumerate(self._places))
+        try:
+            while self._fill(source):
+                for end in self._workers.finished(_WAIT_S):
+                    if end.key in self._out:  # a second end of the same work would be counted twice
+                        self._out.remove(end.key)
+                        self._take(end)
+                self._show()
+        finally:
+            if self._output is not None:
+                self._output.finish([self._rows[number] for number in sorted(self._rows)])
+        return [self._rows[number] for number in sorted(self._rows)]
+
+    def _fill(self, source: Iterator[tuple[int, Place]]) -> bool:
+        """Hand out work until the workers have enough; return whether any is in progress."""
+        most = most_handed_out(self._workers)
+        while len(self._out) < most:
+            while not self._waiting:
+                number, place = next(source, (-1, Place("")))
+                if number < 0:
+                    return bool(self._out)
+                self._begin(number, place)
+            work = self._waiting.popleft()
+            self._workers.submit(work)
+            self._out.add(work.key)
+        return True
+
+    def _begin(self, number: int, place: Place) -> None:
+        """List the recordings of a run; use its results if it was done before."""
+        try:
+            listed = list_recordings(place, self._task)
+        except (*FORESEEN, OSError) as error:
+            self._fail(number, place, _failure(error), "")
+            return
+        row = self._output.done(place.name, listed.key) if self._output is not None else None
+        if row is not None:
+            self.counts.skipped += 1
+            self._rows[number] = row
+            self._ended({**row, "skipped": True})
+            self._show()
+            return
+        name = self._output.name_for(place.base_name, listed.key) if self._output else place.base_name
+        self._runs[number] = _Run(number, place, listed.key, listed.captures, name)
+        for pose, capture in enumerate(listed.captures):
+            self._waiting.append(Work(f"{number} {pose}", find_view, (place, pose, capture, self._task)))
+
+    def _take(self, end: Finished) -> None:
+        number, _, pose = end.key.partition(" ")
+        run = self._runs.get(int(number))
+        if run is None:  # another recording of this run has failed before
+            return
+        if end.failure is not None:
+            self._drop(run, end)
+        elif pose == "fit":
+            self._write(run, end.value.files, end.value.row)
+        else:
+            self._take_view(run, int(pose), end.value)
+
+    def _take_view(self, run: _Run, pose: int, found: FoundView) -> None:
+        self.counts.recordings += 1
+        self.counts.kept += found.kept
+        for remark in found.remarks:
+            self._remark(remark)
+        run.found[pose] = found
+        run.share = len(run.found) / (len(run.captures) + 1)
+        if len(run.found) < len(run.captures):
+            return
+        views = [run.found[at] for at in range(len(run.captures))]
+        key = self._output.key if self._output is not None else None
+        sealed_by = SealedBy(key.principal, key.fingerprint) if key is not None else None
+        arguments = (run.place, views, run.name, sealed_by, self._task, self._output is not None)
+        self._waiting.appendleft(Work(f"{run.number} fit", calibrate_found, arguments))
+        run.found = {}
+
+    def _write(self, run: _Run, files: Mapping[str, bytes], calibrated: Mapping[str, Any]) -> None:
+        name = run.name if self._output is not None else None
+        row = {**_head(run.place, DONE, run.key), "results": name, **calibrated}
+        if self._output is not None:
+            self._output.write(run.name, files, row)
+        del self._runs[run.number]
+        self.counts.done += 1
+        self._end(run.number, row)
+
+    def _drop(self, run: _Run, end: Finished) -> None:
+        del self._runs[run.number]
+        self._waiting = deque(work for work in self._waiting if not work.key.startswith(f"{run.number} "))
+        assert end.failure is not None
+        if end.defect and end.failure.what not in self._defects:  # a thousand runs may show the same one
+            self._defects.add(end.failure.what)
+            self._remark(end.defect)
+        self._fail(run.number, run.place, end.failure, run.key)
+
+    def _fail(self, number: int, place: Place, failure: Failure, key: str) -> None:
+        row = {
+            **_head(place, FAILED, key),
+            "results": None,
+            "results_sha256": None,
+            "failure": failure.to_dict(),
+        }
+        if self._output is not None:
+            self._output.add(row)
+        self.counts.failed += 1
+        self._end(number, row)
+
+    def _end(self, number: int, row: Mapping[str, Any]) -> None:
+        self._rows[number] = row
+        self._ended(row)
+        self._show()
+
+    def _show(self) -> None:
+        counts = self.counts
+        begun = sum(run.share for run in self._runs.values())
+        left = self._time.left_s(counts.done + counts.failed + begun, counts.runs - counts.skipped)
+        self._progress(counts, left)
+
+
+def _head(place: Place, state: str, key: str) -> dict[str, Any]:
+    return {"schema": ROW_FORMAT, "folder": place.name, "state": state, "key": key}
+
+
+def _failure(error: BaseException) -> Failure:
+    if isinstance(error, OSError):
+        what = f"{error.strerror or error}."
+        return Failure(type(error).__name__, what, str(error.filename or ""), "Check the path.")
+    return Failure.of(error)

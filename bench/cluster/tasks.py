@@ -1,0 +1,384 @@
+"""What workers do to calibrate a run again: find the stars of one recording, then calibrate from all of them.
+
+Each function depends on files and arguments only, and gives what `bench.results.offline.calibrate_paths` gives in one
+process, to the last digit. They write kept views only; the command that hands out the work writes and seals results.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from bench.base.errors import BenchError
+from bench.base.failure import FORESEEN
+from bench.cluster.places import Place
+from bench.records.run_folder import JOURNAL, RESULTS
+from bench.records.storage import sha256_of, storage_errors
+from bench.results.forms import forms
+from bench.results.offline import OfflineResult, calibrate_sources, with_kept_views
+from bench.results.offline_folder import offline_files
+from bench.results.offline_options import OfflineOptions
+from bench.results.stored_options import options_data
+from bench.results.view_sources import ViewSource, view_sources
+from bench.views.kept_views import KeptViews
+from calib.errors import CalibrationError
+from calib.view import View
+
+ROW_FORMAT = "starbench/recalibration/1"
+_READ = (JOURNAL, "sequence.yaml", "station.yaml", "passport.json")
+"""Files of a run, besides its recordings, that decide its calibration. The journal states the recordings' hashes."""
+
+
+@dataclass(frozen=True)
+class Task:
+    """What all pieces of work of one recalculation have in common.
+
+    Attributes
+    ----------
+    choices
+        Options of the calibration.
+    program
+        Hash of the program that hands out the work; a worker with another program refuses it.
+    kept
+        Folder for kept views on the workers; None for that of the worker's user, empty for none.
+    """
+
+    choices: OfflineOptions
+    program: str
+    kept: str | None = None
+
+    def views(self) -> KeptViews | None:
+        """Return the kept views of this worker, if any are used."""
+        if self.kept is None:
+            return KeptViews.of_bench()
+        return KeptViews(Path(self.kept)) if self.kept else None
+
+
+@dataclass(frozen=True)
+class SealedBy:
+    """The public part of the bench's key, which results state.
+
+    Attributes
+    ----------
+    principal
+        Name of the signer.
+    fingerprint
+        Fingerprint of the public key.
+    """
+
+    principal: str
+    fingerprint: str
+
+
+@dataclass(frozen=True)
+class Listed:
+    """The recordings of a place.
+
+    Attributes
+    ----------
+    captures
+        Their names within the folder, in the order of the views.
+    key
+        Hash of all that decides the calibration: the recordings, the program, the options.
+    """
+
+    captures: Sequence[str]
+    key: str
+
+
+@dataclass(frozen=True)
+class FoundView:
+    """What a recording showed.
+
+    Attributes
+    ----------
+    view
+        The stars; None if it is left out.
+    size_bytes, sha256
+        Size and hash of the recording.
+    why
+        What is wrong, where, and the remedy, if it is left out.
+    remarks
+        Sentences about kept views.
+    kept
+        Whether the view was kept from an earlier calculation.
+    """
+
+    view: View | None
+    size_bytes: int
+    sha256: str
+    why: tuple[str, str, str] = ("", "", "")
+    remarks: Sequence[str] = ()
+    kept: bool = False
+
+
+@dataclass(frozen=True)
+class Recalculated:
+    """A calibration as files, and its row in the table.
+
+    Attributes
+    ----------
+    files
+        Contents by name within the folder; empty if no folder is written.
+    row
+        The row, values that can be written as JSON.
+    """
+
+    files: Mapping[str, bytes]
+    row: Mapping[str, Any]
+
+
+def list_recordings(place: Place, task: Task) -> Listed:
+    """Return the recordings of a place that have a view each, and the key of its calibration.
+
+    Parameters
+    ----------
+    place
+        The place.
+    task
+        What is to be done.
+
+    Returns
+    -------
+    Listed
+        The recordings.
+
+    Raises
+    ------
+    UsageError, BenchError, drivers.errors.DriverError, sequences.errors.SequencesError
+        If the place cannot be used.
+    """
+    with place.folder() as folder:
+        sources = list(view_sources(folder, task.choices))
+        names = [source.path.relative_to(folder).as_posix() for source in sources]
+        if (folder / JOURNAL).is_file():
+            content = {name: sha256_of(folder / name) for name in _READ if (folder / name).is_file()}
+        else:
+            content = {name: sha256_of(folder / name) for name in names}
+    return Listed(names, calibration_key(content, task))
+
+
+def calibration_key(content: Mapping[str, str], task: Task) -> str:
+    """Return the hash of all that decides a calibration.
+
+    Parameters
+    ----------
+    content
+        SHA-256 of the files by name.
+    task
+        What is to be done.
+
+    Returns
+    -------
+    str
+        64 hexadecimal digits.
+    """
+    choices = task.choices
+    passport = None if choices.passport is None else hashlib.sha256(choices.passport.data).hexdigest()
+    options = {**options_data(choices), "target": asdict(choices.target), "passport_sha256": passport}
+    parts = {"format": ROW_FORMAT, "content": content, "options": options, "program": task.program}
+    return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()
+
+
+def find_view(place: Place, number: int, capture: str, task: Task) -> FoundView:
+    """Find the stars of one recording.
+
+    Parameters
+    ----------
+    place
+        Its place.
+    number
+        Number of its view, from 0.
+    capture
+        Its name.
+    task
+        What is to be done.
+
+    Returns
+    -------
+    FoundView
+        Its view, or why it is left out.
+
+    Raises
+    ------
+    BenchError, drivers.errors.DriverError
+        If the recording cannot be read, or is not the one that the journal names.
+    """
+    require_program(task)
+    kept = task.views()
+    with place.folder(capture) as folder, _named(place, folder):
+        source = list(view_sources(folder, task.choices))[number]
+        size, digest = _require_recorded(source)
+        if kept is not None:
+            source = with_kept_views(source, kept)
+        try:
+            view = source.read()
+        except CalibrationError as error:
+            where = place.said(error.where or str(source.path), folder)
+            return FoundView(None, size, digest, (place.said(error.what, folder), where, error.remedy))
+    if kept is None:
+        return FoundView(view, size, digest)
+    return FoundView(view, size, digest, remarks=tuple(kept.remarks), kept=bool(kept.used))
+
+
+def calibrate_found(
+    place: Place,
+    found: Sequence[FoundView],
+    name: str,
+    sealed_by: SealedBy | None,
+    task: Task,
+    files: bool,
+) -> Recalculated:
+    """Calibrate from the views of a place.
+
+    Parameters
+    ----------
+    place
+        The place.
+    found
+        The views, in the order of its recordings.
+    name
+        Name of the calibration.
+    sealed_by
+        Who will seal the results; None if nobody does.
+    task
+        What is to be done.
+    files
+        Whether the files of the results are wanted, which takes longer.
+
+    Returns
+    -------
+    Recalculated
+        Files and row.
+
+    Raises
+    ------
+    BenchError, calib.errors.CalibrationError
+        If the views do not determine the camera, or a file of the run cannot be read.
+    """
+    require_program(task)
+    with place.folder() as folder, _named(place, folder):
+        listed = list(view_sources(folder, task.choices))
+        sources = [
+            replace(source, read=partial(_given, one)) for source, one in zip(listed, found, strict=True)
+        ]
+        result = replace(calibrate_sources(sources, task.choices), paths=(folder,))
+        read = {id(source): one for source, one in zip(sources, found, strict=True)}
+        made = {}
+        if files:
+            of_views = [read[id(source)] for source in result.sources]
+            made = _files(place, folder, result, of_views, name, sealed_by)
+        return Recalculated(made, _row(place, folder, result, made))
+
+
+def _files(
+    place: Place,
+    folder: Path,
+    result: OfflineResult,
+    found: Sequence[FoundView],
+    name: str,
+    sealed_by: SealedBy | None,
+) -> dict[str, bytes]:
+    """Return the files of the results; sources behind a URL are named by it."""
+    sources = [
+        {
+            "view": view.name,
+            "path": str(source.path.absolute()),
+            "size_bytes": one.size_bytes,
+            "sha256": one.sha256,
+        }
+        for source, view, one in zip(result.sources, result.views, found, strict=True)
+    ]
+    copies = {str(folder.resolve()): place.name, str(folder): place.name} if place.is_remote else {}
+    return offline_files(result, name, sealed_by, sources=sources, read_from=copies)
+
+
+def require_program(task: Task) -> None:
+    """Refuse work of another program, because its results would differ.
+
+    Parameters
+    ----------
+    task
+        What is to be done.
+
+    Raises
+    ------
+    BenchError
+        If this worker runs another program than the one that hands out the work.
+    """
+    if (here := forms()["program"]) != task.program:
+        raise BenchError(
+            f"This worker has another Starbench ({here}) than the command ({task.program}).",
+            remedy="Install the same version on all computers, and restart the workers.",
+        )
+
+
+class _named:  # noqa: N801 - used as a context manager
+    """Errors of the block name the place instead of its copy."""
+
+    def __init__(self, place: Place, folder: Path) -> None:
+        self._place, self._folder = place, folder
+
+    def __enter__(self) -> None:
+        pass
+
+    def __exit__(self, _kind: object, error: BaseException | None, _trace: object) -> None:
+        if self._place.is_remote and isinstance(error, FORESEEN):
+            said = partial(self._place.said, folder=self._folder)
+            raise BenchError(said(error.what), where=said(error.where), remedy=said(error.remedy)) from error
+
+
+def _require_recorded(source: ViewSource) -> tuple[int, str]:
+    """Return size and hash of a recording; refuse one of a run that is not the one that its journal names."""
+    with storage_errors(source.path):
+        size, digest = source.path.stat().st_size, sha256_of(source.path)
+    if source.attempt is not None and digest != source.attempt.stored["sha256"]:
+        raise BenchError(
+            "The recording is not the one that the run made: its hash differs from that in the journal.",
+            where=str(source.path),
+            remedy="Copy it again from its origin.",
+        )
+    return size, digest
+
+
+def _given(found: FoundView) -> View:
+    if found.view is None:
+        what, where, remedy = found.why
+        raise CalibrationError(what, where=where, remedy=remedy)
+    return found.view
+
+
+def _row(place: Place, folder: Path, result: OfflineResult, files: Mapping[str, bytes]) -> dict[str, Any]:
+    """Return what the table states about a calibration."""
+    solved = result.calibration
+    values = dict(zip(solved.parameter_names, solved.values.tolist(), strict=True))
+    before = _before(folder)
+    return {
+        "model": solved.model,
+        "views": len(solved.views),
+        "stars": sum(view.n for view in solved.views),
+        "values": {name: values[name] for name in solved.sigma},
+        "sigma": dict(solved.sigma),
+        "rms_px": solved.rms_px,
+        "converged": solved.converged,
+        "notes": list(solved.notes),
+        "left_out": [place.said(why, folder) for why in result.skipped],
+        "before": before,
+        "results_sha256": hashlib.sha256(files[RESULTS]).hexdigest() if files else None,
+    }
+
+
+def _before(folder: Path) -> dict[str, Any] | None:
+    """Return values and sigmas of the run's own results; None if there are none."""
+    try:
+        stored = json.loads((folder / RESULTS).read_bytes())["calibration"]
+        values = {**stored["camera"], **(stored["collimator"] or {})}
+        sigma = {name: float(one) for name, one in stored["sigma"].items()}
+        return {"values": {name: float(values[name]) for name in sigma}, "sigma": sigma}
+    except (OSError, ValueError, KeyError, TypeError):
+        return None

@@ -1,0 +1,260 @@
+"""Pieces of work for one process, for the processes of this computer, or for a Dask scheduler: one interface for all.
+
+A piece of work is a pure function at the top of a module, with its arguments. It may be done again after a worker
+died, so it must not change anything that a second try would change again. This module starts no process.
+"""
+
+from __future__ import annotations
+
+import time
+import traceback
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any, Protocol, Self
+
+from bench.base.errors import BenchError
+from bench.base.failure import FORESEEN, Failure
+
+MOST_DEATHS = 3
+"""How many workers may die with a piece of work before it counts as failed."""
+_AHEAD = 2
+"""Pieces of work handed out for each worker: one in progress, one waiting."""
+
+
+class WorkersLost(BenchError):
+    """The scheduler or all its workers are gone; what was done before is kept."""
+
+
+@dataclass(frozen=True)
+class Work:
+    """A piece of work.
+
+    Attributes
+    ----------
+    key
+        Name of the work, unique among all that are handed out.
+    function
+        A function at the top of a module; workers import it by its name.
+    arguments
+        Its arguments; they and the result can be pickled.
+    """
+
+    key: str
+    function: Callable[..., Any]
+    arguments: tuple[Any, ...]
+
+
+@dataclass(frozen=True)
+class Finished:
+    """The end of a piece of work.
+
+    Attributes
+    ----------
+    key
+        Name of the work.
+    value
+        What the function returned; None if it failed.
+    failure
+        Why it failed; None if it did not.
+    defect
+        Traceback of an error that was not foreseen; else empty.
+    """
+
+    key: str
+    value: Any = None
+    failure: Failure | None = None
+    defect: str = ""
+
+
+class Workers(Protocol):
+    """Does pieces of work, in any order."""
+
+    @property
+    def size(self) -> int:
+        """How many pieces can be in progress at once; at least 1."""
+
+    def submit(self, work: Work) -> None:
+        """Hand out a piece of work.
+
+        Parameters
+        ----------
+        work
+            The work.
+        """
+
+    def finished(self, timeout_s: float) -> Sequence[Finished]:
+        """Wait for the end of any piece of work.
+
+        Parameters
+        ----------
+        timeout_s
+            Longest time to wait, s.
+
+        Returns
+        -------
+        list of Finished
+            What ended; empty after the time.
+
+        Raises
+        ------
+        WorkersLost
+            If nobody is left who could do the work.
+        """
+
+    def close(self) -> None:
+        """Cancel what is in progress, and end the workers that were started here."""
+
+
+def do(work: Work) -> Finished:
+    """Do a piece of work; every error becomes part of the result.
+
+    Parameters
+    ----------
+    work
+        The work.
+
+    Returns
+    -------
+    Finished
+        Its end.
+    """
+    try:
+        return Finished(work.key, work.function(*work.arguments))
+    except FORESEEN as error:
+        return Finished(work.key, failure=Failure.of(error))
+    except MemoryError:
+        what = "The work needs more memory than a worker may use."
+        return Finished(work.key, failure=Failure("MemoryError", what, "", "Give workers more: --memory."))
+    except OSError as error:
+        what = f"{error.strerror or error}."
+        remedy = "Check the path, and whether the workers can reach it."
+        return Finished(
+            work.key, failure=Failure(type(error).__name__, what, str(error.filename or ""), remedy)
+        )
+    except Exception as error:  # noqa: BLE001 - one run that shows a defect must not stop a thousand others
+        return Finished(work.key, failure=Failure.of(error), defect=traceback.format_exc())
+
+
+class Serial:
+    """Does the work in this process, one piece after the other."""
+
+    size = 1
+
+    def __init__(self) -> None:
+        self._waiting: deque[Work] = deque()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def submit(self, work: Work) -> None:
+        """See `Workers.submit`."""
+        self._waiting.append(work)
+
+    def finished(self, timeout_s: float) -> Sequence[Finished]:  # noqa: ARG002
+        """See `Workers.finished`. Does the next piece now."""
+        return [do(self._waiting.popleft())] if self._waiting else []
+
+    def close(self) -> None:
+        """See `Workers.close`."""
+        self._waiting.clear()
+
+
+def map_work(
+    function: Callable[..., Any], items: Iterable[tuple[Any, ...]], workers: Workers
+) -> Iterator[tuple[int, Finished]]:
+    """Call a function for many items. Few items at a time are read and handed out, so there may be very many.
+
+    Parameters
+    ----------
+    function
+        A pure function at the top of a module.
+    items
+        Arguments of each call.
+    workers
+        Who does the work.
+
+    Yields
+    ------
+    tuple of (int, Finished)
+        Number of the item, from 0, and the end of its work, in the order in which the calls end.
+
+    Raises
+    ------
+    WorkersLost
+        If nobody is left who could do the work.
+
+    Examples
+    --------
+    >>> sorted((number, end.value) for number, end in map_work(abs, [(-1,), (2,)], Serial()))
+    [(0, 1), (1, 2)]
+    """
+    source = enumerate(items)
+    out: set[str] = set()
+    more = True
+    while more or out:
+        while more and len(out) < most_handed_out(workers):
+            number, arguments = next(source, (-1, ()))
+            if number < 0:
+                more = False
+                break
+            workers.submit(Work(str(number), function, arguments))
+            out.add(str(number))
+        if not out:
+            break
+        for end in workers.finished(1.0):
+            if end.key in out:  # a second end of the same work would be counted twice
+                out.remove(end.key)
+                yield int(end.key), end
+
+
+def most_handed_out(workers: Workers) -> int:
+    """Return how many pieces of work to hand out at once, so that no worker waits and memory stays small.
+
+    Parameters
+    ----------
+    workers
+        Who does the work.
+
+    Returns
+    -------
+    int
+        At least 1.
+    """
+    return max(1, _AHEAD * workers.size) if workers.size > 1 else 1
+
+
+class TimeLeft:
+    """Expected time to the end of many pieces of work.
+
+    Parameters
+    ----------
+    monotonic
+        Returns the time, s.
+    """
+
+    def __init__(self, monotonic: Callable[[], float] = time.monotonic) -> None:
+        self._monotonic = monotonic
+        self._begun_s = monotonic()
+
+    def left_s(self, done: float, total: float) -> float | None:
+        """Return the time left, from the time so far.
+
+        Parameters
+        ----------
+        done
+            Work done since the start, in any unit.
+        total
+            All work that was to do at the start, same unit.
+
+        Returns
+        -------
+        float or None
+            Seconds; None before anything is done.
+        """
+        if done <= 0:
+            return None
+        return max(0.0, (self._monotonic() - self._begun_s) * (total - done) / done)

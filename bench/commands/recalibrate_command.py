@@ -1,0 +1,176 @@
+"""The command `recalibrate`: arguments, options and exit statuses; `bench.cluster` does the work."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from contextlib import ExitStack
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from bench.commands.engine_commands import _engine_options as engine_options
+from bench.commands.options import JSON, OutputFolder
+
+if TYPE_CHECKING:
+    from bench.cluster.tasks import Task
+    from bench.cluster.work import Workers
+
+_MEMORY = re.compile(r"(\d+(?:\.\d+)?)\s*(M|G)i?B?", re.IGNORECASE)
+_UNITS = {"M": 1 << 20, "G": 1 << 30}
+_LEAST_BYTES = 1 << 30
+
+
+class _Memory(click.ParamType):
+    """A size as 4GB or 1500M."""
+
+    name = "size"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> int:
+        """See `click.ParamType.convert`."""
+        if isinstance(value, int):
+            return value
+        found = _MEMORY.fullmatch(str(value).strip())
+        size = int(float(found[1]) * _UNITS[found[2].upper()]) if found else 0
+        if size < _LEAST_BYTES:
+            self.fail(f"{value!r} is not a size of at least 1GB. Write it as 4GB or 1500MB.", param, ctx)
+        return size
+
+
+@click.command()
+@click.argument("folders", nargs=-1, required=True, metavar="FOLDER...")
+@engine_options
+@click.option(
+    "--scheduler",
+    metavar="ADDRESS",
+    help="Address of a Dask scheduler, tcp://host:8786 or tls://host:8786 (docs/cluster.md).",
+)
+@click.option(
+    "--workers",
+    type=click.IntRange(1, 1024),
+    metavar="N",
+    help="Number of processes on this computer.  [default: one for each processor]",
+)
+@click.option(
+    "--memory",
+    type=_Memory(),
+    default="4GB",
+    show_default=True,
+    help="Memory that each process on this computer may use.",
+)
+@click.option(
+    "--output",
+    "-o",
+    type=OutputFolder(),
+    help="Folder for a folder of results for each run, and a table of all (recalculated.jsonl). The same command with"
+    " the same folder continues an interrupted one.",
+)
+@click.option("--no-seal", is_flag=True, help="Leave the results DRAFTS, without seals.")
+@click.option(
+    "--find-again", is_flag=True, help="Find the stars in every recording, also where they were kept."
+)
+@JSON
+def recalibrate(
+    folders: tuple[str, ...],
+    scheduler: str | None,
+    workers: int | None,
+    memory: int,
+    output: Path | None,
+    no_seal: bool,
+    find_again: bool,
+    as_json: bool,
+    **options: Any,
+) -> int:
+    """Calibrate many runs again, on all processors of this computer or on the workers of a Dask scheduler.
+
+    A FOLDER is a run, a folder of runs, a folder of recordings, or a URL of runs, such as s3://bucket/runs. Each run is
+    calibrated as `starbench calibrate` does it, with the same results. A run that fails stops no other.
+    """
+    from bench.base.errors import UsageError
+    from bench.base.home import home_folder
+    from bench.cluster.tasks import Task
+    from bench.results.forms import forms
+    from bench.results.offline_options import OfflineOptions
+    from bench.views.kept_views import FOLDER
+
+    if scheduler is not None and workers is not None:
+        raise UsageError(
+            "The workers of a scheduler are not started here.",
+            where="--workers",
+            remedy="Leave out --workers or --scheduler.",
+        )
+    here = str((home_folder() / FOLDER).absolute())
+    kept = "" if find_again else None if scheduler else here
+    task = Task(OfflineOptions.from_command_line(**options), forms()["program"], kept)
+    return _recalibrate(folders, task, _workers(scheduler, workers, memory), output, no_seal, as_json=as_json)
+
+
+def _workers(scheduler: str | None, count: int | None, memory: int) -> Workers:
+    """Return who does the work."""
+    if scheduler is not None:
+        from bench.cluster.scheduler import DaskWorkers
+
+        return DaskWorkers(scheduler)
+    from bench.cluster.processes import Processes
+
+    return Processes(count, memory)
+
+
+def _recalibrate(
+    folders: tuple[str, ...],
+    task: Task,
+    workers: Workers,
+    output: Path | None,
+    no_seal: bool,
+    *,
+    as_json: bool,
+) -> int:
+    """Do the work, print it, and return the exit status: 0 all done, 1 a run failed."""
+    from bench.cluster.places import find_places
+    from bench.cluster.recalculation import Recalculation
+    from bench.cluster.results_folders import TABLE, ResultsFolders
+    from bench.commands.keys_output import key_or_draft
+    from bench.commands.output import print_json
+    from bench.commands.recalibrate_output import CountedProgress, run_text, sum_text
+    from bench.terminal.signals import reliable_interrupts
+
+    progress = CountedProgress(quiet=as_json)
+
+    def say(text: str, *, err: bool = False) -> None:
+        progress.clear()
+        click.echo(text, err=err)
+
+    def ended(row: Mapping[str, Any]) -> None:
+        say(run_text(row), err=as_json)
+
+    with reliable_interrupts(), ExitStack() as stack:
+        stack.callback(workers.close)
+        places = find_places(folders)
+        key = None if output is None or no_seal else key_or_draft()
+        results = stack.enter_context(ResultsFolders(output, key)) if output is not None else None
+        work = Recalculation(
+            places,
+            task,
+            workers,
+            results,
+            ended=ended,
+            progress=progress.show,
+            remark=lambda text: say(text, err=True),
+        )
+        try:
+            rows = work.run()
+        except BaseException:
+            kept = "These results are kept; the same command continues." if output else "Nothing was written."
+            say(f"{sum_text(work.counts)} {kept}", err=True)
+            raise
+    progress.clear()
+    if as_json:
+        print_json(
+            {"runs": rows, "done": work.counts.done + work.counts.skipped, "failed": work.counts.failed}
+        )
+    else:
+        click.echo(sum_text(work.counts))
+        if output is not None:
+            click.echo(f"Table: {output / TABLE}")
+    return 1 if work.counts.failed else 0

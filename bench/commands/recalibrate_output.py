@@ -1,0 +1,157 @@
+"""Print a recalculation of many runs: a line for each run in plain words, the progress, and the sum at the end."""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from bench.terminal.duration import clock_text
+from bench.terminal.encoding import printable
+
+if TYPE_CHECKING:
+    from bench.cluster.recalculation import Counts
+
+_SHOWN = ("fx", "cx", "cy", "r")
+_ROUNDING_SIGMA = 1e-6
+_EVERY_S = 30.0
+_EVERY_ON_A_TERMINAL_S = 0.25
+
+
+def run_text(row: Mapping[str, Any]) -> str:
+    """Return one line about a run.
+
+    Parameters
+    ----------
+    row
+        Its row in the table.
+
+    Returns
+    -------
+    str
+        Values with their standard uncertainty, and the largest change against the run's own results; or why it failed.
+    """
+    from bench.commands.calibration_output import unit_text
+    from bench.report.text import with_uncertainty
+
+    name = Path(str(row["folder"]).rstrip("/")).name
+    if row["state"] != "done":
+        failure = row["failure"]
+        place = f" ({failure['where']})" if failure["where"] else ""
+        return printable(f"{name}: FAILED. {failure['what']}{place} {failure['remedy']}".rstrip())
+    if row.get("skipped"):
+        return printable(f"{name}: was done before; its results are in {row['results']}.")
+    shown = []
+    for parameter in _SHOWN:
+        if parameter in row["sigma"]:
+            value, sigma = with_uncertainty(row["values"][parameter], row["sigma"][parameter])
+            shown.append(f"{parameter} {value} ± {sigma} {unit_text(parameter)}".rstrip())
+    parts = [", ".join(shown), f"{row['views']} views, {row['stars']} stars"]
+    if row["left_out"]:
+        parts.append(f"{len(row['left_out'])} recordings left out")
+    if not row["converged"]:
+        parts.append("NOT CONVERGED")
+    return printable(f"{name}: {'; '.join([*parts, change_text(row)])}.")
+
+
+def change_text(row: Mapping[str, Any]) -> str:
+    """Return the largest change of a value against the run's own results.
+
+    Parameters
+    ----------
+    row
+        Row of a run that is done.
+
+    Returns
+    -------
+    str
+        In units of the standard uncertainty that the run stated.
+    """
+    before = row["before"]
+    if before is None:
+        return "no earlier results to compare"
+    changes = {
+        name: abs(value - before["values"][name]) / before["sigma"][name]
+        for name, value in row["values"].items()
+        if before["sigma"].get(name)
+    }
+    if not changes:
+        return "no earlier results to compare"
+    name = max(changes, key=lambda one: changes[one])
+    if changes[name] < _ROUNDING_SIGMA:
+        return "all values as in the run"
+    return f"largest change since the run: {name} by {changes[name]:.2g} sigma"
+
+
+class CountedProgress:
+    """Shows how far a recalculation is: one live line on a terminal; elsewhere a line every half minute.
+
+    Attributes
+    ----------
+    quiet
+        Whether nothing is shown.
+    """
+
+    def __init__(self, *, quiet: bool = False) -> None:
+        self.quiet = quiet
+        self._live = sys.stderr.isatty()
+        self._next_s = time.monotonic() + (0.0 if self._live else _EVERY_S)
+        self._width = 0
+
+    def show(self, counts: Counts, left_s: float | None) -> None:
+        """Show the counts, if it is time.
+
+        Parameters
+        ----------
+        counts
+            How far the recalculation is.
+        left_s
+            Expected time to the end, s; None if unknown.
+        """
+        now = time.monotonic()
+        if self.quiet or now < self._next_s:
+            return
+        self._next_s = now + (_EVERY_ON_A_TERMINAL_S if self._live else _EVERY_S)
+        left = "" if left_s is None else f", {clock_text(left_s)} left"
+        failed = f", {counts.failed} failed" if counts.failed else ""
+        text = f"{counts.ended} of {counts.runs} runs{failed}, {counts.recordings} recordings{left}"
+        if self._live:
+            click.echo(f"\r{text:<{self._width}}", nl=False, err=True)
+            self._width = len(text)
+        else:
+            click.echo(text, err=True)
+
+    def clear(self) -> None:
+        """Remove the live line, so that another line can be printed."""
+        if self._live and self._width:
+            click.echo(f"\r{'':<{self._width}}\r", nl=False, err=True)
+            self._width = 0
+
+
+def sum_text(counts: Counts) -> str:
+    """Return how a recalculation ended.
+
+    Parameters
+    ----------
+    counts
+        Its counts.
+
+    Returns
+    -------
+    str
+        One line.
+    """
+    parts = [f"{counts.done} of {counts.runs} runs calibrated"]
+    if counts.skipped:
+        parts.append(f"{counts.skipped} were done before")
+    if counts.failed:
+        parts.append(f"{counts.failed} FAILED")
+    missing = counts.runs - counts.ended
+    if missing:
+        parts.append(f"{missing} not done")
+    kept = f", {counts.kept} of them with kept views" if counts.kept else ""
+    return f"{'; '.join(parts)} ({counts.recordings} recordings{kept})."
