@@ -117,7 +117,6 @@ _FURTHER = {
     "kb2": "fisheye distortion, 4th order",
     "kb3": "fisheye distortion, 6th order",
     "kb4": "fisheye distortion, 8th order",
-    "skew": "skew: element of the camera matrix in row 1, column 2",
 }
 
 
@@ -134,7 +133,7 @@ def parameter_unit(parameter: str) -> str:
     str
         ``px`` or ``mm``; empty for a pure number.
     """
-    unit = "px" if parameter == "skew" else unit_of(parameter)
+    unit = unit_of(parameter)
     return "" if unit == "1" else unit
 
 
@@ -176,7 +175,7 @@ def _of_parameter(parameter: str) -> tuple[Column, ...]:
     return tuple(Column(name, "number", unit, text) for name, text in zip(names, meanings, strict=True))
 
 
-PARAMETERS = (*known_parameters(), *_FURTHER)
+PARAMETERS = tuple(dict.fromkeys((*known_parameters(), *_FURTHER)))
 """Parameters that have columns of their own."""
 COLUMNS: Sequence[Column] = (
     *_IDENTITY,

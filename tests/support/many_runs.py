@@ -67,7 +67,8 @@ def write_run(
         camera = {"maker": "Prophesee", "model": camera_model, "sensor": "IMX636", "serial": serial, "firmware": "4.2",
                   "width": 1280, "height": 720, "lens": "16 mm"}  # fmt: skip
         stage = [
-            {"name": n, "maker": "Zaber", "model": "RST", "serial": s} for n, s in (("pan", "1"), ("tilt", "2"))
+            {"name": n, "maker": "Zaber", "model": "RST", "serial": s}
+            for n, s in (("pan", "1"), ("tilt", "2"))
         ]
         light = {"maker": "Keysight", "model": "33250A", "serial": "SG0042"}
         settings = {"biases": {"bias_fo": 0}, "trigger_in": True}
