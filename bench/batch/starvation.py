@@ -44,11 +44,14 @@ class Starvation:
     ----------
     starved_s
         The sum, s.
+    is_counted
+        Whether the kernel counts these waits.
     """
 
     times_s: Callable[[int, int], tuple[float, float] | None] = processor_times_s
     is_ready: Callable[[int, int], bool] = thread_is_ready
     starved_s: float = field(default=0.0, init=False)
+    is_counted: bool = field(default=False, init=False)
     _threads: dict[int, _Thread] = field(default_factory=dict, init=False)
     _looked_s: float | None = field(default=None, init=False)
 
@@ -79,6 +82,7 @@ class Starvation:
         times = self.times_s(pid, thread)
         if times is None:
             return 0.0
+        self.is_counted = True
         computed_s, waited_s = times
         seen = self._threads.setdefault(thread, _Thread(computed_s, waited_s))
         grown_s = waited_s - seen.waited_s

@@ -36,8 +36,8 @@ from sequences.errors import DocumentFaults
 SILENCE_S = 3.5
 """A worker hangs if it gives no sign of life for this time, s."""
 LATE_S = 0.8
-"""Time by which this limit grows at most on a busy computer, s: so long the sign itself, or its reader, may be late.
-With the period ``POLL_S``, 5 s are not exceeded."""
+"""Where the kernel does not count how long a worker waited for a processor, the limit grows by at most this time with
+the lateness of this process, s. With the period ``POLL_S``, 5 s are not exceeded."""
 QUIET_S = 600.0
 """Time without a sign of life that is allowed at the start, at the end and while sealing, s. The devices' own deadlines
 apply there."""
@@ -352,7 +352,7 @@ def _watch(worker: _Worker, folder: Path, clock: BenchClock) -> Silence:
         assert sign is not None
         starved_s = starvation.look(sign.pid, (sign.pid, sign.thread), now_s)
         silence = Silence(now_s - since_s, starved_s)
-        late_s = min(LATE_S, _lost_s(clock) - lost_before_s)
+        late_s = 0.0 if starvation.is_counted else min(LATE_S, _lost_s(clock) - lost_before_s)
         if silence.is_starved or silence.silent_s - starved_s > SILENCE_S + late_s:
             return silence
     return Silence()

@@ -87,7 +87,7 @@ class Kernel:
         (0.0, 0.0, "S", 3.7),  # sleeps: a driver that never returns, a deadlock
         (0.0, 0.0, "T", 3.7),  # stopped
         (1.0, 0.0, "R", 3.7),  # computes without end on an idle computer
-        (0.1, 0.1, "S", 4.3),  # a busy computer, and it sleeps most of the time
+        (0.1, 0.1, "S", 4.0),  # a busy computer, and it sleeps most of the time
         (0.02, 0.98, "R", 30.9),  # ready, and others have the processors
         (0.0, 0.0, "R", 30.3),  # the same, in one wait that the kernel has not counted yet
     ],
@@ -136,3 +136,28 @@ def test_the_kernel_tells_what_a_thread_computed_and_waited(tmp_path):
     assert thread_is_ready(7, 8, tmp_path)
     (task / "schedstat").write_text("not counted")
     assert processor_times_s(7, 8, tmp_path) is None
+
+
+def test_without_the_kernels_count_the_limit_grows_with_the_supervisors_own_lateness(tmp_path, monkeypatch):
+    class Late(VirtualClock):
+        def lateness(self):
+            return {"lost_s": self.monotonic()}
+
+    monkeypatch.setattr("bench.batch.supervisor.waits_for_disk", lambda _pid: False)
+    for counted, noticed_s in ((None, 4.5), ((1.0, 1.0), 3.7)):
+        signs = [Heartbeat(1, 1, 0, 1), Heartbeat(7, 1, 1, 8)]
+        monkeypatch.setattr(
+            "bench.batch.supervisor.read_heartbeat",
+            lambda _folder, signs=signs: signs.pop(0) if signs[1:] else signs[0],
+        )
+        monkeypatch.setattr(
+            "bench.batch.supervisor.Starvation",
+            lambda told=counted: Starvation(lambda *_: told, lambda *_: False),
+        )
+
+        class Silent:
+            def gone(self):
+                return False
+
+        silence = _watch(Silent(), tmp_path, Late(datetime(2026, 3, 1, tzinfo=UTC)))
+        assert silence.silent_s == pytest.approx(noticed_s, abs=0.25)

@@ -1,0 +1,155 @@
+"""From a fault of a simulated device to its line in the journal, to a message, and to the end of the run.
+
+    python tests/benchmarks/bench_fault_times.py FOLDER [FAULT ...]
+
+FOLDER is new. A real run in a process of its own uses a simulated bench in another process. The fault is ordered while
+pose 2 is at work; a web server in this process receives the messages. Prints a row for each fault: seconds after the
+order, and what was told. The load of the computer stands in the last line.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import subprocess
+import sys
+import threading
+import time
+from dataclasses import dataclass, field
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "support"))
+
+from quick_runs import write_sequence, write_station
+from running import PATIENCE_S, STARBENCH, entering, environment, journal, start
+from servers import WebServer, serving
+
+POSES = "[{pan_deg: -6, tilt_deg: 2}, {pan_deg: 6, tilt_deg: 2}, {pan_deg: 0, tilt_deg: -3}]"
+FAULTS = {
+    "pan stall": "slewing",
+    "pan limit": "slewing",
+    "pan stop_short": "slewing",
+    "pan no_progress": "slewing",
+    "pan press_stop": "slewing",
+    "gimbal unplug": "slewing",
+    "gimbal lost": "slewing",
+    "gimbal lost count=0": "slewing",
+    "gimbal garbled count=0": "slewing",
+    "light unplug": "recording",
+    "light lost count=0": "recording",
+    "light trip": "recording",
+    "light lamp_open": "recording",
+    "light no_sync": "recording",
+    "camera unplug": "recording",
+    "camera fault": "recording",
+    "camera silence": "recording",
+    "camera frames_lost count=3": "recording",
+}
+"""The order, and the state of pose 2 in which it is given."""
+
+
+@dataclass
+class Bench:
+    """A simulated bench that outlives the run; its answers are taken by a thread."""
+
+    process: subprocess.Popen[str]
+    ports: dict[str, str] = field(default_factory=dict)
+
+    @classmethod
+    def started(cls, station: Path, home: Path) -> Bench:
+        """Start it, and wait for its ports."""
+        process = subprocess.Popen(
+            [*STARBENCH, "simulate", "--station", str(station), "--seed", "7"],
+            env=environment(home),
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.DEVNULL,
+            text=True,
+        )
+        bench = cls(process)
+        assert process.stdout is not None
+        while set(bench.ports) < {"gimbal", "light", "camera"}:
+            name, port = process.stdout.readline().split()
+            bench.ports[name] = port
+        threading.Thread(target=lambda: list(process.stdout), daemon=True).start()
+        return bench
+
+    def order(self, text: str) -> None:
+        """Give an order."""
+        assert self.process.stdin is not None
+        self.process.stdin.write(text + "\n")
+        self.process.stdin.flush()
+
+
+def told_by(lines: list[dict], since: int) -> str:
+    """Return what the journal says of the fault; empty if it says nothing yet."""
+    for line in lines[since:]:
+        if line["event"] == "left_off" and line.get("error"):
+            return line["error"]
+        if line["event"] == "attempt_checked" and not line["accepted"]:
+            return "; ".join(line["reasons"])
+        if line["event"] == "attempt_lost":
+            return line["why"]
+        if line["event"] == "run_ended" and line["how"] != "finished":
+            return line["why"]
+    return ""
+
+
+def measure(folder: Path, fault: str, state: str) -> str:
+    """Do a run with one fault; return its row."""
+    folder.mkdir()
+    with serving(WebServer()) as server:
+        hook = f"\nmessages: {{webhooks: [{{url: '{server.url}'}}]}}\n"
+        station = write_station(folder / "station.yaml", hook)
+        bench = Bench.started(station, folder / "home")
+        try:
+            text = "\n".join(
+                line for line in station.read_text().splitlines() if not line.startswith("simulation:")
+            )
+            for name, port in bench.ports.items():
+                text = text.replace(f"sim:{name}", port)
+            station.write_text(text + "\n")
+            sequence = write_sequence(folder / "sequence.yaml", POSES, attempts=1)
+            run = folder / "run"
+            process = start("run", sequence, "-s", station, "-o", run, home=folder / "home")
+            while process.poll() is None and not any(map(entering(state, 2), journal(run))):
+                time.sleep(0.005)
+            since, began_s = len(journal(run)), time.monotonic()
+            bench.order(fault)
+            seen_s, message_s, what = None, None, ""
+            while process.poll() is None and time.monotonic() < began_s + PATIENCE_S:
+                now_s = time.monotonic() - began_s
+                if seen_s is None and (what := told_by(journal(run), since)):
+                    seen_s = now_s
+                if message_s is None and server.posts:
+                    message_s = now_s
+                time.sleep(0.01)
+            ended_s = time.monotonic() - began_s
+            process.communicate()
+            if message_s is None and server.posts:
+                message_s = ended_s
+        finally:
+            bench.process.kill()
+            bench.process.communicate()
+    end = journal(run)[-1]
+    states = ", ".join(f"{one['device']} {one['state']}" for one in end.get("devices", ()))
+    times = "".join("       -" if one is None else f" {one:7.1f}" for one in (seen_s, message_s, ended_s))
+    return f"{fault:28}{state:10}{times}  {end.get('how', '?'):9} {what[:110]!r} {states}"
+
+
+def main() -> None:
+    """Print the table."""
+    parser = argparse.ArgumentParser()
+    parser.add_argument("folder", type=Path)
+    parser.add_argument("faults", nargs="*", default=list(FAULTS))
+    given = parser.parse_args()
+    given.folder.mkdir(parents=True)
+    print(f"{'fault':28}{'in state':10} journal message     end  how       what")
+    for number, fault in enumerate(given.faults):
+        print(measure(given.folder / f"{number:02}", fault, FAULTS[fault]), flush=True)
+    print(json.dumps({"load": os.getloadavg()}))
+
+
+if __name__ == "__main__":
+    main()
