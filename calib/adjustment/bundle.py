@@ -104,11 +104,17 @@ class Bundle:
         Bundle
             Bundle with the same free parameters and priors.
         """
-        rows = self.observations.rows(kept)
-        shifts = None if self.displacements is None else self.displacements[np.concatenate(rows)]
+        obs, shifts = self.observations, self.displacements
+        if len(kept) == 1:
+            fewer = obs.of_view(kept[0])
+            shifts = None if shifts is None else shifts[obs.slices[kept[0]]]
+        else:
+            rows = obs.rows(kept)
+            fewer = obs.with_rows(rows)
+            shifts = None if shifts is None else shifts[np.concatenate(rows)]
         return replace(
             self,
-            observations=self.observations.with_rows(rows),
+            observations=fewer,
             displacements=shifts,
             gimbal=self.gimbal.subset(kept) if self.gimbal else None,
             poses=tuple(self.poses[i] for i in kept) if self.poses else None,

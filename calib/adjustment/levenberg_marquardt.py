@@ -56,6 +56,11 @@ class Loss:
         if self.name not in ("l2", "huber", "cauchy"):
             raise InputMismatch(f"Unknown loss {self.name!r}.", remedy="Known: l2, huber, cauchy.")
 
+    @property
+    def number(self) -> int:
+        """The loss as a number for `calib.adjustment.star_kernels`; least squares if the limit is infinite."""
+        return LOSSES[self.name if np.isfinite(self.limit) else "l2"]
+
     def cost(self, lengths: Array) -> float:
         """Return the total cost.
 
@@ -262,7 +267,7 @@ def _search(
         rotations,
         offsets,
         bundle.free_centres,
-        LOSSES[loss.name] if np.isfinite(loss.limit) else LOSSES["l2"],
+        loss.number,
         float(loss.limit),
         float(bundle.local_prior_information[-1, -1]) if bundle.has_drift_prior else 0.0,
         np.array(at, np.int64),

@@ -170,8 +170,10 @@ def view_equations(
 
     Parameters
     ----------
-    observations, displacements, parameters, places
+    observations, parameters, places
         As for `blocks`.
+    displacements
+        (N, 2, T) float64 displacement of each star by a unit of each aberration, mm; None if there are none.
     influence
         (N, 2) gradient of the cost by each weighted residual.
     curvature_root
@@ -210,8 +212,10 @@ def residuals_px(
 
     Parameters
     ----------
-    observations, displacements, parameters
+    observations, parameters
         As for `blocks`.
+    displacements
+        (N, 2, T) float64 displacement of each star by a unit of each aberration, mm; None if there are none.
 
     Returns
     -------
@@ -270,11 +274,12 @@ def unpacked(parameters: AdjustmentParameters, state: Array) -> tuple[CameraMode
     """
     camera, collimator, values = parameters.camera, parameters.collimator, state.tolist()
     family = FISHEYE if camera.is_fisheye else BROWN
-    lens = [values[LENS_AT + family.index(name)] for name in camera.distortion]
+    fx, fy, cx, cy = values[:LENS_AT]
+    lens = {name: values[LENS_AT + family.index(name)] for name in camera.distortion}
     x, y, r, *aberrations = values[CENTRE_AT:]
     named = dict(zip(collimator.aberrations, aberrations, strict=True))
     return (
-        CameraModel(*values[:LENS_AT], camera.image_size, dict(zip(camera.distortion, lens, strict=True))),
+        CameraModel(fx, fy, cx, cy, camera.image_size, lens),
         Collimator(x, y, r, named, collimator.reference),
     )
 
@@ -291,7 +296,7 @@ def state_places(
     places
         The free parameters.
     displacements
-        Displacements of the stars; None if there are none.
+        (N, 2, T) float64 displacements, mm; None if there are none.
 
     Returns
     -------

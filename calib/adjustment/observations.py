@@ -100,7 +100,7 @@ class Observations:
     @cached_property
     def sigmas_per_px(self) -> float:
         """The factor from px to standard deviations of the typical star."""
-        return float(np.sqrt(np.median(np.abs(np.linalg.det(self.whitening)))))
+        return float(np.sqrt(np.median(np.abs(self.factors[0] * self.factors[2]))))
 
     def whitened(self, vectors: Array) -> Array:
         """Multiply vectors by the whitening: residuals in px become weighted residuals.
@@ -155,6 +155,29 @@ class Observations:
             Row indices, shape (N_i,), of each view.
         """
         return [np.arange(self.slices[i].start, self.slices[i].stop) for i in views]
+
+    def of_view(self, i: int) -> Observations:
+        """Return the observations of one view.
+
+        Parameters
+        ----------
+        i
+            Index of the view.
+
+        Returns
+        -------
+        Observations
+            One view, whose arrays are parts of these.
+        """
+        rows = self.slices[i]
+        count = rows.stop - rows.start
+        return Observations(
+            self.target[rows],
+            self.points_px[rows],
+            self.whitening[rows],
+            (slice(0, count),),
+            np.zeros(count, np.int64),
+        )
 
     def with_rows(self, rows: Sequence[NDArray[np.int64]]) -> Observations:
         """Return observations that consist of given rows.

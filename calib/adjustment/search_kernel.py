@@ -267,7 +267,7 @@ def search(
 
     residuals_px(target, displacements, points, starts, state, fisheye, rotations, offsets, residuals)
     whiten(residuals, factors)
-    cost = robust_cost(residuals, loss, limit)
+    cost = robust_cost(residuals, 0, stars, loss, limit)
     cost += _prior_cost(state, offsets, places, drift, prior_at, prior, mean)
     if not np.isfinite(cost):
         return np.inf, False, 0
@@ -300,7 +300,7 @@ def search(
             target, displacements, points, starts, new_state, fisheye, new_rotations, new_offsets, residuals
         )
         whiten(residuals, factors)
-        new_cost = robust_cost(residuals, loss, limit)
+        new_cost = robust_cost(residuals, 0, stars, loss, limit)
         new_cost += _prior_cost(new_state, new_offsets, places, drift, prior_at, prior, mean)
         gain = 2.0 * (cost - new_cost) / predicted
         if gain > 0.0:

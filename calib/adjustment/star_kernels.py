@@ -135,13 +135,15 @@ def whiten(residuals: Any, factors: Any) -> None:
 
 
 @njit(cache=True, error_model="numpy")
-def robust_cost(residuals: Any, loss: int, limit: float) -> float:
-    """Return the sum of the robust costs of weighted residuals, as `Loss.cost` (Huber, 1964; Holland and Welsch, 1977).
+def robust_cost(residuals: Any, first: int, end: int, loss: int, limit: float) -> float:
+    """Return the sum of the robust costs of some stars, as `Loss.cost` (Huber, 1964; Holland and Welsch, 1977).
 
     Parameters
     ----------
     residuals
         (2, N) float64 weighted residuals.
+    first, end
+        The first of the stars, and the first behind them.
     loss
         Number of the loss, see `LOSSES`.
     limit
@@ -153,7 +155,7 @@ def robust_cost(residuals: Any, loss: int, limit: float) -> float:
         The cost.
     """
     total = 0.0
-    for k in range(residuals.shape[1]):
+    for k in range(first, end):
         square = residuals[0, k] * residuals[0, k] + residuals[1, k] * residuals[1, k]
         if loss == _HUBER:
             length = np.sqrt(square)
@@ -395,16 +397,16 @@ def view_equations(
                 x, y, z = _camera_point(rotations[i], centre, x, y, target[2, first + k])
                 p[0, k], p[1, k], p[2, k] = x, y, z
                 plane[0, k], plane[1, k] = x / z, y / z
-            x, y = plane[0, :size], plane[1, :size]
-            _bend(x, y, state, fisheye, bent, by_normalised, radial)
-            _write_geometry(p, x, y, by_normalised, rotations[i], state, columns[shared : shared + 3], moved)
+            u, v = plane[0, :size], plane[1, :size]
+            _bend(u, v, state, fisheye, bent, by_normalised, radial)
+            _write_geometry(p, u, v, by_normalised, rotations[i], state, columns[shared : shared + 3], moved)
             if count > shared + 3:
                 columns[shared + 3 :] = moved
             for g in range(shared):
                 if places[g] >= CENTRE_AT:
                     _write_centre(columns[g], places[g], moved, displacements[first : first + size])
                 elif places[g] != NOWHERE:
-                    _write_lens(columns[g], places[g], x, y, state, fisheye, bent, radial)
+                    _write_lens(columns[g], places[g], u, v, state, fisheye, bent, radial)
             _add_products(columns, gradient, curvature, first, size, normal[i], right[i])
         for g in range(count):
             for h in range(g):

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from calib.model.homography import apply_homography, fit_homography
+from calib.model.homography import apply_homography, fit_homography, neighbours_of
 from calib.model.local_consistency import local_sigma_px
 from calib.view import View
 
@@ -37,7 +37,8 @@ def noise_px(view: View) -> float:
 def _noise_px(view: View) -> float:
     """Return the noise of a view, as `noise_px`."""
     h = fit_homography(view.target_mm, view.points_px)
-    return local_sigma_px(view.target_mm, apply_homography(h, view.target_mm), view.points_px)
+    mapped = apply_homography(h, view.target_mm)
+    return local_sigma_px(view.target_mm, mapped, view.points_px, neighbours_of(view))
 
 
 def typical_noise_px(views: Sequence[View]) -> float:

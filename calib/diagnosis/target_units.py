@@ -11,8 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calib.model.homography import view_homography
-from calib.model.local_consistency import local_spacing
+from calib.model.homography import neighbours_of, view_homography
 from calib.model.spherical import linear_solution
 from calib.view import View
 
@@ -78,7 +77,7 @@ def check_target_units(
         if unit:
             why = f"The views give a collimator radius of {r_mm:.3g} mm, and {known_r_mm:.3g} mm is known."
             return TargetUnits(unit, why)
-    pitch = min(local_spacing(view.target_mm) for view in views)
+    pitch = min(neighbours_of(view).spacing for view in views)
     if not PLAUSIBLE_PITCH_MM[0] <= pitch <= PLAUSIBLE_PITCH_MM[1]:
         why = f"Neighbouring stars of the target are {pitch:.3g} mm apart, which is implausible."
         return TargetUnits("metres" if pitch < 1.0 else "micrometres", why)

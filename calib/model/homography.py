@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.errors import DegenerateViews, InputMismatch, TooFewStars
-from calib.model.local_consistency import contradicts_neighbours
+from calib.model.local_consistency import Nearest, contradicts_neighbours, nearest_stars
 from calib.view import View
 
 Array = NDArray[np.float64]
@@ -141,6 +141,22 @@ def gross_errors(view: View) -> Bools:
     return view.remembered("homography", _fit_without_gross_errors)[1]
 
 
+def neighbours_of(view: View) -> Nearest:
+    """Return the neighbours of the stars of a view, which are found once.
+
+    Parameters
+    ----------
+    view
+        At least 2 stars.
+
+    Returns
+    -------
+    Nearest
+        The neighbours on the target.
+    """
+    return view.remembered("neighbours", lambda of: nearest_stars(of.target_mm))
+
+
 def _fit_without_gross_errors(view: View) -> tuple[Array, Bools]:
     """Return the (3, 3) homography of any scale, and which stars were left out of it, (N,) bool."""
     where = f"view {view.name}"
@@ -169,7 +185,11 @@ def _wrong_about(h: Array, view: View) -> Bools:
     variances = np.trace(view.covariances_px2, axis1=1, axis2=2)
     stated = bool(variances.min() > 0.0 and variances.max() > variances.min())
     return contradicts_neighbours(
-        view.target_mm, mapped, view.points_px, np.sqrt(variances) if stated else None
+        view.target_mm,
+        mapped,
+        view.points_px,
+        np.sqrt(variances) if stated else None,
+        neighbours_of(view),
     )
 
 

@@ -68,7 +68,52 @@ class _Neighbours:
         return _Neighbours(self.which[stars], self.design[stars])
 
 
-def contradicts_neighbours(target: Array, mapped: Array, points: Array, sigmas: Array | None = None) -> Bools:
+@dataclass(frozen=True)
+class Nearest:
+    """The neighbours of all stars on the target.
+
+    Attributes
+    ----------
+    neighbours
+        The neighbours of each star.
+    distance
+        (N, K) float64 their distances, in the unit of the positions.
+    spacing
+        Typical distance of a star from the nearest one: the pitch of a lattice.
+    """
+
+    neighbours: _Neighbours
+    distance: Array
+    spacing: float
+
+
+def nearest_stars(target: Array) -> Nearest:
+    """Return the neighbours of each star.
+
+    Parameters
+    ----------
+    target
+        (N, 2) positions on the target, any unit; N >= 2.
+
+    Returns
+    -------
+    Nearest
+        The neighbours on the target.
+    """
+    from scipy.spatial import cKDTree
+
+    count = min(_NEIGHBOURS, len(target) - 1)
+    found = cKDTree(target).query(target, count + 1)
+    distance, near = np.asarray(found[0])[:, 1:], np.asarray(found[1], np.int64)[:, 1:]
+    spacing = max(float(np.median(distance[:, 0])), np.finfo(float).tiny)
+    offsets = (target[near] - target[:, None]) / spacing
+    design = np.concatenate([np.ones((*near.shape, 1)), offsets], axis=2)
+    return Nearest(_Neighbours(near, design), distance, spacing)
+
+
+def contradicts_neighbours(
+    target: Array, mapped: Array, points: Array, sigmas: Array | None = None, nearest: Nearest | None = None
+) -> Bools:
     """Return which stars lie far from where their neighbours predict them.
 
     A rough map of the plane is subtracted first, so that little but distortion and errors remains. Two tests follow.
@@ -90,6 +135,8 @@ def contradicts_neighbours(target: Array, mapped: Array, points: Array, sigmas: 
         (N, 2) image points found, px.
     sigmas
         (N,) stated 1-sigma of the points in any unit; None if all are equal.
+    nearest
+        The neighbours on the target, if they are known already.
 
     Returns
     -------
@@ -99,9 +146,9 @@ def contradicts_neighbours(target: Array, mapped: Array, points: Array, sigmas: 
     if len(target) < MIN_STARS:
         return np.zeros(len(target), bool)
     off = points - mapped
-    neighbours, distance, spacing = _nearest(target)
-    near = neighbours.which
-    apart = _outside_the_largest_patch(mapped, off, distance, near, spacing)
+    nearest = nearest or nearest_stars(target)
+    neighbours, near = nearest.neighbours, nearest.neighbours.which
+    apart = _outside_the_largest_patch(mapped, off, nearest.distance, near, nearest.spacing)
     wrong = apart.copy()
     wider = 1.0 if sigmas is None else np.maximum(sigmas / np.quantile(sigmas, _BEST_STARS), 1.0)
     least = LIMIT_PX * (1.0 + _RIM_FACTOR * neighbours.one_sidedness) * wider
@@ -124,7 +171,7 @@ def contradicts_neighbours(target: Array, mapped: Array, points: Array, sigmas: 
     return wrong
 
 
-def local_sigma_px(target: Array, mapped: Array, points: Array) -> float:
+def local_sigma_px(target: Array, mapped: Array, points: Array, nearest: Nearest | None = None) -> float:
     """Return the noise of the stars as their neighbours show it: no model of camera or collimator takes part.
 
     The median of the distances between stars and local quadratic least squares predictions, over 1.1774 =
@@ -138,6 +185,8 @@ def local_sigma_px(target: Array, mapped: Array, points: Array) -> float:
         (N, 2) positions mapped to the image by any smooth map that roughly fits, px.
     points
         (N, 2) image points found, px.
+    nearest
+        The neighbours on the target, if they are known already.
 
     Returns
     -------
@@ -146,7 +195,7 @@ def local_sigma_px(target: Array, mapped: Array, points: Array) -> float:
     """
     if len(target) < MIN_STARS:
         return float("nan")
-    affine, _, _ = _nearest(target)
+    affine = (nearest or nearest_stars(target)).neighbours
     x, y = affine.design[:, :, 1], affine.design[:, :, 2]
     bent = np.concatenate([affine.design, np.stack([x * x, x * y, y * y], axis=2)], axis=2)
     deviations = _plain_deviations(_Neighbours(affine.which, bent), points - mapped)
@@ -166,20 +215,7 @@ def local_spacing(target: Array) -> float:
     float
         Median distance, in the unit of the positions.
     """
-    return _nearest(target)[2]
-
-
-def _nearest(target: Array) -> tuple[_Neighbours, Array, float]:
-    """Return the neighbours of each star, their (N, K) distances, and the typical distance of the nearest one."""
-    from scipy.spatial import cKDTree
-
-    count = min(_NEIGHBOURS, len(target) - 1)
-    found = cKDTree(target).query(target, count + 1)
-    distance, near = np.asarray(found[0])[:, 1:], np.asarray(found[1], np.int64)[:, 1:]
-    spacing = max(float(np.median(distance[:, 0])), np.finfo(float).tiny)
-    offsets = (target[near] - target[:, None]) / spacing
-    design = np.concatenate([np.ones((*near.shape, 1)), offsets], axis=2)
-    return _Neighbours(near, design), distance, spacing
+    return nearest_stars(target).spacing
 
 
 def _plain_deviations(neighbours: _Neighbours, off: Array) -> Array:

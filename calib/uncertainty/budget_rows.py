@@ -283,7 +283,7 @@ def _effect(term: TypeBTerm, response: TargetResponse, quantities: _Quantities) 
     """Describe what a term of its value would do: to fx, and to the image point that moves most."""
     at = response.names.index("fx")
     if term.kind == "wavefront":
-        covariance = 4.0 * response.by_wavefront(term)[0] * term.value**2  # expanded, k = 2
+        covariance = 4.0 * response.shared_by_wavefront(term) * term.value**2  # expanded, k = 2
         fx, farthest = float(np.sqrt(max(covariance[at, at], 0.0))), quantities.widest(covariance)
         chance = " (k = 2)"
     else:

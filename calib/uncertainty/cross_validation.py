@@ -6,14 +6,16 @@ Views that were left out measure how well a model predicts. The estimates withou
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from calib.adjustment import star_kernels
 from calib.adjustment.bundle import Bundle
 from calib.adjustment.levenberg_marquardt import Loss, refine
+from calib.adjustment.linearisation import residuals_px
 from calib.adjustment.parameters import AdjustmentParameters
 from calib.model.collimator import Collimator
 from calib.uncertainty.repeats import pose_scores, views_of_poses
@@ -85,19 +87,27 @@ def leave_one_out(bundle: Bundle, parameters: AdjustmentParameters, loss: Loss) 
     """
     values, rms, stars = [], [], []
     poses = views_of_poses(bundle)
+    at_optimum = _view_costs(bundle, parameters, loss)
     for left_out, near in zip(poses, _steps_without(bundle, parameters, loss), strict=True):
         others = [j for j in range(len(parameters.rotations)) if j not in left_out]
-        fewer, without = bundle.subset(others), near.subset(others)
-        far = _cost(fewer, without, loss) > _cost(fewer, parameters.subset(others), loss)
+        fewer, without = _priors_of(bundle, others), near.subset(others)
+        start = parameters.subset(others)
+        cost = at_optimum[others].sum() + fewer.prior_cost(start)
+        far = not _view_costs(bundle, near, loss)[others].sum() + fewer.prior_cost(without) <= cost
         if far or len(poses) <= _STEP_VIEWS:
-            start = parameters.subset(others) if far else without
-            without = refine(fewer, start, loss, tolerance=_TOLERANCE).parameters
+            start = start if far else without
+            without = refine(bundle.subset(others), start, loss, tolerance=_TOLERANCE).parameters
         values.append(without.values(bundle.names))
         for i in left_out:
             residuals = _alone(bundle, without, parameters.rotations[i], parameters.centres[i], i)
             rms.append(np.sqrt((residuals**2).sum(axis=1).mean()))
             stars.append(len(residuals))
     return CrossValidation(np.array(values), np.array(rms), np.array(stars))
+
+
+def _priors_of(bundle: Bundle, kept: Sequence[int]) -> Bundle:
+    """Return the bundle with the readings of some views, for `Bundle.prior_cost`; all stars stay."""
+    return replace(bundle, gimbal=bundle.gimbal.subset(kept)) if bundle.gimbal else bundle
 
 
 def _steps_without(
@@ -123,13 +133,16 @@ def _steps_without(
         yield parameters.after_step(bundle.names, shared, -answers @ shared)
 
 
-def _cost(bundle: Bundle, parameters: AdjustmentParameters, loss: Loss) -> float:
-    """Return the robust cost; infinite if a star cannot be projected."""
-    with np.errstate(invalid="ignore", over="ignore"):
-        cost = loss.cost(np.linalg.norm(bundle.weighted_residuals(parameters), axis=1)) + bundle.prior_cost(
-            parameters
-        )
-    return cost if np.isfinite(cost) else float("inf")
+def _view_costs(bundle: Bundle, parameters: AdjustmentParameters, loss: Loss) -> Array:
+    """Return the (n,) robust costs of the stars of each view; infinite if a star cannot be projected."""
+    obs = bundle.observations
+    residuals = residuals_px(obs, bundle.displacements, parameters)
+    star_kernels.whiten(residuals, obs.factors)
+    costs = [
+        star_kernels.robust_cost(residuals, rows.start, rows.stop, loss.number, loss.limit)
+        for rows in obs.slices
+    ]
+    return np.array(costs)
 
 
 def _alone(bundle: Bundle, others: AdjustmentParameters, rotation: Array, centre: Array, i: int) -> Array:

@@ -21,6 +21,8 @@ from calib.model.type_b_terms import RADII, SCALES, TypeBTerm
 Array = NDArray[np.float64]
 
 _MICRO = 1e-6
+#: Stars lie on a lattice if its rows and columns have at most this many times as many crossings as there are stars.
+_LATTICE_SHARE = 4
 
 
 @dataclass(frozen=True)
@@ -104,19 +106,42 @@ class TargetResponse:
         tuple of Array
             (G, G) covariance of the parameters and (3 n, 3 n) of the rotation vectors, rad^2, per urad^2.
         """
-        length = term.correlation_mm or 0.5 * self.star_radius_mm
-        away = (self.stars_mm[:, None] - self.stars_mm) / length
-        alike = np.exp(-0.5 * (away**2).sum(axis=2))
-        blocks = [[((a == b) - away[:, :, a] * away[:, :, b]) * alike for b in (0, 1)] for a in (0, 1)]
+        scale = self._wavefront_scale(term)
+        length = self._correlation_mm(term)
+        return (
+            scale * _slopes_covariance(self.stars_mm / length, self.shared[:, :2]),
+            scale * _slopes_covariance(self.stars_mm / length, self.turns[:, :2]),
+        )
+
+    def shared_by_wavefront(self, term: TypeBTerm) -> Array:
+        """Return the first result of `by_wavefront`: the covariance of the parameters.
+
+        Parameters
+        ----------
+        term
+            A term of the kind ``wavefront``.
+
+        Returns
+        -------
+        Array
+            (G, G) covariance of the parameters per urad^2.
+        """
+        stars = self.stars_mm / self._correlation_mm(term)
+        return np.asarray(self._wavefront_scale(term) * _slopes_covariance(stars, self.shared[:, :2]))
+
+    def _correlation_mm(self, term: TypeBTerm) -> float:
+        """Return the length of the correlation of the wavefront, on the target, mm."""
+        return term.correlation_mm or 0.5 * self.star_radius_mm
+
+    def _wavefront_scale(self, term: TypeBTerm) -> float:
+        """Return the variance, mm^2, that gives slopes of 1 urad RMS after subtraction of the mean slope."""
         count = len(self.stars_mm)
-        mean_square = sum(np.trace(own[i]) / count - own[i].mean() for i, own in enumerate(blocks))
+        mean = np.zeros((2, 2, count))
+        mean[0, 0] = mean[1, 1] = 1.0 / count
+        of_mean = _slopes_covariance(self.stars_mm / self._correlation_mm(term), mean)
+        mean_square = 2.0 - float(np.trace(of_mean))
         # One star alone has no slope besides the mean.
-        scale = (_MICRO * self.r_mm) ** 2 / mean_square if mean_square > 0 else 0.0
-        answers = []
-        for each in (self.shared, self.turns):
-            pairs = ((each[:, a] @ blocks[a][b] @ each[:, b].T) for a in (0, 1) for b in (0, 1))
-            answers.append(scale * np.asarray(sum(pairs)))
-        return answers[0], answers[1]
+        return (_MICRO * self.r_mm) ** 2 / mean_square if mean_square > 0 else 0.0
 
     @property
     def star_radius_mm(self) -> float:
@@ -225,6 +250,38 @@ def _radius_gradient(
         gradient[at, 0] = bundle.noise_variance * prior.information[:, prior.names.index("r")] * r
         return _solved(information, gradient)[:, 0], True
     return np.zeros(len(bundle.names)), False
+
+
+def _slopes_covariance(stars: Array, sums: Array) -> Array:
+    """Return the covariance (Q, Q) of sums of the slopes of a random wavefront of unit variance at the stars.
+
+    ``stars`` (M, 2) are in lengths of the correlation, ``sums`` (Q, 2, M) are the factors of the slopes. The slopes are
+    those of a field with the correlation function exp(-d^2 / 2). It is a product of a function of x and one of y, so
+    that on a lattice of stars the sums run over columns, then over rows.
+    """
+    (xs, column), (ys, row) = (np.unique(stars[:, axis], return_inverse=True) for axis in (0, 1))
+    if len(xs) * len(ys) > _LATTICE_SHARE * len(stars):
+        flat, slope, bend = _correlations(stars[:, 0])
+        flat_y, slope_y, bend_y = _correlations(stars[:, 1])
+        blocks = ((bend * flat_y, -slope * slope_y), (-slope * slope_y, flat * bend_y))
+        pairs = (sums[:, a] @ blocks[a][b] @ sums[:, b].T for a in (0, 1) for b in (0, 1))
+        return np.asarray(sum(pairs))
+    spread = np.zeros((len(sums), 2, len(xs), len(ys)))
+    spread[:, :, column.reshape(-1), row.reshape(-1)] = sums
+    flat, slope, bend = _correlations(xs)
+    flat_y, slope_y, bend_y = _correlations(ys)
+    u, v = spread[:, 0], spread[:, 1]
+    by_u = bend @ u @ flat_y.T - slope @ v @ slope_y.T
+    by_v = flat @ v @ bend_y.T - slope @ u @ slope_y.T
+    whole = np.concatenate([by_u.reshape(len(sums), -1), by_v.reshape(len(sums), -1)], axis=1)
+    return np.asarray(whole @ spread.reshape(len(sums), -1).T)
+
+
+def _correlations(places: Array) -> tuple[Array, Array, Array]:
+    """Return f(d) = exp(-d^2 / 2), d f(d) and (1 - d^2) f(d) of the distances d between all places, (M, M) each."""
+    away = places[:, None] - places
+    flat = np.exp(-0.5 * away**2)
+    return flat, away * flat, (1.0 - away**2) * flat
 
 
 def _turns(local: Array, coupling: Array, gradients: Array, shared: Array) -> Array:

@@ -213,7 +213,7 @@ def radius_difference_variance(response: TargetResponse, terms: Sequence[TypeBTe
         if term.kind in RADII:
             variance += (term.standard_uncertainty * response.r_mm) ** 2
         elif term.kind == "wavefront":
-            variance += float(response.by_wavefront(term)[0][at, at]) * term.standard_uncertainty**2
+            variance += float(response.shared_by_wavefront(term)[at, at]) * term.standard_uncertainty**2
         else:
             variance += (float(response.by_term(term)[0][at]) * term.standard_uncertainty) ** 2
     return variance

@@ -1,5 +1,7 @@
 """Type B terms: their sensitivities against refits of data that were shifted by brute force."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -219,3 +221,14 @@ def test_stated_terms_cover_what_they_do_to_whole_calibrations(make_bench, how):
         found.append((fit.parameters.camera.fx - bench.fx) / sigma)
     assert 0.75 < np.sqrt(np.mean(np.square(found))) < 1.25
     assert np.mean(np.abs(found) < 2) > 0.85
+
+
+def test_a_wavefront_on_a_lattice_of_stars_is_that_of_stars_anywhere(bench):
+    """On a lattice the sums run over rows and columns; the smallest displacement of the stars takes the other way."""
+    term, rng = TypeBTerm("wavefront", "wavefront", 1.0, "x", correlation_mm=20.0), np.random.default_rng(9)
+    response = response_of(fitted(bench, "spherical with a certificate"))
+    moved = replace(response, stars_mm=response.stars_mm + rng.uniform(-1e-9, 1e-9, response.stars_mm.shape))
+    on_lattice, anywhere = response.by_wavefront(term), moved.by_wavefront(term)
+    for found, expected in zip(on_lattice, anywhere, strict=True):
+        assert np.abs(found - expected).max() < 1e-7 * np.abs(expected).max()
+    assert (response.shared_by_wavefront(term) == on_lattice[0]).all()
