@@ -19,6 +19,7 @@ from sequences.schema import (
     Grid,
     LightConfig,
     MoveConfig,
+    PlaceConfig,
     PoseConfig,
     RecordConfig,
     RepeatConfig,
@@ -158,7 +159,8 @@ class _Unfolding:
         self._recordings = 0
         self._waveform: Waveform = "square"  # of the latest light step
         self._pose: Pose | None = None  # the current pose
-        self._move_step: MoveStep  # the step that moved to the current pose
+        self._move_step: MoveStep | None = None  # the step that moved to the current pose
+        self._placements = 0
 
     def fault(self, path: DocumentPath, message: str) -> None:
         self.faults.append(self.document.fault(path, message))
@@ -178,6 +180,8 @@ class _Unfolding:
             self._move(given, spot, here)
         elif isinstance(given, UntilConfig):
             self._until(given, spot)
+        elif isinstance(given, PlaceConfig):
+            self._place(given, spot)
         elif step.word == "record":
             self._record(given, spot)
         else:
@@ -276,15 +280,27 @@ class _Unfolding:
         self._move_step = MoveStep(**self._number(path), pose=self._pose)
         self.steps.append(self._move_step)
 
+    def _place(self, given: PlaceConfig, path: DocumentPath) -> None:
+        """Ask for a placement; the stage stays where it is."""
+        self._placements += 1
+        name = given.name or f"placement {self._placements}"
+        angles = dict.fromkeys(self.axes, 0.0) if self._pose is None else self._pose.angles_deg
+        self._name, self._move_step = name, None
+        self._pose = Pose(0, self._unique(name), angles, placed=True)
+        text = f"{self._pose.name[:1].upper()}{self._pose.name[1:]}: {given.text}"
+        asked = {"default": given.default, "timeout_s": given.timeout_s}
+        self.steps.append(PromptStep(**self._number(path), text=text, **asked, placement=self._placements))
+
     def _record(self, given: StrictModel, path: DocumentPath) -> None:
         if self._pose is None:
-            self.fault(path, "a record before any move: add a move before it.")
+            self.fault(path, "a record before any move: add a move before it (before a board: place).")
             return
         self._recordings += 1
         if self._pose.index == 0:  # the first recording here gives the pose its number
             self._pose = replace(self._pose, index=self._recordings)
-            self._move_step = replace(self._move_step, pose=self._pose)
-            self.steps[self._move_step.number - 1] = self._move_step
+            if self._move_step is not None:
+                self._move_step = replace(self._move_step, pose=self._pose)
+                self.steps[self._move_step.number - 1] = self._move_step
         else:
             self._pose = replace(self._pose, index=self._recordings, name=self._unique(self._name))
         self.steps.append(self._record_step(given, path, self._pose))

@@ -57,12 +57,15 @@ class Pose:
         Angle by axis, for every axis that the sequence names anywhere; empty for a pose that the run will choose.
     chosen_in_run
         Whether the run chooses the angles while it measures (``until``).
+    placed
+        Whether a person places a board for it (``place``).
     """
 
     index: int
     name: str
     angles_deg: Mapping[str, float]
     chosen_in_run: bool = False
+    placed: bool = False
 
     @property
     def key(self) -> str:
@@ -216,7 +219,10 @@ class WaitStep:
 
 @dataclass(frozen=True)
 class PromptStep:
-    """Ask the operator; after ``timeout_s`` the default answer counts."""
+    """Ask the operator; after ``timeout_s`` the default answer counts.
+
+    ``placement`` is the number of the placement of a board for which it asks, from 1; 0 for another question.
+    """
 
     number: int
     where: str
@@ -224,6 +230,7 @@ class PromptStep:
     text: str
     default: Answer
     timeout_s: float
+    placement: int = 0
 
 
 @dataclass(frozen=True)

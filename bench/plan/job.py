@@ -12,20 +12,29 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from bench.base.errors import ScriptError
-from bench.plan.plan import DEFAULT_MODEL, Plan, load_documents, make_plan
+from bench.plan.engine_options import calibration_options
+from bench.plan.plan import Plan, load_documents, make_plan
 from bench.records.run_folder import PASSPORT_COPY, SEQUENCE_COPY, STATION_COPY
 from bench.simulated import SimulatedBench
 from bench.stations.station import Station
 from bench.stations.station_text import description_documents
 from bench.views.camera_kinds import CameraKind, camera_kind
 from bench.views.gates import Gate, at_most
-from calib.calibration import CalibrationOptions
-from calib.model.gimbal_readings import GimbalReadings
-from calib.model.passport import Passport
-from calib.model.type_b_terms import TypeBTerm
+from calib.boards.board import Board
 from calib.target import StarTarget
 from drivers.light import LightSettings
-from sequences.script import ChooseStep, Flicker, LightStep, MoveStep, RecordStep, SettleStep, SolveStep, Step
+from sequences.script import ChooseStep, Flicker, LightStep, MoveStep, RecordStep, SettleStep, Step
+
+__all__ = [
+    "DEVICE_STEPS",
+    "MAX_MOTION_DEG",
+    "Job",
+    "ParkStep",
+    "ScriptStep",
+    "calibration_options",
+    "documents_of",
+    "with_parking",
+]
 
 MAX_MOTION_DEG = 0.0005
 """Largest motion between the begin and the end of a recording, degrees: 0.03 px at f = 3345 px."""
@@ -190,6 +199,12 @@ class Job:
         return self.station.target.pattern()
 
     @property
+    def board(self) -> Board | None:
+        """The board at finite distance in place of the star target; None if there is none."""
+        config = self.station.board
+        return None if config is None else config.board()
+
+    @property
     def camera_kind(self) -> CameraKind:
         """What the run does with the station's kind of camera."""
         return camera_kind(self.station)
@@ -268,6 +283,9 @@ class Job:
         float
             Frequency, Hz.
         """
+        board = self.station.board
+        if board is not None and board.own_hz is not None:
+            return board.own_hz
         light = self.light_before(step)
         assert light is not None
         assert light.flicker is not None
@@ -410,42 +428,3 @@ def documents_of(plan: Plan) -> dict[str, bytes]:
     if plan.passport.in_use is not None:
         documents[PASSPORT_COPY] = plan.passport.in_use.data
     return documents | description_documents(plan.station.value)
-
-
-def calibration_options(
-    step: SolveStep,
-    passport: Passport | None = None,
-    gimbal: GimbalReadings | None = None,
-    budget: tuple[TypeBTerm, ...] = (),
-) -> CalibrationOptions:
-    """Return the engine's options for a solve step.
-
-    Parameters
-    ----------
-    step
-        The solve step.
-    passport
-        Passport of the collimator that the step uses (`bench.plan.plan.Plan.passport_for`).
-    gimbal
-        Readings of the gimbal, one for each view, if the step lets them enter the adjustment.
-    budget
-        Type B terms that the station states.
-
-    Returns
-    -------
-    CalibrationOptions
-        Model, distortion, loss, passport, readings, budget, guard band and drift. A step without a model is solved with
-        ``auto``.
-    """
-    passport = passport if step.model != "planar" else None  # it has no collimator
-    return CalibrationOptions(
-        step.model or DEFAULT_MODEL,
-        step.distortion,
-        step.loss,
-        step.huber_px,
-        passport=passport,
-        guard_band=step.guard_band,
-        drift_mm=step.drift_mm,
-        gimbal=gimbal,
-        budget=budget,
-    )

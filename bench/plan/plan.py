@@ -284,6 +284,8 @@ def make_plan(
         The plan.
     """
     script, faults = unfold(sequence)
+    if station.value.board is not None:
+        script = tuple(_planar(step) for step in script)
     today = today or datetime.now(UTC).date()
     solving = [step.solve if isinstance(step, ChooseStep) else step for step in script]
     passport = choose_passport(sequence, station, tuple(solving), copy=passport_copy, today=today)
@@ -312,6 +314,12 @@ def make_plan(
         most_bytes=estimate.most_bytes,
         passport=passport,
     )
+
+
+def _planar(step: Step) -> Step:
+    """Return a step of a run with a board: a solve step that names no model uses the planar one."""
+    named = not isinstance(step, SolveStep) or step.model is not None
+    return step if named else dataclasses.replace(step, model="planar")
 
 
 def _fault_dict(fault: Fault) -> dict[str, Any]:

@@ -1,7 +1,7 @@
 """The station file: the devices of a bench, their ports, and their limits.
 
 The sections of the devices are in `station_stages`, `station_lights` and `station_cameras`, those of the collimator and
-of the gimbal's readings in `station_collimator`, the printed target in `station_target`, and the expected values in
+of the gimbal's readings in `station_collimator`, the printed target in `station_target`, a board in its place in `station_board`, and the expected values in
 `station_expected`; `devices` opens the devices. docs/stations.md describes every key. A simulated bench and a real one
 differ in the station file only; the same sequences run on both.
 """
@@ -17,6 +17,7 @@ from typing import Annotated, Any, Literal
 from pydantic import BeforeValidator, Field
 
 from bench.stations.sections import AxisConfig
+from bench.stations.station_board import BoardConfig
 from bench.stations.station_budget import BudgetConfig
 from bench.stations.station_cameras import CameraConfig, PictureFolderConfig, RecordedCameraConfig
 from bench.stations.station_collimator import CollimatorConfig, GimbalConfig
@@ -71,6 +72,7 @@ class Station(StrictModel):
     light: LightConfig
     camera: CameraConfig
     target: TargetConfig = TargetConfig()
+    board: BoardConfig | None = None
     collimator: CollimatorConfig = CollimatorConfig()
     gimbal: GimbalConfig | None = None
     budget: BudgetConfig = BudgetConfig()

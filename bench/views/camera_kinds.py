@@ -363,7 +363,13 @@ def camera_kind(station: Station) -> CameraKind:
     CameraKind
         What a run does with this camera.
     """
-    config = station.camera
+    config, shown = station.camera, station.board
+    if shown is not None:
+        from bench.views.board_kinds import EventBoardKind, FrameBoardKind
+
+        if isinstance(config, FrameCameraConfig):
+            return FrameBoardKind(config.pictures, config.settings(), shown.board())
+        return EventBoardKind(config.biases.model_dump(), shown.board(), shown.own_hz, config.roi)
     if isinstance(config, FrameCameraConfig):
         return FrameKind(config.pictures, config.settings())
     return EventKind(config.biases.model_dump(), config.roi)

@@ -7,7 +7,7 @@ a recording is calculated here, from the file alone, so that it can be calculate
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -16,28 +16,36 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bench.records.events import MeasuredFacts
+from bench.views.event_window import read_events, recorded_image, whole_image
 from bench.views.stored_image import StoredImage
 from calib.errors import (
     CalibrationError,
     DegenerateViews,
-    FlickerNotFound,
     StarsUnnamed,
     TargetNotFound,
     TooFewEvents,
     TooFewStars,
 )
-from calib.events.event_image import ChosenImage, EventImages, SliceFacts, make_images
-from calib.events.flicker import Flicker, flicker_from_events, flicker_from_triggers
-from calib.events.motion import half_windows, motion_between
+from calib.events.motion import motion_between
 from calib.model.homography import fit_homography
 from calib.stars.detect import detect_stars, detect_view
 from calib.stars.rim import find_rim
 from calib.stars.vignetting import downweight_vignetted
 from calib.target import StarTarget
 from calib.view import View
-from drivers.camera.event_arrays import Events, Triggers
-from drivers.camera.raw_file import RawFile
 from drivers.errors import RecordingFileError
+
+__all__ = [
+    "ExpectedGrid",
+    "Measurement",
+    "aligned_poses",
+    "edge_angle_deg",
+    "find_stars",
+    "measure",
+    "motion_px",
+    "plain_facts",
+    "recorded_image",
+]
 
 ExpectedGrid = Callable[[tuple[int, int]], NDArray[np.float64]]
 """Returns, for an image size (width, height) in px, the expected homography of the target's grid: (3, 3) float64, from
@@ -115,55 +123,13 @@ def measure(
     facts: MeasuredFacts = {}
     stored: StoredImage | None = None
     try:
-        raw = RawFile.open(path)
-        size = raw.width, raw.height
-        events, triggers = raw.read()
-        origin_us = _subtract_origin(events.t, triggers)
-        flicker = _flicker(triggers, (events.t, events.p), expected_hz)
-        span_us = _span_us(events.t, triggers)
-        facts.update(_flicker_facts(flicker, triggers, span_us))
-        facts.update(_compare_flicker(flicker, events))
-        images = make_images(*_event_arrays(events), size, flicker, window_us=span_us, periods=periods)
-        chosen = _choose(images, image)
-        stored = StoredImage.from_image(chosen.image)
-        facts.update(_image_facts(images, chosen, origin_us))
-        view = downweight_vignetted(find_stars(chosen.image, target, name, expected_grid, facts), target)
-        halves = _half_images(events, size, flicker, images.facts, chosen.name)
-        facts["motion_px"] = motion_px(halves, target, facts)
+        whole = whole_image(read_events(path), image, periods, expected_hz, facts)
+        stored = StoredImage.from_image(whole.image)
+        view = downweight_vignetted(find_stars(whole.image, target, name, expected_grid, facts), target)
+        facts["motion_px"] = motion_px(whole.halves(), target, facts)
     except (CalibrationError, RecordingFileError) as error:
-        return Measurement(None, stored, _without_nan(facts), str(error))
-    return Measurement(view, stored, _without_nan(facts))
-
-
-def recorded_image(path: Path, image: str = "auto") -> ChosenImage:
-    """Return the event image of a recording, of whole flicker periods.
-
-    Parameters
-    ----------
-    path
-        RAW file.
-    image
-        Kind of event image, or ``auto``.
-
-    Returns
-    -------
-    ChosenImage
-        The image that `measure` would use.
-
-    Raises
-    ------
-    calib.errors.CalibrationError
-        If the events show no flicker, or are too few.
-    drivers.errors.RecordingFileError
-        If the file cannot be read.
-    """
-    raw = RawFile.open(path)
-    events, triggers = raw.read()
-    _subtract_origin(events.t, triggers)
-    flicker = _flicker(triggers, (events.t, events.p), None)
-    span_us = _span_us(events.t, triggers)
-    images = make_images(*_event_arrays(events), (raw.width, raw.height), flicker, window_us=span_us)
-    return _choose(images, image)
+        return Measurement(None, stored, plain_facts(facts), str(error))
+    return Measurement(view, stored, plain_facts(facts))
 
 
 def find_stars(
@@ -272,41 +238,6 @@ def edge_angle_deg(grid: NDArray[np.float64]) -> float:
     return round(float(abs((direction + 22.5) % 45.0 - 22.5)), 6)
 
 
-def _compare_flicker(flicker: Flicker, events: Events) -> MeasuredFacts:
-    """Compare the flicker from the triggers with the flicker from the events; empty if there is only one."""
-    if flicker.source != "triggers":
-        return {}
-    try:
-        by_events = flicker_from_events(events.t, events.p, band_hz=_band_hz(flicker.frequency_hz))
-    except (FlickerNotFound, TooFewEvents):
-        return {}
-    return {
-        "flicker_from_events_hz": by_events.frequency_hz,
-        "flicker_disagreement_percent": 100 * abs(by_events.frequency_hz / flicker.frequency_hz - 1.0),
-        "flicker_lag_periods": by_events.lag_us(flicker) / flicker.period_us,
-    }
-
-
-def _band_hz(frequency_hz: float) -> tuple[float, float]:
-    """Return the lowest and the highest frequency, Hz, at which the events are searched for a flicker of one."""
-    return min(15.0, 0.6 * frequency_hz), max(1000.0, 1.5 * frequency_hz)
-
-
-def _event_arrays(
-    events: Events,
-) -> tuple[NDArray[np.int64], NDArray[np.uint16], NDArray[np.uint16], NDArray[np.uint8]]:
-    """Return times, columns, rows and polarities."""
-    return events.t, events.x, events.y, events.p
-
-
-def _half_images(
-    events: Events, size: tuple[int, int], flicker: Flicker, whole: SliceFacts, kind: str
-) -> Iterator[NDArray[np.float32]]:
-    """Yield images of the first and the second half. Raises TooFewEvents if there are too few."""
-    for half in half_windows(whole):
-        yield make_images(*_event_arrays(events), size, flicker, window_us=half).named(kind)
-
-
 def motion_px(halves: Iterable[NDArray[Any]], target: StarTarget, facts: MeasuredFacts) -> float | None:
     """Return the length of the stars' shift from the first half of a recording to the second.
 
@@ -332,84 +263,21 @@ def motion_px(halves: Iterable[NDArray[Any]], target: StarTarget, facts: Measure
         return None
 
 
-def _without_nan(facts: Any) -> Any:
-    """Replace numbers that are not finite by None, because JSON has none."""
-    if isinstance(facts, dict):
-        return {name: _without_nan(fact) for name, fact in facts.items()}
-    if isinstance(facts, list):
-        return [_without_nan(fact) for fact in facts]
-    return None if isinstance(facts, float) and not math.isfinite(facts) else facts
+def plain_facts(facts: Any) -> Any:
+    """Replace numbers that are not finite by None, because JSON has none.
 
+    Parameters
+    ----------
+    facts
+        Facts, or a part of them.
 
-def _flicker(
-    triggers: Triggers, events: tuple[NDArray[np.int64], NDArray[np.uint8]], expected_hz: float | None
-) -> Flicker:
-    """Return the flicker from the sync edges, or from the events if there are no edges."""
-    if not len(triggers.t):
-        return flicker_from_events(*events)
-    try:
-        return flicker_from_triggers(triggers.t, triggers.value, expected_hz=expected_hz)
-    except FlickerNotFound:
-        if len(triggers.t) > 2:  # edges that contradict each other are a fault; do not ignore them
-            raise
-        return flicker_from_events(*events)
-
-
-def _subtract_origin(t: NDArray[np.int64], triggers: Triggers) -> int:
-    """Subtract the time of the first event or edge from all times, in place; return it.
-
-    The sensor's clock continues from recording to recording. Without this, the last digits of a recording's
-    numbers would depend on how many recordings were made before.
+    Returns
+    -------
+    Any
+        The same without such numbers.
     """
-    origin_us = int(_span_us(t, triggers)[0])
-    t -= origin_us
-    triggers.t[:] -= origin_us
-    return origin_us
-
-
-def _span_us(t: NDArray[np.int64], triggers: Triggers) -> tuple[float, float]:
-    """Return the first and the last time of events and triggers, us."""
-    times = [a for a in (t, triggers.t) if len(a)]
-    if not times:
-        return 0.0, 0.0
-    return float(min(a[0] for a in times)), float(max(a[-1] for a in times)) + 1.0
-
-
-def _flicker_facts(flicker: Flicker, triggers: Triggers, span_us: tuple[float, float]) -> MeasuredFacts:
-    facts: MeasuredFacts = {
-        "flicker_hz": flicker.frequency_hz,
-        "flicker_source": flicker.source,
-        "flicker_duty": flicker.duty,
-        "triggers_found": int((triggers.value == 1).sum()),
-    }
-    if flicker.source == "triggers":
-        facts["triggers_expected"] = len(flicker.rising_edges_us(*span_us))
-        facts["trigger_jitter_us"] = flicker.jitter_us
-    return facts
-
-
-def _choose(images: EventImages, kind: str) -> ChosenImage:
-    if kind == "auto":
-        return images.best()
-    name = kind.replace("_", "-")
-    return ChosenImage(name, images.named(name), "asked for by the sequence")
-
-
-def _image_facts(images: EventImages, chosen: ChosenImage, origin_us: int) -> MeasuredFacts:
-    facts = images.facts
-    return {
-        "image": {
-            "kind": chosen.name,
-            "reason": chosen.reason,
-            "window_us": [origin_us + facts.start_us, origin_us + facts.end_us],
-            "periods": facts.periods,
-            "events_per_edge": facts.events_per_edge,
-            "events_per_edge_on": facts.events_per_edge_on,
-            "events_per_edge_off": facts.events_per_edge_off,
-            "lit_pixels": facts.lit_pixels,
-            "on_share": facts.on_share,
-            "first_on_spread_us": facts.first_on_spread_us,
-            "hot_pixels": facts.hot_pixels,
-            "silent_rows": facts.silent_rows,
-        }
-    }
+    if isinstance(facts, dict):
+        return {name: plain_facts(fact) for name, fact in facts.items()}
+    if isinstance(facts, list):
+        return [plain_facts(fact) for fact in facts]
+    return None if isinstance(facts, float) and not math.isfinite(facts) else facts

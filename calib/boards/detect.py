@@ -70,11 +70,15 @@ def detect_board(image: NDArray[np.generic], board: Board, *, name: str = "view"
         raise InputMismatch(
             f"The image has shape {image.shape}.", where=f"view {name}", remedy="Give one grey plane (H, W)."
         )
+    if board.kind == "blinking-dots":
+        raise InputMismatch(
+            "An image does not show frequencies.", where=f"view {name}", remedy="Give a recording of events."
+        )
     plain = np.nan_to_num(np.asarray(image, np.float32))
     grey = to_uint8(plain)
     coarse = find_board(grey, board, name=name)
     _refuse_second(grey, coarse, board, name)
-    points, covariances = _located(plain, coarse, board)
+    points, covariances = locate_points(plain, coarse, board)
     kept = np.asarray(np.isfinite(points).all(axis=1))
     if kept.mean() < _LEAST_SHARE:
         raise TargetNotFound(
@@ -89,6 +93,38 @@ def detect_board(image: NDArray[np.generic], board: Board, *, name: str = "view"
         points_px=points[kept],
         target_mm=board.points_mm[kept],
         covariances_px2=covariances[kept],
+    )
+
+
+def relocate_board(image: NDArray[np.generic], view: View, board: Board) -> View:
+    """Locate the points of a board again in another image of the same placement.
+
+    Parameters
+    ----------
+    image
+        (H, W) of any integer or floating type.
+    view
+        Where the points were in the first image.
+    board
+        The board.
+
+    Returns
+    -------
+    View
+        The points that were located.
+
+    Raises
+    ------
+    TargetNotFound
+        If they were not found there.
+    """
+    plain = np.nan_to_num(np.asarray(image, np.float32))
+    points, covariances = locate_points(plain, view.points_px, board, view.ids)
+    kept = np.asarray(np.isfinite(points).all(axis=1))
+    if kept.mean() < _LEAST_SHARE:
+        raise TargetNotFound("The board was not found again.", where=f"view {view.name}")
+    return View(
+        view.name, view.image_size, view.ids[kept], points[kept], view.target_mm[kept], covariances[kept]
     )
 
 
@@ -119,7 +155,7 @@ def find_board(grey: NDArray[np.uint8], board: Board, *, name: str = "view") -> 
     found = _found(grey, board)
     if found is None:
         raise TargetNotFound(
-            f"No {_words(board)} was found.", where=f"view {name}", remedy=_remedy(grey, board)
+            f"No {board.words} was found.", where=f"view {name}", remedy=_remedy(grey, board)
         )
     return found
 
@@ -159,10 +195,29 @@ def _blobs(shape: tuple[int, ...]) -> Any:
     return cv2.SimpleBlobDetector.create(chosen)
 
 
-def _located(image: NDArray[np.float32], coarse: Array, board: Board) -> tuple[Array, Array]:
-    """Return the points located by symmetry, (N, 2) px with nan where it failed, and (N, 2, 2) px^2 covariances."""
+def locate_points(
+    image: NDArray[np.float32], coarse: Array, board: Board, ids: NDArray[np.int64] | None = None
+) -> tuple[Array, Array]:
+    """Locate points of a board by symmetry (Schöps et al., 2020), with the curvature of perspective.
+
+    Parameters
+    ----------
+    image
+        (H, W) float32.
+    coarse
+        (N, 2) float64, px, about where the points are.
+    board
+        The board.
+    ids
+        (N,) int64, ids of the points; None for all.
+
+    Returns
+    -------
+    tuple of Array
+        (N, 2) float64, px, with nan where it failed; (N, 2, 2) float64, px^2, their covariances.
+    """
     smoothed = smooth(image, _BLUR_PX)
-    nodes = board.nodes
+    nodes = board.nodes if ids is None else board.nodes[ids]
     # An asymmetric grid leaves every second place of its lattice free: the cell of a circle is turned by 45 degrees.
     reach = SYMMETRY_REACH * (1.0 if board.kind != "asymmetric-circles" else 1.4)
     points, good = coarse, np.ones(len(coarse), np.bool_)
@@ -198,18 +253,10 @@ def _refuse_second(grey: NDArray[np.uint8], points: Array, board: Board, name: s
     cv2.fillConvexPoly(painted, outline, int(np.median(grey)))
     if _found(painted, board) is not None:
         raise TargetNotFound(
-            f"The image shows two boards: a second {_words(board)} was found.",
+            f"The image shows two boards: a second {board.words} was found.",
             where=f"view {name}",
             remedy="Leave only one in view.",
         )
-
-
-def _words(board: Board) -> str:
-    """Return the board in words."""
-    if board.kind == "checkerboard":
-        return f"checkerboard of {board.columns} x {board.rows} inner corners"
-    grid = "asymmetric grid" if board.kind == "asymmetric-circles" else "grid"
-    return f"{grid} of {board.columns} x {board.rows} circles"
 
 
 def _remedy(grey: NDArray[np.uint8], board: Board) -> str:

@@ -1,0 +1,374 @@
+"""Blinking dots in a recording of events: each dot is known by the frequency at which it blinks.
+
+Neighbouring pixels of one frequency are a dot. Dots whose frequencies occur once are named by them, so that a part of
+the board is enough; with few frequencies the grid names the dots, and the frequencies say which end is which. Symmetry
+locates the centres in an image of how strongly each pixel blinks, with the curvature of perspective
+(`calib.boards.detect.locate_points`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from calib.boards.blink_periods import LEAST_STARTS, BlinkPeriods, blink_periods, lock_in
+from calib.boards.board import Board
+from calib.boards.detect import locate_points
+from calib.errors import FlickerNotFound, TargetNotFound, TooFewEvents
+from calib.model.homography import apply_homography
+from calib.view import View
+
+Array = NDArray[np.float64]
+
+#: Ratios of the camera's clock to that of the dots that are tried: clocks of cheap controllers err by up to 3 %.
+_CLOCK_RATIOS = np.linspace(0.97, 1.03, 301)
+#: A frequency agrees with that of a dot if it differs by less than this share while the ratio is sought.
+_CLOSE = 5e-4
+#: A pixel belongs to a frequency if it differs by less than this share, and by less than half the step to the next one.
+_MOST_OFF = 0.02
+#: Fewest pixels that blink, and fewest of a dot.
+_FEWEST_PIXELS, _SMALLEST_DOT = 20, 5
+#: A dot has at least this share of the median dot's pixels.
+_SMALLEST_SHARE = 0.1
+#: At least this share of the dots must be seen if each has its own frequency; and of a board with few frequencies.
+_LEAST_SEEN, _LEAST_OF_GRID = 0.5, 0.9
+#: A dot may lie this far from its place on the plane that the others show, pitches.
+_MOST_OFF_PLANE = 0.25
+#: Share of the frequencies that two places share if there are two boards.
+_SHARED_BY_TWO = 0.5
+#: A second place of a frequency counts if it has this share of the first one's pixels.
+_SECOND_AREA = 0.4
+_SAMPLED = 20_000
+
+
+class _Dots(NamedTuple):
+    """Places that blink: the index of the frequency, the centre, px, and the number of pixels of each."""
+
+    kind: NDArray[np.int64]
+    centres: Array
+    areas: NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class _Named:
+    """Dots with their ids, and the map of the grid to the image."""
+
+    ids: NDArray[np.int64]
+    centres: Array
+    homography: Array
+
+
+def detect_blinking_dots(
+    t_us: NDArray[np.int64],
+    x: NDArray[np.uint16],
+    y: NDArray[np.uint16],
+    p: NDArray[np.uint8],
+    size: tuple[int, int],
+    board: Board,
+    *,
+    name: str = "view",
+    keep_image: Callable[[NDArray[np.float32]], None] = lambda _image: None,
+) -> View:
+    """Detect blinking dots as a view.
+
+    Parameters
+    ----------
+    t_us, x, y, p
+        (N,) events in the order of their times: time, us; column; row; polarity, 1 is ON.
+    size
+        Width and height of the sensor, px.
+    board
+        A board of the kind ``blinking-dots``.
+    name
+        Name of the view, for the view and for messages.
+    keep_image
+        Called with the image of how strongly each pixel blinks, (H, W) float32, once it is made.
+
+    Returns
+    -------
+    View
+        The dots that were found, with covariances. If each dot has its own frequency, half of them are enough.
+
+    Raises
+    ------
+    TooFewEvents
+        If the recording is too short for the slowest dot, or has no events.
+    FlickerNotFound
+        If nothing blinks, or at other frequencies.
+    TargetNotFound
+        If the dots do not form the board; says what was found instead.
+    """
+    where = f"view {name}"
+    _require_long_enough(t_us, board, where)
+    periods = blink_periods(t_us, x, y, p, size)
+    frequencies, kind_of_dot = np.unique(board.frequencies_hz, return_inverse=True)
+    ratio = _clock_ratio(periods, frequencies, where)
+    kinds = _kind_of_pixels(periods, ratio * frequencies)
+    dots = _dots(kinds, len(frequencies))
+    unique = len(frequencies) == len(kind_of_dot)
+    _require_dots(dots, periods, ratio * frequencies, board, where)
+    if unique:
+        _refuse_two_boards(dots, where)
+        named = _named_by_frequency(dots, kind_of_dot, board, where)
+    else:
+        named = _named_by_grid(dots, kind_of_dot, board, where)
+    named = _wholly_in_view(named, board, size)
+    _require_enough(named, board, size, where, _LEAST_SEEN if unique else _LEAST_OF_GRID)
+    image = _blinking_image((t_us, x, y, p), size, named, ratio * np.array(board.frequencies_hz))
+    keep_image(image)
+    points, covariances = locate_points(image, named.centres, board, named.ids)
+    kept = np.asarray(np.isfinite(points).all(axis=1))
+    if kept.mean() < _LEAST_OF_GRID:
+        raise TargetNotFound(
+            f"Only {np.count_nonzero(kept)} of {len(kept)} dots in view could be located.",
+            where=where,
+            remedy="Focus the lens, and hold the board still; come nearer if the dots are smaller than 5 px.",
+        )
+    ids = named.ids[kept]
+    return View(name, size, ids, points[kept], board.points_mm[ids], covariances[kept])
+
+
+def _require_long_enough(t_us: NDArray[np.int64], board: Board, where: str) -> None:
+    """Refuse a recording in which the slowest dot does not blink often enough."""
+    if len(t_us) == 0:
+        raise TooFewEvents("The recording has no events.", where=where, remedy="Take off the lens cap.")
+    span_s, slowest = 1e-6 * float(t_us[-1] - t_us[0]), min(board.frequencies_hz)
+    needed_s = (LEAST_STARTS + 1) / slowest
+    if span_s < needed_s:
+        raise TooFewEvents(
+            f"The recording of {1e3 * span_s:.0f} ms is too short for a dot of {slowest:g} Hz.",
+            where=where,
+            remedy=f"Record at least {1e3 * needed_s:.0f} ms; {1e3 * 3 * needed_s:.0f} ms are better (window_ms).",
+        )
+
+
+def _clock_ratio(periods: BlinkPeriods, frequencies: Array, where: str) -> float:
+    """Return the ratio of the frequencies seen to those of the board: that with which most pixels agree."""
+    seen = periods.frequency_hz[np.isfinite(periods.frequency_hz)]
+    if len(seen) < _FEWEST_PIXELS:
+        raise FlickerNotFound(
+            f"Nothing in view blinks regularly: {len(seen)} pixels do.",
+            where=where,
+            remedy="Switch on the dots, focus the lens, and take off the lens cap.",
+        )
+    seen = np.sort(seen)[:: max(1, len(seen) // _SAMPLED)]
+    agree = [
+        np.count_nonzero(np.abs(seen / _nearest(seen, ratio * frequencies)[1] - 1.0) < _CLOSE)
+        for ratio in _CLOCK_RATIOS
+    ]
+    best = np.flatnonzero(np.array(agree) >= 0.98 * max(agree))
+    return float(_CLOCK_RATIOS[best[np.argmin(np.abs(_CLOCK_RATIOS[best] - 1.0))]])
+
+
+def _nearest(values: Array, frequencies: Array) -> tuple[NDArray[np.int64], Array]:
+    """Return for each value the index of the nearest of rising frequencies, and that frequency."""
+    above = np.clip(np.searchsorted(frequencies, values), 1, len(frequencies) - 1)
+    index = above - (values - frequencies[above - 1] < frequencies[above] - values)
+    return index, frequencies[index]
+
+
+def _kind_of_pixels(periods: BlinkPeriods, frequencies: Array) -> NDArray[np.int32]:
+    """Return (H, W) the index of each pixel's frequency; -1 where it has none of them."""
+    seen = np.nan_to_num(periods.frequency_hz, nan=0.0)
+    index, nearest = _nearest(seen, frequencies)
+    steps = np.diff(frequencies)
+    room = np.minimum(np.append(steps, np.inf), np.insert(steps, 0, np.inf))
+    allowed = np.minimum(0.5 * room, _MOST_OFF * frequencies)
+    return np.where(np.abs(seen - nearest) <= allowed[index], index, -1).astype(np.int32)
+
+
+def _dots(kinds: NDArray[np.int32], count: int) -> _Dots:
+    """Return the places where neighbouring pixels have one frequency; specks are left out."""
+    found: list[tuple[int, float, float, int]] = []
+    present = np.unique(kinds[kinds >= 0])
+    for kind in present[present < count].tolist():
+        rows, columns = np.nonzero(kinds == kind)
+        top, left = int(rows.min()), int(columns.min())
+        mask = np.zeros((int(rows.max()) - top + 3, int(columns.max()) - left + 3), np.uint8)
+        mask[rows - top + 1, columns - left + 1] = 1
+        closed = cv2.morphologyEx(mask, cv2.MORPH_CLOSE, np.ones((3, 3), np.uint8))
+        _, _, stats, centres = cv2.connectedComponentsWithStats(closed, connectivity=8)
+        for area, (cx, cy) in zip(stats[1:, cv2.CC_STAT_AREA].tolist(), centres[1:].tolist(), strict=True):
+            if area >= _SMALLEST_DOT:
+                found.append((kind, cx + left - 1, cy + top - 1, area))
+    if not found:
+        return _Dots(np.zeros(0, np.int64), np.zeros((0, 2)), np.zeros(0, np.int64))
+    table = np.array(found, np.float64)
+    largest = [table[table[:, 0] == kind, 3].max() for kind in np.unique(table[:, 0])]
+    table = table[table[:, 3] >= max(_SMALLEST_DOT, _SMALLEST_SHARE * float(np.median(largest)))]
+    return _Dots(table[:, 0].astype(np.int64), table[:, 1:3], table[:, 3].astype(np.int64))
+
+
+def _require_dots(dots: _Dots, periods: BlinkPeriods, frequencies: Array, board: Board, where: str) -> None:
+    """Refuse a view in which hardly any place blinks at the board's frequencies."""
+    seen = periods.frequency_hz[np.isfinite(periods.frequency_hz)]
+    _, nearest = _nearest(seen, frequencies)
+    matched = np.count_nonzero(np.abs(seen / nearest - 1.0) < _MOST_OFF)
+    if len(dots.kind) >= 4 and matched >= 0.3 * len(seen):  # noqa: PLR2004 - a homography needs four
+        return
+    low, high = np.quantile(seen, [0.02, 0.98])
+    raise FlickerNotFound(
+        f"What blinks in view does so at {low:.4g} to {high:.4g} Hz; the {board.words} has "
+        f"{min(board.frequencies_hz):g} to {max(board.frequencies_hz):g} Hz.",
+        where=where,
+        remedy="Correct the frequencies in the description of the board, or cover lamps and screens in view.",
+    )
+
+
+def _refuse_two_boards(dots: _Dots, where: str) -> None:
+    """Refuse a view in which many frequencies are seen at two places."""
+    doubled = 0
+    for kind in np.unique(dots.kind):
+        areas = np.sort(dots.areas[dots.kind == kind])
+        doubled += len(areas) > 1 and areas[-2] >= _SECOND_AREA * areas[-1]
+    if doubled >= _SHARED_BY_TWO * len(np.unique(dots.kind)):
+        raise TargetNotFound(
+            f"{doubled} frequencies are seen at two places: there are two boards, or a mirror.",
+            where=where,
+            remedy="Leave only one in view.",
+        )
+
+
+def _named_by_frequency(dots: _Dots, kind_of_dot: NDArray[np.int64], board: Board, where: str) -> _Named:
+    """Name each dot by its own frequency, and leave out what does not lie on the plane of the others."""
+    id_of_kind = np.argsort(kind_of_dot)
+    ids = id_of_kind[dots.kind]
+    order = np.argsort(-dots.areas, kind="stable")
+    first = order[np.unique(ids[order], return_index=True)[1]]
+    h = _plane(board, ids[first], dots.centres[first], where)
+    off = np.linalg.norm(apply_homography(h, board.nodes[ids].astype(float)) - dots.centres, axis=1)
+    pitch = _pitch_px(h, board)
+    near = np.flatnonzero(off < _MOST_OFF_PLANE * pitch)
+    near = near[np.argsort(off[near], kind="stable")]
+    kept = near[np.unique(ids[near], return_index=True)[1]]
+    return _Named(ids[kept], dots.centres[kept], h)
+
+
+def _named_by_grid(dots: _Dots, kind_of_dot: NDArray[np.int64], board: Board, where: str) -> _Named:
+    """Name the dots by their grid; the frequencies say which of its corners is the first."""
+    kind_of: dict[tuple[float, float], int] = {}
+    points = dots.centres.astype(np.float32)
+    for point, kind in zip(points.tolist(), dots.kind.tolist(), strict=True):
+        kind_of[(point[0], point[1])] = kind
+    best: tuple[int, Array] = (0, np.zeros((0, 2)))
+    for size in {(board.columns, board.rows), (board.rows, board.columns)}:
+        ok, found = cv2.findCirclesGrid(
+            points[:, None], size, flags=cv2.CALIB_CB_SYMMETRIC_GRID, blobDetector=None
+        )
+        if not ok:
+            continue
+        grid = np.asarray(found, np.float64).reshape(size[1], size[0], 2)
+        for turned in (np.rot90(grid, quarter) for quarter in range(4)):
+            for mirrored in (turned, turned[:, ::-1]):
+                if mirrored.shape[:2] != (board.rows, board.columns):
+                    continue
+                flat = mirrored.reshape(-1, 2)
+                agree = sum(
+                    kind_of.get((x, y), -1) == kind
+                    for (x, y), kind in zip(flat.tolist(), kind_of_dot.tolist(), strict=True)
+                )
+                if agree > best[0]:
+                    best = (agree, flat)
+    if best[0] < _LEAST_OF_GRID * len(kind_of_dot):
+        raise TargetNotFound(
+            f"No {board.words} was found: {len(dots.kind)} dots blink at its frequencies, and at most "
+            f"{best[0]} are where the description has them.",
+            where=where,
+            remedy="Show the whole board, and check columns, rows and the frequency of each dot.",
+        )
+    ids = np.arange(len(kind_of_dot))
+    return _Named(ids, best[1], _plane(board, ids, best[1], where))
+
+
+def _plane(board: Board, ids: NDArray[np.int64], centres: Array, where: str) -> Array:
+    """Return the homography from the grid to the image; refuse dots that form no plane, or a mirrored one."""
+    nodes = board.nodes[ids].astype(np.float64)
+    h, inside = None, np.zeros(0)
+    if len(ids) >= 4:  # noqa: PLR2004
+        pitch = _median_pitch(centres)
+        h, inside = cv2.findHomography(nodes, centres, cv2.RANSAC, _MOST_OFF_PLANE * pitch)
+    if h is None or np.count_nonzero(inside) < max(4, 0.6 * len(ids)):
+        raise TargetNotFound(
+            f"{len(ids)} dots of the board's frequencies are in view, but they do not lie in its grid.",
+            where=where,
+            remedy="Check columns and rows, and that the frequencies are listed row by row.",
+        )
+    if np.linalg.det(h) * np.sign(h[2] @ [*nodes.mean(axis=0), 1.0]) < 0:
+        raise TargetNotFound(
+            "The dots are in mirror order.",
+            where=where,
+            remedy="List the frequencies row by row from the left as the camera sees the board; remove mirrors.",
+        )
+    return np.asarray(h, np.float64)
+
+
+def _median_pitch(centres: Array) -> float:
+    """Return the median distance of a dot to its nearest neighbour, px."""
+    distances = np.linalg.norm(centres[:, None] - centres[None], axis=2)
+    np.fill_diagonal(distances, np.inf)
+    return float(np.median(distances.min(axis=1)))
+
+
+def _pitch_px(h: Array, board: Board) -> float:
+    """Return the pitch in the middle of the board, px."""
+    middle = board.nodes.mean(axis=0)
+    ends = apply_homography(h, np.array([middle, middle + [1.0, 0.0], middle + [0.0, 1.0]]))
+    return float(np.linalg.norm(ends[1:] - ends[0], axis=1).min())
+
+
+def _require_enough(
+    named: _Named, board: Board, size: tuple[int, int], where: str, least_share: float
+) -> None:
+    """Refuse a board of which too little is seen; says whether the frame cuts it."""
+    nodes = board.nodes[named.ids]
+    count = len(board.nodes)
+    lines = min(len(np.unique(nodes[:, 0])), len(np.unique(nodes[:, 1])))
+    if len(named.ids) >= least_share * count and lines >= 3:  # noqa: PLR2004
+        return
+    every = apply_homography(named.homography, board.nodes.astype(float))
+    outside = np.count_nonzero(((every < 0) | (every > np.array(size) - 1)).any(axis=1))
+    if outside:
+        raise TargetNotFound(
+            f"The frame cuts the board: {outside} of {count} dots are outside the image, "
+            f"{len(named.ids)} are seen.",
+            where=where,
+            remedy="Show more of the board.",
+        )
+    raise TargetNotFound(
+        f"Only {len(named.ids)} of {count} dots are seen.",
+        where=where,
+        remedy="Uncover the board, switch on all dots, and correct the list of frequencies.",
+    )
+
+
+def _wholly_in_view(named: _Named, board: Board, size: tuple[int, int]) -> _Named:
+    """Leave out dots whose cell of the grid reaches beyond the image: part of their light is missing."""
+    nodes = board.nodes[named.ids].astype(np.float64)
+    inside = np.ones(len(nodes), np.bool_)
+    for corner in ((-0.5, -0.5), (0.5, -0.5), (0.5, 0.5), (-0.5, 0.5)):
+        at = apply_homography(named.homography, nodes + corner)
+        inside &= ((at >= 0) & (at <= np.array(size) - 1)).all(axis=1)
+    return _Named(named.ids[inside], named.centres[inside], named.homography)
+
+
+def _blinking_image(
+    events: tuple[NDArray[np.int64], NDArray[np.uint16], NDArray[np.uint16], NDArray[np.uint8]],
+    size: tuple[int, int],
+    named: _Named,
+    frequencies: Array,
+) -> NDArray[np.float32]:
+    """Return how strongly each pixel blinks at the frequency of the nearest dot, (H, W)."""
+    seeds = np.full((size[1], size[0]), 255, np.uint8)
+    columns, rows = np.round(named.centres).astype(int).T
+    seeds[np.clip(rows, 0, size[1] - 1), np.clip(columns, 0, size[0] - 1)] = 0
+    _, labels = cv2.distanceTransformWithLabels(seeds, cv2.DIST_L2, 5, labelType=cv2.DIST_LABEL_PIXEL)
+    dot_of_label = np.full(int(labels.max()) + 1, -1, np.int64)
+    at = labels[np.clip(rows, 0, size[1] - 1), np.clip(columns, 0, size[0] - 1)]
+    dot_of_label[at] = np.arange(len(at))
+    t, x, y, p = events
+    return np.asarray(lock_in(t, x, y, p, dot_of_label[labels], frequencies[named.ids]), np.float32)
