@@ -6,8 +6,8 @@ simulated bench; there are no drivers, files, triggers or times. The same sectio
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -16,15 +16,18 @@ from numpy.typing import NDArray
 from simulators.config import bench_config
 from simulators.optics import scene
 from simulators.optics.lens_focus import truth_record
-from simulators.pixels.sensor import Events, simulate
+from simulators.pixels.sensor import Events, Sensor, simulate
 from simulators.world.gimbal import load_angles_deg
 from simulators.world.truth import Truth
-from simulators.world.world import LightState
+from simulators.world.world import FULL_DRIVE_V, LightState
+
+_STEADY_LIGHT = LightState(output=True, low_v=FULL_DRIVE_V, high_v=FULL_DRIVE_V, frequency_hz=1000.0)
+_MOVING_SUBSAMPLES = 2
 
 
 @dataclass(frozen=True)
 class VirtualCapture:
-    """Events of a camera that stands still.
+    """Events of one recording.
 
     Attributes
     ----------
@@ -129,3 +132,75 @@ class VirtualCamera:
         )
         size = (self._truth.camera.width, self._truth.camera.height)
         return VirtualCapture(events, size, light_hz, (1.0 - phase) * light.period_us, duration_us)
+
+    def capture_moving(
+        self,
+        board_at: Callable[[float], tuple[tuple[float, float, float], tuple[float, float, float]]],
+        duration_us: float,
+        *,
+        seed: int,
+        frame_us: float = 1000.0,
+    ) -> VirtualCapture:
+        """Record a board that moves before the camera under a steady light; a moving camera sees the same.
+
+        The picture changes in steps. The events that a step causes are spread evenly over the time of the step, so it
+        should move the picture by about one pixel.
+
+        Parameters
+        ----------
+        board_at
+            Returns position, mm, and turn, degrees, of the board at a time in us, as the section ``screen`` has them.
+        duration_us
+            Length of the recording, us.
+        seed
+            Seed of the noise of this recording.
+        frame_us
+            Length of a step, us.
+
+        Returns
+        -------
+        VirtualCapture
+            The events; there is no flicker, so ``light_hz`` is 0.
+
+        Raises
+        ------
+        SimulationMisuse
+            If the board is not wholly in front of the camera.
+        """
+        camera, light = self._truth.camera, _STEADY_LIGHT
+        sensor = Sensor(
+            camera.width, camera.height, noise=self._truth.noise, camera_seed=self._seed, seed=seed
+        )
+        sensor.begin(self._moved_picture(board_at(0.0)), light, 0.0)
+        parts = []
+        for step in range(1, max(1, round(duration_us / frame_us)) + 1):
+            sensor.change(self._moved_picture(board_at(step * frame_us)), light, 0.0, frame_us)
+            parts.append(sensor.run(step * frame_us))
+        events = Events(*(np.concatenate(arrays) for arrays in zip(*parts, strict=True)))
+        return VirtualCapture(events, (camera.width, camera.height), 0.0, 0.0, duration_us)
+
+    def board_corners_at_px(
+        self, placed: tuple[tuple[float, float, float], tuple[float, float, float]]
+    ) -> NDArray[np.float64]:
+        """Return the true image points of the inner corners of a board that was moved, at zero angles.
+
+        Parameters
+        ----------
+        placed
+            Position, mm, and turn, degrees, of the board.
+
+        Returns
+        -------
+        (N, 2) float64
+            Image points, px, row by row.
+        """
+        return scene.corners(self._moved(placed), {})
+
+    def _moved(self, placed: tuple[tuple[float, float, float], tuple[float, float, float]]) -> Truth:
+        position, turn = placed
+        return replace(self._truth, screen=replace(self._truth.screen, position_mm=position, turn_deg=turn))
+
+    def _moved_picture(
+        self, placed: tuple[tuple[float, float, float], tuple[float, float, float]]
+    ) -> NDArray[np.float32]:
+        return scene.picture(self._moved(placed), {}, subsamples=_MOVING_SUBSAMPLES)

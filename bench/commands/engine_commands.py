@@ -14,6 +14,7 @@ import click
 from bench.commands.options import (
     JSON,
     SEED,
+    CutoffFrequency,
     EventFile,
     ExistingFile,
     ExistingPath,
@@ -31,7 +32,6 @@ _Command = TypeVar("_Command", bound=Callable[..., Any])
 _MODELS = ["spherical", "radial", "pupil", "rim", "field", "coma", "drift", "planar", "auto"]
 _LOSSES = ["l2", "huber", "cauchy"]
 _LOSS_HELP = "Loss function for outliers: l2 gives them full weight, huber less, cauchy least."
-_CUTOFF_HZ = (0.01, 1000.0)
 _MODEL_HELP = "Model of the collimator and its aberrations (docs/calibration.md)."
 
 
@@ -47,27 +47,6 @@ class _Station(click.ParamType):
 
         load_station(value)
         return str(value)
-
-
-class _Cutoff(click.ParamType):
-    """A cutoff frequency in Hz."""
-
-    name = "hz"
-
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
-        """Return the frequency; fail if the value is none, such as a path that follows the option."""
-        try:
-            frequency_hz = float(value)
-        except ValueError:
-            frequency_hz = 0.0
-        if not _CUTOFF_HZ[0] <= frequency_hz <= _CUTOFF_HZ[1]:  # nan too
-            self.fail(
-                f"{value!r} is not a frequency of {_CUTOFF_HZ[0]:g} to {_CUTOFF_HZ[1]:g} Hz. "
-                "Put --reconstruct after the paths, or write a number: --reconstruct 10.",
-                param,
-                ctx,
-            )
-        return frequency_hz
 
 
 _OPTIONS = (
@@ -126,7 +105,7 @@ _OPTIONS = (
     click.option(
         "--reconstruct",
         "reconstruct_hz",
-        type=_Cutoff(),
+        type=CutoffFrequency(),
         is_flag=False,
         flag_value="10",
         metavar="[HZ]",

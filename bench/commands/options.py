@@ -22,6 +22,7 @@ SEED = click.IntRange(0, 2**63 - 1)
 _MOST_NAMED = 5
 _SMALLEST, _LARGEST = 1e-9, 1e12
 """Size of any number that is not 0: no quantity of a bench lies outside."""
+_CUTOFF_HZ = (0.01, 1000.0)
 
 
 class Number(click.ParamType):
@@ -313,3 +314,24 @@ def _inside(path: Path) -> str:
 
 
 RUN = click.argument("run_folder", metavar="RUN", type=RunFolder())
+
+
+class CutoffFrequency(click.ParamType):
+    """Cutoff frequency of the filter that reconstructs pictures, Hz."""
+
+    name = "hz"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
+        """See `click.ParamType.convert`. The value may be a path that follows the option."""
+        try:
+            frequency_hz = float(value)
+        except ValueError:
+            frequency_hz = 0.0
+        if not _CUTOFF_HZ[0] <= frequency_hz <= _CUTOFF_HZ[1]:  # nan too
+            self.fail(
+                f"{value!r} is not a frequency of {_CUTOFF_HZ[0]:g} to {_CUTOFF_HZ[1]:g} Hz. "
+                "Put --reconstruct after the paths, or write a number: --reconstruct 10.",
+                param,
+                ctx,
+            )
+        return frequency_hz

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import pairwise
 from pathlib import Path
 from typing import Self, cast, get_args
 
@@ -53,6 +54,11 @@ class OfflineOptions:
         The printed target.
     board
         The board at finite distance that the views show in place of the star target; None for the star target.
+    reconstruct_hz
+        Cutoff frequency at which pictures of a moving camera are reconstructed from RAW files, Hz; None for
+        recordings of a camera that stands still before a flickering target.
+    pictures_at_s
+        Times of these pictures after the first event, s; None for times spread over the recording.
     """
 
     model: ModelName | None = None
@@ -68,6 +74,8 @@ class OfflineOptions:
     origin: Origin = "corner"
     target: StarTarget = field(default_factory=StarTarget)
     board: Board | None = None
+    reconstruct_hz: float | None = None
+    pictures_at_s: tuple[float, ...] | None = None
 
     @classmethod
     def from_command_line(
@@ -85,6 +93,8 @@ class OfflineOptions:
         guard_band: float | None = None,
         readings: str | None = None,
         board: str | None = None,
+        reconstruct_hz: float | None = None,
+        pictures_at: str | None = None,
     ) -> Self:
         """Parse the options of the command line.
 
@@ -110,6 +120,10 @@ class OfflineOptions:
             ``auto`` or ``witness``: whether the readings of the run's gimbal may enter the adjustment.
         board
             Description of a board at finite distance, as `calib.boards.board.Board.parse` reads it.
+        reconstruct_hz
+            Cutoff frequency for pictures of a moving camera, Hz.
+        pictures_at
+            Times of these pictures, s, as ``0.5,1,1.5``.
 
         Returns
         -------
@@ -142,6 +156,8 @@ class OfflineOptions:
             "centre" if origin == "centre" else "corner",
             load_station(station).value.target.pattern() if station else StarTarget(),
             shown,
+            reconstruct_hz,
+            _parse_picture_times(pictures_at, reconstruct_hz, shown),
         )
         try:
             made.without_run()
@@ -251,6 +267,37 @@ def _parse_board(text: str | None, model: str | None, passport: str | None) -> B
         return Board.parse(text)
     except CalibrationError as error:
         raise UsageError(error.what, where="--board", remedy=error.remedy) from error
+
+
+def _parse_picture_times(
+    text: str | None, reconstruct_hz: float | None, board: Board | None
+) -> tuple[float, ...] | None:
+    """Read the times of reconstructed pictures, and check that the options belong together."""
+    if reconstruct_hz is not None and board is None:
+        raise UsageError(
+            "Pictures of a moving camera are reconstructed for boards only.",
+            where="--reconstruct",
+            remedy="Describe the board: --board checkerboard:11x7:20mm.",
+        )
+    if text is None:
+        return None
+    if reconstruct_hz is None:
+        raise UsageError(
+            "Only pictures that are reconstructed have times.",
+            where="--pictures-at",
+            remedy="Add --reconstruct.",
+        )
+    words = [word.strip() for word in text.split(",")]
+    if not all(re.fullmatch(r"\d{1,6}(\.\d{1,6})?", word) for word in words):
+        raise UsageError(
+            f"{text!r} is not a list of times.", where="--pictures-at", remedy="Write seconds: 0.5,1,1.5."
+        )
+    times = tuple(float(word) for word in words)
+    if any(later <= earlier for earlier, later in pairwise(times)):
+        raise UsageError(
+            "The times do not ascend.", where="--pictures-at", remedy="Write each time once, in order."
+        )
+    return times
 
 
 def _parse_image_size(text: str | None) -> tuple[int, int] | None:

@@ -26,7 +26,7 @@ from bench.results.offline_options import OfflineOptions
 from bench.results.point_files import read_point_file
 from bench.views.expected_grid import grid_from_journal
 from calib.boards.board import Board
-from calib.errors import TooFewStars
+from calib.errors import TargetNotFound, TooFewStars
 from calib.view import View
 from drivers.errors import RecordingCorrupt, RecordingFileError
 from sequences.schema import ImageKind
@@ -34,6 +34,7 @@ from sequences.script import RecordStep
 
 if TYPE_CHECKING:  # what finds stars is loaded where stars are found: views may be kept from before
     from bench.views.measure import ExpectedGrid, Measurement
+    from bench.views.moving_recording import MovingRecording
 
 RECORDINGS = {".raw"}
 PHOTOGRAPHS = {".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".pgm"}
@@ -66,6 +67,8 @@ class ViewSource:
     decided_by
         What decides the view besides the bytes of the file, as values that JSON can hold; None for a file whose views
         are not kept (`bench.views.kept_views`).
+    view_name
+        Name of its view, if the file gives several; else empty.
     """
 
     path: Path
@@ -74,11 +77,12 @@ class ViewSource:
     job: Job | None = None
     attempt: Attempt | None = None
     decided_by: Mapping[str, Any] | None = None
+    view_name: str = ""
 
     @property
     def name(self) -> str:
         """Name of its view: that of the pose, or of the file without its ending."""
-        return self.attempt.pose_name if self.attempt else self.path.stem
+        return self.view_name or (self.attempt.pose_name if self.attempt else self.path.stem)
 
 
 def view_sources(path: Path, choices: OfflineOptions) -> Iterator[ViewSource]:
@@ -105,6 +109,12 @@ def view_sources(path: Path, choices: OfflineOptions) -> Iterator[ViewSource]:
     if not path.exists():
         raise UsageError("There is no such file or folder.", where=str(path), remedy="Check the path.")
     if path.is_dir() and (path / JOURNAL).is_file():
+        if choices.reconstruct_hz is not None:
+            raise UsageError(
+                "In the recordings of a run the camera stands still, so no picture can be reconstructed.",
+                where=str(path),
+                remedy="Leave out --reconstruct.",
+            )
         yield from _run_sources(path, choices)
     elif path.is_dir():
         files = sorted((p for p in path.iterdir() if p.suffix.lower() in _KNOWN), key=_natural_order)
@@ -115,9 +125,9 @@ def view_sources(path: Path, choices: OfflineOptions) -> Iterator[ViewSource]:
                 remedy=f"Known file extensions are {', '.join(sorted(_KNOWN))}.",
             )
         for file in files:
-            yield _file_source(file, choices)
+            yield from _file_sources(file, choices)
     else:
-        yield _file_source(path, choices)
+        yield from _file_sources(path, choices)
 
 
 def _run_sources(folder: Path, choices: OfflineOptions) -> Iterator[ViewSource]:
@@ -201,6 +211,47 @@ def _refuse_truncated(path: Path) -> None:
 def _view_of_run(job: Job, path: Path, step: RecordStep, expected_grid: ExpectedGrid | None) -> View:
     _refuse_truncated(path)
     return _view(job.camera_kind.measure(path, step, job.frequency_hz(step), job.target, expected_grid), path)
+
+
+def _file_sources(path: Path, choices: OfflineOptions) -> Iterator[ViewSource]:
+    """List the views of a file: several pictures of a moving camera's recording, one view of any other file."""
+    from bench.views.moving_recording import MovingRecording
+    from drivers.camera.formats.prophesee_words import is_evt2_file
+
+    ending = path.suffix.lower()
+    if choices.reconstruct_hz is None or choices.board is None or ending not in RECORDINGS | OTHER_RECORDINGS:
+        yield _file_source(path, choices)
+        return
+    if ending in OTHER_RECORDINGS or is_evt2_file(path):
+        raise UsageError(
+            "Pictures are reconstructed from RAW files with EVT3 words only.",
+            where=str(path),
+            remedy=f"Convert it first: starbench convert {path.name} {path.stem}-evt3.raw",
+        )
+    _refuse_truncated(path)
+    moving = MovingRecording(path, choices.reconstruct_hz, choices.pictures_at_s)
+    for number, at_s in enumerate(moving.at_s):
+        name = f"{path.stem}-at-{at_s:.3f}s"
+        yield ViewSource(
+            path,
+            partial(_view_of_picture, moving, number, name, choices.board),
+            view_name=name,
+        )
+
+
+def _view_of_picture(moving: MovingRecording, number: int, name: str, board: Board) -> View:
+    """Reconstruct a picture and find the board in it."""
+    from bench.views.moving_recording import MOVING_REMEDY
+    from calib.boards.detect import detect_board
+
+    try:
+        picture = moving.picture(number)
+        picture.require_motion()
+        return detect_board(picture.image, board, name=name)
+    except TargetNotFound as error:
+        raise TargetNotFound(
+            error.what, where=error.where, remedy=f"{error.remedy} {MOVING_REMEDY}"
+        ) from error
 
 
 def _file_source(path: Path, choices: OfflineOptions) -> ViewSource:

@@ -1,0 +1,293 @@
+"""Pictures of a still scene from the events of a moving camera, without flicker and without learned weights.
+
+A pixel sums up its events, and forgets them with a time constant. This is the high-pass filter of Scheerlinck, Barnes
+and Mahony (2018), "Continuous-time intensity estimation using event cameras", ACCV: the complementary filter without
+frames. It is exact for every event; between events a pixel decays in closed form:
+
+    L(t) = sum over events i with t_i <= t of  s_i c exp(-alpha (t - t_i)),   alpha = 2 pi cutoff
+
+with s_i = +1 for ON and -1 for OFF, and c the contrast of an event. Behind a moving edge L is right, before it L still
+holds what earlier edges left. Offline, the events after t are known too, and read backwards they give the same picture
+from the other side (own extension):
+
+    B(t) = - sum over events i with t_i > t of  s_i c exp(-alpha (t_i - t))
+
+The two-sided picture is (L + B) / 2. It treats both sides of an edge alike, which the detectors of boards need: they
+locate points by symmetry. Edges parallel to the motion cause no events, so they are in neither picture.
+
+This module uses arrays only; it reads no file and knows no target.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Any
+
+import cv2
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from calib.errors import InputMismatch, TooFewEvents
+
+DEFAULT_CUTOFF_HZ = 10.0
+"""Cutoff frequency of the filter, Hz: pixels forget with a time constant of 16 ms."""
+CUTOFF_RANGE_HZ = (0.01, 1000.0)
+FORGOTTEN = 0.01
+"""Later events are used up to the time at which their weight falls to this."""
+_LEAST_ACTIVE = 0.002
+_HOT_FACTOR, _HOT_OFFSET = 2.5, 8.0
+_MOST_PX = 10_000
+
+EventArrays = tuple[NDArray[np.int64], NDArray[np.uint16], NDArray[np.uint16], NDArray[np.uint8]]
+"""Times, us; columns; rows; polarities, 1 = ON."""
+
+
+@dataclass(frozen=True)
+class ReconstructedPicture:
+    """A picture at one time.
+
+    Attributes
+    ----------
+    at_us
+        The time, us on the clock of the events.
+    image
+        (H, W) float32, relative log intensity in units of the contrast of an ON event; brighter is larger.
+    active_share
+        Share of the pixels that sent events near that time.
+    hot_pixels
+        Number of pixels that fired far more often than their surroundings; they are replaced by the median around.
+    off_weight
+        Contrast of an OFF event in units of that of an ON event, such that the mean of the picture is zero.
+    """
+
+    at_us: float
+    image: NDArray[np.float32]
+    active_share: float
+    hot_pixels: int
+    off_weight: float
+
+    def require_motion(self) -> None:
+        """Check that the camera moved.
+
+        Raises
+        ------
+        TooFewEvents
+            If fewer than 0.2 % of the pixels sent events near the time.
+        """
+        if self.active_share < _LEAST_ACTIVE:
+            raise TooFewEvents(
+                f"Only {100 * self.active_share:.2f} % of the pixels sent events near {1e-6 * self.at_us:.3f} s.",
+                where="reconstruction",
+                remedy="Move the camera while it records, and take the picture at a time of motion.",
+            )
+
+
+class HighPassFilter:
+    """The filter: sums of ON and of OFF events of every pixel, which decay exponentially.
+
+    The sums are kept apart, because the contrasts of ON and OFF events differ and are not known beforehand.
+
+    Parameters
+    ----------
+    size
+        Width and height of the sensor, px.
+    cutoff_hz
+        Cutoff frequency, Hz.
+
+    Raises
+    ------
+    InputMismatch
+        If the size or the frequency is out of range.
+    """
+
+    def __init__(self, size: tuple[int, int], cutoff_hz: float = DEFAULT_CUTOFF_HZ) -> None:
+        self.size = size
+        self.alpha_us = 2e-6 * math.pi * _checked_cutoff_hz(cutoff_hz)
+        if not all(0 < side <= _MOST_PX for side in size):
+            raise InputMismatch(f"The size of the sensor is {size}.", where="reconstruction")
+        self._sums = np.zeros((2, size[1], size[0]))
+        self._seen_us = np.zeros((size[1], size[0]), np.int64)
+
+    def add(self, events: EventArrays) -> None:
+        """Add events.
+
+        Parameters
+        ----------
+        events
+            Times, us, ascending and not before those added earlier; columns, rows, polarities.
+
+        Raises
+        ------
+        InputMismatch
+            If an event lies outside of the sensor.
+        """
+        _require_inside(events, self.size)
+        _add_events(*events, self.alpha_us, self._sums, self._seen_us)
+
+    def sums_at(self, at_us: float) -> NDArray[np.float64]:
+        """Return the decayed sums at a time.
+
+        Parameters
+        ----------
+        at_us
+            Time, us, not before the last event.
+
+        Returns
+        -------
+        (2, H, W) float64
+            OFF, then ON; each event counts 1 when it comes.
+        """
+        return np.asarray(self._sums * np.exp(-self.alpha_us * (at_us - self._seen_us)))
+
+
+def reconstruct(
+    pieces: Iterable[EventArrays],
+    size: tuple[int, int],
+    at_us: Sequence[float],
+    *,
+    cutoff_hz: float = DEFAULT_CUTOFF_HZ,
+    two_sided: bool = True,
+) -> Iterator[ReconstructedPicture]:
+    """Reconstruct pictures from a stream of events. Only one piece is held at a time.
+
+    Scheerlinck, Barnes and Mahony (2018); the head of the module gives the equations.
+
+    Parameters
+    ----------
+    pieces
+        Successive pieces of a recording. Where a time steps back, the event is taken at the latest time before it.
+    size
+        Width and height of the sensor, px.
+    at_us
+        Times of the pictures, us, ascending.
+    cutoff_hz
+        Cutoff frequency, Hz.
+    two_sided
+        Whether later events are used as well; False: the filter as published.
+
+    Yields
+    ------
+    ReconstructedPicture
+        One for each time, in their order.
+
+    Raises
+    ------
+    InputMismatch
+        If the times do not ascend, the frequency is out of range, or an event lies outside of the sensor.
+    """
+    if any(later <= earlier for earlier, later in pairwise(at_us)):
+        raise InputMismatch("The times of the pictures do not ascend.", where="reconstruction")
+    past = HighPassFilter(size, cutoff_hz)
+    reach_us = -math.log(FORGOTTEN) / past.alpha_us if two_sided else 0.0
+    waiting, open_pictures = deque(at_us), deque[_OpenPicture]()
+    for events in _ascending(pieces):
+        _require_inside(events, size)
+        first = 0
+        while waiting and waiting[0] < events[0][-1]:
+            until = int(np.searchsorted(events[0], waiting[0], side="right"))
+            past.add(_part(events, first, until))
+            first = until
+            begun = _OpenPicture(waiting[0], past.sums_at(waiting[0]), two_sided)
+            open_pictures.append(begun)
+            waiting.popleft()
+        past.add(_part(events, first, len(events[0])))
+        for picture in open_pictures:
+            picture.add_later(events, past.alpha_us, reach_us)
+        while open_pictures and open_pictures[0].at_us + reach_us <= events[0][-1]:
+            yield open_pictures.popleft().finished()
+    open_pictures.extend(_OpenPicture(time_us, past.sums_at(time_us), two_sided) for time_us in waiting)
+    while open_pictures:
+        yield open_pictures.popleft().finished()
+
+
+class _OpenPicture:
+    """A picture whose later events are still to come."""
+
+    def __init__(self, at_us: float, sums: NDArray[np.float64], two_sided: bool) -> None:
+        self.at_us = at_us
+        self._past = sums
+        self._later = np.zeros_like(sums) if two_sided else None
+
+    def add_later(self, events: EventArrays, alpha_us: float, reach_us: float) -> None:
+        """Add the events that lie within reach after the picture's time."""
+        if self._later is not None:
+            first, last = np.searchsorted(events[0], [self.at_us, self.at_us + reach_us], side="right")
+            _add_later(*_part(events, int(first), int(last)), self.at_us, alpha_us, self._later)
+
+    def finished(self) -> ReconstructedPicture:
+        """Return the picture."""
+        later = np.zeros_like(self._past) if self._later is None else self._later
+        total = np.asarray((self._past + later).sum(axis=0), np.float32)
+        active = float(np.mean(total > FORGOTTEN))
+        off, on = self._past - later if self._later is not None else self._past
+        off_sum, on_sum = (self._past + later).sum(axis=(1, 2))
+        off_weight = float(on_sum / off_sum) if off_sum > 0 else 1.0
+        image = np.asarray((on - off_weight * off) * (0.5 if self._later is not None else 1.0), np.float32)
+        hot = total > _HOT_FACTOR * cv2.medianBlur(total, 5) + _HOT_OFFSET
+        image[hot] = cv2.medianBlur(image, 5)[hot]
+        return ReconstructedPicture(self.at_us, image, active, int(hot.sum()), off_weight)
+
+
+def _ascending(pieces: Iterable[EventArrays]) -> Iterator[EventArrays]:
+    """Yield the pieces that hold events, with times that never step back."""
+    latest = -(2**62)
+    for t, x, y, p in pieces:
+        if len(t):
+            ordered = np.maximum.accumulate(np.maximum(t, latest))
+            latest = int(ordered[-1])
+            yield ordered, x, y, p
+
+
+def _part(events: EventArrays, first: int, last: int) -> EventArrays:
+    t, x, y, p = events
+    return t[first:last], x[first:last], y[first:last], p[first:last]
+
+
+def _checked_cutoff_hz(cutoff_hz: float) -> float:
+    low, high = CUTOFF_RANGE_HZ
+    if not low <= cutoff_hz <= high:
+        raise InputMismatch(
+            f"The cutoff frequency is {cutoff_hz:g} Hz.",
+            where="reconstruction",
+            remedy=f"Give {low:g} to {high:g} Hz.",
+        )
+    return cutoff_hz
+
+
+def _require_inside(events: EventArrays, size: tuple[int, int]) -> None:
+    """Raise InputMismatch if an event lies outside of the sensor: the compiled loops do not check."""
+    _, x, y, _ = events
+    if len(x) and (int(x.max()) >= size[0] or int(y.max()) >= size[1]):
+        raise InputMismatch(
+            f"An event lies at ({int(x.max())}, {int(y.max())}), outside of {size[0]} x {size[1]} px.",
+            where="reconstruction",
+        )
+
+
+@njit(cache=True, error_model="numpy")
+def _add_events(t: Any, x: Any, y: Any, p: Any, alpha_us: float, sums: Any, seen_us: Any) -> None:
+    """Add events to the sums of their pixels, decayed to their times: Scheerlinck et al. (2018)."""
+    for i in range(t.size):
+        r, c = y[i], x[i]
+        decay = np.exp(-alpha_us * (t[i] - seen_us[r, c]))
+        sums[0, r, c] *= decay
+        sums[1, r, c] *= decay
+        seen_us[r, c] = t[i]
+        sums[1 if p[i] else 0, r, c] += 1.0
+
+
+@njit(cache=True, error_model="numpy")
+def _add_later(t: Any, x: Any, y: Any, p: Any, at_us: float, alpha_us: float, sums: Any) -> None:
+    """Add events with the weight that they have seen from an earlier time: the same filter backwards."""
+    seen = np.int64(-1)
+    weight = 0.0
+    for i in range(t.size):
+        if t[i] != seen:
+            seen = t[i]
+            weight = np.exp(-alpha_us * (t[i] - at_us))
+        sums[1 if p[i] else 0, y[i], x[i]] += weight
