@@ -136,7 +136,10 @@ class HeartbeatWriter:
         progress_s = now_s - stalled_s
         if progress_s > self._looks[-1][0]:
             self._looks = [self._looks[-1], (now_s, waited_s)]
-        looked_s, waited_before_s = max(look for look in self._looks if look[0] <= progress_s)
+        # The time of the progress is known to some milliseconds only, so that it may lie before both looks.
+        looked_s, waited_before_s = max(
+            (look for look in self._looks if look[0] <= progress_s), default=self._looks[0]
+        )
         if math.isinf(looked_s):
             return 0.0
         return min(stalled_s, waited_s - waited_before_s, MOST_STARVED_S)

@@ -101,6 +101,17 @@ def test_work_that_only_waits_for_a_processor_has_not_stalled(pulse, tmp_path, m
     assert not moments(pulse, tmp_path)  # not for ever
 
 
+def test_a_progress_that_seems_to_go_back_is_no_error(pulse, tmp_path, monkeypatch):
+    moment = [1000.0]
+    monkeypatch.setattr(heartbeat, "processor_times_s", lambda *_: (1.0, 5.0))
+    monkeypatch.setattr(heartbeat.time, "monotonic", lambda: moment[-1])
+    pulse._state, pulse._since_s = "recording", 0.0
+    for now_s, quiet_s in ((1000.0, 0.0), (1000.1, 0.0), (1000.2, 0.0), (1000.3, 0.25), (1000.4, 0.4)):
+        moment.append(now_s)
+        pulse._clock.quiet = quiet_s
+        assert moments(pulse, tmp_path)
+
+
 def test_waits_before_the_last_progress_do_not_count(pulse, tmp_path, monkeypatch):
     times, moment = [(1.0, 5.0)], [1000.0]
     monkeypatch.setattr(heartbeat, "processor_times_s", lambda *_: times[-1])
