@@ -288,8 +288,10 @@ class _Unfolding:
         self._name, self._move_step = name, None
         self._pose = Pose(0, self._unique(name), angles, placed=True)
         text = f"{self._pose.name[:1].upper()}{self._pose.name[1:]}: {given.text}"
-        asked = {"default": given.default, "timeout_s": given.timeout_s}
-        self.steps.append(PromptStep(**self._number(path), text=text, **asked, placement=self._placements))
+        place, number = self._number(path), self._placements
+        self.steps.append(
+            PromptStep(**place, text=text, default=given.default, timeout_s=given.timeout_s, placement=number)
+        )
 
     def _record(self, given: StrictModel, path: DocumentPath) -> None:
         if self._pose is None:

@@ -318,8 +318,9 @@ def make_plan(
 
 def _planar(step: Step) -> Step:
     """Return a step of a run with a board: a solve step that names no model uses the planar one."""
-    named = not isinstance(step, SolveStep) or step.model is not None
-    return step if named else dataclasses.replace(step, model="planar")
+    if isinstance(step, SolveStep) and step.model is None:
+        return dataclasses.replace(step, model="planar")
+    return step
 
 
 def _fault_dict(fault: Fault) -> dict[str, Any]:

@@ -1,9 +1,9 @@
 """The station file: the devices of a bench, their ports, and their limits.
 
 The sections of the devices are in `station_stages`, `station_lights` and `station_cameras`, those of the collimator and
-of the gimbal's readings in `station_collimator`, the printed target in `station_target`, a board in its place in `station_board`, and the expected values in
-`station_expected`; `devices` opens the devices. docs/stations.md describes every key. A simulated bench and a real one
-differ in the station file only; the same sequences run on both.
+of the gimbal's readings in `station_collimator`, the printed target in `station_target`, a board in its place in
+`station_board`, and the expected values in `station_expected`; `devices` opens the devices. docs/stations.md describes
+every key. A simulated bench and a real one differ in the station file only; the same sequences run on both.
 """
 
 from __future__ import annotations

@@ -10,13 +10,13 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from calib.boards.blinking_dots import detect_blinking_dots
 from numpy.typing import NDArray
 
 from bench.records.events import MeasuredFacts
 from bench.views.event_window import EventData, read_events, whole_image
 from bench.views.measure import Measurement, plain_facts
 from bench.views.stored_image import StoredImage
+from calib.boards.blinking_dots import detect_blinking_dots
 from calib.boards.board import Board
 from calib.boards.detect import detect_board, relocate_board
 from calib.errors import CalibrationError, FlickerNotFound, TargetNotFound, TooFewEvents, TooFewStars

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
@@ -209,7 +209,7 @@ def _require_dots(dots: _Dots, periods: BlinkPeriods, frequencies: Array, board:
     seen = periods.frequency_hz[np.isfinite(periods.frequency_hz)]
     _, nearest = _nearest(seen, frequencies)
     matched = np.count_nonzero(np.abs(seen / nearest - 1.0) < _MOST_OFF)
-    if len(dots.kind) >= 4 and matched >= 0.3 * len(seen):  # noqa: PLR2004 - a homography needs four
+    if len(dots.kind) >= 4 and matched >= 0.3 * len(seen):
         return
     low, high = np.quantile(seen, [0.02, 0.98])
     raise FlickerNotFound(
@@ -256,10 +256,9 @@ def _named_by_grid(dots: _Dots, kind_of_dot: NDArray[np.int64], board: Board, wh
     for point, kind in zip(points.tolist(), dots.kind.tolist(), strict=True):
         kind_of[(point[0], point[1])] = kind
     best: tuple[int, Array] = (0, np.zeros((0, 2)))
+    finder: Any = cv2.findCirclesGrid  # its types do not know that without a detector it takes points
     for size in {(board.columns, board.rows), (board.rows, board.columns)}:
-        ok, found = cv2.findCirclesGrid(
-            points[:, None], size, flags=cv2.CALIB_CB_SYMMETRIC_GRID, blobDetector=None
-        )
+        ok, found = finder(points[:, None], size, flags=cv2.CALIB_CB_SYMMETRIC_GRID, blobDetector=None)
         if not ok:
             continue
         grid = np.asarray(found, np.float64).reshape(size[1], size[0], 2)
@@ -288,11 +287,12 @@ def _named_by_grid(dots: _Dots, kind_of_dot: NDArray[np.int64], board: Board, wh
 def _plane(board: Board, ids: NDArray[np.int64], centres: Array, where: str) -> Array:
     """Return the homography from the grid to the image; refuse dots that form no plane, or a mirrored one."""
     nodes = board.nodes[ids].astype(np.float64)
-    h, inside = None, np.zeros(0)
-    if len(ids) >= 4:  # noqa: PLR2004
+    h, inside = None, 0
+    if len(ids) >= 4:
         pitch = _median_pitch(centres)
-        h, inside = cv2.findHomography(nodes, centres, cv2.RANSAC, _MOST_OFF_PLANE * pitch)
-    if h is None or np.count_nonzero(inside) < max(4, 0.6 * len(ids)):
+        h, mask = cv2.findHomography(nodes, centres, cv2.RANSAC, _MOST_OFF_PLANE * pitch)
+        inside = int(np.count_nonzero(mask))
+    if h is None or inside < max(4, 0.6 * len(ids)):
         raise TargetNotFound(
             f"{len(ids)} dots of the board's frequencies are in view, but they do not lie in its grid.",
             where=where,
@@ -316,8 +316,8 @@ def _median_pitch(centres: Array) -> float:
 
 def _pitch_px(h: Array, board: Board) -> float:
     """Return the pitch in the middle of the board, px."""
-    middle = board.nodes.mean(axis=0)
-    ends = apply_homography(h, np.array([middle, middle + [1.0, 0.0], middle + [0.0, 1.0]]))
+    middle, right = board.nodes.mean(axis=0), np.array([1.0, 0.0])
+    ends = apply_homography(h, np.array([middle, middle + right, middle + right[::-1]]))
     return float(np.linalg.norm(ends[1:] - ends[0], axis=1).min())
 
 
@@ -328,7 +328,7 @@ def _require_enough(
     nodes = board.nodes[named.ids]
     count = len(board.nodes)
     lines = min(len(np.unique(nodes[:, 0])), len(np.unique(nodes[:, 1])))
-    if len(named.ids) >= least_share * count and lines >= 3:  # noqa: PLR2004
+    if len(named.ids) >= least_share * count and lines >= 3:
         return
     every = apply_homography(named.homography, board.nodes.astype(float))
     outside = np.count_nonzero(((every < 0) | (every > np.array(size) - 1)).any(axis=1))

@@ -80,6 +80,10 @@ def test_every_shipped_sequence_runs_on_every_shipped_station(path, station, tmp
         assert all("is outside the limits of the station" in fault.message for fault in made.faults)
         assert len(made.faults) > 0
         return
+    if path.stem == "boards":  # it needs a station with a board
+        assert all("the station has no board to place" in fault.message for fault in made.faults)
+        assert len(made.faults) == 1
+        return
     assert (made.faults, made.remarks) == ((), ())
     counts = {"three_pose": 3, "nine_pose": 9, "turntable": 7, "until_good": 3, "parallax_test": 15}
     assert len(made.poses) == counts[path.stem]
