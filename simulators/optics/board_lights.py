@@ -142,6 +142,7 @@ def _bands(truth: Truth, boards: tuple[PlacedBoard, ...], flickers: bool) -> lis
         if len(boards) > 1:
             inside = (lines > lowest) & (lines < lowest + height)
             lines = np.where(inside, lines, _lines(truth, boards[1]))
+        lines[~_near_boards(truth, boards)] = np.nan
         band = np.clip(np.floor((lines - lowest) / height * BANDS), 0, BANDS - 1)
     lights = []
     for number in range(BANDS):
@@ -153,6 +154,22 @@ def _bands(truth: Truth, boards: tuple[PlacedBoard, ...], flickers: bool) -> lis
         late = board.scan * (number + 0.5) / BANDS * board.flicker_hz / board.refresh_hz
         lights.append(ImageOfLight(int(columns[0]), int(rows[0]), share, 0.0, late, flickers))
     return lights
+
+
+def _near_boards(truth: Truth, boards: tuple[PlacedBoard, ...]) -> NDArray[np.bool_]:
+    """Return which pixels lie in the boxes around the images of the boards."""
+    near = np.zeros((truth.camera.height, truth.camera.width), np.bool_)
+    outline = board_outline.bright_areas(truth.board, truth.target, pixels=False)[0].reshape(-1, 2)
+    for placed in boards:
+        ahead = np.ascontiguousarray(outline[placed.depth_mm(outline) > NEAREST_MM])
+        seen = np.asarray(image_points(ahead, placed.projection(truth)))
+        beside = 0.5 * blur_of(truth, placed).largest_px + BESIDE_PX
+        if len(seen):
+            low, high = seen.min(axis=0) - beside, seen.max(axis=0) + beside
+            window = _window(low, high, truth.camera.width, truth.camera.height)
+            if window is not None:
+                near[window] = True
+    return near
 
 
 def _lines(truth: Truth, placed: PlacedBoard) -> FloatArray:

@@ -130,6 +130,25 @@ def points(truth: Truth, angles_deg: Mapping[Any, float]) -> FloatArray:
     return np.asarray(image_points(np.ascontiguousarray(on_board), placed.projection(truth)))
 
 
+def moved_px(before: Truth, after: Truth, angles_deg: Mapping[Any, float]) -> float:
+    """Return how far the points of the board have moved in the image.
+
+    Parameters
+    ----------
+    before, after
+        Camera, lens and board, at two moments.
+    angles_deg
+        Angles of the axes by name; missing = 0.
+
+    Returns
+    -------
+    float
+        Largest distance, px; infinite if a point comes from behind the camera.
+    """
+    distance = np.linalg.norm(points(after, angles_deg) - points(before, angles_deg), axis=1)
+    return float(np.nan_to_num(distance, nan=np.inf).max())
+
+
 def picture(truth: Truth, angles_deg: Mapping[Any, float], *, subsamples: int = 4) -> NDArray[np.float32]:
     """Return the share of the full light that reaches each pixel.
 

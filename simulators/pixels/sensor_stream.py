@@ -29,7 +29,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from simulators.optics import scene
+from simulators.optics import board_scene, scene
 from simulators.pixels.biases import FACTORY, PixelSettings
 from simulators.pixels.event_filters import FILTERS, EventFilters
 from simulators.pixels.evt3_writer import Evt3Writer
@@ -44,6 +44,8 @@ FRAME_US: Final = 2000
 """Sensor time of a frame, us."""
 START_US: Final = 102_400
 """A stream begins at a multiple of this, which is one of TIME_LOW's 4096 us and of the counters' 200 us."""
+STILL_PX: Final = 0.02
+"""Largest motion of a board in a shaking hand, px, for which its picture is not computed again."""
 MOVING_SUBSAMPLES: Final = 2
 """Cells per pixel side of a moving picture; its motion blurs it, so coarser cells suffice."""
 
@@ -121,7 +123,7 @@ class SensorStream:
         self._period_starts_us = -phase * self._light.period_us
         self._begins_us = -(-clock_us // START_US) * START_US
         self._now_us = 0  # since _begins_us
-        self._truth = truth = world.truth_at(asked_s)
+        self._truth = truth = self._shown = world.truth_at(asked_s)
         self._start_drift_arcsec = mount.drift_since_on_arcsec(truth.mount, world.on_s(asked_s))
         self._angles = self._angles_now()
         width, height = truth.camera.width, truth.camera.height
@@ -220,10 +222,11 @@ class SensorStream:
         light = self._world.light(now_s)
         truth = with_setup(self._truth, self._world.camera_setup(now_s))
         moved = angles != self._angles or truth is not self._truth
-        if not moved and light == self._light and self._shake is None:
+        shaken = self._shake is not None and (moved or self._has_been_shaken(angles))
+        if not moved and not shaken and light == self._light:
             return
         picture = None
-        if moved or self._shake is not None:
+        if moved or shaken:
             self._angles, self._truth, self._moved = angles, truth, True
             picture = self._picture(moving=True)
         if light != self._light:
@@ -255,7 +258,8 @@ class SensorStream:
         """Return the picture in the present pose."""
         if moving or self._shake is not None:
             subsamples = PREVIEW_SUBSAMPLES if self._preview else MOVING_SUBSAMPLES
-            return scene.picture(self._shaken(), self._angles, subsamples=subsamples)
+            self._shown = self._shaken()
+            return scene.picture(self._shown, self._angles, subsamples=subsamples)
         return scene.still_picture(self._truth, self._angles)
 
     def _shaken(self) -> Truth:
@@ -264,6 +268,10 @@ class SensorStream:
             return self._truth
         shake = self._shake.at(self._now_us * 1e-6)
         return replace(self._truth, board=replace(self._truth.board, shake=shake))
+
+    def _has_been_shaken(self, angles: Mapping[AxisName, float]) -> bool:
+        """Return whether the hand has moved the board visibly since the last picture."""
+        return board_scene.moved_px(self._shown, self._shaken(), angles) > STILL_PX
 
     def _edges(self, first_us: int, end_us: int) -> tuple[NDArray[np.int64], NDArray[np.uint8]]:
         """Return times and values of the light's sync edges that reach the trigger input."""
