@@ -252,7 +252,7 @@ def offline_results(
     }
 
 
-def _run_facts(result: OfflineResult, name: str, key: BenchKey | None) -> dict[str, Any]:
+def _run_facts(result: OfflineResult, name: str, key: Sealer | None) -> dict[str, Any]:
     """Return what results.json states about the origin of a recalculation."""
     jobs = _jobs(result)
     job = jobs[0] if len(jobs) == 1 else None
