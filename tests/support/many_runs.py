@@ -54,9 +54,9 @@ def write_run(
 ):
     """Write one run; ``values`` None is a run without a result."""
     folder.mkdir(parents=True)
-    moments = iter(begun + timedelta(seconds=n) for n in range(10_000))
+    moments, seconds = iter(begun + timedelta(seconds=n) for n in range(10_000)), iter(range(10_000))
     with UnsyncedJournal.create(
-        folder / "journal.jsonl", utc_now=lambda: next(moments), monotonic=lambda: 0.0
+        folder / "journal.jsonl", utc_now=lambda: next(moments), monotonic=lambda: float(next(seconds))
     ) as journal:
         journal.append(
             Event.RUN_STARTED, id=folder.name, sequence="Three poses", station=station,
@@ -113,8 +113,11 @@ class BenchOfRuns:
         self.home, self.runs, self.station, self.simulated = home, runs, station, simulated
         self.moment, self.number = BEGIN, 0
         self.journal = UnsyncedJournal.create(
-            home / "ledger.jsonl", utc_now=lambda: self.moment, monotonic=lambda: 0.0
+            home / "ledger.jsonl", utc_now=lambda: self.moment, monotonic=self._seconds
         )
+
+    def _seconds(self):
+        return self.moment.timestamp()
 
     def run(self, *, begun, serial="00050001", **facts):
         self.moment, self.number = begun, self.number + 1

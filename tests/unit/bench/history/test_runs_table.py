@@ -159,7 +159,7 @@ def test_an_empty_table_has_all_columns(tmp_path):
 
 
 def test_what_is_no_number_is_empty_and_named(tmp_path):
-    values = {**VALUES, "fx": math.nan, "own": 1.5}
+    values = {**VALUES, "fx": None, "own": 1.5}
     folder = write_run(tmp_path / "run", values=values, sigmas={**SIGMAS, "own": 0.5}, temperature_c=None)
     (row,) = rows_of(tmp_path / "home", [folder])
     assert row["fx_px"] is None

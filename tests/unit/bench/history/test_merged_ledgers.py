@@ -1,0 +1,219 @@
+"""Ledgers of several benches: what is double, missing, changed or set back is named, and nothing else is."""
+
+import json
+import shutil
+from datetime import timedelta
+
+import pytest
+from many_runs import BEGIN, BenchOfRuns, write_run
+
+from bench.base.errors import UsageError
+from bench.history.ledger_sources import EnteredRun, LedgerSource, MergedLedgers, merge_ledgers, read_source
+from bench.history.merged_runs import IN_LEDGER, NO_LEDGER, NOT_IN_LEDGER, merge_runs
+from bench.history.seen_ledgers import SEEN, compare_with_seen
+from bench.records.ledger import Ledger
+from bench.records.ledger_file import LEDGER
+from bench.records.ledger_marks import MARK
+from bench.records.ledger_runs import RUN_BEGUN, LedgerRun
+from bench.records.run_index import RunIndex, run_folders
+from bench.records.unsynced_journal import UnsyncedJournal
+
+
+def bench(folder, runs=3, **facts):
+    """A bench with some runs; its configuration folder, and the runs in ``folder / "runs"``."""
+    made = BenchOfRuns(folder / "home", folder / "runs", **facts)
+    for hour in range(runs):
+        made.run(begun=BEGIN + timedelta(hours=hour))
+    made.close()
+    return folder / "home"
+
+
+def sources(*homes):
+    return [read_source(Ledger(home, utc_now=lambda: BEGIN, monotonic=lambda: 0.0)) for home in homes]
+
+
+def merge(tmp_path, *homes, folders=(), **facts):
+    return merge_runs(RunIndex(tmp_path / "here"), merge_ledgers(sources(*homes)), folders, **facts)
+
+
+@pytest.fixture
+def two(tmp_path):
+    return bench(tmp_path / "a"), bench(tmp_path / "b", 2, station="Bench 2")
+
+
+def cut(home, lines):
+    """Set a ledger back to its first lines, with its own mark gone."""
+    kept = (home / LEDGER).read_bytes().splitlines(keepends=True)[:lines]
+    (home / LEDGER).write_bytes(b"".join(kept))
+    (home / MARK).unlink(missing_ok=True)
+
+
+def test_two_benches_become_one_list_with_the_same_numbers_kept_apart(tmp_path, two):
+    merged = merge(tmp_path, *two)
+    assert (merged.faults, merged.notes) == ([], [])
+    assert [run.ledger_number for run in merged.runs] == [1, 1, 2, 2, 3]  # by time
+    assert {place.state for place in merged.places.values()} == {IN_LEDGER}
+    assert len({place.ledger for place in merged.places.values()}) == 2
+
+
+def test_a_ledger_named_twice_and_an_older_copy_count_once(tmp_path, two):
+    old = tmp_path / "old"
+    shutil.copytree(two[0], old)
+    cut(old, 4)
+    merged = merge(tmp_path, two[0], two[0], old)
+    assert len(merged.runs) == 3
+    assert merged.faults == []
+    assert merged.notes[0].endswith("was named twice; it counts once.")
+    assert merged.notes[1].startswith(
+        f"The ledger in {old} is a copy of the one in {two[0]}, with 4 of 6 lines."
+    )
+
+
+def test_a_fork_is_a_fault_with_the_numbers_given_twice_and_both_runs_are_listed(tmp_path):
+    made = BenchOfRuns(tmp_path / "a" / "home", tmp_path / "a" / "runs")
+    made.run(begun=BEGIN)
+    made.close()
+    shutil.copytree(tmp_path / "a", tmp_path / "b")
+    homes = [tmp_path / name / "home" for name in ("a", "b")]
+    for name, home in zip(("a", "b"), homes, strict=True):
+        cut(home, 9)
+        with UnsyncedJournal.open(home / LEDGER, utc_now=lambda: BEGIN, monotonic=BEGIN.timestamp) as journal:
+            folder = home.parent / "runs" / f"second-{name}"
+            told = {"run": folder.name, "folder": str(folder), "camera": "00050001", "simulated": False}
+            journal.append(RUN_BEGUN, number=2, witnessed=0, **told)
+            write_run(folder, place={"number": 2, "head": journal.head, "of_camera": {}})
+    merged = merge(tmp_path, *homes)
+    (fault,) = merged.faults
+    assert "agree in their first 2 lines and then differ" in fault
+    assert "2: " in fault
+    assert "second-a" in fault
+    assert "second-b" in fault
+    assert sorted(run.id for run in merged.runs) == ["run-00001", "second-a", "second-b"]
+
+
+def test_a_missing_folder_and_one_with_another_run_are_faults(tmp_path, two):
+    shutil.rmtree(tmp_path / "a" / "runs" / "run-00002")
+    shutil.rmtree(tmp_path / "a" / "runs" / "run-00003")
+    shutil.copytree(tmp_path / "b" / "runs" / "run-00001", tmp_path / "a" / "runs" / "run-00003")
+    merged = merge(tmp_path, two[0])
+    missing, other = merged.faults
+    assert missing.startswith("run 2 of home (run-00002, finished): its folder ")
+    assert missing.endswith("is missing")
+    assert "now holds another run (number 1)" in other
+    assert [run.id for run in merged.runs] == ["run-00001", "run-00001"]
+    assert [merged.places[run.folder].state for run in merged.runs] == [IN_LEDGER, NOT_IN_LEDGER]
+    assert merged.notes == [
+        f"1 run names a ledger that was not given: {tmp_path / 'a' / 'runs' / 'run-00003'}. Name it with --ledger."
+    ]
+
+
+def test_folders_that_were_copied_elsewhere_are_found_by_their_line(tmp_path, two):
+    shutil.move(tmp_path / "a" / "runs", tmp_path / "central")
+    merged = merge(tmp_path, two[0], folders=run_folders(tmp_path / "central"))
+    assert merged.faults == []
+    assert len(merged.runs) == 3
+    assert {place.state for place in merged.places.values()} == {IN_LEDGER}
+
+
+def test_a_copy_counts_once_and_a_copy_with_another_content_is_a_fault(tmp_path, two):
+    first = tmp_path / "a" / "runs" / "run-00001"
+    for name in ("same", "other"):
+        shutil.copytree(first, tmp_path / "copies" / name)
+    journal = tmp_path / "copies" / "other" / "journal.jsonl"
+    journal.write_bytes(b"".join(journal.read_bytes().splitlines(keepends=True)[:-1]))
+    merged = merge(tmp_path, two[0], folders=run_folders(tmp_path / "copies"))
+    assert [run.folder for run in merged.runs if run.id == "run-00001"] == [str(first)]
+    assert merged.notes == [
+        f"{tmp_path / 'copies' / 'same'} is the same run as {first}: a copy. It counts once."
+    ]
+    assert merged.faults == [
+        f"{tmp_path / 'copies' / 'other'} is the same run as {first}, but its content differs. Only {first} is listed."
+    ]
+
+
+def test_a_broken_journal_is_one_fault_and_no_second_one_says_missing(tmp_path, two):
+    journal = tmp_path / "a" / "runs" / "run-00002" / "journal.jsonl"
+    journal.write_bytes(journal.read_bytes().replace(b"Three poses", b"Three Poses"))
+    merged = merge(tmp_path, two[0])
+    (fault,) = merged.faults
+    assert "run-00002" in fault
+    assert [run.id for run in merged.runs] == ["run-00001", "run-00003"]
+
+
+def test_a_run_whose_journal_differs_from_its_line_is_named(tmp_path):
+    made = BenchOfRuns(tmp_path / "home", tmp_path / "runs")
+    made.run(begun=BEGIN, simulated=True)  # the ledger says: not simulated
+    merged = merge(tmp_path, made.close())
+    assert merged.faults[0].endswith("its journal states the simulated True, the ledger False")
+
+
+def test_a_removed_seal_is_named(tmp_path, two):
+    folder = tmp_path / "a" / "runs" / "run-00001"
+    (run,) = RunIndex(tmp_path / "here").runs([folder])[0]
+    entered = LedgerRun(
+        1, run.id, str(folder), run.camera, False, run.begun_utc, "finished", "e" * 64, run.ledger_head
+    )
+    ledgers = MergedLedgers([LedgerSource(two[0], "a")], {run.ledger_head: EnteredRun(entered, "a", "x")})
+    (fault,) = merge_runs(RunIndex(tmp_path / "here"), ledgers, []).faults
+    assert fault.endswith("the ledger states a seal, but the folder has none: it was removed")
+    for name in ("SHA256SUMS", "SHA256SUMS.sig"):
+        (folder / name).write_text("x")
+    (fault,) = merge_runs(RunIndex(tmp_path / "here"), ledgers, []).faults
+    assert fault.endswith("SHA256SUMS is not the sealed one: the folder was changed after sealing")
+
+
+def test_a_ledger_set_back_is_noticed_by_its_mark_or_by_what_was_seen(tmp_path, two):
+    here = tmp_path / "here"
+    assert compare_with_seen(here, sources(*two)) == ([], [])
+    whole = (two[0] / LEDGER).read_bytes()
+    (two[0] / LEDGER).write_bytes(b"".join(whole.splitlines(keepends=True)[:4]))
+    (source,) = sources(two[0])  # its own mark says it
+    assert "has 4 of at least 6 lines: 2 are missing (as ledger_high knows)" in source.faults[0]
+    cut(two[0], 4)
+    (source,) = sources(two[0])  # set back together with its mark
+    assert source.faults == []
+    (fault,), _ = compare_with_seen(here, [source])
+    assert "has 4 of at least 6 lines: 2 are missing; this computer saw them before" in fault
+    (again,), _ = compare_with_seen(here, [source])  # the fault stays
+    assert again == fault
+    (two[0] / LEDGER).write_bytes(whole)
+    assert compare_with_seen(here, sources(two[0])) == ([], [])
+
+
+def test_a_ledger_begun_again_in_the_same_folder_is_noticed(tmp_path, two):
+    compare_with_seen(tmp_path / "here", sources(two[0]))
+    for name in (LEDGER, MARK):
+        (two[0] / name).unlink()
+        shutil.copy(two[1] / name, two[0] / name)
+    (fault,), _ = compare_with_seen(tmp_path / "here", sources(two[0]))
+    assert "holds another ledger than before" in fault
+
+
+def test_a_damaged_memory_is_a_note(tmp_path, two):
+    (tmp_path / "here").mkdir()
+    for content in (b"{", b"[]", b'{"x": 1}', json.dumps({"a" * 64: {"lines": True}}).encode()):
+        (tmp_path / "here" / SEEN).write_bytes(content)
+        faults, notes = compare_with_seen(tmp_path / "here", sources(two[0]))
+        assert faults == []
+        assert len(notes) == (content in {b"{", b"[]"})
+
+
+def test_a_damaged_ledger_is_a_fault_and_its_runs_are_not_lost(tmp_path, two):
+    text = (two[0] / LEDGER).read_bytes()
+    (two[0] / LEDGER).write_bytes(text.replace(b'"number":2', b'"number":9', 1))
+    merged = merge(tmp_path, *two, folders=run_folders(tmp_path / "a" / "runs"))
+    assert any("The ledger is damaged" in fault for fault in merged.faults)
+    assert len(merged.runs) == 5
+
+
+def test_rehearsals_and_runs_without_a_place_are_listed_without_a_fault(tmp_path, two):
+    write_run(tmp_path / "more" / "rehearsed", rehearsal=True)
+    merged = merge(tmp_path, two[0], folders=run_folders(tmp_path / "more"), only_folders=True)
+    (run,) = merged.runs
+    assert merged.places[run.folder].state == NO_LEDGER
+    assert (merged.faults, merged.notes) == ([], [])
+
+
+def test_a_folder_without_a_ledger_is_refused(tmp_path):
+    with pytest.raises(UsageError, match="There is no ledger in this folder"):
+        sources(tmp_path)
