@@ -9,7 +9,7 @@ import math
 import struct
 import threading
 from collections.abc import Sequence
-from typing import Final
+from typing import Final, NamedTuple
 
 from drivers.clock import Clock
 from drivers.errors import DeviceRefused, ReplyError, ReplyGarbled
@@ -27,10 +27,21 @@ _QUIET_S: Final = 0.03
 _LONGEST_DRAIN_S: Final = 1.0
 _BOOT_POLL_S: Final = 0.1
 _BOOT_POLLS: Final = 30
+_TICK_SLACK_S: Final = 0.05
+_LONGEST_COMPARISON_S: Final = 10.0
+"""The servo's own time repeats after 33 s."""
 _PUSHING_COUNTS: Final = 20
 """A servo at rest that is further from its goal is blocked, and pushes."""
 _SPEED_UNIT_COUNTS: Final = protocol.SPEED_UNIT_RPM * protocol.COUNTS_A_TURN / 60.0
 _RAMP_UNIT_COUNTS: Final = protocol.RAMP_UNIT_REV_MIN2 * protocol.COUNTS_A_TURN / 3600.0
+
+
+class _Age(NamedTuple):
+    """The servo's own time in its latest state, and when it was asked and answered."""
+
+    tick_ms: int
+    sent_s: float
+    received_s: float
 
 
 class _PacketLink(Link):
@@ -78,6 +89,7 @@ class DynamixelBus:
         self._servos = tuple(servos)
         self._asked = self._servos[0]
         self._clock = clock
+        self._ages: dict[int, _Age] = {}
         self._link = _PacketLink(
             port,
             clock=clock,
@@ -258,7 +270,27 @@ class DynamixelBus:
             )
 
     def _read_state(self, servo: int, deadline_s: float = _REPLY_S) -> State:
-        return State.unpack(self._read(servo, protocol.STATE_FIRST, protocol.STATE_SIZE, deadline_s))
+        with self._link.lock:
+            self._asked = servo
+            self._link.bring_into_step()
+            sent_s = self._clock.monotonic()
+            state = State.unpack(self._read(servo, protocol.STATE_FIRST, protocol.STATE_SIZE, deadline_s))
+            self._check_age(servo, state, sent_s, self._clock.monotonic())
+            return state
+
+    def _check_age(self, servo: int, state: State, sent_s: float, received_s: float) -> None:
+        """Refuse a state that the servo's own clock shows to be an old one: a late packet looks like its successor."""
+        before = self._ages.pop(servo, None)
+        if before is not None and received_s - before.sent_s < _LONGEST_COMPARISON_S:
+            tick_s = (state.tick_ms - before.tick_ms) % protocol.TICK_PERIOD_MS / 1000.0
+            least_s = 0.5 * (sent_s - before.received_s) - _TICK_SLACK_S
+            most_s = 2.0 * (received_s - before.sent_s) + _TICK_SLACK_S
+            if not least_s <= tick_s <= most_s:
+                self._link.mark_out_of_step()
+                raise protocol.garbled(
+                    f"servo {servo} sent a state of another moment, or has restarted.", self.name
+                )
+        self._ages[servo] = _Age(state.tick_ms, sent_s, received_s)
 
     def _read(self, servo: int, first: int, count: int, deadline_s: float = _REPLY_S) -> bytes:
         request = struct.pack("<HH", first, count)

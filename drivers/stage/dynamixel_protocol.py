@@ -34,6 +34,7 @@ RAMP_UNIT_REV_MIN2: Final = 214.577
 EXTENDED_POSITION: Final = 4
 LARGEST_GOAL: Final = 1_048_575
 LARGEST_RAMP: Final = 32_767
+TICK_PERIOD_MS: Final = 32_768
 TIME_BASED_OR_TORQUE_BY_GOAL: Final = 0x0C
 """Bits of the drive mode: the profile counts times instead of speeds; a goal switches the torque on."""
 
@@ -307,6 +308,8 @@ class State:
         Present velocity, in units of `SPEED_UNIT_RPM`.
     moving
         Whether the servo moves, or carries a profile out.
+    tick_ms
+        The servo's own time, ms; it begins anew after `TICK_PERIOD_MS` and after a restart.
     """
 
     torque: bool
@@ -317,6 +320,7 @@ class State:
     moving: bool
     velocity: int
     position: int
+    tick_ms: int
 
     @classmethod
     def unpack(cls, data: bytes) -> Self:
@@ -332,11 +336,19 @@ class State:
         State
             The state.
         """
-        torque, errors, ramp, speed, goal, moving, profile, velocity, position = struct.unpack(
-            "<B5xB37xIIi2xBB4xii11x", data
+        torque, errors, ramp, speed, goal, tick_ms, moving, profile, velocity, position = struct.unpack(
+            "<B5xB37xIIiHBB4xii11x", data
         )
         return cls(
-            torque == 1, errors, ramp, speed, goal, bool(moving) or bool(profile & 2), velocity, position
+            torque == 1,
+            errors,
+            ramp,
+            speed,
+            goal,
+            bool(moving) or bool(profile & 2),
+            velocity,
+            position,
+            tick_ms,
         )
 
     @property

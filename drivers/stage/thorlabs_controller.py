@@ -21,11 +21,13 @@ from drivers.stage import thorlabs_protocol as apt
 from drivers.stage.thorlabs_protocol import Information, Status
 from drivers.wire_log import WireLog
 
-_REPLY_S: Final = 1.0
-_MARKER_S: Final = 0.5
+_REPLY_S: Final = 0.5
+_MARKER_S: Final = 0.3
 _QUIET_S: Final = 0.05
 _LONGEST_DRAIN_S: Final = 1.0
 _STOP_POLL_S: Final = 0.02
+_POLLS_A_STOP: Final = 5
+"""While the axis moves, the stop is sent again after so many readings: it may be lost, and has no reply."""
 
 T = TypeVar("T")
 
@@ -234,7 +236,7 @@ class ThorlabsController:
             The port is gone.
         """
         with self._link.lock:
-            repeat(lambda: self._stop_once(ramp_s))
+            repeat(lambda: self._stop_once(ramp_s), tries=2)
 
     def listen(self, duration_s: float) -> None:
         """Wait for bytes on the line. No clock interrupts this wait: it is for stopping only.
@@ -254,8 +256,10 @@ class ThorlabsController:
     # ------------------------------------------------------------ inside
 
     def _stop_once(self, ramp_s: float) -> None:
-        self._link.send(self._sign_of_life + apt.short(apt.STOP, apt.CHANNEL, apt.STOP_BY_RAMP))
-        for _ in range(math.ceil((2.0 * ramp_s + 0.5) / _STOP_POLL_S)):
+        request = self._sign_of_life + apt.short(apt.STOP, apt.CHANNEL, apt.STOP_BY_RAMP)
+        for poll in range(math.ceil((2.0 * ramp_s + 0.5) / _STOP_POLL_S)):
+            if poll % _POLLS_A_STOP == 0:
+                self._link.send(request)
             if not self.read_status().moving:
                 return
             self._link.receive(_STOP_POLL_S)

@@ -1,0 +1,430 @@
+"""Thorlabs controllers and Dynamixel servos as they are: silent commands, lost power, echoes, two servos on a wire."""
+
+from __future__ import annotations
+
+import threading
+
+import numpy as np
+import pytest
+
+from drivers.errors import (
+    DeviceRefused,
+    DriverError,
+    MoveFailed,
+    NotHomed,
+    OutsideLimits,
+    ReplyError,
+    WrongDevice,
+)
+from drivers.stage import AxisLimits
+from drivers.stage import thorlabs_protocol as apt
+from drivers.stage.dynamixel import DynamixelAxis, DynamixelStage
+from drivers.stage.thorlabs import ThorlabsAxis, ThorlabsStage
+from simulators.faults.line_faults import FaultLine, LineFault
+from simulators.stages.dynamixel import DynamixelBus
+from simulators.stages.dynamixel_packets import status_packet
+from simulators.stages.dynamixel_servo import ServoModel
+from simulators.stages.mechanics import Mechanics
+from simulators.stages.thorlabs_apt import AptController, AptModel
+from tests.hil.direct_stages import (
+    K10CR1_COUNTS_PER_DEG,
+    LIMITS,
+    SERVO_COUNTS_PER_DEG,
+    DirectLine,
+    DirectStage,
+    VirtualClock,
+    k10cr1,
+    thorlabs,
+)
+
+TORQUE_ON = bytes([3, 64, 0, 1])
+GOAL = bytes([3, 116, 0])
+
+
+class Listening(DirectLine):
+    """A line that keeps what was sent, and can lose messages."""
+
+    def __init__(self, *args) -> None:
+        super().__init__(*args)
+        self.sent: list[bytes] = []
+        self.lose = lambda _data: False
+
+    def write(self, data: bytes) -> None:
+        self.sent.append(data)
+        if not self.lose(data):
+            super().write(data)
+
+    def lose_next(self, part: bytes, count: int = 1) -> None:
+        left = [count]
+
+        def lose(data: bytes) -> bool:
+            if part not in data or not left[0]:
+                return False
+            left[0] -= 1
+            return True
+
+        self.lose = lose
+
+
+class Gimbal:
+    """Two servos on one bus, and the driver for them."""
+
+    def __init__(self, scale: float = 4096 / 360, start_deg: float = 2.4, **more) -> None:
+        self.clock = VirtualClock()
+        self.more = {"counts_per_deg": scale, "limits": LIMITS, **more}
+        mechanics = Mechanics(scale, -170.0, 170.0, start_deg=start_deg)
+        self.bus = DynamixelBus({1: ServoModel(mechanics), 2: ServoModel(mechanics)}, self.clock.monotonic)
+        self.faults = FaultLine(self.bus, self.clock.monotonic, np.random.default_rng(1))
+        self.line = Listening(self.faults, self.clock)
+
+    def open(self, **more) -> DynamixelStage:
+        axes = [
+            DynamixelAxis(name=name, id=number, model="XL430-W250", **(self.more | more))
+            for name, number in (("pan", 1), ("tilt", 2))
+        ]
+        return DynamixelStage(self.line, axes, clock=self.clock)
+
+    def true_deg(self, number: int = 1) -> float:
+        return self.bus.servos[number].axis.pointing.angle_deg(self.clock.now_s + 1.0)
+
+    def table(self, number: int = 1) -> bytes:
+        return self.bus.servos[number].table(self.clock.now_s)
+
+
+@pytest.fixture
+def gimbal() -> Gimbal:
+    return Gimbal()
+
+
+# ---------------------------------------------------------------- servos
+def test_opening_switches_no_torque_on_and_sets_no_goal(gimbal) -> None:
+    stage = gimbal.open()
+    assert not stage.is_homed()
+    assert stage.position_deg() == pytest.approx({"pan": 2.4, "tilt": 2.4}, abs=0.05)
+    with pytest.raises(NotHomed, match="torque of the servo is off"):
+        stage.move_to({"pan": 1.0})
+    assert not any(part in sent for sent in gimbal.line.sent for part in (TORQUE_ON, GOAL))
+    assert gimbal.table()[64] == 0
+
+
+def test_homing_holds_an_axis_where_it_stands(gimbal) -> None:
+    stage = gimbal.open()
+    before = gimbal.true_deg()
+    stage.home()
+    assert stage.is_homed()
+    assert gimbal.true_deg() == before
+    assert gimbal.table()[64] == 1
+    stage.close()
+    assert gimbal.table()[64] == 1, "without torque, an axis could fall"
+    assert gimbal.open().is_homed()
+
+
+def test_an_adapter_that_hears_itself_and_noise_before_every_packet_are_no_trouble(gimbal) -> None:
+    gimbal.faults.inject(LineFault("echo", count=None))
+    gimbal.faults.inject(LineFault("preceded", count=None, replacement=b"\xff\xff\xfd\x01?\x00\xff"))
+    stage = gimbal.open()
+    stage.home()
+    stage.move_to({"pan": 10.0, "tilt": -5.0})
+    assert stage.position_deg() == pytest.approx({"pan": 10.0, "tilt": -5.0}, abs=0.05)
+
+
+def test_a_packet_of_the_other_servo_in_between_is_no_answer(gimbal) -> None:
+    stage = gimbal.open()
+    stage.home()
+    other = status_packet(3, 0, bytes(83))
+    gimbal.faults.inject(LineFault("preceded", count=None, replacement=other))
+    stage.move_to({"pan": -7.0})
+    assert stage.position_deg()["pan"] == pytest.approx(-7.0, abs=0.05)
+
+
+def test_lost_power_is_noticed_and_the_angle_is_right_again_after_homing() -> None:
+    gimbal = Gimbal(start_deg=-5.0, zero_count=10)
+    # The servo counts 2048 at angle 0 of its own; with zero_count 10, the angle of the axis differs by a constant.
+    offset_deg = (2048 - 10) * 360 / 4096
+    limits = AxisLimits(offset_deg - 20.0, offset_deg + 20.0, 20.0, 100.0)
+    stage = gimbal.open(limits=limits)
+    stage.home()
+    for _ in range(3):
+        for target in (offset_deg - 12.0, offset_deg + 12.0):
+            stage.move_to({"pan": target})
+            assert gimbal.true_deg() == pytest.approx(target - offset_deg, abs=0.1)
+        gimbal.bus.cut_power(gimbal.clock.now_s)
+        with pytest.raises(DriverError):
+            stage.move_to({"pan": offset_deg})
+        gimbal.bus.cut_power(gimbal.clock.now_s, restored=True)
+        gimbal.clock.sleep(1.0)
+        assert not stage.is_homed()
+        assert "pan: the torque is off" in stage.faults()
+        stood = gimbal.true_deg()
+        with pytest.raises((NotHomed, MoveFailed)):
+            stage.move_to({"pan": offset_deg})
+        assert gimbal.true_deg() == stood
+        stage.home()
+        assert int.from_bytes(gimbal.table()[112:116], "little") > 0, "0 would be a profile without limit"
+
+
+def test_an_angle_across_the_end_of_the_servo_s_turn_is_one_angle() -> None:
+    gimbal = Gimbal(start_deg=-179.0 + 10.0)
+    # At the servo's own -180 deg its count goes from 0 to 4095; here that is the angle 0 of the axis.
+    stage = gimbal.open(zero_count=0)
+    assert stage.position_deg()["pan"] == pytest.approx(11.0, abs=0.1)
+    mechanics = Mechanics(4096 / 360, -400.0, 400.0, start_deg=-191.0)
+    gimbal.bus = DynamixelBus({1: ServoModel(mechanics), 2: ServoModel(mechanics)}, gimbal.clock.monotonic)
+    gimbal.line.device = FaultLine(gimbal.bus, gimbal.clock.monotonic, np.random.default_rng(1))
+    stage = gimbal.open(zero_count=0)
+    assert stage.position_deg()["pan"] == pytest.approx(-11.0, abs=0.1)
+    stage.home()
+    for target in (-14.0, 14.0, -3.0):
+        stage.move_to({"pan": target})
+        assert gimbal.true_deg() == pytest.approx(target - 180.0, abs=0.1)
+
+
+def test_an_overload_is_told_in_words_and_homing_restarts_that_servo_only(gimbal) -> None:
+    stage = gimbal.open()
+    stage.home()
+    stage.move_to({"tilt": 5.0})
+    gimbal.bus.servos[1]._shut_down(0x20, gimbal.clock.now_s)
+    with pytest.raises(MoveFailed, match=r"overload.*switched its torque off") as caught:
+        stage.move_to({"pan": 9.0})
+    assert "home the stage" in caught.value.remedy
+    assert any("overload" in fault for fault in stage.faults())
+    stage.home()
+    stage.move_to({"pan": 9.0})
+    assert gimbal.true_deg() == pytest.approx(9.0, abs=0.05)
+    assert gimbal.true_deg(2) == pytest.approx(5.0, abs=0.05)
+    assert sum(sent[7:8] == b"\x08" for sent in gimbal.line.sent) == 1
+
+
+def test_a_fault_that_a_restart_does_not_clear_is_told(gimbal) -> None:
+    stage = gimbal.open()
+    stage.home()
+    gimbal.bus.servos[2]._errors = 0x01  # the voltage is not among the reasons to shut down: the torque is on
+    with pytest.raises(MoveFailed, match="supply voltage out of range"):
+        stage.home()
+    assert gimbal.table(2)[64] == 1
+
+
+def test_torque_in_another_mode_is_refused_and_stays_on(gimbal) -> None:
+    gimbal.bus.servos[1].write(64, b"\1", gimbal.clock.now_s)
+    with pytest.raises(DeviceRefused, match="torque is on in operating mode 3"):
+        gimbal.open()
+    assert gimbal.table()[64] == 1
+    gimbal.bus.servos[1].write(64, b"\0", gimbal.clock.now_s)
+    gimbal.bus.servos[1].write(10, b"\x0c", gimbal.clock.now_s)
+    gimbal.open()
+    assert gimbal.table()[10:12] == b"\0\4"
+
+
+@pytest.mark.parametrize(
+    ("changes", "error"),
+    [
+        ({"counts_per_deg": 200.0}, OutsideLimits),
+        ({"limits": AxisLimits(-15.0, 15.0, 3000.0, 100.0)}, OutsideLimits),
+        ({"limits": AxisLimits(-15.0, 15.0, 20.0, 5.0)}, OutsideLimits),
+    ],
+)
+def test_what_does_not_fit_a_servo_is_refused(gimbal, changes, error) -> None:
+    with pytest.raises(error):
+        gimbal.open(**changes)
+
+
+def test_another_model_is_refused(gimbal) -> None:
+    gimbal.bus.servos[2].exchange("1020", gimbal.clock.now_s)
+    gimbal.clock.sleep(1.0)
+    with pytest.raises(WrongDevice, match=r"XL430-W250 for tilt, but the servo with id 2 is a XM430-W350"):
+        gimbal.open()
+
+
+def stop_in_mid_move(clock: VirtualClock, stage, target: dict[str, float], after_s: float) -> DriverError:
+    """Stop a stage from another thread, when the virtual clock has reached a time; return the move's error."""
+    began_s, sleep, stopped = clock.now_s, clock.sleep, []
+
+    def sleep_then_stop(seconds: float) -> None:
+        sleep(seconds)
+        if not stopped and clock.now_s - began_s > after_s:
+            stopped.append(True)
+            stopper = threading.Thread(target=stage.stop)
+            stopper.start()
+            stopper.join()
+
+    clock.sleep = sleep_then_stop
+    with pytest.raises(MoveFailed) as caught:
+        stage.move_to(target)
+    clock.sleep = sleep
+    return caught.value
+
+
+@pytest.mark.parametrize("lost", [0, 1, 2])
+def test_a_stop_of_servos_is_confirmed_though_messages_are_lost(gimbal, lost) -> None:
+    stage = gimbal.open()
+    stage.home()
+    stage.move_to({"pan": -14.0, "tilt": 14.0})
+
+    def lose_goals(data: bytes) -> bool:
+        if data[7:10] != GOAL or len(goals) >= 2 + lost:
+            return False
+        goals.append(data)
+        return len(goals) > 2
+
+    goals: list[bytes] = []
+    gimbal.line.lose = lose_goals
+    error = stop_in_mid_move(gimbal.clock, stage, {"pan": 14.0, "tilt": -14.0}, 0.4)
+    assert "stopped on request" in error.what
+    rest = gimbal.true_deg(), gimbal.true_deg(2)
+    assert max(map(abs, rest)) < 12.0
+    gimbal.clock.sleep(5.0)
+    assert (gimbal.true_deg(), gimbal.true_deg(2)) == pytest.approx(rest, abs=0.02)
+    assert gimbal.table()[64] == 1
+
+
+def test_a_silent_servo_does_not_delay_the_stop_of_the_other(gimbal) -> None:
+    stage = gimbal.open()
+    stage.home()
+    stage._bus.move(2, stage._bus.read_state(2).position + 150)
+    gimbal.clock.sleep(0.2)
+    gimbal.bus.servos[1]._powered = False
+    began_s = gimbal.clock.now_s
+    with pytest.raises(ReplyError):
+        stage.stop()
+    rest_s = gimbal.bus.servos[2].axis.commanded.end_s
+    assert rest_s - began_s < 1.5
+    assert gimbal.true_deg(2) < 12.0
+
+
+def test_a_late_state_is_not_taken_for_the_next_one(gimbal) -> None:
+    stage = gimbal.open()
+    stage.home()
+    stage.move_to({"pan": -14.0})
+    for number in range(0, 60, 3):
+        gimbal.faults.inject(LineFault("late", skip=number, delay_s=0.63))
+        target = 14.0 if number % 2 else -14.0
+        try:
+            stage.move_to({"pan": target})
+        except DriverError:
+            gimbal.clock.sleep(2.0)
+        told = stage.position_deg()["pan"]
+        assert told == pytest.approx(
+            gimbal.bus.servos[1].axis.pointing.angle_deg(gimbal.clock.now_s), abs=0.2
+        )
+        gimbal.faults.clear()
+        stage.home()
+
+
+# ---------------------------------------------------------------- Thorlabs
+def listening(rig: DirectStage) -> Listening:
+    """Let the line of a stage lose messages."""
+    line = Listening(rig.line.device, rig.line.clock)
+    rig.line.write = line.write
+    rig.line.read = line.read
+    return line
+
+
+@pytest.fixture(params=[thorlabs, k10cr1], ids=["KDC101", "K10CR1"])
+def rig(request) -> DirectStage:
+    return request.param(VirtualClock(), np.random.default_rng(1))
+
+
+def test_opening_a_controller_sends_no_motion_and_switches_no_motor_on() -> None:
+    clock = VirtualClock()
+    model = AptModel(
+        Mechanics(K10CR1_COUNTS_PER_DEG, -17.0, 17.0, start_deg=2.4), 55000123, acceleration_deg_s2=5.0
+    )
+    controller = AptController(model, clock.monotonic)
+    line = Listening(FaultLine(controller, clock.monotonic, np.random.default_rng(1)), clock)
+    axis = ThorlabsAxis(
+        name="pan", port="", serial="55000123", counts_per_deg=K10CR1_COUNTS_PER_DEG, limits=LIMITS
+    )
+    stage = ThorlabsStage([line], [axis], clock=clock)
+    stage.close()
+    numbers = {int.from_bytes(sent[:2], "little") for sent in line.sent}
+    assert numbers.isdisjoint({apt.HOME, apt.MOVE_TO, apt.SET_ENABLED, 0x0448, 0x046A, 0x0457})
+    assert apt.SET_SPEED in numbers
+    for changes, error in (
+        ({"counts_per_deg": 1919.64}, OutsideLimits),
+        ({"serial": "55000124"}, WrongDevice),
+        ({"limits": AxisLimits(-15.0, 15.0, 1e9, 10.0)}, OutsideLimits),
+    ):
+        with pytest.raises(error):
+            ThorlabsStage([line], [ThorlabsAxis(**({**vars(axis), **changes}))], clock=clock)
+    controller.model = AptModel(model.mechanics, 55000123, "PPC001")
+    with pytest.raises(DeviceRefused, match="PPC001"):
+        ThorlabsStage([line], [axis], clock=clock)
+
+
+def test_a_command_that_is_lost_is_no_homing_and_no_move(rig) -> None:
+    line = listening(rig)
+    rig.stage.home()
+    line.lose_next(apt.short(apt.HOME, 1))
+    with pytest.raises(MoveFailed, match="did not begin to home"):
+        rig.stage.home()
+    assert not rig.stage.is_homed()
+    rig.stage.home()
+    assert rig.stage.is_homed()
+    line.lose_next(b"\x53\x04")
+    with pytest.raises(MoveFailed, match="stopped at"):
+        rig.stage.move_to({"pan": 5.0})
+    assert rig.true_deg() == pytest.approx(0.0, abs=1e-6)
+
+
+def test_a_changed_bit_gives_no_reference(rig) -> None:
+    rig.line.device.inject(
+        LineFault("replaced", skip=0, pattern=rb"(?s)(\x2a\x04.{7}).", replacement=b"\\g<1>\x05")
+    )
+    with pytest.raises((NotHomed, ReplyError)):
+        rig.stage.move_to({"pan": 5.0})
+
+
+@pytest.mark.parametrize("lost", [0, 1])
+def test_a_stop_of_a_controller_is_confirmed_though_it_is_lost_once(rig, lost) -> None:
+    line = listening(rig)
+    rig.stage.home()
+    line.lose_next(apt.short(apt.STOP, 1, apt.STOP_BY_RAMP), lost)
+    error = stop_in_mid_move(rig.line.clock, rig.stage, {"pan": 14.0}, 0.1)
+    assert "stopped on request" in error.what
+    rest = rig.true_deg()
+    assert 0.05 < rest < 13.9
+    rig.line.clock.sleep(5.0)
+    assert rig.true_deg() == pytest.approx(rest, abs=1e-3)
+
+
+def test_updates_that_another_program_has_switched_on_are_no_trouble() -> None:
+    clock = VirtualClock()
+    model = AptModel(Mechanics(K10CR1_COUNTS_PER_DEG, -17.0, 17.0), 55000123)
+    controller = AptController(model, clock.monotonic)
+    controller.receive(apt.short(0x0011))
+    line = Listening(FaultLine(controller, clock.monotonic, np.random.default_rng(1)), clock)
+    axis = ThorlabsAxis(
+        name="pan", port="", serial="55000123", counts_per_deg=K10CR1_COUNTS_PER_DEG, limits=LIMITS
+    )
+    stage = ThorlabsStage([line], [axis], clock=clock)
+    stage.home()
+    controller.receive(apt.short(0x0011))
+    stage.move_to({"pan": 3.0})
+    assert stage.position_deg()["pan"] == pytest.approx(3.0, abs=1e-4)
+
+
+def test_a_channel_switched_off_at_the_panel_is_told_and_homing_switches_it_on(rig) -> None:
+    rig.stage.home()
+    rig.controller.switch_off_channel(rig.line.clock.now_s)
+    assert "pan: its channel is switched off" in rig.stage.faults()
+    with pytest.raises(MoveFailed, match="channel is switched off"):
+        rig.stage.move_to({"pan": 5.0})
+    rig.stage.home()
+    rig.stage.move_to({"pan": 5.0})
+    assert rig.true_deg() == pytest.approx(5.0, abs=1e-3)
+
+
+def test_a_limit_switch_is_named(rig) -> None:
+    rig.stage.home()
+    rig.order("pan limit")
+    with pytest.raises(MoveFailed, match="stopped at a limit: forward limit switch"):
+        rig.stage.move_to({"pan": 9.0})
+
+
+def test_a_servo_controller_never_falls_silent() -> None:
+    rig = thorlabs(VirtualClock(), np.random.default_rng(1))
+    rig.stage.home()
+    for _ in range(200):
+        rig.stage.position_deg()
+    assert SERVO_COUNTS_PER_DEG
+    assert rig.stage.faults() == []
