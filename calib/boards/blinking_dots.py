@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -44,6 +44,8 @@ _SHARED_BY_TWO = 0.5
 #: A second place of a frequency counts if it has this share of the first one's pixels.
 _SECOND_AREA = 0.4
 _SAMPLED = 20_000
+#: Distance of the dots in the picture that is drawn for OpenCV, px, and its largest side.
+_DRAWN_PITCH, _LARGEST_PICTURE = 48, 8000
 
 
 class _Dots(NamedTuple):
@@ -251,28 +253,21 @@ def _named_by_frequency(dots: _Dots, kind_of_dot: NDArray[np.int64], board: Boar
 
 def _named_by_grid(dots: _Dots, kind_of_dot: NDArray[np.int64], board: Board, where: str) -> _Named:
     """Name the dots by their grid; the frequencies say which of its corners is the first."""
-    kind_of: dict[tuple[float, float], int] = {}
-    points = dots.centres.astype(np.float32)
-    for point, kind in zip(points.tolist(), dots.kind.tolist(), strict=True):
-        kind_of[(point[0], point[1])] = kind
-    best: tuple[int, Array] = (0, np.zeros((0, 2)))
-    finder: Any = cv2.findCirclesGrid  # its types do not know that without a detector it takes points
+    best: tuple[int, NDArray[np.int64]] = (0, np.zeros(0, np.int64))
     for size in {(board.columns, board.rows), (board.rows, board.columns)}:
-        ok, found = finder(points[:, None], size, flags=cv2.CALIB_CB_SYMMETRIC_GRID, blobDetector=None)
-        if not ok:
+        grid = _grid_of_dots(dots.centres, size)
+        if grid is None:
             continue
-        grid = np.asarray(found, np.float64).reshape(size[1], size[0], 2)
         for turned in (np.rot90(grid, quarter) for quarter in range(4)):
             for mirrored in (turned, turned[:, ::-1]):
-                if mirrored.shape[:2] != (board.rows, board.columns):
+                if mirrored.shape != (board.rows, board.columns) or not _seen_from_front(
+                    dots.centres[mirrored]
+                ):
                     continue
-                flat = mirrored.reshape(-1, 2)
-                agree = sum(
-                    kind_of.get((x, y), -1) == kind
-                    for (x, y), kind in zip(flat.tolist(), kind_of_dot.tolist(), strict=True)
-                )
+                order = mirrored.ravel()
+                agree = int(np.count_nonzero(dots.kind[order] == kind_of_dot))
                 if agree > best[0]:
-                    best = (agree, flat)
+                    best = (agree, order)
     if best[0] < _LEAST_OF_GRID * len(kind_of_dot):
         raise TargetNotFound(
             f"No {board.words} was found: {len(dots.kind)} dots blink at its frequencies, and at most "
@@ -281,7 +276,37 @@ def _named_by_grid(dots: _Dots, kind_of_dot: NDArray[np.int64], board: Board, wh
             remedy="Show the whole board, and check columns, rows and the frequency of each dot.",
         )
     ids = np.arange(len(kind_of_dot))
-    return _Named(ids, best[1], _plane(board, ids, best[1], where))
+    centres = dots.centres[best[1]]
+    return _Named(ids, centres, _plane(board, ids, centres, where))
+
+
+def _seen_from_front(grid: Array) -> bool:
+    """Return whether the rows of (rows, columns, 2) image points follow each other clockwise of the columns."""
+    along, down = (grid[:, -1] - grid[:, 0]).mean(axis=0), (grid[-1] - grid[0]).mean(axis=0)
+    return bool(along[0] * down[1] - along[1] * down[0] > 0)
+
+
+def _grid_of_dots(centres: Array, size: tuple[int, int]) -> NDArray[np.int64] | None:
+    """Return (rows, columns) the indices of dots that form a grid, in any of its orders; OpenCV looks for it.
+
+    OpenCV takes a picture: the dots are drawn as discs, a quarter of their distance wide.
+    """
+    if len(centres) < size[0] * size[1]:
+        return None
+    scale = _DRAWN_PITCH / _median_pitch(centres)
+    drawn = scale * (centres - centres.min(axis=0)) + 2 * _DRAWN_PITCH
+    width, height = np.ceil(drawn.max(axis=0) + 2 * _DRAWN_PITCH).astype(int)
+    if max(width, height) > _LARGEST_PICTURE:
+        return None
+    picture = np.full((height, width), 255, np.uint8)
+    for x, y in np.round(drawn).astype(int).tolist():
+        cv2.circle(picture, (x, y), _DRAWN_PITCH // 4, 0, -1)
+    flags = cv2.CALIB_CB_SYMMETRIC_GRID | cv2.CALIB_CB_CLUSTERING
+    ok, found = cv2.findCirclesGrid(picture, size, flags=flags)
+    if not ok:
+        return None
+    away = np.linalg.norm(np.asarray(found).reshape(-1, 1, 2) - drawn[None], axis=2)
+    return np.asarray(away.argmin(axis=1), np.int64).reshape(size[1], size[0])
 
 
 def _plane(board: Board, ids: NDArray[np.int64], centres: Array, where: str) -> Array:
