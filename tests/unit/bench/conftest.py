@@ -14,6 +14,7 @@ from bench.evidence.seal import seal
 from bench.records.captures import CAPTURE_STORED
 from bench.records.journal import Journal
 from bench.records.run_folder import RunFolder
+from bench.views.kept_views import KeptViews
 
 
 @pytest.fixture
@@ -107,3 +108,11 @@ def sealed(sealed_once, tmp_path):
     for path in [copy, *copy.rglob("*")]:
         path.chmod(0o755 if path.is_dir() else 0o644)
     return copy
+
+
+@pytest.fixture(autouse=True)
+def own_kept_views(tmp_path, monkeypatch):
+    """No test keeps views in the folder of this computer's bench, or takes them from there."""
+    monkeypatch.setattr(
+        "bench.views.kept_views.KeptViews.of_bench", lambda: KeptViews(tmp_path / "kept-views")
+    )
