@@ -176,9 +176,7 @@ def runs(
     Runs of several benches are merged with --ledger. Double, missing and changed runs are named. Charts never mix
     simulated runs with real ones, nor different targets or models.
     """
-    from bench.commands.history_output import chart_runs, export_runs
     from bench.commands.run_choice import RunChoice
-    from bench.commands.run_output import show_runs
 
     choice = RunChoice(
         folder,
@@ -195,12 +193,18 @@ def runs(
             remedy="Call the command once for each.",
         )
     if export is not None:
+        from bench.commands.history_output import export_runs
+
         return export_runs(choice, export, as_json=as_json)
     if chart is not None:
+        from bench.commands.history_output import chart_runs
+
         if folder is None and Path(chart).is_dir():  # `runs --chart FOLDER`: the folder, not a parameter
             choice, chart = replace(choice, folder=Path(chart)), EVERY_PARAMETER
         parameter = None if chart == EVERY_PARAMETER else chart
         return chart_runs(choice, parameter, by=by, baseline=baseline, page=page, as_json=as_json)
+    from bench.commands.run_output import show_runs
+
     return show_runs(choice, compare=compare, as_json=as_json)
 
 
