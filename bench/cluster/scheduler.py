@@ -9,7 +9,7 @@ import queue
 import time
 import warnings
 from collections.abc import Sequence
-from typing import Any, Self
+from typing import Any, Self, cast
 
 from bench.base.errors import UsageError
 from bench.base.failure import Failure
@@ -18,6 +18,7 @@ from bench.cluster.work import Finished, Work, WorkersLost, do
 _SILENCE_S = 60.0
 """How long to wait while the scheduler has no worker."""
 _CONNECT_S = 10.0
+_RESULT_S = 60.0
 _SIZE_HOLDS_S = 5.0
 _REMEDY = "Start it, check the address, then repeat the command: what was done is kept."
 
@@ -43,7 +44,7 @@ class DaskWorkers:
 
     def __init__(self, address: str, *, without_worker_s: float = _SILENCE_S) -> None:
         try:
-            from distributed import Client
+            import distributed
         except ImportError as error:
             raise UsageError(
                 "Dask is not installed.",
@@ -53,7 +54,8 @@ class DaskWorkers:
         self.address = address
         self._client: Any = None
         try:
-            self._client = Client(address, timeout=_CONNECT_S, set_as_default=False)
+            connect: Any = distributed.Client
+            self._client = connect(address, timeout=_CONNECT_S, set_as_default=False)
         except (OSError, TimeoutError, ValueError, TypeError, RuntimeError) as error:
             what = f"No Dask scheduler can be used here: {str(error).strip().rstrip('.') or type(error).__name__}."
             raise WorkersLost(what, where=address, remedy=_REMEDY) from error
@@ -119,17 +121,17 @@ class DaskWorkers:
         """Return the end of a piece of work that Dask calls done."""
         if future.status == "finished":
             try:
-                return future.result(timeout=_CONNECT_S * 6)  # type: ignore[no-any-return]
+                return cast("Finished", future.result(timeout=_RESULT_S))
             except (OSError, TimeoutError) as error:
                 raise self._lost() from error
-        error = future.exception()
-        if type(error).__name__ == "KilledWorker":
+        failed = future.exception()
+        if type(failed).__name__ == "KilledWorker":
             what = "Several workers died with this work."
             remedy = "Look for a lack of memory in the logs of the workers."
             return Finished(key, failure=Failure("WorkerDied", what, "", remedy))
-        what = f"A worker could not do this work: {type(error).__name__}: {error}"
+        what = f"A worker could not do this work: {type(failed).__name__}: {failed}"
         remedy = "Install the same Starbench on the workers."
-        return Finished(key, failure=Failure(type(error).__name__, what, "", remedy))
+        return Finished(key, failure=Failure(type(failed).__name__, what, "", remedy))
 
     def _require_workers(self, waited_s: float) -> None:
         """Raise WorkersLost if the scheduler is gone, or has had no worker for long."""

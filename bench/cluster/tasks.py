@@ -53,7 +53,13 @@ class Task:
     kept: str | None = None
 
     def views(self) -> KeptViews | None:
-        """Return the kept views of this worker, if any are used."""
+        """Return the kept views of this worker.
+
+        Returns
+        -------
+        KeptViews or None
+            None if none are used.
+        """
         if self.kept is None:
             return KeptViews.of_bench()
         return KeptViews(Path(self.kept)) if self.kept else None

@@ -378,6 +378,12 @@ def unpack_view(data: bytes, key: str) -> View:
     with np.load(io.BytesIO(archive), allow_pickle=False) as arrays:
         rim = None
         if "rim_level_sigma_mm" in head:
-            rim = RimPoints(*(arrays[f"rim_{name}"] for name in _RIM), head["rim_level_sigma_mm"])
+            of_rim = {name: arrays[f"rim_{name}"] for name in _RIM}
+            rim = RimPoints(**of_rim, level_sigma_mm=head["rim_level_sigma_mm"])
         width, height = head["image_size"]
-        return View(head["name"], (width, height), *(arrays[name] for name in _ARRAYS), rim)
+        return View(
+            name=head["name"],
+            image_size=(width, height),
+            **{name: arrays[name] for name in _ARRAYS},
+            rim=rim,
+        )
