@@ -253,7 +253,7 @@ def _check_results(evidence: RunEvidence, results: Mapping[str, Any], found: Fin
     views = [stored.view for stored in held.views]
     check_calculated(evidence.history, job, step, results, calibration, views, judged, found)
     names = sorted(path.name for path in (folder / EXPORTS).glob("*"))
-    check_exports(folder, names, results, calibration, job.camera_name, job.target, found)
+    check_exports(folder, names, results, calibration, job.camera_name, job.board or job.target, found)
     check_report(folder, results, held.shown(results), evidence.head, found)
 
 

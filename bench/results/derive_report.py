@@ -22,6 +22,7 @@ from bench.report.html import ReportData, printed_text, render_report
 from bench.report.view_picture import ViewPicture
 from bench.results.exports import exports
 from bench.results.other_software import other_software
+from calib.boards.board import Board
 from calib.calibration import Calibration
 from calib.target import StarTarget
 
@@ -142,7 +143,7 @@ def check_exports(
     results: Mapping[str, Any],
     calibration: Calibration,
     camera_name: str,
-    target: StarTarget | None,
+    target: StarTarget | Board | None,
     found: Findings,
 ) -> None:
     """Compare the exports with those that are made of the results, byte by byte.
@@ -160,7 +161,7 @@ def check_exports(
     camera_name
         Name of the camera in the exports.
     target
-        The printed target; None if the views show several.
+        The printed target or the board; None if the views show several.
     found
         Findings; they are added.
     """

@@ -31,6 +31,7 @@ import numpy as np
 import yaml
 
 from bench.base.errors import BenchError
+from calib.boards.board import Board
 from calib.calibration import Calibration
 from calib.model.camera import BROWN, SKEW, CameraModel
 from calib.target import StarTarget
@@ -54,7 +55,7 @@ def exports(
     calibration: Calibration,
     *,
     camera_name: str,
-    target: StarTarget | None = StarTarget(),  # noqa: B008 - immutable
+    target: StarTarget | Board | None = StarTarget(),  # noqa: B008 - immutable
 ) -> dict[str, bytes]:
     """Write a calibration in every format that can represent it.
 
@@ -66,7 +67,7 @@ def exports(
         Name of the camera in the files. Every character that is not a letter, digit or ``_`` becomes ``_``, as ROS
         requires.
     target
-        The printed target; None if the views show several. By default, it is the standard one.
+        The printed target or the board; None if the views show several. By default, it is the standard one.
 
     Returns
     -------
@@ -259,11 +260,11 @@ def colmap_cameras(calibration: Calibration, camera_name: str) -> bytes:
 def metavision_json(
     calibration: Calibration,
     camera_name: str,
-    target: StarTarget | None = StarTarget(),  # noqa: B008 - immutable
+    target: StarTarget | Board | None = StarTarget(),  # noqa: B008 - immutable
 ) -> bytes:
     """Write the intrinsics.json of Metavision SDK 4 (OpenCV FileStorage JSON), with lengths in metres.
 
-    ``pattern`` describes the squares of the star target, because the format has no stars.
+    ``pattern`` describes the squares of the star target, because the format has no stars, or the points of a board.
 
     Parameters
     ----------
@@ -272,7 +273,7 @@ def metavision_json(
     camera_name
         Name of the camera.
     target
-        The printed target; None if the views show several.
+        The printed target or the board; None if the views show several.
 
     Returns
     -------
@@ -291,6 +292,10 @@ def metavision_json(
             remedy="For this format, calibrate only with views of one target.",
         )
     rotations, translations = _poses(calibration)
+    if isinstance(target, Board):
+        columns, rows = target.columns, target.rows
+    else:
+        columns, rows = target.squares_x, target.squares_y
     text = _file_storage(
         ".json",
         {
@@ -298,8 +303,8 @@ def metavision_json(
             "n_kept_views": len(calibration.views),
             "image_size": list(calibration.camera.image_size),
             "pattern": {
-                "n_rows": target.squares_y,
-                "n_cols": target.squares_x,
+                "n_rows": rows,
+                "n_cols": columns,
                 "square_height": target.pitch_mm / 1000,
                 "square_width": target.pitch_mm / 1000,
             },

@@ -130,7 +130,11 @@ class ResultWriter:
         self._folder.write_atomic(RESULTS, json_bytes(results))
         residuals = solution.calibration.residuals_px
         self._folder.write_atomic(VIEWS, views_file(solution.measurements, residuals))
-        written = exports(solution.calibration, camera_name=self._job.camera_name, target=self._job.target)
+        written = exports(
+            solution.calibration,
+            camera_name=self._job.camera_name,
+            target=self._job.board or self._job.target,
+        )
         for name, data in written.items():
             self._folder.write_atomic(f"exports/{name}", data)
         html = render_report(ReportData(results, _view_pictures(results, solution), head))

@@ -72,7 +72,7 @@ def results_content(
         "poses": of_journal.pop("poses"),
         "gates": [*judged, *of_journal.pop("gates")],
         **of_journal,
-        "truth": dict(truth) if truth is not None else None,
+        "truth": _lasting(truth) if truth is not None else None,
         "comparison": compare_with_truth(calibration, truth) if truth is not None else [],
     }
 
@@ -108,6 +108,7 @@ def journal_content(job: Job, history: History, views: Sequence[ViewSummary]) ->
             "laboratory": job.laboratory,
             "collimator": collimator_data(job),
             **({"target": stated} if (stated := target_data(job)) else {}),
+            **({"board": str(job.board)} if job.board is not None else {}),
             "simulated": job.simulated,
             "camera": kind.name,
             "resumed": history.resumed,
@@ -190,6 +191,14 @@ def software() -> dict[str, str]:
     for name in ("numpy", "scipy", "opencv-python-headless", "numba", "matplotlib", "h5py"):
         parts[name] = version(name)
     return parts | forms()
+
+
+def _lasting(truth: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the truth without the place of a board at the end, which is that of the last placement only."""
+    board = truth.get("board")
+    if not isinstance(board, Mapping):
+        return dict(truth)
+    return {**truth, "board": {name: value for name, value in board.items() if name != "placed"}}
 
 
 def _conditions(history: History, kind: CameraKind) -> dict[str, Any]:
