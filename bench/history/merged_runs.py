@@ -13,7 +13,7 @@ from pathlib import Path
 from bench.base.errors import BenchError
 from bench.evidence.ledger_check import is_sealed_by
 from bench.history.ledger_sources import EnteredRun, LedgerSource, MergedLedgers
-from bench.records.run_folder import JOURNAL, MANIFEST, is_sealed
+from bench.records.run_folder import JOURNAL, MANIFEST, RESULTS, is_sealed
 from bench.records.run_index import IndexedRun, RunIndex
 from bench.records.storage import sha256_of
 
@@ -107,6 +107,9 @@ def merge_runs(
         _name_missing(merged, ledgers.entered, by_head, found, unread)
     _strangers(merged, ledgers.sources)
     merged.runs.sort(key=lambda run: (run.begun_utc, run.folder))
+    for run, details in zip(merged.runs, index.details(merged.runs), strict=True):
+        if details.get("results_fault"):
+            merged.faults.append(f"{run.folder}: {details['results_fault']}")
     return merged
 
 
@@ -120,12 +123,11 @@ def _one_of(merged: MergedRuns, same: Sequence[IndexedRun], entered: EnteredRun 
     """Choose among folders of the same run: the one with the ledger's seal, then the one at the ledger's path."""
     if len(same) == 1:
         return same[0]
-    seals = {run.folder: _content_of(run) for run in same}
     stated = entered.run if entered is not None else None
     kept = min(
         same,
         key=lambda run: (
-            stated is None or seals[run.folder] != stated.seal,
+            stated is None or _hash_of(Path(run.folder) / MANIFEST) != stated.seal,
             stated is None or run.folder != stated.folder,
             run.folder,
         ),
@@ -134,18 +136,24 @@ def _one_of(merged: MergedRuns, same: Sequence[IndexedRun], entered: EnteredRun 
         if other is kept:
             continue
         what = f"{other.folder} is the same run as {kept.folder}"
-        if seals[other.folder] == seals[kept.folder]:
-            merged.notes.append(f"{what}: a copy. It counts once.")
+        differing = [
+            name
+            for name in (JOURNAL, RESULTS, MANIFEST)
+            if _hash_of(Path(other.folder) / name) != _hash_of(Path(kept.folder) / name)
+        ]
+        if differing:
+            merged.faults.append(
+                f"{what}, but it has another {' and '.join(differing)}. Only {kept.folder} is listed."
+            )
         else:
-            merged.faults.append(f"{what}, but its content differs. Only {kept.folder} is listed.")
+            merged.notes.append(f"{what}: journal, results and seal are equal. It counts once.")
     return kept
 
 
-def _content_of(run: IndexedRun) -> str | None:
-    """Return the hash of a folder's seal, or of its journal if it is not sealed; None if it cannot be read."""
-    folder = Path(run.folder)
+def _hash_of(path: Path) -> str | None:
+    """Return the hash of a file; None if it cannot be read."""
     try:
-        return sha256_of(folder / (MANIFEST if is_sealed(folder) else JOURNAL))
+        return sha256_of(path) if path.is_file() else None
     except (BenchError, OSError):
         return None
 
@@ -166,7 +174,7 @@ def _changed(run: IndexedRun, entered: EnteredRun) -> list[str]:
     if stated.seal is not None:
         if not is_sealed(folder):
             found.append(f"{named}: the ledger states a seal, but the folder has none: it was removed")
-        elif _content_of(run) != stated.seal:
+        elif _hash_of(folder / MANIFEST) != stated.seal:
             found.append(f"{named}: {MANIFEST} is not the sealed one: the folder was changed after sealing")
     return found
 

@@ -117,18 +117,29 @@ def test_folders_that_were_copied_elsewhere_are_found_by_their_line(tmp_path, tw
 
 def test_a_copy_counts_once_and_a_copy_with_another_content_is_a_fault(tmp_path, two):
     first = tmp_path / "a" / "runs" / "run-00001"
-    for name in ("same", "other"):
+    for name in ("same", "journal", "results"):
         shutil.copytree(first, tmp_path / "copies" / name)
-    journal = tmp_path / "copies" / "other" / "journal.jsonl"
+    journal = tmp_path / "copies" / "journal" / "journal.jsonl"
     journal.write_bytes(b"".join(journal.read_bytes().splitlines(keepends=True)[:-1]))
+    (tmp_path / "copies" / "results" / "results.json").write_text("{}")
     merged = merge(tmp_path, two[0], folders=run_folders(tmp_path / "copies"))
     assert [run.folder for run in merged.runs if run.id == "run-00001"] == [str(first)]
+    same, other, results = (tmp_path / "copies" / name for name in ("same", "journal", "results"))
     assert merged.notes == [
-        f"{tmp_path / 'copies' / 'same'} is the same run as {first}: a copy. It counts once."
+        f"{same} is the same run as {first}: journal, results and seal are equal. It counts once."
     ]
     assert merged.faults == [
-        f"{tmp_path / 'copies' / 'other'} is the same run as {first}, but its content differs. Only {first} is listed."
+        f"{other} is the same run as {first}, but it has another journal.jsonl. Only {first} is listed.",
+        f"{results} is the same run as {first}, but it has another results.json. Only {first} is listed.",
     ]
+
+
+def test_results_that_were_changed_are_named(tmp_path, two):
+    folder = tmp_path / "a" / "runs" / "run-00001"
+    assert merge(tmp_path, two[0]).faults == []
+    (folder / "results.json").write_text("{}")
+    changed = "results.json was changed: its SHA-256 is not the one in the journal."
+    assert merge(tmp_path, two[0]).faults == [f"{folder}: {changed}"]
 
 
 def test_a_broken_journal_is_one_fault_and_no_second_one_says_missing(tmp_path, two):
