@@ -36,7 +36,7 @@ HOMED: Final = 0x0444
 MOVE_TO: Final = 0x0453
 STOP: Final = 0x0465
 STILL_THERE: Final = 0x0492
-"""A sign of life of the computer. Some controllers fall silent after about 50 requests without it."""
+"""A sign of life of the computer. Some controllers stop their updates after about 50 without it."""
 
 UNASKED: Final = frozenset({0x0080, 0x0081, HOMED, 0x0464, 0x0466, 0x0481, 0x0491})
 """Ids of what a controller sends without a request of this driver: errors, ends of motions, updates."""

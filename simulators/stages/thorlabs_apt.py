@@ -6,7 +6,7 @@
 All numbers are little endian; the computer is 0x01, the unit 0x50. Commands have no answer, and no message has a
 checksum or a number. The end of a motion is told unasked (0x0464 arrived, 0x0444 homed, 0x0466 stopped). Updates of the
 status come ten times a second while they are switched on. A K10CR1 counts the steps that it sends; a KDC101 counts the
-encoder of the motor, and falls silent after 50 requests without a sign of life (0x0492) from the computer.
+encoder of the motor, and sends at most 50 updates, asked for or not, without a sign of life (0x0492) of the computer.
 
 Source: Thorlabs, "APT Controllers Host-Controller Communications Protocol". That bytes of a message that is not
 completed are dropped after 0.5 s, and what the unit does at unknown ids (nothing), was written without a unit at hand.
@@ -171,7 +171,7 @@ class AptController:
         said = b""
         if self._motion and not self.axis.reports_busy(now):
             said, self._motion = self._end_of_motion(now), ""
-        if self._updates and now - self._updated_at_s >= _UPDATE_S:
+        if self._updates and now - self._updated_at_s >= _UPDATE_S and self._still_there():
             self._updated_at_s = now
             said += self._long(0x0491 if self.model.servo else 0x0481, self._update(now))
         return said
@@ -191,9 +191,6 @@ class AptController:
     def _execute(self, number: int, first: int, second: int, content: bytes, now: float) -> bytes:
         if number == 0x0492:
             self._unanswered = 0
-            return b""
-        self._unanswered += 1
-        if self.model.servo and self._unanswered > _PATIENCE:
             return b""
         if number in {0x0005, 0x0211, 0x0411, 0x040A, 0x0429, 0x0480, 0x0490} or number - 1 in _KEPT:
             return self._tell(number, now)
@@ -257,7 +254,8 @@ class AptController:
             return self._long(0x042A, struct.pack("<HI", 1, self._bits(now)))
         if number - 1 in _KEPT:
             return self._long(number + 1, self._kept[number - 1])
-        return self._long(number + 1, self._update(now, servo=number == 0x0490))
+        update = self._still_there()
+        return self._long(number + 1, self._update(now, servo=number == 0x0490)) if update else b""
 
     def _information(self) -> bytes:
         name = self.model.name.encode("ascii", "replace")[:8]
@@ -266,6 +264,11 @@ class AptController:
             0x0006,
             struct.pack("<I8sHBBBB60sHHH", self.model.serial, name, kind, 3, 0, 2, 0, b"simulated", 1, 3, 1),
         )
+
+    def _still_there(self) -> bool:
+        """Count an update that is due; return whether the computer has given a sign of life lately."""
+        self._unanswered += 1
+        return not self.model.servo or self._unanswered <= _PATIENCE
 
     def _update(self, now: float, *, servo: bool | None = None) -> bytes:
         if self.model.servo if servo is None else servo:

@@ -6,12 +6,16 @@ The package `thorlabs_apt_protocol` (MIT) was written by others from the same do
 from __future__ import annotations
 
 import io
+import time
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from drivers.stage import thorlabs_protocol as ours
 from drivers.stage.thorlabs_protocol import FAMILIES, Information, Status
+from simulators.ports.pseudo_terminal import PseudoTerminal
+from simulators.ports.serial_device import SerialDevice
 from simulators.stages.mechanics import Mechanics
 from simulators.stages.thorlabs_apt import AptController, AptModel
 from tests.hil.direct_stages import (
@@ -106,9 +110,9 @@ def test_another_client_homes_moves_and_stops_the_simulated_controller(name) -> 
     assert speed.max_velocity / 10.0 == pytest.approx(factor, rel=1e-4)
 
 
-def test_a_servo_controller_falls_silent_without_signs_of_life() -> None:
+def test_a_servo_controller_sends_no_more_updates_without_signs_of_life() -> None:
     device, _ = controller("KDC101")
-    request = REQUEST_STATUS_BITS
+    request = apt.mot_req_dcstatusupdate(UNIT, HOST, 1)
     assert len([1 for _ in range(60) if device.receive(request)]) == 50
     assert device.receive(apt.mot_ack_dcstatusupdate(UNIT, HOST) + request)
 
@@ -199,3 +203,29 @@ def test_the_scales_of_speed_are_those_of_the_document() -> None:
     kdc = FAMILIES["KDC101"]
     assert PRM1Z8_COUNTS_PER_DEG * kdc.speed_factor == pytest.approx(42_941.66, rel=1e-4)
     assert PRM1Z8_COUNTS_PER_DEG * kdc.acceleration_factor == pytest.approx(14.66, rel=1e-3)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["K10CR1", "KDC101"])
+def test_pylablib_homes_moves_and_stops_the_simulated_controller(name, tmp_path: Path, monkeypatch) -> None:
+    kinesis = pytest.importorskip("pylablib.devices.Thorlabs.kinesis", reason="pylablib is not installed")
+    monkeypatch.setattr(kinesis.BasicKinesisDevice, "_cycle_rts", lambda _self, _line: None)  # no RTS here
+    scale = K10CR1_COUNTS_PER_DEG if name == "K10CR1" else PRM1Z8_COUNTS_PER_DEG
+    model = AptModel(Mechanics(scale, -170.0, 170.0, start_deg=5.0), 55_000_123, name)
+    device = AptController(model, time.monotonic)
+    with SerialDevice(PseudoTerminal(tmp_path / "stage"), device) as port:
+        known_as = "K10CR1" if name == "K10CR1" else "PRM1-Z8"
+        motor = kinesis.KinesisMotor(("serial", (port.address, 115_200)), scale=known_as)
+        assert motor.get_device_info().serial_no == 55_000_123
+        assert motor.get_velocity_parameters().max_velocity == pytest.approx(10.0, rel=1e-4)
+        assert not motor.is_homed()
+        motor.home(sync=True, timeout=30)
+        assert motor.is_homed()
+        motor.move_to(12.5)
+        motor.wait_move(timeout=20)
+        assert motor.get_position() == pytest.approx(12.5, abs=1e-3)
+        motor.move_to(-30.0)
+        time.sleep(0.8)
+        motor.stop()
+        assert -30.0 < motor.get_position() < 12.0
+        motor.close()

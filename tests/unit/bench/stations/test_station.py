@@ -1,5 +1,8 @@
 """Station files: what they may name, what is refused, and what the shipped ones say."""
 
+import re
+from pathlib import Path
+
 import pytest
 from filled_stations import filled_example
 from station_texts import PLAIN
@@ -258,6 +261,16 @@ def test_the_simulated_bench_is_told_the_station_s_own_target():
     assert world["target"]["tag_family"] == "25h9"
     assert world["target"]["squares"] == [50, 72]
     assert world["reticle"] == {"polarity": "negative", "bow_mm": 1}
+
+
+@pytest.mark.parametrize("page", ["thorlabs", "dynamixel"])
+def test_the_section_on_the_page_of_a_device_is_read_without_a_fault(page):
+    text = (Path(__file__).parents[4] / "docs" / "devices" / f"{page}.md").read_text(encoding="utf-8")
+    section = re.search(r"```yaml\n(stage:.*?)```", text, re.DOTALL)
+    example = filled_example("example_evk4")
+    before, rest = example.split("stage:\n")
+    whole = before + section[1] + "\nlight:\n" + rest.split("light:\n")[1]
+    assert check_document(whole.encode(), page, Station).value.stage.axes["pan"].counts_per_deg > 0
 
 
 FAMILIES = {
