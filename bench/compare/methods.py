@@ -12,18 +12,22 @@ from typing import Any
 import numpy as np
 
 from bench.compare.scenes import Images
-from bench.compare.spec import ColumnConfig
+from bench.compare.spec import STAR_METHODS, ColumnConfig
 from calib.calibration import Calibration, CalibrationOptions
 from calib.engine import calibrate
 from calib.errors import CalibrationError
 from calib.model.camera import CameraModel
 from calib.model.gimbal_readings import GimbalReadings, ParallaxBound
 from calib.model.passport import Passport
+from calib.studies.angle_invariance import calibrate_by_angles
 from calib.studies.reference_methods import MethodResult, opencv_planar, published_recipe, starbench_result
+from calib.target import StarTarget
 from calib.uncertainty.projection_uncertainty import camera_difference, projection_uncertainty
 
 #: The certificate that a column with ``passport`` has: radius and its standard uncertainty, mm.
 CERTIFICATE_MM = (255.0, 0.05)
+#: The focal length of a catalogue, which the method ``angles`` uses without a certificate: 1 % is a usual tolerance.
+CATALOGUE_MM = (255.0, 2.55)
 #: How far the entrance pupil stands before the pivot, where it is known; other collimators have no bound of parallax.
 _OFF_PIVOT_MM = {"ideal": 0.0, "S3": 0.0, "like-bench": 2.0}
 _FEWEST_VIEWS = 2
@@ -52,7 +56,7 @@ def solve(column: ColumnConfig, images: Images, seed: int) -> dict[str, Any]:
         Values, stated sigmas, errors and residuals; or ``error``, the reason why there is no result.
     """
     row: dict[str, Any] = {"views": len(images.views), "missed": list(images.missed)}
-    if len(images.views) < (1 if column.known_collimator else _FEWEST_VIEWS):
+    if len(images.views) < (1 if column.known_collimator or column.method == "angles" else _FEWEST_VIEWS):
         reasons = "; ".join(dict.fromkeys(images.missed)) or "no image"
         return row | {"error": f"{len(images.views)} views with a target: {reasons}"}
     began = time.process_time()
@@ -137,13 +141,24 @@ def _result(column: ColumnConfig, images: Images, seed: int) -> tuple[MethodResu
     lens = column.lens
     if column.method == "recipe":
         return published_recipe(views, CalibrationOptions("spherical", lens)), None
-    if column.method == "zhang" or (column.method == "checkerboard" and column.detector != "symmetry"):
+    if column.method == "angles":
+        return _by_angles(column, images, seed), None
+    board = column.method not in STAR_METHODS
+    if column.method == "zhang" or (board and column.detector != "symmetry"):
         return opencv_planar(views, CalibrationOptions("planar", lens, "l2")), None
-    if column.method == "checkerboard":
+    if board:
         calibration = calibrate(views, CalibrationOptions("planar", lens))
     else:
         calibration = calibrate(views, _options(column, images, seed))
     return starbench_result(calibration), calibration
+
+
+def _by_angles(column: ColumnConfig, images: Images, seed: int) -> MethodResult:
+    """Calibrate from one image, with the collimator's focal length of its certificate or of a catalogue."""
+    r, sigma = CERTIFICATE_MM if column.passport else CATALOGUE_MM
+    stated = r + sigma * np.random.default_rng((seed, 13)).normal()
+    x, y = StarTarget().tag_centre_mm
+    return calibrate_by_angles(images.views[0], stated, (float(x), float(y)), column.lens)
 
 
 def _options(column: ColumnConfig, images: Images, seed: int) -> CalibrationOptions:

@@ -8,13 +8,15 @@ from typing import Any
 from markupsafe import Markup
 
 from bench import __version__
-from bench.compare.plots import direction_plot, focal_plot
+from bench.compare.paper import PAPER_NAMES, PAPER_TABLE_1
+from bench.compare.plots import direction_plot, focal_plot, images_plot
+from bench.compare.spec import STAR_METHODS
 from bench.compare.summary import PARAMETERS
-from bench.compare.table import HEADS, parameter_rows, table_rows
+from bench.compare.table import DATA_HEADS, HEADS, data_rows, parameter_rows, table_rows
 from bench.report.html import environment
 
-#: The numbers that the paper prints for its one real camera, without a truth (arXiv:2512.16092, Table 1) are not
-#: repeated here; docs/comparison.md discusses them.
+TABLE_1 = "Table 1"
+"""Name of the comparison that makes the paper's Table 1 again; its page shows the paper's numbers as well."""
 
 
 def render_page(
@@ -36,8 +38,10 @@ def render_page(
     str
         HTML.
     """
-    names = [column["settings"]["name"] for column in summary["columns"]]
-    solved = [name for name in names if any(row["column"] == name and "error" not in row for row in rows)]
+    simulated = [column for column in summary["columns"] if not column["settings"]["data"]]
+    methods = {column["settings"]["name"]: column["settings"]["method"] for column in simulated}
+    have = {row["column"] for row in rows if "error" not in row}
+    solved = {name: method for name, method in methods.items() if name in have}
     failures = [
         (column["settings"]["name"], failed["times"], failed["why"])
         for column in summary["columns"]
@@ -49,7 +53,14 @@ def render_page(
         .render(
             summary=summary,
             heads=HEADS,
+            simulated=bool(simulated),
+            data_heads=DATA_HEADS,
+            data_table=data_rows(summary),
+            paper_names=PAPER_NAMES,
+            paper=PAPER_TABLE_1 if summary["name"] == TABLE_1 else (),
+            by_images=Markup(images_plot(simulated)),  # noqa: S704 - our own SVG
             table=table_rows(summary),
+            begins=_begins_group(simulated),
             parameters=PARAMETERS,
             values=parameter_rows(summary, PARAMETERS),
             truth=[f"{true[name]:g}" if name in true else "-" for name in PARAMETERS],
@@ -59,3 +70,13 @@ def render_page(
             software=__version__,
         )
     )
+
+
+def _begins_group(columns: Sequence[Mapping[str, Any]]) -> list[bool]:
+    """Return for each column whether it has another kind of target or another collimator than the one before."""
+    kinds = []
+    for column in columns:
+        settings = column["settings"]
+        stars = settings["method"] in STAR_METHODS and settings["method"] != "angles"
+        kinds.append(settings["collimator"] if stars else settings["method"])
+    return [number > 0 and kind != kinds[number - 1] for number, kind in enumerate(kinds)]

@@ -14,9 +14,10 @@ from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
+from functools import partial
 from multiprocessing import get_context
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from bench import __version__
 from bench.base.errors import BenchError, UsageError
@@ -30,6 +31,7 @@ ROWS = "rows.jsonl"
 SPEC = "spec.yaml"
 
 Row = dict[str, Any]
+_Result = TypeVar("_Result")
 
 
 @dataclass(frozen=True)
@@ -66,9 +68,12 @@ def row_key(column: ColumnConfig, seed: int) -> str:
     str
         Hexadecimal.
     """
-    content = json.dumps(
-        [column.model_dump(exclude={"name"}, exclude_none=True), seed, __version__], sort_keys=True
-    )
+    described: list[Any] = [column.model_dump(exclude={"name"}, exclude_none=True), seed, __version__]
+    if column.data is not None:
+        from bench.compare.real_data import data_digest
+
+        described.append(data_digest(column.data))
+    content = json.dumps(described, sort_keys=True)
     return hashlib.sha256(content.encode()).hexdigest()[:24]
 
 
@@ -233,26 +238,49 @@ def run_task(task: Task) -> dict[str, Row]:
     dict
         Rows by their keys. A repetition that fails is named in its row.
     """
-    from bench.compare.methods import solve
-    from bench.compare.scenes import find_targets, record
+    began = time.process_time()
+    rows, why = _guarded(lambda: _task_rows(task))
+    if rows is not None:
+        return rows
+    failed = {"error": why, "views": 0, "missed": [], "images_cpu_s": time.process_time() - began}
+    return {row_key(column, task.seed): dict(failed) for column in task.columns}
+
+
+def _guarded(work: Callable[[], _Result]) -> tuple[_Result | None, str]:
+    """Return a result, or None with the reason: a fault of one repetition must not end a night of others."""
     from calib.errors import CalibrationError
 
-    began = time.process_time()
     try:
-        recorded = record(task.columns[0], task.seed)
+        return work(), ""
     except CalibrationError as error:
-        failed = {"error": str(error), "views": 0, "missed": [], "images_cpu_s": time.process_time() - began}
-        return {row_key(column, task.seed): dict(failed) for column in task.columns}
+        return None, str(error)
+    except Exception as error:  # noqa: BLE001 - whatever it is, it is named in the row
+        return None, f"Unexpected {type(error).__name__}: {error}"
+
+
+def _task_rows(task: Task) -> dict[str, Row]:
+    """Return the rows of a task whose images can be made."""
+    from bench.compare.methods import solve
+    from bench.compare.scenes import find_targets, finding_key, record
+
+    if task.columns[0].data is not None:
+        from bench.compare.real_data import solve_data
+
+        return {row_key(column, task.seed): _finite(solve_data(column, task.seed)) for column in task.columns}
+    began = time.process_time()
+    recorded = record(task.columns[0], task.seed)
     record_cpu_s = time.process_time() - began
-    found: dict[str, tuple[Images, float]] = {}
+    found: dict[Any, tuple[Images, float]] = {}
     rows = {}
     for column in task.columns:
-        if column.detector not in found:
+        how = finding_key(column)
+        if how not in found:
             began = time.process_time()
             images = find_targets(column, recorded)
-            found[column.detector] = images, record_cpu_s + time.process_time() - began
-        images, images_cpu_s = found[column.detector]
-        row = solve(column, images, task.seed)
+            found[how] = images, record_cpu_s + time.process_time() - began
+        images, images_cpu_s = found[how]
+        solved, why = _guarded(partial(solve, column, images, task.seed))
+        row = solved or {"views": len(images.views), "missed": list(images.missed), "error": why}
         rows[row_key(column, task.seed)] = {**_finite(row), "images_cpu_s": images_cpu_s}
     return rows
 

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from bench.compare.moving import motion_of, reach_px, record_moving
 from bench.compare.spec import STAR_METHODS, ColumnConfig
 from bench.simulated import virtual_camera
 from calib.boards.board import Board
@@ -81,10 +82,32 @@ def recordings_key(column: ColumnConfig) -> tuple[Any, ...]:
     tuple
         Hashable.
     """
+    if column.data is not None:
+        return ("data", column.data.path)
     if column.method in STAR_METHODS:
         key = ("stars", column.collimator, column.bow_um, column.noise, column.images)
         return (*key, "reference") if column.known_collimator else key
-    return ("board", column.noise, column.images, *column.board.model_dump().values())
+    board = ("board", column.noise, column.images, *column.board.model_dump().values())
+    if column.method != "reconstruction":
+        return board
+    motion = motion_of(column)
+    return ("moving", *board, motion.speed_px_s, motion.way_px, motion.angle_deg, motion.cutoff_hz)
+
+
+def finding_key(column: ColumnConfig) -> tuple[Any, ...]:
+    """Return what the search for the target depends on, besides the recordings.
+
+    Parameters
+    ----------
+    column
+        The column.
+
+    Returns
+    -------
+    tuple
+        Hashable.
+    """
+    return column.detector, column.method == "reconstruction" and motion_of(column).two_sided
 
 
 @dataclass(frozen=True)
@@ -95,6 +118,8 @@ class Recordings:
     ----------
     images
         (H, W) float32 event images.
+    one_sided
+        For a moving board the pictures of the filter as published; else empty.
     names
         Their names.
     readings_deg
@@ -110,6 +135,7 @@ class Recordings:
     readings_deg: Sequence[Mapping[str, float]]
     truth: Mapping[str, Any]
     reference: Recordings | None = None
+    one_sided: Sequence[NDArray[np.float32]] = ()
 
 
 def record(column: ColumnConfig, seed: int) -> Recordings:
@@ -159,8 +185,10 @@ def find_targets(column: ColumnConfig, recorded: Recordings) -> Images:
     chosen = column.board
     board = Board("checkerboard", chosen.columns, chosen.rows, chosen.square_mm)
     target, stars = StarTarget(), column.method in STAR_METHODS
+    published = column.method == "reconstruction" and not motion_of(column).two_sided
+    shown = recorded.one_sided if published else recorded.images
     views, kept, missed = [], [], []
-    for number, (image, name) in enumerate(zip(recorded.images, recorded.names, strict=True)):
+    for number, (image, name) in enumerate(zip(shown, recorded.names, strict=True)):
         try:
             if stars:
                 views.append(downweight_vignetted(detect_view(image, target, name=name), target))
@@ -243,13 +271,21 @@ def _record_boards(column: ColumnConfig, seed: int) -> Recordings:
     rng = np.random.default_rng((seed, 21))
     truth = virtual_camera({}, seed).truth()
     camera = true_camera(truth["camera"])
-    images, names = [], []
+    moving = column.method == "reconstruction"
+    margin_px = _MARGIN_PX + (reach_px(column) if moving else 0.0)
+    images, one_sided, names = [], [], []
     for number in range(1, column.images + 1):
-        section = {"noise": column.noise, **_lens_section(column), "screen": _placement(column, camera, rng)}
-        placed = virtual_camera(section | {"optics": {"mounting_deg": [0.0, 0.0, 0.0]}}, seed)
-        images.append(_event_image(placed, {}, 1000 * seed + number))
+        placed = _placement(column, camera, rng, margin_px)
+        section = {"noise": column.noise, **_lens_section(column), "screen": placed}
+        section["optics"] = {"mounting_deg": [0.0, 0.0, 0.0]}
+        if moving:
+            pictures = record_moving(column, section, camera.fx, seed, number)
+            images.append(pictures[True])
+            one_sided.append(pictures[False])
+        else:
+            images.append(_event_image(virtual_camera(section, seed), {}, 1000 * seed + number))
         names.append(f"placement {number}")
-    return Recordings(images, names, (), truth)
+    return Recordings(images, names, (), truth, one_sided=one_sided)
 
 
 def _lens_section(column: ColumnConfig) -> dict[str, Any]:
@@ -261,7 +297,9 @@ def _lens_section(column: ColumnConfig) -> dict[str, Any]:
     return {"lens": {"focus_distance_m": distance, "f_number": board.f_number}}
 
 
-def _placement(column: ColumnConfig, camera: CameraModel, rng: np.random.Generator) -> dict[str, Any]:
+def _placement(
+    column: ColumnConfig, camera: CameraModel, rng: np.random.Generator, margin_px: float
+) -> dict[str, Any]:
     """Draw where a person holds the screen: wholly in view, tilted, turned and off the middle."""
     board = column.board
     size = np.array([board.columns + 1, board.rows + 1]) * board.square_mm
@@ -274,7 +312,7 @@ def _placement(column: ColumnConfig, camera: CameraModel, rng: np.random.Generat
         middle = camera.rays(np.array([[rng.uniform(0, s - 1) for s in camera.image_size]]))[0]
         position = distance * middle / middle[2]
         points = camera.project(corners @ rotation.T + position)
-        inside = (points > _MARGIN_PX) & (points < np.array(camera.image_size) - 1 - _MARGIN_PX)
+        inside = (points > margin_px) & (points < np.array(camera.image_size) - 1 - margin_px)
         if inside.all():
             return {
                 "columns": board.columns,

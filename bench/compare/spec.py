@@ -19,11 +19,12 @@ from sequences.strict_model import StrictModel
 
 SHIPPED = Path(__file__).parent / "specs"
 
-Method = Literal["starbench", "recipe", "zhang", "checkerboard"]
+Method = Literal["starbench", "recipe", "zhang", "checkerboard", "reconstruction", "angles"]
 """``starbench``: this project's engine. ``recipe``: the published recipe. ``zhang``: OpenCV's planar calibration of the
-same star images. ``checkerboard``: a board on a flickering screen, placed by hand for each image."""
+same star images. ``checkerboard``: a board on a flickering screen, placed by hand for each image. ``reconstruction``: a
+board that does not flicker, seen by a moving camera. ``angles``: one star image, by angle invariance."""
 _FEWEST = 2
-STAR_METHODS: tuple[Method, ...] = ("starbench", "recipe", "zhang")
+STAR_METHODS: tuple[Method, ...] = ("starbench", "recipe", "zhang", "angles")
 Detector = Literal["symmetry", "sectors", "subpixel"]
 Collimator = Literal["ideal", "like-real", "like-bench", "S1", "S2", "S3"]
 Noise = Literal["none", "clean", "typical", "heavy"]
@@ -47,6 +48,52 @@ class BoardConfig(StrictModel):
         ),
     ] = "infinity"
     f_number: Annotated[float, Field(ge=1, le=32)] = 2.8
+
+
+class MotionConfig(StrictModel):
+    """How the board moves before the camera in the method ``reconstruction``, and the filter."""
+
+    speed_px_s: Annotated[float, Field(ge=10, le=20_000, description="Speed in the picture, px/s.")] = 1000.0
+    way_px: Annotated[float, Field(ge=10, le=400, description="Way of a recording, px.")] = 100.0
+    angle_deg: Annotated[
+        float | None,
+        Field(
+            ge=0,
+            le=90,
+            description="Angle to the edges of the board; drawn from 20 to 70 degrees if not given.",
+        ),
+    ] = None
+    cutoff_hz: Annotated[float, Field(ge=0.01, le=1000, description="Cutoff frequency of the filter.")] = 10.0
+    two_sided: Annotated[
+        bool,
+        Field(
+            description="Use later events as well; false: the filter as published, of earlier events only."
+        ),
+    ] = True
+
+
+class DataConfig(StrictModel):
+    """Recorded points in place of simulated images; there is no truth."""
+
+    path: Annotated[
+        str,
+        Field(
+            min_length=1,
+            max_length=1000,
+            description="Folder of point files (x, y, X, Y, id), or a table (.csv: time, view, x, y, column, row).",
+        ),
+    ]
+    image_size: tuple[Annotated[int, Field(ge=16, le=20_000)], Annotated[int, Field(ge=16, le=20_000)]]
+    origin: Annotated[
+        Literal["corner", "centre"],
+        Field(description="Position of (0, 0): corner or centre of the first pixel."),
+    ] = "corner"
+    board: Annotated[
+        bool, Field(description="The target is a board at finite distance, without a collimator.")
+    ] = False
+    pitch_mm: Annotated[float | None, Field(gt=0, le=1000, description="Pitch of the points of a table.")] = (
+        None
+    )
 
 
 class ColumnConfig(StrictModel):
@@ -81,9 +128,33 @@ class ColumnConfig(StrictModel):
     ] = "symmetry"
     lens: Annotated[str, Field(pattern=r"^[a-z0-9]{2,30}$", description="Distortion coefficients.")] = "k1k2"
     board: BoardConfig = BoardConfig()
+    motion: Annotated[MotionConfig | None, Field(description="Motion of the method reconstruction.")] = None
+    data: Annotated[DataConfig | None, Field(description="Recorded points in place of simulated images.")] = (
+        None
+    )
+
+    @model_validator(mode="after")
+    def _data_have_no_simulation(self) -> ColumnConfig:
+        if self.data is None:
+            return self
+        if self.method not in ("starbench", "recipe", "zhang") or (
+            self.data.board and self.method == "recipe"
+        ):
+            raise PydanticCustomError(
+                "data", "Recorded points take the methods starbench, zhang and, before a collimator, recipe."
+            )
+        if self.passport or self.readings or self.known_collimator:
+            raise PydanticCustomError(
+                "data", "Recorded points have no passport, readings or known_collimator."
+            )
+        return self
 
     @model_validator(mode="after")
     def _enough_images(self) -> ColumnConfig:
+        if self.method == "angles":
+            if self.images != 1:
+                raise PydanticCustomError("images", "uses one image: the method angles needs images: 1.")
+            return self
         if self.images < _FEWEST and not (self.known_collimator and self.method == "starbench"):
             raise PydanticCustomError(
                 "images",

@@ -71,6 +71,7 @@ def _column(rows: Sequence[Row]) -> dict[str, Any]:
     }
     for key in ("rms_px", "mean_px", "left_out_px", "direction_rms_urad", "centre_urad"):
         found[key] = _rms([row[key] for row in good])
+    found["halves_urad"] = _rms([row.get("halves_urad") for row in good])
     found["direction_worst_urad"] = _largest([row["direction_worst_urad"] for row in good])
     found["corner_rms_urad"] = _rms([row["corner_urad"] for row in good])
     found["corner_worst_urad"] = _largest([row["corner_urad"] for row in good])

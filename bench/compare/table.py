@@ -19,6 +19,19 @@ HEADS = (
 )
 """Heads of the columns after the name. Errors are root mean squares over the repetitions."""
 
+DATA_HEADS = (
+    "images",
+    "solved",
+    "fx px",
+    "U(fx) px",
+    "reproj. px",
+    "left out px",
+    "halves µrad",
+    "fx within U",
+    "cx within U",
+)
+"""Heads for recorded data, after the name."""
+
 Summary = Mapping[str, Any]
 
 
@@ -33,9 +46,33 @@ def table_rows(summary: Summary) -> list[list[str]]:
     Returns
     -------
     list of list of str
-        One row for each column of the comparison: its name, then a cell for each of `HEADS`.
+        One row for each column of simulated images: its name, then a cell for each of `HEADS`.
     """
-    return [_cells(column, summary["repetitions"]) for column in summary["columns"]]
+    return [
+        _cells(column, summary["repetitions"])
+        for column in summary["columns"]
+        if not column["settings"]["data"]
+    ]
+
+
+def data_rows(summary: Summary) -> list[list[str]]:
+    """Return the cells of the table of recorded data.
+
+    Parameters
+    ----------
+    summary
+        From `bench.compare.summary.summarise`.
+
+    Returns
+    -------
+    list of list of str
+        One row for each column of recorded data: its name, then a cell for each of `DATA_HEADS`.
+    """
+    return [
+        _data_cells(column, summary["repetitions"])
+        for column in summary["columns"]
+        if column["settings"]["data"]
+    ]
 
 
 def table_text(summary: Summary) -> str:
@@ -51,9 +88,20 @@ def table_text(summary: Summary) -> str:
     str
         Lines of text; the reasons of failures come last.
     """
-    rows = [["", *HEADS], *table_rows(summary)]
+    blocks = [(HEADS, table_rows(summary)), (DATA_HEADS, data_rows(summary))]
+    lines = [line for heads, rows in blocks if rows for line in _aligned([["", *heads], *rows])]
+    lines += [
+        f"{column['settings']['name']}: {failed['times']} without a result: {failed['why']}"
+        for column in summary["columns"]
+        for failed in column["failed"]
+    ]
+    return "\n".join(line.rstrip() for line in lines)
+
+
+def _aligned(rows: Sequence[Sequence[str]]) -> list[str]:
+    """Return lines of equal columns, the first one left, the others right."""
     widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))]
-    lines = [
+    return [
         "  ".join(
             [
                 row[0].ljust(widths[0]),
@@ -62,12 +110,6 @@ def table_text(summary: Summary) -> str:
         )
         for row in rows
     ]
-    lines += [
-        f"{column['settings']['name']}: {failed['times']} without a result: {failed['why']}"
-        for column in summary["columns"]
-        for failed in column["failed"]
-    ]
-    return "\n".join(line.rstrip() for line in lines)
 
 
 def shown(number: float | None, digits: int = 3) -> str:
@@ -128,6 +170,23 @@ def _cells(column: Summary, repetitions: int) -> list[str]:
         shown(column["direction_worst_urad"]),
         share(covered.get("fx")),
         share(covered.get("corner")),
+    ]
+
+
+def _data_cells(column: Summary, repetitions: int) -> list[str]:
+    settings = column["settings"]
+    head = [settings["name"], str(settings["images"]), f"{column['solved']} of {repetitions}"]
+    if not column["solved"]:
+        return head + ["-"] * (len(DATA_HEADS) - 2)
+    return [
+        *head,
+        _spread(column["parameters"]["fx"]),
+        shown(column["expanded_fx_px"]),
+        shown(column["rms_px"], 2),
+        shown(column["left_out_px"], 2),
+        shown(column["halves_urad"]),
+        share(column["coverage"].get("fx")),
+        share(column["coverage"].get("cx")),
     ]
 
 
