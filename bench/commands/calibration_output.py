@@ -80,12 +80,13 @@ def _device_lines(end: RunEnd) -> list[str]:
             "No device was opened: this run moved nothing and switched nothing.",
             "Whether the light is on and the stage is still is not known: look at the bench.",
         ]
-    safe = bool(end.devices) and all(one.state == "confirmed safe" for one in end.devices)
-    head = (
-        "The bench is safe; each device confirmed it:"
-        if safe
-        else "CHECK THE BENCH. What is known of each device:"
-    )
+    unsure = [one for one in end.devices if one.state != "confirmed safe"]
+    if end.devices and not unsure:
+        head = "The bench is safe; each device confirmed it:"
+    elif end.devices and all((one.device, one.state) == ("camera", "never opened") for one in unsure):
+        head = "Stage and light confirmed that they are safe:"  # a camera neither moves nor shines
+    else:
+        head = "CHECK THE BENCH. What is known of each device:"
     return [head, *(f"  {one.text}" for one in end.devices)]
 
 

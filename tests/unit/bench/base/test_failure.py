@@ -165,3 +165,23 @@ def test_a_run_that_was_aborted_has_no_failure(tmp_path):
     end = scene.run()
     assert (end.how, end.failure) == ("aborted", None)
     assert "error" not in scene.told(Event.RUN_ENDED)[0]
+
+
+@pytest.mark.parametrize(
+    ("light", "camera", "head"),
+    [
+        ("confirmed safe", "never opened", "Stage and light confirmed that they are safe:"),
+        ("not confirmed", "never opened", "CHECK THE BENCH."),
+        ("never opened", "never opened", "CHECK THE BENCH."),
+        ("confirmed safe", "not confirmed", "CHECK THE BENCH."),
+    ],
+)
+def test_a_camera_that_was_never_opened_is_no_reason_to_check_the_bench(
+    tmp_path, capsys, light, camera, head
+):
+    ends = [DeviceEnd("stage", "confirmed safe"), DeviceEnd("light", light), DeviceEnd("camera", camera)]
+    end = RunEnd("failed", "no camera", tmp_path, None, devices=ends, opened=False)
+    show_run(end, as_json=False)
+    said = "".join(capsys.readouterr())
+    assert head in said
+    assert ("The light may be on" in said) is (light != "confirmed safe")
