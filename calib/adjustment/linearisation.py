@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 from calib.adjustment import star_kernels
 from calib.adjustment.observations import Observations
 from calib.adjustment.parameters import AdjustmentParameters
-from calib.adjustment.star_kernels import ABERRATIONS_AT, CENTRE_AT, LENS_AT, NOWHERE
-from calib.model.camera import CameraModel
+from calib.adjustment.star_kernels import ABERRATIONS_AT, CENTRE_AT, LENS_AT, NOWHERE, SKEW_AT
+from calib.model.camera import SKEW, CameraModel
 from calib.model.collimator import CENTRE, Collimator
 from calib.model.lens import BROWN, FISHEYE
 
@@ -248,13 +248,13 @@ def packed(parameters: AdjustmentParameters) -> Array:
     Returns
     -------
     Array
-        (15 + T,) float64 pinhole, coefficients of the lens's family, centre, aberrations.
+        (16 + T,) float64 pinhole, coefficients of the lens's family, skew, centre, aberrations.
     """
     camera, collimator = parameters.camera, parameters.collimator
     family = FISHEYE if camera.is_fisheye else BROWN
     coefficients = [camera.distortion.get(name, 0.0) for name in family]
-    lens = coefficients + [0.0] * (CENTRE_AT - LENS_AT - len(family))
-    return np.array([camera.fx, camera.fy, camera.cx, camera.cy, *lens, *collimator.values])
+    lens = coefficients + [0.0] * (SKEW_AT - LENS_AT - len(family))
+    return np.array([camera.fx, camera.fy, camera.cx, camera.cy, *lens, camera.skew, *collimator.values])
 
 
 def unpacked(parameters: AdjustmentParameters, state: Array) -> tuple[CameraModel, Collimator]:
@@ -265,7 +265,7 @@ def unpacked(parameters: AdjustmentParameters, state: Array) -> tuple[CameraMode
     parameters
         Camera and collimator whose coefficients and aberrations are wanted.
     state
-        (15 + T,) float64 from `packed`.
+        (16 + T,) float64 from `packed`.
 
     Returns
     -------
@@ -273,15 +273,20 @@ def unpacked(parameters: AdjustmentParameters, state: Array) -> tuple[CameraMode
         The same models with other values.
     """
     camera, collimator, values = parameters.camera, parameters.collimator, state.tolist()
-    family = FISHEYE if camera.is_fisheye else BROWN
     fx, fy, cx, cy = values[:LENS_AT]
-    lens = {name: values[LENS_AT + family.index(name)] for name in camera.distortion}
+    lens = {name: values[at] for name, at in zip(camera.distortion, _lens_places(camera), strict=True)}
     x, y, r, *aberrations = values[CENTRE_AT:]
     named = dict(zip(collimator.aberrations, aberrations, strict=True))
     return (
         CameraModel(fx, fy, cx, cy, camera.image_size, lens),
         Collimator(x, y, r, named, collimator.reference),
     )
+
+
+def _lens_places(camera: CameraModel) -> list[int]:
+    """Return where the coefficients of a camera's lens, and its skew, stand in the state."""
+    family = FISHEYE if camera.is_fisheye else BROWN
+    return [SKEW_AT if name == SKEW else LENS_AT + family.index(name) for name in camera.distortion]
 
 
 def state_places(
@@ -303,8 +308,7 @@ def state_places(
     NDArray of int64
         (G,) places; `calib.adjustment.star_kernels.NOWHERE` for a parameter that moves no star.
     """
-    family = FISHEYE if parameters.camera.is_fisheye else BROWN
-    lens = [LENS_AT + family.index(name) for name in parameters.camera.distortion]
+    lens = _lens_places(parameters.camera)
     aberrations = range(ABERRATIONS_AT, ABERRATIONS_AT + len(parameters.collimator.aberrations))
     known = {
         "camera": [*range(LENS_AT), *lens],

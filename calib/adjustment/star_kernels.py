@@ -12,11 +12,12 @@ from typing import Any
 import numpy as np
 from numba import njit
 
-#: Places in the state: fx, fy, cx, cy, then the lens coefficients in the order of their family, then the centre
-#: (x, y, r), then the aberrations.
+#: Places in the state: fx, fy, cx, cy, then the lens coefficients in the order of their family, the skew, the centre
+#: (x, y, r), and the aberrations.
 LENS_AT = 4
-CENTRE_AT = 12
-ABERRATIONS_AT = 15
+SKEW_AT = 12
+CENTRE_AT = 13
+ABERRATIONS_AT = 16
 #: Place of a parameter that moves no star.
 NOWHERE = -1
 #: Robust losses by number.
@@ -53,7 +54,7 @@ def _camera_point(rotation: Any, centre: Any, x: float, y: float, z: float) -> t
 @njit(cache=True, error_model="numpy")
 def _distorted(x: float, y: float, state: Any, fisheye: bool) -> tuple[float, float]:
     """Return a distorted normalised point: Brown (1971) with OpenCV's denominator, or Kannala and Brandt (2006)."""
-    k = state[LENS_AT:CENTRE_AT]
+    k = state[LENS_AT:SKEW_AT]
     if fisheye:
         r = max(np.sqrt(x * x + y * y), 1e-12)
         theta = np.arctan(r)
@@ -93,7 +94,7 @@ def residuals_px(
     starts
         (n + 1,) int64 first star of each view, and the number of stars.
     state
-        (15 + T,) float64 the shared parameters.
+        (16 + T,) float64 the shared parameters.
     fisheye
         Whether the lens is a fisheye lens.
     rotations, offsets
@@ -111,7 +112,7 @@ def residuals_px(
             x, y, z = _camera_point(rotations[i], centre, x, y, target[2, k])
             inverse = 1.0 / z if z > 0.0 else np.nan
             u, v = _distorted(x * inverse, y * inverse, state, fisheye)
-            out[0, k] = points[0, k] - (u * state[0] + state[2])
+            out[0, k] = points[0, k] - (u * state[0] + v * state[SKEW_AT] + state[2])
             out[1, k] = points[1, k] - (v * state[1] + state[3])
 
 
@@ -222,7 +223,7 @@ def _bend(x: Any, y: Any, state: Any, fisheye: bool, bent: Any, by_normalised: A
     du/dx, du/dy = dv/dx and dv/dy to ``by_normalised`` (3, M). The first radial coefficient moves the point by (x, y)
     times ``radial[0]``, a further one by ``radial[1]`` times more; ``radial[2]`` is minus the radial factor.
     """
-    c = state[LENS_AT:CENTRE_AT]
+    c = state[LENS_AT:SKEW_AT]
     if fisheye:
         for k in range(len(x)):
             r = max(np.sqrt(x[k] * x[k] + y[k] * y[k]), 1e-12)
@@ -266,12 +267,16 @@ def _write_lens(
         else:
             column[at - 2] = 1.0
         return
+    if at == SKEW_AT:
+        column[0], column[1] = bent[1], 0.0
+        return
     at -= LENS_AT
     if not fisheye and 2 <= at < 4:
         for k in range(count):
             r2, xy = x[k] * x[k] + y[k] * y[k], 2.0 * x[k] * y[k]
             column[0, k] = fx * (xy if at == 2 else r2 + 2.0 * x[k] * x[k])
             column[1, k] = fy * (xy if at == 3 else r2 + 2.0 * y[k] * y[k])
+        _skewed(column, state)
         return
     power, below = at, False
     if not fisheye:
@@ -285,6 +290,16 @@ def _write_lens(
             factor *= radial[2, k]
         column[0, k] = fx * factor * x[k]
         column[1, k] = fy * factor * y[k]
+    _skewed(column, state)
+
+
+@njit(cache=True, error_model="numpy")
+def _skewed(column: Any, state: Any) -> None:
+    """Add to derivatives (2, M) of the column u what the skew makes of those of the row v (own, by the chain rule)."""
+    share = state[SKEW_AT] / state[1]
+    if share != 0.0:
+        for k in range(column.shape[1]):
+            column[0, k] += share * column[1, k]
 
 
 @njit(cache=True, error_model="numpy")
@@ -400,6 +415,9 @@ def view_equations(
             u, v = plane[0, :size], plane[1, :size]
             _bend(u, v, state, fisheye, bent, by_normalised, radial)
             _write_geometry(p, u, v, by_normalised, rotations[i], state, columns[shared : shared + 3], moved)
+            for axis in range(3):
+                _skewed(columns[shared + axis], state)
+                _skewed(moved[axis], state)
             if count > shared + 3:
                 columns[shared + 3 :] = moved
             for g in range(shared):
