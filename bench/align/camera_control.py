@@ -22,7 +22,7 @@ from bench.stations.station_cameras import (
     FrameCameraConfig,
     OpenCvCameraConfig,
 )
-from bench.views.camera_kinds import camera_kind
+from bench.views.station_camera_kind import camera_kind
 from drivers.camera import CameraIdentity, CameraSettings, EventCamera
 from drivers.camera.frames import FrameCamera, FrameSettings
 

@@ -21,7 +21,7 @@ from bench.base.failure import FORESEEN, Failure
 from bench.stations.devices import Devices
 from bench.stations.separate_devices import SeparateDevices
 from bench.stations.station import Station
-from bench.views.camera_kinds import camera_kind
+from bench.views.station_camera_kind import camera_kind
 
 OpenDevices = Callable[[Station, int, BenchClock], Devices]
 

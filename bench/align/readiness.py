@@ -19,8 +19,8 @@ from bench.align.session import Session
 from bench.base.failure import FORESEEN, Failure
 from bench.plan.plan import Plan, load_documents, make_plan
 from bench.stations.placeholders import find_placeholders
-from bench.views.camera_kinds import camera_kind
 from bench.views.gates import ADVICE, Gate
+from bench.views.station_camera_kind import camera_kind
 from drivers.light import LightSettings
 from sequences.schema import RecordConfig
 from sequences.script import Flicker, Gates, LightStep, Pose, RecordStep

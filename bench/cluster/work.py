@@ -16,7 +16,7 @@ from typing import Any, Protocol, Self
 from bench.base.errors import BenchError
 from bench.base.failure import FORESEEN, Failure
 
-MOST_DEATHS = 3
+MOST_DEATHS = 10
 """How many workers may die with a piece of work before it counts as failed."""
 _AHEAD = 2
 """Pieces of work handed out for each worker: one in progress, one waiting."""

@@ -119,8 +119,8 @@ def images_plot(columns: Sequence[Mapping[str, Any]]) -> str:
         axes.set_yscale("log")
         counts = sorted({images for points in series.values() for images, _ in points})
         axes.set_xticks(counts)
-        errors = [error for points in series.values() for _, error in points]
-        axes.set_yticks([step for step in _decades(max(errors)) if step >= 0.5 * min(errors)])
+        every = [error for points in series.values() for _, error in points]
+        axes.set_yticks([step for step in _decades(max(every)) if step >= 0.5 * min(every)])
         axes.minorticks_off()
         for axis in (axes.xaxis, axes.yaxis):
             axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))

@@ -18,8 +18,9 @@ from bench.records.run_folder import PASSPORT_COPY, SEQUENCE_COPY, STATION_COPY
 from bench.simulated import SimulatedBench
 from bench.stations.station import Station
 from bench.stations.station_text import description_documents
-from bench.views.camera_kinds import CameraKind, camera_kind
+from bench.views.camera_kinds import CameraKind
 from bench.views.gates import Gate, at_most
+from bench.views.station_camera_kind import camera_kind
 from calib.boards.board import Board
 from calib.target import StarTarget
 from drivers.light import LightSettings

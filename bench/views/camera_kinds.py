@@ -11,8 +11,6 @@ from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol, cast
 
-from bench.stations.station import Station
-from bench.stations.station_cameras import FrameCameraConfig
 from bench.views.gates import FILTERS_TO_DISABLE, Gate, recording_gates, rejection_reasons
 from bench.views.recording_window import periods_in_window, recording_duration_s
 from calib.target import StarTarget
@@ -348,28 +346,3 @@ class FrameKind:
         last = FrameFacts(**accepted[-1])
         asked = {name: value for name, value in asdict(self._settings).items() if value is not None}
         return {"pictures": last.frames, "bits": last.bits, **asked}
-
-
-def camera_kind(station: Station) -> CameraKind:
-    """Return the kind of a station's camera.
-
-    Parameters
-    ----------
-    station
-        The station file.
-
-    Returns
-    -------
-    CameraKind
-        What a run does with this camera.
-    """
-    config, shown = station.camera, station.board
-    if shown is not None:
-        from bench.views.board_kinds import EventBoardKind, FrameBoardKind
-
-        if isinstance(config, FrameCameraConfig):
-            return FrameBoardKind(config.pictures, config.settings(), shown.board())
-        return EventBoardKind(config.biases.model_dump(), shown.board(), shown.own_hz, config.roi)
-    if isinstance(config, FrameCameraConfig):
-        return FrameKind(config.pictures, config.settings())
-    return EventKind(config.biases.model_dump(), config.roi)

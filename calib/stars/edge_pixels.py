@@ -66,6 +66,10 @@ class ScoreTables(NamedTuple):
     fisher: NDArray[np.float64]
 
 
+#: Length of the table over the values of an image, from the first to the last border of levels.
+_TABLE = 4096
+
+
 def quantise(image: NDArray[Any]) -> NDArray[np.uint8]:
     """Reduce an image to at most `LEVELS` levels of brightness.
 
@@ -96,7 +100,43 @@ def quantise(image: NDArray[Any]) -> NDArray[np.uint8]:
     if image.dtype.kind == "u" and image.dtype.itemsize <= 2:
         every = np.arange(int(image.max()) + 1)
         return np.searchsorted(borders, every, side="right").astype(np.uint8)[image]
-    return np.searchsorted(borders, image, side="right").astype(np.uint8)
+    return _levels_of(np.ascontiguousarray(image), np.asarray(borders, float))
+
+
+@njit(cache=True, error_model="numpy")
+def _levels_of(image: Any, borders: Any) -> Any:
+    """Return for each pixel how many borders are at most its value, (H, W) uint8.
+
+    The search starts from a table over the values, and bisects what the table leaves open.
+    """
+    levels = np.zeros(image.shape, np.uint8)
+    if len(borders) == 0:
+        return levels
+    low, high = borders[0], borders[-1]
+    scale = _TABLE / (high - low) if high > low else 0.0
+    table = np.empty(_TABLE + 1, np.int64)
+    for i in range(_TABLE):
+        table[i] = np.searchsorted(borders, low + i / scale if scale > 0.0 else low)
+    table[_TABLE] = len(borders)
+    for r in range(image.shape[0]):
+        for c in range(image.shape[1]):
+            value = float(image[r, c])
+            if value < low:
+                continue
+            if value >= high:
+                levels[r, c] = len(borders)
+                continue
+            i = min(int((value - low) * scale), _TABLE - 1)
+            # One place more on both sides: the table is rounded.
+            first, end = max(table[i] - 1, 0), min(table[i + 1] + 1, len(borders))
+            while first < end:
+                middle = (first + end) // 2
+                if borders[middle] <= value:
+                    first = middle + 1
+                else:
+                    end = middle
+            levels[r, c] = first
+    return levels
 
 
 def gather_edge_pixels(

@@ -356,8 +356,8 @@ def _overdispersion(score: NDArray[np.float64], fisher: NDArray[np.float64]) -> 
     for e in range(half):
         for f in range(half):
             through = (np.eye(EDGE_UNKNOWNS) if e == f else 0.0) - gain[:, e]
-            spread = np.einsum("nij,njk,nlk->nil", through, pair_fisher[:, f], through)
-            expected[e, f] = np.mean(spread[:, 0, 0] + spread[:, 1, 1])
+            rows = through[:, :2]
+            expected[e, f] = ((rows @ pair_fisher[:, f]) * rows).sum() / len(rows)
     ratio = np.linalg.solve(expected + 1e-9 * np.eye(half) * np.trace(expected), measured)
     typical = max(float(np.median(ratio)), 1e-3)
     lowest, highest = OVERDISPERSION_RANGE

@@ -107,8 +107,10 @@ def blurred_edge_map(sharp: NDArray[np.float64], segments: int, pitch_px: float,
     """
     blurred = cv2.GaussianBlur(sharp, (0, 0), blur_px * OVERSAMPLING)
     # By rounding, samples on an edge fall to either side of it. The mean with half a turn makes the map symmetric.
-    blurred = (blurred + blurred[::-1, ::-1]) / 2.0
+    upper = len(sharp) // 2 + 1
+    blurred = (blurred[:upper] + blurred[: -upper - 1 : -1, ::-1]) / 2.0
     tau = blur_px * ndtri(np.clip(blurred, 1e-4, 1.0 - 1e-4))
+    tau = np.concatenate([tau, tau[len(sharp) - upper - 1 :: -1, ::-1]])
     scale, limit_px = pitch_px * OVERSAMPLING, TAU_LIMIT_BLURS * blur_px
     edge = _nearest_edges(pitch_px, segments)
     return EdgeMap(tau.astype(np.float32), edge, len(sharp) // 2, scale, limit_px)

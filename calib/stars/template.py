@@ -234,6 +234,45 @@ def _correlation(image: Any, x: float, y: float, linear: Any, template: StarTemp
 
 
 @njit(cache=True, error_model="numpy")
+def _correlations_along(
+    image: Any, guess: Any, down: int, linear: Any, template: StarTemplate, found: Any
+) -> bool:
+    """Compute `_correlation` at places in a row, ``down`` pixels below a guess and one pixel apart, in ``found``.
+
+    All places have the same weights of the pixels, so that whole rows of the image are added. False if a place needs a
+    pixel outside of the image, or one without a value; ``found`` is then not valid.
+    """
+    reach = len(found) // 2
+    total, squares = np.zeros(len(found)), np.zeros(len(found))
+    product, balance = np.zeros(len(found)), 0.0
+    for i in range(template.values.size):
+        u, v = template.offsets[i, 0], template.offsets[i, 1]
+        x = guess[0] + linear[0, 0] * u + linear[0, 1] * v
+        y = guess[1] + down + linear[1, 0] * u + linear[1, 1] * v
+        if not (reach <= x < image.shape[1] - 1 - reach and 0.0 <= y < image.shape[0] - 1):
+            return False
+        c, r = int(x), int(y)
+        a, b, expected = x - c, y - r, template.expected[i]
+        upper, lower = image[r, c - reach : c + reach + 2], image[r + 1, c - reach : c + reach + 2]
+        balance += expected
+        for j in range(len(found)):
+            top = (1.0 - a) * upper[j] + a * upper[j + 1]
+            bottom = (1.0 - a) * lower[j] + a * lower[j + 1]
+            value = (1.0 - b) * top + b * bottom
+            total[j] += value
+            squares[j] += value * value
+            product[j] += value * expected
+    n = template.values.size
+    for j in range(len(found)):
+        mean = total[j] / n
+        variance = squares[j] / n - mean * mean
+        found[j] = (product[j] - mean * balance) / n / np.sqrt(variance) if variance > 0.0 else 0.0
+        if np.isnan(total[j]):
+            return False
+    return True
+
+
+@njit(cache=True, error_model="numpy")
 def search_stars(
     image: Any, guesses: Any, linear: Any, reach_px: Any, template: StarTemplate, sign: float
 ) -> tuple[Any, Any]:
@@ -267,12 +306,15 @@ def search_stars(
     best, score = np.full((n, 2), np.nan), np.full(n, np.nan)
     for k in range(n):
         steps = int(np.ceil(reach_px[k]))
+        row = np.empty(2 * steps + 1)
         for i in range(-steps, steps + 1):
+            whole = _correlations_along(image, guesses[k], i, linear[k], template, row)
             for j in range(-steps, steps + 1):
                 if i * i + j * j > reach_px[k] ** 2 + 0.5:
                     continue
                 x, y = guesses[k, 0] + j, guesses[k, 1] + i
-                found = sign * _correlation(image, x, y, linear[k], template)
+                found = row[j + steps] if whole else _correlation(image, x, y, linear[k], template)
+                found *= sign
                 if not found <= score[k] and not np.isnan(found):
                     score[k], best[k, 0], best[k, 1] = found, x, y
     return best, score

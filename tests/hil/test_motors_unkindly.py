@@ -27,6 +27,7 @@ from simulators.stages.dynamixel_servo import ServoModel
 from simulators.stages.mechanics import Mechanics
 from simulators.stages.thorlabs_apt import AptController, AptModel
 from tests.hil.direct_stages import (
+    FAMILIES,
     K10CR1_COUNTS_PER_DEG,
     LIMITS,
     DirectLine,
@@ -427,3 +428,38 @@ def test_each_request_to_a_servo_controller_carries_a_sign_of_life() -> None:
     asked = [sent for sent in line.sent if sent.endswith(apt.short(apt.REQUEST_STATUS, 1))]
     assert len(asked) > 20
     assert all(sent.startswith(apt.short(apt.STILL_THERE)) for sent in asked)
+
+
+# ---------------------------------------------------------------- noise
+@pytest.mark.parametrize("exchanges", [1_500, pytest.param(100_000, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("chance", [0.02, 0.2])
+@pytest.mark.parametrize("family", ["thorlabs", "k10cr1", "dynamixel"])
+def test_on_a_bad_line_a_move_ends_at_its_target_or_in_an_error(family, chance, exchanges) -> None:
+    clock = VirtualClock()
+    rig = FAMILIES[family](clock, np.random.default_rng(5))
+    rig.stage.home()
+    line = rig.line.device
+    line.inject(LineFault("any", count=None, chance=chance, delay_s=0.7))
+    line.inject(LineFault("request_lost", count=None, chance=chance / 4))
+    line.inject(LineFault("request_garbled", count=None, chance=chance / 10))
+    line.inject(LineFault("preceded", count=None, chance=chance / 10, replacement=b"\xff\xfd\x00?\x07"))
+    rng = np.random.default_rng(6)
+    good = refused = 0
+    while rig.line.writes < exchanges:
+        target = float(rng.integers(-1400, 1400)) / 100.0
+        try:
+            if not rig.stage.is_homed():
+                rig.stage.home()
+            rig.stage.move_to({"pan": target})
+            told = rig.stage.position_deg()["pan"]
+        except DriverError:
+            refused += 1
+            clock.sleep(3.0)
+            if refused % 20 == 0:  # a changed request can drive an axis into its end
+                rig.controller.restart(clock.now_s)
+                clock.sleep(2.0)
+            continue
+        good += 1
+        assert told == pytest.approx(target, abs=0.01)
+        assert rig.true_deg() == pytest.approx(target, abs=0.01)
+    assert good > exchanges / 500

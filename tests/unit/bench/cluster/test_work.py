@@ -62,9 +62,10 @@ def test_processes_do_the_work_of_those_that_die(tmp_path):
         assert found["lives"].value == 8
         assert found["dies once"].value == 7
         assert found["dies"].failure.kind == "WorkerDied"
-        assert "3 workers died" in found["dies"].failure.what
+        assert "10 workers died" in found["dies"].failure.what
         assert found["refused"].failure.where == "here"
-        assert workers.replaced == 4
+        assert workers.replaced == 11
+        assert ends(workers, Work("again", cluster_work.double, (5,)))["again"].value == 10
         pids = workers.pids
     assert pids
     for pid in pids:

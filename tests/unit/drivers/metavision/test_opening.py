@@ -187,5 +187,7 @@ def test_a_camera_that_this_user_may_not_use_is_named(devices, clock, monkeypatc
         "drivers.camera.metavision_discovery.unreadable_cameras",
         lambda: ["A Prophesee camera is connected, but."],
     )
-    with pytest.raises(CameraNotFound, match=r"connected cameras: none\. A Prophesee camera is connected, but"):
+    with pytest.raises(
+        CameraNotFound, match=r"connected cameras: none\. A Prophesee camera is connected, but"
+    ):
         MetavisionEvk4.open(clock=clock)
