@@ -198,6 +198,13 @@ class LineConfig(StrictModel):
     quiet_s: Annotated[
         float, Within(0.02, 2, "s"), Field(description="Without a byte for this time, the line is silent.")
     ] = 0.1
+    start_s: Annotated[
+        float,
+        Within(0, 30, "s"),
+        Field(
+            description="Longest time from opening the port to the first answer, if the device restarts then."
+        ),
+    ] = 0.0
     checksum: Annotated[
         Literal["none", "xor"], Field(description="xor: *HH after each request and each reply.")
     ] = "none"
@@ -260,6 +267,7 @@ class Described(StrictModel):
             reply_end=_ENDS[self.line.reply_end],
             reply_s=self.line.reply_s,
             quiet_s=self.line.quiet_s,
+            start_s=self.line.start_s,
             checksum=self.line.checksum,
             clear=self.line.clear.encode("ascii"),
             setup=tuple(template(text, NOTHING, NOTHING) for text in self.line.setup),

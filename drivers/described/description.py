@@ -85,6 +85,8 @@ class LineDescription:
         Longest wait for a reply, in seconds.
     quiet_s
         After this time without a byte, the line counts as silent; in seconds.
+    start_s
+        Longest time from the opening of the port to the first answer, in seconds: some boards restart then.
     checksum
         "xor": requests and replies end in ``*`` and two hexadecimal digits, the XOR of all bytes before the ``*``.
     clear
@@ -107,6 +109,7 @@ class LineDescription:
     reply_end: bytes
     reply_s: float
     quiet_s: float
+    start_s: float
     checksum: Checksum
     clear: bytes
     setup: tuple[Template, ...]

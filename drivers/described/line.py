@@ -15,7 +15,7 @@ from functools import reduce
 from drivers.clock import Clock
 from drivers.described.description import Exchange, LineDescription, Notice, Switch
 from drivers.described.template import Value
-from drivers.errors import DeviceRefused, ReplyGarbled, WrongDevice
+from drivers.errors import DeviceRefused, ReplyError, ReplyGarbled, WrongDevice
 from drivers.link import Link, ReplyReader
 from drivers.retry import TRIES, repeat, resynchronise
 from drivers.serial_port import Port
@@ -66,7 +66,7 @@ class DescribedLine:
         self.identity: Mapping[str, Value] = {}
         self._drain()
         self._clear_device()
-        self.identity = repeat(self._identify, before_next=self._clear_device)
+        self.identity = self._first_identity(clock)
 
     @property
     def name(self) -> str:
@@ -355,6 +355,16 @@ class DescribedLine:
         for command in self._description.setup:
             self._link.send(self._encode(command.render({})))
             self._take_from(self._drain())
+
+    def _first_identity(self, clock: Clock) -> dict[str, Value]:
+        """Ask who the device is, for as long as it may take to start."""
+        started_s = clock.monotonic() + self._description.start_s
+        while clock.monotonic() < started_s:
+            try:
+                return self._identify()
+            except ReplyError:
+                self._clear_device()
+        return repeat(self._identify, before_next=self._clear_device)
 
     def _identify(self) -> dict[str, Value]:
         found = self._exchange(self._description.identity, {}, urgent=True)

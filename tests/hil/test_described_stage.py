@@ -9,12 +9,21 @@ import pytest
 
 from drivers.described.description import Exchange
 from drivers.described.template import parse_template
-from drivers.errors import DeviceRefused, MoveFailed, NotHomed, OutsideLimits, ReplyError, ReplyGarbled
+from drivers.errors import (
+    DeviceRefused,
+    MoveFailed,
+    NotHomed,
+    OutsideLimits,
+    ReplyError,
+    ReplyGarbled,
+    ReplyTimeout,
+)
 from drivers.light import LightSettings
+from drivers.light.text import TextLight
 from drivers.stage import AxisLimits
 from drivers.stage.text import TextAxis, TextStage
 from simulators.faults.line_faults import LineFault
-from tests.hil.direct_lights import direct_light
+from tests.hil.direct_lights import MICROCONTROLLER, direct_light
 from tests.hil.direct_stages import FLIR_PTU, LIMITS, DirectStage, VirtualClock, flir
 
 
@@ -155,6 +164,21 @@ def test_a_restart_at_zero_shows_in_the_settings_alone(rig) -> None:
     rig.line.clock.sleep(5.0)
     assert stage.position_deg()["pan"] == 0.0
     assert not stage.is_homed()
+
+
+@pytest.mark.parametrize(("starts_s", "opens"), [(2.9, True), (9.0, False)])
+def test_a_board_that_restarts_when_its_port_is_opened_is_waited_for(starts_s, opens) -> None:
+    """An Arduino Uno does; its boot loader is deaf for up to two seconds."""
+    clock = VirtualClock()
+    rig = direct_light("microcontroller", clock, np.random.default_rng(2))
+    awake_s, receive = clock.now_s + starts_s, rig.line.device.receive
+    rig.line.device.receive = lambda data: receive(data) if clock.now_s >= awake_s else b""
+    if opens:
+        TextLight(rig.line, MICROCONTROLLER, serial="SG0042", clock=clock).close()
+        return
+    with pytest.raises(ReplyTimeout):
+        TextLight(rig.line, MICROCONTROLLER, serial="SG0042", clock=clock)
+    assert clock.now_s < awake_s
 
 
 def test_a_reply_with_another_digit_does_not_pass_its_checksum() -> None:
