@@ -82,7 +82,7 @@ class Recalculation:
     workers
         Who does it.
     output
-        The folder for results; None for the table only.
+        The folder for results; None to write nothing.
     ended
         Called with the row of each run when it ends.
     progress
@@ -103,6 +103,7 @@ class Recalculation:
         remark: Callable[[str], None] = lambda _text: None,
     ) -> None:
         self._places, self._task, self._workers, self._output = places, task, workers, output
+        self._folders = None if output is None or output.table_only else output
         self._ended, self._progress, self._remark = ended, progress, remark
         self.counts = Counts(len(places))
         self._rows: dict[int, Mapping[str, Any]] = {}
@@ -168,7 +169,7 @@ class Recalculation:
             self._ended({**row, "skipped": True})
             self._show()
             return
-        name = self._output.name_for(place.base_name, listed.key) if self._output else place.base_name
+        name = self._folders.name_for(place.base_name, listed.key) if self._folders else place.base_name
         self._runs[number] = _Run(number, place, listed.key, listed.captures, name)
         for pose, capture in enumerate(listed.captures):
             self._waiting.append(Work(f"{number} {pose}", find_view, (place, pose, capture, self._task)))
@@ -195,17 +196,19 @@ class Recalculation:
         if len(run.found) < len(run.captures):
             return
         views = [run.found[at] for at in range(len(run.captures))]
-        key = self._output.key if self._output is not None else None
+        key = self._folders.key if self._folders is not None else None
         sealed_by = SealedBy(key.principal, key.fingerprint) if key is not None else None
-        arguments = (run.place, views, run.name, sealed_by, self._task, self._output is not None)
+        arguments = (run.place, views, run.name, sealed_by, self._task, self._folders is not None)
         self._waiting.appendleft(Work(f"{run.number} fit", calibrate_found, arguments))
         run.found = {}
 
     def _write(self, run: _Run, files: Mapping[str, bytes], calibrated: Mapping[str, Any]) -> None:
-        name = run.name if self._output is not None else None
+        name = run.name if self._folders is not None else None
         row = {**_head(run.place, DONE, run.key), "results": name, **calibrated}
-        if self._output is not None:
-            self._output.write(run.name, files, row)
+        if self._folders is not None:
+            self._folders.write(run.name, files, row)
+        elif self._output is not None:
+            self._output.add(row)
         del self._runs[run.number]
         self.counts.done += 1
         self._end(run.number, row)

@@ -37,6 +37,8 @@ class ResultsFolders:
         The folder; it is made if it does not exist. What an earlier, interrupted recalculation did is used.
     key
         The bench's key; None leaves the results drafts.
+    table_only
+        Whether there is only the table, without a folder for each run.
 
     Raises
     ------
@@ -48,8 +50,8 @@ class ResultsFolders:
         If it cannot be read or written.
     """
 
-    def __init__(self, folder: Path, key: BenchKey | None) -> None:
-        self.folder, self.key = folder, key
+    def __init__(self, folder: Path, key: BenchKey | None, *, table_only: bool = False) -> None:
+        self.folder, self.key, self.table_only = folder, key, table_only
         self._reserved: set[str] = set()
         self._refuse_foreign()
         make_folder(folder)
@@ -92,6 +94,10 @@ class ResultsFolders:
         """
         row = self._rows.get(place)
         if row is None or row["state"] != DONE or row["key"] != key:
+            return None
+        if self.table_only:
+            return row
+        if row["results"] is None:
             return None
         results = self.folder / str(row["results"]) / RESULTS
         try:

@@ -66,6 +66,11 @@ class _Memory(click.ParamType):
     help="Folder for a folder of results for each run, and a table of all (recalculated.jsonl). The same command with"
     " the same folder continues an interrupted one.",
 )
+@click.option(
+    "--table-only",
+    is_flag=True,
+    help="In the output folder, write only the table: no results, report and exports of each run. Much faster.",
+)
 @click.option("--no-seal", is_flag=True, help="Leave the results DRAFTS, without seals.")
 @click.option(
     "--find-again", is_flag=True, help="Find the stars in every recording, also where they were kept."
@@ -77,6 +82,7 @@ def recalibrate(
     workers: int | None,
     memory: int,
     output: Path | None,
+    table_only: bool,
     no_seal: bool,
     find_again: bool,
     as_json: bool,
@@ -100,10 +106,13 @@ def recalibrate(
             where="--workers",
             remedy="Leave out --workers or --scheduler.",
         )
+    if table_only and output is None:
+        raise UsageError("There is no folder for the table.", where="--table-only", remedy="Give one: -o.")
     here = str((home_folder() / FOLDER).absolute())
     kept = "" if find_again else None if scheduler else here
     task = Task(OfflineOptions.from_command_line(**options), forms()["program"], kept)
-    return _recalibrate(folders, task, _workers(scheduler, workers, memory), output, no_seal, as_json=as_json)
+    who = _workers(scheduler, workers, memory)
+    return _recalibrate(folders, task, who, output, table_only, no_seal, as_json=as_json)
 
 
 def _workers(scheduler: str | None, count: int | None, memory: int) -> Workers:
@@ -122,6 +131,7 @@ def _recalibrate(
     task: Task,
     workers: Workers,
     output: Path | None,
+    table_only: bool,
     no_seal: bool,
     *,
     as_json: bool,
@@ -147,8 +157,10 @@ def _recalibrate(
     with reliable_interrupts(), ExitStack() as stack:
         stack.callback(workers.close)
         places = find_places(folders)
-        key = None if output is None or no_seal else key_or_draft()
-        results = stack.enter_context(ResultsFolders(output, key)) if output is not None else None
+        key = None if output is None or no_seal or table_only else key_or_draft()
+        results = None
+        if output is not None:
+            results = stack.enter_context(ResultsFolders(output, key, table_only=table_only))
         work = Recalculation(
             places,
             task,
