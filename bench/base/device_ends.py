@@ -14,6 +14,8 @@ DeviceName = Literal["stage", "light", "camera"]
 EndState = Literal["confirmed safe", "not confirmed", "never opened"]
 
 DEVICES: Final[tuple[DeviceName, ...]] = ("stage", "light", "camera")
+NOT_ASKED: Final = "the process that used it ended before it could be asked"
+"""What is known of a device after a process that was killed, if no line of the journal states more."""
 _MAY_BE: Final[Mapping[DeviceName, str]] = {
     "stage": "The stage may be moving.",
     "light": "The light may be on.",

@@ -18,7 +18,8 @@ from bench.messaging.messages import Courier
 from bench.messaging.outbox import Outbox
 from bench.records.journal import read_journal
 from bench.records.run_folder import JOURNAL
-from bench.run.status import read_status, status_text
+from bench.run.status import read_status
+from bench.run.status_text import status_text
 from bench.stations.station import load_station
 from bench.stations.station_messages import MessagesConfig
 from sequences.errors import DocumentFaults

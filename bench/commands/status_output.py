@@ -54,7 +54,8 @@ def show_status(folder: Path, *, follow: bool, as_json: bool) -> int:
 
 
 def _show_run(folder: Path, *, as_json: bool) -> int:
-    from bench.run.status import read_status, status_text
+    from bench.run.status import read_status
+    from bench.run.status_text import status_text
 
     status = read_status(folder)
     click.echo(json.dumps(status.to_dict(), allow_nan=False, indent=1) if as_json else status_text(status))
@@ -73,7 +74,8 @@ def _show_batch(folder: Path, *, as_json: bool) -> int:
 
 def _follow_run(folder: Path, *, as_json: bool) -> str:
     """Follow a run; return how it ended, empty if it was interrupted."""
-    from bench.run.status import follow, follow_lines, head_lines
+    from bench.run.status import follow, follow_lines
+    from bench.run.status_text import head_lines
     from bench.terminal.block import Block
 
     status: Status

@@ -10,7 +10,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import asdict
 from typing import Any, cast
 
-from bench.base.device_ends import DeviceEnd, all_ends, lost_ends
+from bench.base.device_ends import NOT_ASKED, DeviceEnd, all_ends, lost_ends
 from bench.plan.job import Job
 from bench.records.events import Event
 from bench.records.run_folder import RunFolder
@@ -26,10 +26,6 @@ PROBE = "probe.raw"
 
 NOT_REOPENED = "the devices were lost and could not be opened again; nothing confirmed a safe state"
 """Fault of a run that ended while its devices were lost."""
-
-
-NOT_ASKED = "the process that used it ended before it could be asked"
-"""What is known of a device if a run is resumed after its last step with devices, and no line states more."""
 
 
 class RunDevices:

@@ -10,7 +10,8 @@ from pathlib import Path
 
 from bench.base.errors import BenchError
 from bench.messaging.messages import Courier
-from bench.run.status import read_status, status_text
+from bench.run.status import read_status
+from bench.run.status_text import status_text
 
 
 class RunMessages:

@@ -13,6 +13,7 @@ from itertools import islice
 from pathlib import Path
 from typing import Any, NotRequired, TypedDict
 
+from bench.base.device_ends import NOT_ASKED, all_ends, lost_ends
 from bench.base.errors import RunFolderError, StorageError
 from bench.base.home import home_folder
 from bench.evidence.shown_state import home_trust, shown_state
@@ -29,8 +30,6 @@ from bench.run.interlock_text import interlock_text
 from bench.run.journal_text import line_text
 from bench.run.machine import END_STATES
 from bench.run.time_left import TimeLeft
-from bench.terminal.duration import clock_text
-from bench.terminal.wording import counted, times
 
 LAST_LINES = 5
 FOLLOW_S = 0.5
@@ -76,6 +75,8 @@ class Status:
         How often the run was resumed; deviations from the sequence.
     last, advice
         Last journal lines as text, the newest last; and what to do next.
+    devices
+        How stage, light and camera were left: ``device``, ``state``, ``said``. Empty while a process works on the run.
     busy, lateness
         How late a busy computer was, as text and as a histogram (`drivers.lateness`); empty if the journal has none.
     ledger_number, ledger_head
@@ -107,6 +108,7 @@ class Status:
     deviations: Sequence[str]
     last: Sequence[str]
     advice: str
+    devices: Sequence[Mapping[str, str]] = ()
     busy: str = ""
     lateness: Mapping[str, Any] = field(default_factory=dict)
     ledger_number: int | None = None
@@ -298,11 +300,21 @@ def _status(folder: Path, entries: Sequence[Entry], now: datetime, *, running: b
         deviations=tuple(history.deviations),
         last=_last_lines(entries),
         advice=_advice(folder, history, running=running, sealed=sealed),
+        devices=() if going_on else _devices_left(history),
         busy=history.busy,
         lateness=history.lateness,
         ledger_number=history.ledger.get("number"),
         ledger_head=history.ledger.get("head"),
     )
+
+
+def _devices_left(history: History) -> tuple[Mapping[str, str], ...]:
+    """Return how each device was left, by the last line that states it; a process that was killed states nothing."""
+    stated = history.devices_at_end or history.devices_left
+    if stated or history.ended:
+        return tuple(stated)
+    ends = lost_ends(NOT_ASKED) if history.states else all_ends(())
+    return tuple(end.to_dict() for end in ends)
 
 
 def _result_text(history: History) -> str:
@@ -389,61 +401,3 @@ def _is_over(history: History) -> bool:
 def _last_lines(entries: Sequence[Entry]) -> tuple[str, ...]:
     texts = (text for text in map(line_text, reversed(entries)) if text)
     return tuple(reversed(tuple(islice(texts, LAST_LINES))))
-
-
-def status_text(status: Status) -> str:
-    """Return a status as text.
-
-    Parameters
-    ----------
-    status
-        The status.
-
-    Returns
-    -------
-    str
-        Lines of text.
-    """
-    return "\n".join([*head_lines(status), *(f"  {line}" for line in status.last), status.advice])
-
-
-def head_lines(status: Status) -> list[str]:
-    """Return the first part of a status as text: state, counts, uncertainty and deviations.
-
-    Parameters
-    ----------
-    status
-        The status.
-
-    Returns
-    -------
-    list of str
-        Lines of text.
-    """
-    poses = f"{'at most ' if status.most_poses > status.poses else ''}{status.most_poses}"
-    counts = f"{status.accepted} of {poses} poses recorded, {counted(status.attempts, 'recording')}"
-    counts += f", {status.skipped} skipped" if status.skipped else ""
-    counts += f", resumed {times(status.resumed)}" if status.resumed else ""
-    lines = [f"Run {status.run_id}{'  SIMULATED' if status.simulated else ''}", _state(status, poses), counts]
-    told = {"Uncertainty after": status.uncertainty, "Result:": status.result, "Computer busy:": status.busy}
-    lines += [f"{name} {text}" for name, text in told.items() if text]
-    lines += [f"Evidence: {status.evidence}"] if status.ended and not status.running else []
-    return [*lines, *(f"Deviation: {what}" for what in status.deviations)]
-
-
-def _state(status: Status, poses: str) -> str:
-    """Return the state of a run as one line."""
-    at = f", pose {status.pose} of {poses} ({status.pose_name})" if status.pose else ""
-    end = status.ended or (status.state if status.state in END_STATES else "")
-    if status.running and end:
-        why = f": {status.why}" if status.why else ""
-        being_sealed = end == "finished" and not status.sealed
-        return f"{end}{why}{'; the run folder is being sealed' if being_sealed else ''}"
-    if status.running:
-        held = f", HELD by {status.held_by}" if status.held_by else ""
-        held = held or (", WAITS FOR AN ANSWER" if status.question else "")
-        left = "" if status.left_s is None else f", about {clock_text(status.left_s)} left"
-        return f"running: {status.state}{at}{held}{left}"
-    if status.ended:
-        return f"{status.ended}{': ' if status.why else ''}{status.why}"
-    return f"interrupted (killed or power lost): {status.state}{at}"

@@ -11,7 +11,8 @@ from bench.plan.plan import load_documents, make_plan
 from bench.records.events import Event
 from bench.records.journal import Journal
 from bench.records.run_folder import RunFolder
-from bench.run.status import follow, read_status, status_text
+from bench.run.status import follow, read_status
+from bench.run.status_text import status_text
 
 BEGUN = datetime(2026, 3, 1, 20, 0, tzinfo=UTC)
 
@@ -97,6 +98,9 @@ def test_a_killed_run_is_not_running_and_not_held(run):
     status = run.status()
     assert (status.running, status.held_by, status.left_s) == (False, "", None)
     assert "interrupted (killed or power lost): slewing, pose 1 of 3 (left)" in status_text(status)
+    assert [one["state"] for one in status.to_dict()["devices"]] == ["not confirmed"] * 3
+    assert "CHECK THE BENCH" in status_text(status)
+    assert "The stage may be moving. The light may be on." in status_text(status)
     assert "starbench resume" in status.advice
 
 
@@ -104,6 +108,31 @@ def test_a_failed_run_shows_the_reason(run):
     run.tell(Event.RUN_ENDED, how="failed", why="the lamp is broken")
     run.die()
     assert "failed: the lamp is broken" in status_text(run.status())
+
+
+def test_a_run_that_has_ended_says_how_each_device_was_left_and_how_late_the_computer_was(run):
+    ends = [{"device": "stage", "state": "confirmed safe", "said": "it stands"}]
+    ends += [{"device": "light", "state": "not confirmed", "said": "no reply"}]
+    lateness = {"lost_s": 31.4, "longest_s": 2.12}
+    run.tell(Event.ENTERING, state="slewing", pose=1)
+    run.tell(Event.COMPUTER_BUSY, late_s=7.4, window_s=10.0, lateness=lateness)
+    assert (run.status().devices, "Computer busy: 7.4 s late in 10 s" in status_text(run.status())) == (
+        (),
+        True,
+    )
+    run.tell(Event.RUN_ENDED, how="failed", why="gone", devices=ends, lateness=lateness)
+    run.die()
+    assert run.status().to_dict()["devices"] == tuple(ends)
+    text = status_text(run.status())
+    assert "light: not confirmed: no reply. The light may be on." in text
+    assert "The computer was busy: 31 s were lost in all, 2.1 s at once at most" in text
+    assert "Computer busy" not in text
+
+
+def test_a_run_that_never_began_claims_nothing_of_the_devices(run):
+    run.die()
+    assert [one["state"] for one in run.status().devices] == ["never opened"] * 3
+    assert "CHECK" not in status_text(run.status())
 
 
 def test_the_last_lines_are_shown_as_text(run):
