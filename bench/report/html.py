@@ -1,6 +1,6 @@
 """The report as HTML: joins results, tables, plots and images in one page.
 
-`text` formats numbers; `run_tables`, `calibration_tables` and `budget_tables` make the rows of the tables. No text from
+`text` formats numbers; modules that end in `_tables` make the rows of the tables. No text from
 a results file can become markup: the template escapes all of it.
 """
 
@@ -16,7 +16,7 @@ from typing import Any
 import jinja2
 from markupsafe import Markup
 
-from bench.report import budget_tables, calibration_tables, run_tables, text
+from bench.report import budget_tables, calibration_tables, device_tables, pose_tables, run_tables, text
 from bench.report.bench_knowledge import source_rows
 from bench.report.change_rows import change
 from bench.report.choice import PLOTS, pictured_poses
@@ -107,13 +107,13 @@ def render_report(data: ReportData, *, draw: bool = True) -> str:
             checks=calibration_tables.checks(results),
             halves=bool((results.get("halves") or {}).get("cameras")),
             comparison=calibration_tables.comparison(results.get("comparison") or [], k),
-            conditions=run_tables.conditions(results.get("conditions") or {}),
-            devices=run_tables.devices(results.get("devices") or {}),
-            connections=run_tables.connections(results.get("devices") or {}),
-            devices_left=run_tables.left(results.get("devices_left") or []),
-            poses=run_tables.poses(results.get("poses") or []),
-            recordings=run_tables.recordings(results.get("poses") or []),
-            gates=run_tables.gates(results.get("gates") or []),
+            conditions=device_tables.conditions(results.get("conditions") or {}),
+            devices=device_tables.devices(results.get("devices") or {}),
+            connections=device_tables.connections(results.get("devices") or {}),
+            devices_left=device_tables.left(results.get("devices_left") or []),
+            poses=pose_tables.poses(results.get("poses") or []),
+            recordings=pose_tables.recordings(results.get("poses") or []),
+            gates=pose_tables.gates(results.get("gates") or []),
             deviations=run_tables.deviations(results),
             sources=source_rows(results.get("sources") or []),
             walk=_markup(state_diagram(results["states"])) if results.get("states") else "",

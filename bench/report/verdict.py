@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from bench.report import budget_tables, run_tables
+from bench.report import budget_tables, pose_tables, run_tables
 from bench.report.calibration_tables import coverage_factor
 from bench.report.change_rows import change_sentence
 from bench.report.text import exact, number, with_uncertainty
@@ -57,7 +57,7 @@ def verdict(results: Json) -> Verdict:
     """
     calibration = results["calibration"]
     reasons = tuple(run_tables.alerts(results))
-    judged = [row.verdict for row in run_tables.gates(results.get("gates") or [])]
+    judged = [row.verdict for row in pose_tables.gates(results.get("gates") or [])]
     if not calibration["converged"]:
         return Verdict(
             "fail", "Not calibrated.", ("The optimisation did not converge: do not use the values.",), reasons

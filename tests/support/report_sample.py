@@ -64,6 +64,11 @@ def results(views, *, simulated=True):
         "schema": "starbench/results/1",
         "run": _run(simulated=simulated),
         "devices": _devices(),
+        "devices_left": [
+            {"device": "stage", "state": "confirmed safe", "said": "stands still"},
+            {"device": "light", "state": "not confirmed", "said": "no answer"},
+            {"device": "camera", "state": "confirmed safe", "said": "closed"},
+        ],
         "conditions": _conditions(),
         "calibration": _calibration(views, values),
         "passport": {
@@ -329,6 +334,13 @@ def _devices():
         ],
         "camera_settings": {"biases": {"bias_diff_on": 0}, "trigger_in": True},
         "light": {"maker": "Starbench", "model": "SG1", "serial": "SG0042", "firmware": "1.0"},
+        "connections": {
+            "camera_link": "USB 3",
+            "camera_firmware": "3.9.0",
+            "trigger_input": "on",
+            "sync_polarity": "not stated by the device",
+            "sync_level": "not stated by the device",
+        },
     }
 
 

@@ -4,7 +4,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from bench.report import run_tables
+from bench.report import device_tables
 from bench.run.preflight import NOT_STATED, connections
 from drivers.camera import CameraIdentity
 
@@ -41,7 +41,7 @@ def test_firmware_and_polarity_are_told_and_printed():
     light = SimpleNamespace(sync_polarity=lambda: "normal")
     found = connections(camera, {"trigger_in": True}, light)
     assert found["camera_firmware"] == "3.9.0, built Thu Jan  5 10:11:12 2023"
-    rows = dict(run_tables.connections({"connections": found}))
+    rows = dict(device_tables.connections({"connections": found}))
     assert rows["sync polarity"] == "normal"
     assert rows["trigger input"] == "on"
-    assert run_tables.connections({}) == []
+    assert device_tables.connections({}) == []
