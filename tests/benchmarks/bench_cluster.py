@@ -17,6 +17,7 @@ from __future__ import annotations
 import argparse
 import contextlib
 import json
+import logging
 import os
 import random
 import signal
@@ -29,9 +30,8 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Self
 
-ROOT = Path(__file__).parents[2]
-sys.path.insert(0, str(ROOT / "tests" / "support"))
-sys.path.insert(0, str(ROOT))
+sys.path.insert(0, str(Path(__file__).parents[1] / "support"))
+sys.path.insert(0, str(Path(__file__).parents[2]))
 
 from quick_runs import THREE, write_sequence, write_station
 from varied_runs import make_runs
@@ -45,6 +45,7 @@ from bench.cluster.work import Serial, Work
 from bench.results.forms import forms
 from bench.results.offline_options import OfflineOptions
 
+ROOT = Path(__file__).parents[2]
 _COMMAND_DIES = 12
 """Of so many kills, one hits the command itself."""
 
@@ -261,6 +262,7 @@ def s3_server() -> Iterator:
     import s3fs
     from moto.server import ThreadedMotoServer
 
+    logging.getLogger("werkzeug").setLevel(logging.ERROR)
     served = ThreadedMotoServer(ip_address="127.0.0.1", port=0, verbose=False)
     served.start()
     host, port = served.get_host_and_port()
