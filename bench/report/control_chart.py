@@ -84,6 +84,7 @@ def _averages(chart: Json, group: Json) -> str:
     axes.band(average["lower"], average["upper"], runs)
     for bound in ("lower", "upper"):
         axes.line(runs, average[bound], INK, width=0.9, dashed=True)
+        axes.name_at_right(average[bound][-1], with_uncertainty(average[bound][-1], chart["sigma"] or 1.0)[0])
     axes.rule(chart["centre"], "centre", dashed=False)
     _join(axes, runs, average["values"])
     texts = [f"{one['run']}: {v:.8g}" for one, v in zip(group["runs"], average["values"], strict=True)]

@@ -242,6 +242,18 @@ class Axes:
         self.line(
             [self.x_low, self.x_high], [value, value], MUTED if not dashed else INK, width=0.9, dashed=dashed
         )
+        self.name_at_right(value, name)
+
+    def name_at_right(self, value: float, name: str) -> None:
+        """Write a name to the right of the axes.
+
+        Parameters
+        ----------
+        value
+            Its position.
+        name
+            What to write.
+        """
         self.parts.append(
             f'<text x="{WIDTH - RIGHT + 4:g}" y="{self.y(value) + 4:g}" font-size="11" fill="{MUTED}">'
             f"{escape(name)}</text>"
