@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from calib.model.homography import apply_homography, fit_homography, neighbours_of
+from calib.model.homography import apply_homography, neighbours_of, rough_homography
 from calib.model.local_consistency import local_sigma_px
 from calib.view import View
 
@@ -28,7 +28,7 @@ def noise_px(view: View) -> float:
 
     Raises
     ------
-    TooFewStars
+    TooFewStars, DegenerateViews
         If the stars do not determine a homography.
     """
     return view.remembered("noise", _noise_px)
@@ -36,8 +36,7 @@ def noise_px(view: View) -> float:
 
 def _noise_px(view: View) -> float:
     """Return the noise of a view, as `noise_px`."""
-    h = fit_homography(view.target_mm, view.points_px)
-    mapped = apply_homography(h, view.target_mm)
+    mapped = apply_homography(rough_homography(view), view.target_mm)
     return local_sigma_px(view.target_mm, mapped, view.points_px, neighbours_of(view))
 
 

@@ -141,6 +141,29 @@ def gross_errors(view: View) -> Bools:
     return view.remembered("homography", _fit_without_gross_errors)[1]
 
 
+def rough_homography(view: View) -> Array:
+    """Return the homography of a view as `view_homography`, at any scale and also if the target appears mirrored.
+
+    Parameters
+    ----------
+    view
+        Stars of one pose, at least 4.
+
+    Returns
+    -------
+    Array
+        (3, 3) homography.
+
+    Raises
+    ------
+    TooFewStars
+        If the view has fewer than 4 stars.
+    DegenerateViews
+        If all stars lie on one line, on the target or in the image.
+    """
+    return view.remembered("homography", _fit_without_gross_errors)[0]
+
+
 def neighbours_of(view: View) -> Nearest:
     """Return the neighbours of the stars of a view, which are found once.
 
@@ -276,12 +299,13 @@ def apply_homography(h: Array, points: Array) -> Array:
 def _normalised(points: Array, where: str) -> tuple[Array, Array]:
     """Centre points and scale them to mean distance sqrt 2 (Hartley, 1997); return also the (3, 3) similarity used."""
     mean = points.mean(axis=0)
-    spread = np.linalg.svd(points - mean, compute_uv=False)
-    if not spread[1] > 1e-3 * spread[0]:
+    away = points - mean
+    narrow, wide = np.linalg.eigvalsh(away.T @ away)
+    if not narrow > 1e-6 * wide:
         raise DegenerateViews("All its stars lie on one line.", where=where, remedy="Leave this view out.")
-    scale = np.sqrt(2.0) / np.linalg.norm(points - mean, axis=1).mean()
+    scale = np.sqrt(2.0) / np.hypot(away[:, 0], away[:, 1]).mean()
     similarity = np.array([[scale, 0.0, -scale * mean[0]], [0.0, scale, -scale * mean[1]], [0.0, 0.0, 1.0]])
-    return (points - mean) * scale, similarity
+    return away * scale, similarity
 
 
 def _direct_linear_transform(source: Array, image: Array, weights: Array) -> Array:
@@ -290,13 +314,16 @@ def _direct_linear_transform(source: Array, image: Array, weights: Array) -> Arr
     Source: Hartley and Zisserman (2004), section 4.1.
     """
     homogeneous = np.column_stack([source, np.ones(len(source))]) * weights[:, None]
-    rows = np.zeros((2, len(source), 9))
-    rows[0, :, 0:3] = rows[1, :, 3:6] = homogeneous
-    rows[0, :, 6:9] = -image[:, :1] * homogeneous
-    rows[1, :, 6:9] = -image[:, 1:] * homogeneous
-    # Four points give 8 rows, and the null vector stands in the full basis only.
-    basis = np.linalg.svd(rows.reshape(-1, 9), full_matrices=len(source) == MIN_STARS)[2]
-    return np.asarray(basis[-1].reshape(3, 3))
+    u, v = image.T
+    zero = np.zeros_like(homogeneous)
+    rows = np.concatenate(
+        [
+            np.hstack([homogeneous, zero, -u[:, None] * homogeneous]),
+            np.hstack([zero, homogeneous, -v[:, None] * homogeneous]),
+        ]
+    )
+    # Normalised points make the squares well-conditioned.
+    return np.asarray(np.linalg.eigh(rows.T @ rows)[1][:, 0].reshape(3, 3))
 
 
 def _oriented(h: Array, view: View) -> Array:

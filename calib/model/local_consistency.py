@@ -7,9 +7,13 @@ star with the prediction of its neighbours. It works on arrays and knows nothing
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
+
+from calib.model import neighbour_kernels
+from calib.model.neighbour_kernels import AFFINE, QUADRATIC, RIDGE_CONSTANT, RIDGE_OTHERS
 
 Array = NDArray[np.float64]
 Bools = NDArray[np.bool_]
@@ -44,47 +48,49 @@ _CUT = 6.6
 
 
 @dataclass(frozen=True)
-class _Neighbours:
-    """The neighbours of N stars.
-
-    Attributes
-    ----------
-    which
-        (N, K) int64 indices of the nearest stars on the target.
-    design
-        (N, K, 3) float64: 1 and the position of the neighbour from the star, in spacings.
-    """
-
-    which: NDArray[np.int64]
-    design: Array
-
-    @property
-    def one_sidedness(self) -> Array:
-        """(N,) float64 distance of the neighbours' mean from the star, in spacings: 0 inside, about 1 at the rim."""
-        return np.asarray(np.linalg.norm(self.design[:, :, 1:].mean(axis=1), axis=1))
-
-    def of(self, stars: NDArray[np.int64]) -> _Neighbours:
-        """Return the neighbours of some of the stars."""
-        return _Neighbours(self.which[stars], self.design[stars])
-
-
-@dataclass(frozen=True)
 class Nearest:
-    """The neighbours of all stars on the target.
+    """The neighbours of N stars on the target.
 
     Attributes
     ----------
-    neighbours
-        The neighbours of each star.
+    target
+        (N, 2) float64 positions on the target, any unit.
+    which
+        (N, K) int64 indices of the nearest stars of each star, nearest first.
     distance
-        (N, K) float64 their distances, in the unit of the positions.
+        (N, K) float64 their distances.
     spacing
         Typical distance of a star from the nearest one: the pitch of a lattice.
     """
 
-    neighbours: _Neighbours
+    target: Array
+    which: NDArray[np.int64]
     distance: Array
     spacing: float
+
+    @cached_property
+    def one_sidedness(self) -> Array:
+        """(N,) float64 distance of the neighbours' mean from the star, in spacings: 0 inside, about 1 at the rim."""
+        found = np.empty(len(self.target))
+        neighbour_kernels.one_sidedness(self.target, self.which, self.spacing, found)
+        return found
+
+    def design(self, stars: NDArray[np.int64]) -> Array:
+        """Return the terms of local affine maps about some stars.
+
+        Parameters
+        ----------
+        stars
+            (M,) indices of the stars.
+
+        Returns
+        -------
+        Array
+            (M, K, 3): 1 and the position of the neighbour from the star, in spacings.
+        """
+        near = self.which[stars]
+        offsets = (self.target[near] - self.target[stars, None]) / self.spacing
+        return np.concatenate([np.ones((*near.shape, 1)), offsets], axis=2)
 
 
 def nearest_stars(target: Array) -> Nearest:
@@ -100,15 +106,12 @@ def nearest_stars(target: Array) -> Nearest:
     Nearest
         The neighbours on the target.
     """
-    from scipy.spatial import cKDTree
-
-    count = min(_NEIGHBOURS, len(target) - 1)
-    found = cKDTree(target).query(target, count + 1)
-    distance, near = np.asarray(found[0])[:, 1:], np.asarray(found[1], np.int64)[:, 1:]
+    shape = (len(target), min(_NEIGHBOURS, len(target) - 1))
+    which, distance = np.empty(shape, np.int64), np.empty(shape)
+    target = np.ascontiguousarray(target, np.float64)
+    neighbour_kernels.nearest(target, np.argsort(target[:, 0], kind="stable"), which, distance)
     spacing = max(float(np.median(distance[:, 0])), np.finfo(float).tiny)
-    offsets = (target[near] - target[:, None]) / spacing
-    design = np.concatenate([np.ones((*near.shape, 1)), offsets], axis=2)
-    return Nearest(_Neighbours(near, design), distance, spacing)
+    return Nearest(target, which, distance, spacing)
 
 
 def contradicts_neighbours(
@@ -145,25 +148,32 @@ def contradicts_neighbours(
     """
     if len(target) < MIN_STARS:
         return np.zeros(len(target), bool)
-    off = points - mapped
+    off = np.ascontiguousarray(points - mapped)
     nearest = nearest or nearest_stars(target)
-    neighbours, near = nearest.neighbours, nearest.neighbours.which
-    apart = _outside_the_largest_patch(mapped, off, nearest.distance, near, nearest.spacing)
+    apart = neighbour_kernels.outside_the_largest_patch(
+        np.ascontiguousarray(mapped),
+        off,
+        nearest.which,
+        nearest.distance,
+        _BESIDE * nearest.spacing,
+        _PATCH_SHARE,
+        _ORDERED_SHARE,
+    )
     wrong = apart.copy()
     wider = 1.0 if sigmas is None else np.maximum(sigmas / np.quantile(sigmas, _BEST_STARS), 1.0)
-    least = LIMIT_PX * (1.0 + _RIM_FACTOR * neighbours.one_sidedness) * wider
-    plain = _plain_deviations(neighbours, off)
+    least = LIMIT_PX * (1.0 + _RIM_FACTOR * nearest.one_sidedness) * wider
+    plain = _plain_deviations(nearest, off, AFFINE)
     suspects = np.flatnonzero(wrong | ~(plain <= least))
     if len(suspects) > _MANY * len(off):
         suspects = np.arange(len(off))
     for _ in range(_ROUNDS if len(suspects) else 0):
-        deviations, local = _robust_deviations(neighbours.of(suspects), off, suspects, ~wrong)
+        deviations, local = _robust_deviations(nearest, off, suspects, ~wrong)
         some = deviations if len(suspects) == len(off) else plain
         general = float(np.median(some[~wrong])) / _RAYLEIGH_MEDIAN if not wrong.all() else 0.0
         noise = np.maximum(local, general * np.broadcast_to(wider, len(off))[suspects])
         beyond = deviations > np.maximum(LIMIT_SIGMAS * noise, least[suspects])
         # A star is trusted again if enough trusted neighbours now predict it.
-        certain = np.count_nonzero(~wrong[near[suspects]], axis=1) >= _FEWEST
+        certain = np.count_nonzero(~wrong[nearest.which[suspects]], axis=1) >= _FEWEST
         now = apart[suspects] | beyond | (wrong[suspects] & ~certain)
         if (wrong[suspects] == now).all():
             break
@@ -195,10 +205,7 @@ def local_sigma_px(target: Array, mapped: Array, points: Array, nearest: Nearest
     """
     if len(target) < MIN_STARS:
         return float("nan")
-    affine = (nearest or nearest_stars(target)).neighbours
-    x, y = affine.design[:, :, 1], affine.design[:, :, 2]
-    bent = np.concatenate([affine.design, np.stack([x * x, x * y, y * y], axis=2)], axis=2)
-    deviations = _plain_deviations(_Neighbours(affine.which, bent), points - mapped)
+    deviations = _plain_deviations(nearest or nearest_stars(target), points - mapped, QUADRATIC)
     return float(np.median(deviations)) / _RAYLEIGH_MEDIAN
 
 
@@ -218,20 +225,24 @@ def local_spacing(target: Array) -> float:
     return nearest_stars(target).spacing
 
 
-def _plain_deviations(neighbours: _Neighbours, off: Array) -> Array:
+def _plain_deviations(nearest: Nearest, off: Array, terms: int) -> Array:
     """Return (N,) distances between stars and least squares predictions, in units of equal variance."""
-    solution, leverage = _solve(neighbours.design, off[neighbours.which], np.ones(neighbours.which.shape))
-    return np.asarray(np.linalg.norm(off - solution[:, 0], axis=1) / np.sqrt(1.0 + leverage))
+    deviations = np.empty(len(off))
+    neighbour_kernels.plain_deviations(
+        nearest.target, nearest.which, nearest.spacing, np.ascontiguousarray(off), terms, deviations
+    )
+    return deviations
 
 
 def _robust_deviations(
-    neighbours: _Neighbours, off: Array, stars: NDArray[np.int64], trusted: Bools
+    nearest: Nearest, off: Array, stars: NDArray[np.int64], trusted: Bools
 ) -> tuple[Array, Array]:
     """Return the distances between some stars and robust predictions, and the spread of their neighbours.
 
     Both have the shape of `stars`; distances are in units of equal variance, spreads are standard deviations per axis.
     """
-    values, usable = off[neighbours.which], trusted[neighbours.which]
+    near, design = nearest.which[stars], nearest.design(stars)
+    values, usable = off[near], trusted[near]
     # A star whose neighbours are all distrusted is compared with all of them.
     usable[usable.sum(axis=1) < _FEWEST] = True
     centre = np.stack([_row_medians(values[:, :, axis], usable) for axis in (0, 1)], axis=1)
@@ -241,9 +252,9 @@ def _robust_deviations(
         local = _row_medians(lengths, usable) / _RAYLEIGH_MEDIAN
         cut = _CUT * np.maximum(local, _ROUNDING_PX)[:, None]
         weights = usable * np.maximum(1.0 - (lengths / cut) ** 2, 0.0) ** 2
-        solution, leverage = _solve(neighbours.design, values, weights)
+        solution, leverage = _solve(design, values, weights)
         centre = solution[:, 0]
-        lengths = np.linalg.norm(values - neighbours.design @ solution, axis=2)
+        lengths = np.linalg.norm(values - design @ solution, axis=2)
     local = _row_medians(lengths, usable) / _RAYLEIGH_MEDIAN
     return np.linalg.norm(off[stars] - centre, axis=1) / np.sqrt(1.0 + leverage), local
 
@@ -254,7 +265,7 @@ def _solve(design: Array, values: Array, weights: Array) -> tuple[Array, Array]:
     Normal equations with a small ridge on all but the constants, for neighbours on one line (Hoerl and Kennard, 1970).
     """
     weighted = design * weights[:, :, None]
-    ridge = np.diag([1e-9] + [1e-3] * (design.shape[2] - 1))
+    ridge = np.diag([RIDGE_CONSTANT] + [RIDGE_OTHERS] * (design.shape[2] - 1))
     inverse = np.linalg.inv(np.swapaxes(weighted, 1, 2) @ design + ridge)
     return inverse @ (np.swapaxes(weighted, 1, 2) @ values), np.maximum(inverse[:, 0, 0], 0.0)
 
@@ -263,32 +274,3 @@ def _row_medians(numbers: Array, usable: Bools) -> Array:
     """Return the (N,) lower medians of the usable numbers of each row; each row has at least one."""
     ordered = np.sort(np.where(usable, numbers, np.inf), axis=1)
     return np.asarray(ordered[np.arange(len(ordered)), (usable.sum(axis=1) - 1) // 2])
-
-
-def _outside_the_largest_patch(
-    mapped: Array, off: Array, distance: Array, near: NDArray[np.int64], spacing: float
-) -> Bools:
-    """Return which stars belong to a patch beside the largest one that does not agree with it.
-
-    Patches are the connected components of the graph of agreeing neighbours. If hardly any neighbours agree, as with
-    random ids, all stars that contradict most of their neighbours are returned instead. Own rule.
-    """
-    from scipy.sparse import coo_array
-    from scipy.sparse.csgraph import connected_components
-
-    one, which = np.nonzero(distance <= _BESIDE * spacing)
-    other = near[one, which]
-    apart = np.linalg.norm(mapped[one] - mapped[other], axis=1)
-    agree = np.linalg.norm(off[one] - off[other], axis=1) <= _PATCH_SHARE * apart
-    n = len(off)
-    if len(one) and agree.mean() < _ORDERED_SHARE:
-        pairs, agreeing = np.bincount(one, minlength=n), np.bincount(one[agree], minlength=n)
-        return np.asarray(2 * agreeing < pairs)
-    _, patch = connected_components(
-        coo_array((np.ones(agree.sum()), (one[agree], other[agree])), shape=(n, n)), directed=False
-    )
-    largest = int(np.bincount(patch).argmax())
-    touching = (patch[one] == largest) & (patch[other] != largest)
-    touching_back = (patch[other] == largest) & (patch[one] != largest)
-    beside = np.union1d(patch[other[touching]], patch[one[touching_back]])
-    return np.isin(patch, beside)
