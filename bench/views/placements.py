@@ -73,15 +73,20 @@ def placements_seen(history: History, board: Board) -> Sequence[Seen]:
 
 def _last_text(last: Attempt, seen: Sequence[Seen], board: Board) -> str:
     """Return what the last recording showed, and what to do next."""
-    from calib.boards.coverage import advice, shift_px
+    from calib.boards.coverage import advice, is_cut, shift_px, turned_upside_down
 
     name = f"{last.pose_name[:1].upper()}{last.pose_name[1:]}"
     next_text = f"Next: {advice(seen, board)}" if seen else ""
     if not last.accepted:
-        return f"{name} was not accepted: {'; '.join(last.reasons)}. {next_text}".strip()
+        why = "; ".join(last.reasons).removesuffix(".")
+        return f"{name} was not accepted: {why}. {next_text}".strip()
     count, stars = len(board.nodes), last.checked["stars"] if last.checked else 0
     text = f"{name}: board found, {stars} of {count} points"
     own, earlier = seen[-1], seen[:-1]
+    if is_cut(own.points_px, own.image_size):
+        text += ", the frame cuts the board"
+    if turned_upside_down(own.points_px, board):
+        text += ", upside down (this does no harm)"
     nearest = min(earlier, key=lambda one: shift_px(own, one, board), default=None)
     if nearest is not None:
         moved = shift_px(own, nearest, board)

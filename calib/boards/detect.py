@@ -38,6 +38,12 @@ _OUTLIER_PX = 0.3
 _LEAST_SHARE = 0.9
 #: A smaller board than this number of corners is not named: noise looks like one now and then.
 _FEWEST_NAMED = 12
+#: The edges of an image in focus are about 4 px wide after the smoothing, px; this is out of focus.
+_SOFT_PX, _EDGE_BLUR_PX = 8.0, 1.5
+#: An image whose grey values differ by less than this shows no edges; share of the edge pixels that are the sharpest.
+_LEAST_CONTRAST, _SHARPEST = 30.0, 0.002
+#: In event images, blur leaves edges sharp and makes the bright squares too wide: by these widths in turn, px.
+_TOO_WIDE_PX = (5, 9, 15, 23)
 _SECTORS = cv2.CALIB_CB_EXHAUSTIVE | cv2.CALIB_CB_ACCURACY
 
 
@@ -264,17 +270,66 @@ def _remedy(grey: NDArray[np.uint8], board: Board) -> str:
     general = (
         "The whole board must be in view, in focus, and evenly lit, with a margin of one square around it."
     )
+    width = edge_width_px(grey)
+    if width is not None and width > _SOFT_PX:
+        return f"The image is out of focus: its sharpest edges are {width:.0f} px wide. Focus the lens, or close it."
     if board.kind != "checkerboard":
         return f"{general} Count the circles of a row first, then the rows."
     flags = _SECTORS | cv2.CALIB_CB_LARGER
     ok, points, shown = cv2.findChessboardCornersSBWithMeta(grey, (3, 3), flags)
     rows, columns = shown.shape[:2] if ok and shown is not None else (0, 0)
+    wide = _too_wide_px(grey, board)
+    if wide is not None:
+        return (
+            f"The image is out of focus, or far too bright: its bright squares are about {wide} px too wide, and close "
+            "the corners. Focus the lens, or close its aperture."
+        )
     if rows * columns < _FEWEST_NAMED or sorted((rows, columns)) == sorted((board.rows, board.columns)):
         return general
     cut = _touches_frame(np.asarray(points, np.float64).reshape(-1, 2), grey.shape, rows, columns)
     if cut and columns * rows < board.columns * board.rows:
         return f"{columns} x {rows} inner corners are in view: the frame cuts the board. Show all of it."
     return f"{columns} x {rows} inner corners are in view. Show all of the board, or correct its description."
+
+
+def _too_wide_px(grey: NDArray[np.uint8], board: Board) -> int | None:
+    """Return by how much the bright (or the dark) squares must shrink so that the board is found; None if not at all.
+
+    Own test by erosion (Serra, 1982): the finder needs corners at which four squares meet.
+    """
+    half = cv2.resize(cv2.medianBlur(grey, 3), None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA)
+    for shown in (half, np.asarray(255 - half, np.uint8)):
+        for width in _TOO_WIDE_PX:
+            disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, ((width + 1) // 2, (width + 1) // 2))
+            thinner = cv2.GaussianBlur(cv2.erode(shown, disc), (0, 0), 1.0)
+            if cv2.findChessboardCornersSB(thinner, (board.columns, board.rows))[0]:
+                return width
+    return None
+
+
+def edge_width_px(grey: NDArray[np.uint8]) -> float | None:
+    """Return the width of the sharpest edges of an image.
+
+    Own measure: contrast of the smoothed image over its steepest slope. A step has 4 px because of the smoothing; a
+    disc of blur adds three quarters of its diameter.
+
+    Parameters
+    ----------
+    grey
+        (H, W) uint8.
+
+    Returns
+    -------
+    float or None
+        Width, px; None if the image has hardly any contrast.
+    """
+    smoothed = cv2.GaussianBlur(grey.astype(np.float32), (0, 0), _EDGE_BLUR_PX)
+    low, high = np.quantile(smoothed, [0.01, 0.99])
+    if high - low < _LEAST_CONTRAST:
+        return None
+    down, along = np.gradient(smoothed)
+    slope = float(np.quantile(np.hypot(down, along), 1.0 - _SHARPEST))
+    return float(high - low) / slope if slope > 0 else None
 
 
 def _touches_frame(points: Array, shape: tuple[int, ...], rows: int, columns: int) -> bool:

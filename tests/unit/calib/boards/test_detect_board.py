@@ -1,5 +1,6 @@
 """Checkerboards and circles are found where they are, and what is wrong with an image is named."""
 
+import cv2
 import numpy as np
 import pytest
 from hypothesis import given
@@ -99,6 +100,21 @@ def test_another_board_is_named_with_its_size():
 def test_a_board_cut_by_the_frame_is_named():
     with pytest.raises(TargetNotFound, match="the frame cuts the board"):
         detect_board(picture(CHECKERBOARD)[:, :270], CHECKERBOARD)
+
+
+@pytest.mark.parametrize("kind", ["checkerboard", "circles"])
+def test_a_picture_out_of_focus_is_named_with_the_width_of_its_edges(kind):
+    board = Board(kind, 7, 5, 20.0)
+    picture_of = picture(board, cells=2)
+    disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (41, 41)).astype(np.float64)
+    with pytest.raises(TargetNotFound, match=r"out of focus: its sharpest edges are [12][0-9] px wide"):
+        detect_board(cv2.filter2D(picture_of, -1, disc / disc.sum()), board)
+
+
+def test_squares_that_blur_makes_too_wide_in_event_images_are_named():
+    wide = cv2.dilate(picture(CHECKERBOARD, cells=2), np.ones((13, 13)))
+    with pytest.raises(TargetNotFound, match=r"out of focus, or far too bright: .* about 9 px too wide"):
+        detect_board(wide, CHECKERBOARD)
 
 
 def test_two_boards_are_refused():
