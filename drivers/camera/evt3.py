@@ -16,9 +16,10 @@ from numpy.typing import NDArray
 
 from drivers.camera.event_arrays import Events, Triggers, empty_events, join_triggers
 from drivers.camera.evt3_kernel import run
-from drivers.camera.evt3_plain import PACKED_EVENTS, Mode, add_events
 from drivers.camera.evt3_state import S, StopReason, new_state
-from drivers.camera.evt3_vectors import MARGIN
+from drivers.camera.evt3_usual import Mode
+from drivers.camera.evt3_vectors import MARGIN, add_events
+from drivers.camera.word_vectors import BLOCK_WORDS
 from drivers.errors import RecordingCorrupt
 
 Words = NDArray[np.uint16]
@@ -133,7 +134,7 @@ class Evt3Decoder:
         self._no_events = empty_events(0)
         self._no_image = np.zeros((2, 0, 0), np.uint16)
         self._edges = np.empty((_TRIGGERS_AT_ONCE, 3), np.int64)
-        self._packed = np.empty(PACKED_EVENTS, np.uint32)
+        self._scratch = np.empty(BLOCK_WORDS, np.uint16), np.empty(BLOCK_WORDS, np.uint16)
 
     def decode(self, words: Words, *, max_events: int = 1_000_000) -> Iterator[tuple[Events, Triggers]]:
         """Decode words to events and triggers, in pieces.
@@ -155,7 +156,7 @@ class Evt3Decoder:
         RecordingCorrupt
             At a malformed word, after the pieces before it.
         """
-        start = 0
+        start, words = 0, _in_a_row(words)
         while start < len(words):
             out = empty_events(min(max(max_events, MARGIN), 12 * (len(words) - start) + MARGIN))
             stop = self._store(words, start, out)
@@ -187,7 +188,7 @@ class Evt3Decoder:
             If the arrays have no room for more events.
         """
         found = []
-        start = 0
+        start, words = 0, _in_a_row(words)
         while start < len(words):
             out = events.part(at, len(events.t))
             stop = self._store(words, start, out)
@@ -249,19 +250,21 @@ class Evt3Decoder:
 
     def _count_or_tally(self, words: Words, mode: Mode, image: NDArray[np.uint16]) -> Triggers:
         found = []
-        start = 0
+        start, words = 0, _in_a_row(words)
         while start < len(words):
-            stop = run(
-                words, start, mode, self._state, self._gaps, self._no_events, image, self._edges, self._packed
-            )
+            stop = self._run(words, start, mode, self._no_events, image)
             found.append(self._copied_triggers())
             start = self._advance(words, start, stop)
         return join_triggers(found)
 
     def _store(self, words: Words, start: int, out: Events) -> int:
         """Decode words into ``out`` until they end or it is full; return the index of the next word."""
-        state, gaps, edges = self._state, self._gaps, self._edges
-        return int(run(words, start, Mode.STORE, state, gaps, out, self._no_image, edges, self._packed))
+        return self._run(words, start, Mode.STORE, out, self._no_image)
+
+    def _run(self, words: Words, start: int, mode: Mode, out: Events, image: NDArray[np.uint16]) -> int:
+        """Take words, see ``evt3_kernel.run``; return the index of the next word."""
+        state, gaps, edges, scratch = self._state, self._gaps, self._edges, self._scratch
+        return int(run(words, start, mode, state, gaps, out, image, edges, scratch))
 
     def _copied_triggers(self) -> Triggers:
         """Return a copy of the trigger edges of the last run."""
@@ -336,6 +339,11 @@ class Evt3Decoder:
             unplaced_events=state[S.UNPLACED],
             back_steps=state[S.BACK_STEPS],
         )
+
+
+def _in_a_row(words: Words) -> Words:
+    """Return words as one piece of memory, in which the compiled code reads many at a time."""
+    return np.ascontiguousarray(words, np.uint16)
 
 
 def count_events(events: Events, image: NDArray[np.uint16]) -> None:

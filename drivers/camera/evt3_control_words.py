@@ -10,8 +10,8 @@ from typing import Any, Final
 import numpy as np
 from numba import njit
 
-from drivers.camera.evt3_plain import JIT
 from drivers.camera.evt3_state import S, StopReason
+from drivers.camera.word_vectors import JIT
 
 MAX_BACK_STEP_US: Final = 64
 """TIME_LOW of a busy sensor steps back by some microseconds (11 were seen); a much larger step means missing words."""

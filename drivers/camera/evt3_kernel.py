@@ -1,9 +1,8 @@
 """Decode EVT3 words in one compiled loop.
 
-An EVT3 word has 16 bits; its upper four are the type. ``evt3_vectors`` reads the words of events, ``evt3_plain``
-runs of words that hold only single events, rows and clock words, and ``evt3_control_words`` all others. ``evt3_state``
-holds what is carried from word to word, and between calls. Parts of the loop are pasted into it (``inline``), so that
-it keeps its state in registers and is as fast as one piece.
+An EVT3 word has 16 bits; its upper four are the type. ``evt3_usual`` decodes nearly all words, many at a time. Here the
+others are taken one by one, with every check: ``evt3_vectors`` reads those that hold events, ``evt3_control_words`` all
+others. ``evt3_state`` holds what is carried from word to word, and between calls.
 
 ==== =============== =====================================================================
 type name            payload
@@ -31,23 +30,19 @@ of OTHERS are named in OpenEB's source (evt3_event_types.h); 0x1 is in neither.
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 from numba import njit
 
 from drivers.camera.evt3_control_words import RATE_OUT, idle_us, take_control_word
-from drivers.camera.evt3_plain import (
-    BLOCK_WORDS,
-    JIT,
-    MAX_WAIT_WORDS,
-    MIN_WAIT_WORDS,
-    Mode,
-    decode_plain_words,
-    popcount,
-)
 from drivers.camera.evt3_state import S, StopReason
-from drivers.camera.evt3_vectors import MARGIN, count_bits, read_event_word, store_bits
+from drivers.camera.evt3_usual import Mode, take_usual_words
+from drivers.camera.evt3_vectors import MARGIN, count_bits, popcount, read_event_word, store_bits
+from drivers.camera.word_vectors import JIT
+
+_USUAL: Final = np.isin(np.arange(16), (0x0, 0x2, 0x3, 0x4, 0x6, 0x8))
+"""The types of words that ``take_usual_words`` may take."""
 
 
 @njit(**JIT)
@@ -72,56 +67,38 @@ def max_event_count(words: Any) -> int:
     return n
 
 
-@njit(**JIT, inline="always")
-def _put(mode: int, events: Any, image: Any, n: int, t: int, y: int, x: int, p: int, is_event: bool) -> None:
-    """Store or count an event if the word is one. There is no branch, so an output place is touched in any case."""
-    t_out, x_out, y_out, p_out = events
-    if mode == Mode.STORE:
-        t_out[n] = t
-        x_out[n] = x
-        y_out[n] = y
-        p_out[n] = p
-    elif mode == Mode.COUNT:
-        image[p & is_event, y, x if is_event else 0] += is_event
-
-
-@njit(**JIT, inline="always")
+@njit(**JIT, forceinline=True)
 def _take_events(
-    words: Any, i: int, mode: int, state: Any, t: int, y: int, n: int, events: Any, image: Any
+    words: Any, i: int, mode: int, state: Any, room: int, n: int, events: Any, image: Any
 ) -> tuple[StopReason, int, int, int]:
     """Take the single event or the vector at word i; return stop reason, words taken, events, and how many are ON."""
+    if n > room:
+        return StopReason.ROOM, 0, 0, 0
     word: Any = np.int64(words[i])
     second: Any = np.int64(words[i + 1]) if i + 2 < len(words) else 0
     third: Any = np.int64(words[i + 2]) if i + 2 < len(words) else 0
     reason, taken, x, p, bits = read_event_word(state, word, second, third)
-    if reason == StopReason.NONE:
-        if (t | y | x) < 0:
-            state[S.UNPLACED] += popcount(bits)
-            bits = 0
-        if mode == Mode.STORE:
-            store_bits(events, n, t, y, x, p, bits)
-        elif mode == Mode.COUNT and bits:
-            count_bits(image, y, x, p, bits)
+    if reason != StopReason.NONE:
+        return reason, 0, 0, 0
+    t, y = state[S.T], state[S.Y]
     found = popcount(bits)
+    if (t | y | x) < 0:
+        state[S.UNPLACED] += found
+        return reason, taken, 0, 0
+    if mode == Mode.STORE:
+        store_bits(events, n, t, y, x, p, bits)
+    elif mode == Mode.COUNT and bits:
+        count_bits(image, y, x, p, bits)
     return reason, taken, found, p * found
 
 
-@njit(**JIT, inline="always")
+@njit(**JIT, forceinline=True)
 def _take_control(
-    words: Any,
-    start: int,
-    i: int,
-    state: Any,
-    t: int,
-    y: int,
-    n: int,
-    gaps: Any,
-    edges: Any,
-    high_before: int,
+    words: Any, start: int, i: int, state: Any, n: int, gaps: Any, edges: Any, high_before: int
 ) -> StopReason:
-    """Take word i, which holds no event. Clock and row are passed in, and come back in the state."""
+    """Take word i, which holds no event."""
     word: Any = np.int64(words[i])
-    state[S.T], state[S.Y], state[S.TAKEN] = t, y, n
+    state[S.TAKEN] = n
     carried = state[S.IDLE_US]
     if word == 0xE000 | RATE_OUT:
         state[S.IDLE_US] = idle_us(words, start, i, state, high_before)
@@ -131,15 +108,20 @@ def _take_control(
 
 
 @njit(**JIT)
-def run(  # noqa: PLR0915 - one loop that keeps its state in registers
-    words: Any, start: int, mode: int, state: Any, gaps: Any, events: Any, image: Any, edges: Any, packed: Any
+def run(
+    words: Any,
+    start: int,
+    mode: int,
+    state: Any,
+    gaps: Any,
+    events: Any,
+    image: Any,
+    edges: Any,
+    scratch: Any,
 ) -> int:
     """Take words from ``start`` on; return where it stopped. ``state[S.STOP_REASON]`` holds the reason.
 
-    ``evt3_plain`` takes runs of single events, rows and clock words. Between vectors these words follow each other in
-    no predictable order either, so they are taken without a branch: everything that any of them may change is computed,
-    and kept if the word is of its type. Vectors, the rarer words, and words that need a check take the slower way.
-    Runs are tried less and less often where there are none.
+    ``evt3_usual`` takes nearly all words. The others are taken one by one, with every check.
 
     Parameters
     ----------
@@ -159,8 +141,8 @@ def run(  # noqa: PLR0915 - one loop that keeps its state in registers
         (2, height, width) of any integer type, to add counts to.
     edges
         (E, 3) int64 to fill: time (us), value and channel of trigger edges.
-    packed
-        (PACKED_EVENTS,) uint32, scratch of ``decode_plain_words``.
+    scratch
+        Two arrays, (BLOCK_WORDS,) uint16.
 
     Returns
     -------
@@ -168,61 +150,35 @@ def run(  # noqa: PLR0915 - one loop that keeps its state in registers
         Index of the first word not taken.
     """
     room = len(events[0]) - MARGIN if mode == Mode.STORE else 1 << 62
-    width, height = state[S.WIDTH], state[S.HEIGHT]
-    t, y = state[S.T], state[S.Y]
-    n = on = 0
-    state[S.TAKEN_EDGES] = 0
+    n = on = state[S.TAKEN_EDGES] = 0
     reason = StopReason.NONE
-    repeated, begun = 0x8000 | state[S.HIGH], state[S.FIRST_T]
     high_before = state[S.HIGH]
-    i = tried = start
-    wait = MIN_WAIT_WORDS
-    while i < len(words):
-        if i >= tried:
-            before = i
-            if (y | begun) >= 0:
-                limits = (repeated, width, height, room)
-                i, here, on_here, t, y = decode_plain_words(
-                    words, i, mode, limits, t, y, n, events, image, packed
-                )
-                n += here
-                on += on_here
-            wait = MIN_WAIT_WORDS if i - before >= BLOCK_WORDS else min(2 * wait, MAX_WAIT_WORDS)
-            tried = i + wait
-        if i == len(words):
-            break
-        word: Any = np.int64(words[i])
-        kind, p, address = word >> 12, (word >> 11) & 1, word & 0x7FF
-        is_event, is_row, is_low = kind == 0x2, kind == 0x0, kind == 0x6
-        moved = (t & -4096) | (word & 0xFFF)
-        usual = is_event & (address < width) | is_row & (address < height) | is_low & (moved >= t)
-        if (usual | (word == repeated)) & ((y | begun) >= 0) & (n <= room):
-            _put(mode, events, image, n, t, y, address, p, is_event)
-            n += is_event
-            on += p & is_event
-            y = address if is_row else y
-            t = moved if is_low else t
-        elif kind == 0x3:
-            state[S.BASE], state[S.POLARITY] = address, p
+    i = start
+    while i < len(words) and reason == StopReason.NONE:
+        t, y = state[S.T], state[S.Y]
+        if (y | state[S.FIRST_T]) >= 0 and _USUAL[words[i] >> 12]:
+            columns, rows = min(state[S.WIDTH], 1 << 11), min(state[S.HEIGHT], 1 << 11)
+            limits = (0x8000 | state[S.HIGH], columns, rows, room)
+            place = (t, y, state[S.BASE], state[S.POLARITY])
+            i, here, on_here, t, y, base, p = take_usual_words(
+                words, i, mode, limits, place, n, events, image, scratch
+            )
+            state[S.T], state[S.Y], state[S.BASE], state[S.POLARITY] = t, y, base, p
+            n, on = n + here, on + on_here
+            if i == len(words):
+                break
+        kind = words[i] >> 12
+        if kind == 0x3:
+            state[S.BASE], state[S.POLARITY] = words[i] & 0x7FF, (words[i] >> 11) & 1
+            i += 1
         elif kind in (0x2, 0x4, 0x5):
-            if n > room:
-                reason = StopReason.ROOM
-                break
-            reason, taken, here, on_here = _take_events(words, i, mode, state, t, y, n, events, image)
-            if reason != StopReason.NONE:
-                break
-            n += here
-            on += on_here
-            i += taken - 1
+            reason, taken, here, on_here = _take_events(words, i, mode, state, room, n, events, image)
+            i, n, on = i + taken, n + here, on + on_here
         else:
-            reason = _take_control(words, start, i, state, t, y, n, gaps, edges, high_before)
-            t, y = state[S.T], state[S.Y]
-            repeated, begun = 0x8000 | state[S.HIGH], state[S.FIRST_T]
-            if reason != StopReason.NONE:
-                break
-        i += 1
+            reason = _take_control(words, start, i, state, n, gaps, edges, high_before)
+            i += reason == StopReason.NONE
     state[S.IDLE_US] = idle_us(words, start, i, state, high_before)
-    state[S.T], state[S.Y], state[S.TAKEN] = t, y, n
+    state[S.TAKEN] = n
     state[S.EVENTS] += n
     state[S.ON_EVENTS] += on
     state[S.STOP_REASON] = reason

@@ -15,8 +15,8 @@ from typing import Any, Final
 import numpy as np
 from numba import njit
 
-from drivers.camera.evt3_plain import JIT
 from drivers.camera.evt3_state import S, StopReason
+from drivers.camera.word_vectors import JIT
 
 MARGIN: Final = 32
 """Room that output arrays need for three vectors in a row, events."""
@@ -26,6 +26,30 @@ _PLACE: Final = np.array(
     [k for _, k in sorted(((_DE_BRUIJN << k) >> 27 & 31, k) for k in range(32))], np.uint8
 )
 """The k that belongs to those five bits."""
+
+
+@njit(**JIT)
+def popcount(bits: int) -> int:
+    """Count the set bits of a 32-bit number: sums of neighbours, of pairs, of fours, of bytes.
+
+    Parameters
+    ----------
+    bits
+        The number, 0 to 2^32 - 1.
+
+    Returns
+    -------
+    int
+        Number of bits that are set.
+
+    References
+    ----------
+    Warren (2013), "Hacker's Delight", 2nd edition, chapter 5.
+    """
+    bits -= (bits >> 1) & 0x55555555
+    bits = (bits & 0x33333333) + ((bits >> 2) & 0x33333333)
+    bits = (bits + (bits >> 4)) & 0x0F0F0F0F
+    return (bits * 0x01010101 >> 24) & 0xFF
 
 
 @njit(**JIT)
@@ -124,3 +148,32 @@ def count_bits(image: Any, y: int, x: int, p: int, bits: int) -> None:
         while bits:
             image[p, y, x + _PLACE[((bits & -bits) * _DE_BRUIJN >> 27) & 31]] += 1
             bits &= bits - 1
+
+
+@njit(**JIT)
+def add_events(x: Any, y: Any, p: Any, image: Any) -> bool:
+    """Add events to an image of counts, unless one lies outside it.
+
+    Parameters
+    ----------
+    x, y
+        (N,) uint16, px: columns and rows.
+    p
+        (N,) uint8: polarities.
+    image
+        (2, height, width) of any integer type.
+
+    Returns
+    -------
+    bool
+        True if the events were added; False if one lies outside the image, which is then unchanged.
+    """
+    polarities, height, width = image.shape
+    outside = False
+    for k in range(len(x)):
+        outside |= (x[k] >= width) | (y[k] >= height) | (p[k] >= polarities)
+    if outside:
+        return False
+    for k in range(len(x)):
+        image[p[k], y[k], x[k]] += 1
+    return True
