@@ -125,6 +125,9 @@ target:
   tag_squares: 4
   polarity: positive
 
+# A flat board at finite distance that stands there in place of the target and the collimator (docs/boards.md).
+# board: {kind: checkerboard, columns: 11, rows: 7, pitch_mm: 20}
+
 # Without a certificate of the focal length, and without the section `gimbal`, the focal length of the camera is known
 # to some per cent only, because views cannot show a distortion of the collimator.
 # collimator:

@@ -40,7 +40,7 @@ def read(text: str) -> Sequence:
         ),
         (
             "steps: [{solve: {distortion: [k1, kb1]}}]",
-            "steps[0].solve.distortion: no lens model has all these terms; use terms of k1 k2 p1 p2 k3 k4 k5 k6 or",
+            "steps[0].solve.distortion: no lens model has all these terms; use terms of k1 k2 p1 p2 k3 k4 k5 k6 skew or",
         ),
         (
             "steps: [{solve: {distortion: k2k1}}]",
