@@ -7,13 +7,16 @@ neighbours are found here too, because they spoil a homography (`gross_errors`).
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from calib.errors import DegenerateViews, InputMismatch, TooFewStars
-from calib.model.local_consistency import Nearest, contradicts_neighbours, nearest_stars
 from calib.view import View
+
+if TYPE_CHECKING:
+    from calib.model.local_consistency import Nearest
 
 Array = NDArray[np.float64]
 Bools = NDArray[np.bool_]
@@ -177,6 +180,8 @@ def neighbours_of(view: View) -> Nearest:
     Nearest
         The neighbours on the target.
     """
+    from calib.model.local_consistency import nearest_stars
+
     return view.remembered("neighbours", lambda of: nearest_stars(of.target_mm))
 
 
@@ -200,6 +205,8 @@ def _fit_without_gross_errors(view: View) -> tuple[Array, Bools]:
 
 def _wrong_about(h: Array, view: View) -> Bools:
     """Return which stars contradict their neighbours after subtraction of a homography, (N,) bool."""
+    from calib.model.local_consistency import contradicts_neighbours
+
     with np.errstate(divide="ignore", invalid="ignore"):
         mapped = apply_homography(h, view.target_mm)
     if not np.isfinite(mapped).all():
