@@ -114,17 +114,17 @@ def _take_run(words: Any, i: Any, mode: int, size: Any, y: int, n: Any, events: 
 
 
 @njit(**JIT, forceinline=True)
-def _vectors_in(four: Any) -> tuple[Any, int, Any]:
-    """Return how many of four words are one triple or one vector, its columns, and one bit a column."""
-    if four & _TYPES == _TRIPLE:
-        upper = (four >> np.uint64(4)) & np.uint64(0xFFF000) | (four >> np.uint64(8)) & np.uint64(0xFF000000)
-        return np.uint64(3), 32, four & np.uint64(0xFFF) | upper
-    kind = (four >> np.uint64(12)) & np.uint64(0xF)
-    if kind == np.uint64(4):
-        return _ONE, 12, four & np.uint64(0xFFF)
-    if kind == np.uint64(5):
-        return _ONE, 8, four & np.uint64(0xFF)
-    return np.uint64(0), 0, np.uint64(0)
+def _take_bits(mode: int, y: int, x: int, p: int, bits: Any, n: Any, events: Any, image: Any) -> None:
+    """Take the events of up to 32 columns, a bit each; 32 places of the arrays are touched."""
+    _, x_out, _, p_out = events
+    if mode == Mode.STORE:
+        write_columns(x_out, n, x, bits)
+        for k in range(32):
+            p_out[n + np.uint64(k)] = p
+    elif mode == Mode.COUNT:
+        row = image[p, y, x : x + 32]
+        for k in range(32):
+            row[k] += (bits >> np.uint64(k)) & _ONE
 
 
 @njit(**JIT, forceinline=True)
@@ -134,7 +134,7 @@ def _take_vectors(
     mode: int,
     width: int,
     y: int,
-    base: int,
+    x: int,
     p: int,
     n: Any,
     room: Any,
@@ -142,23 +142,23 @@ def _take_vectors(
     image: Any,
 ) -> tuple[Any, int, Any]:
     """Take vectors that follow each other; return the next word, the next column, and the next event."""
-    _, x_out, _, p_out = events
-    while (i + np.uint64(4) <= np.uint64(len(words))) & (n <= room) & (base >= 0) & (base + 32 <= width):
-        taken, columns, bits = _vectors_in(four_words(words, i))
-        if not taken:
+    while (i + np.uint64(4) <= np.uint64(len(words))) & (n <= room) & (x >= 0) & (x + 32 <= width):
+        four = four_words(words, i)
+        if four & _TYPES == _TRIPLE:
+            upper = (four >> np.uint64(4)) & np.uint64(0xFFF000) | (four >> np.uint64(8)) & np.uint64(
+                0xFF000000
+            )
+            bits = four & np.uint64(0xFFF) | upper
+            _take_bits(mode, y, x, p, bits, n, events, image)
+            i, x, n = i + np.uint64(3), x + 32, n + count_ones(bits)
+            continue
+        kind = words[i] >> 12
+        if kind not in (0x4, 0x5):
             break
-        if mode == Mode.STORE:
-            write_columns(x_out, n, base, bits)
-            for k in range(32):
-                p_out[n + np.uint64(k)] = p
-        elif mode == Mode.COUNT:
-            row = image[p, y, base : base + 32]
-            for k in range(32):
-                row[k] += (bits >> np.uint64(k)) & _ONE
-        n += count_ones(bits)
-        base += columns
-        i += taken
-    return i, base, n
+        bits = four & np.uint64(0xFFF if kind == 0x4 else 0xFF)
+        _take_bits(mode, y, x, p, bits, n, events, image)
+        i, x, n = i + _ONE, x + (12 if kind == 0x4 else 8), n + count_ones(bits)
+    return i, x, n
 
 
 @njit(**JIT)
