@@ -6,7 +6,7 @@ the messages.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final, Literal, cast
 
@@ -118,3 +118,20 @@ def lost_ends(why: str) -> list[DeviceEnd]:
         All of them not confirmed.
     """
     return [DeviceEnd(name, "not confirmed", why) for name in DEVICES]
+
+
+def unsafe_devices(ends: Iterable[DeviceEnd]) -> list[str]:
+    """Return a sentence for stage and light each, if it did not confirm that it is safe.
+
+    Parameters
+    ----------
+    ends
+        What devices answered.
+
+    Returns
+    -------
+    list of str
+        Each sentence once. A camera is no reason to check the bench: it neither moves nor shines.
+    """
+    unsure = [end.said for end in ends if end.state == "not confirmed" and end.device != "camera"]
+    return list(dict.fromkeys(unsure))

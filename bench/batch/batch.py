@@ -11,7 +11,6 @@ import os
 import sys
 import threading
 from collections.abc import Callable
-from dataclasses import asdict
 from pathlib import Path
 from typing import Any, Literal, Unpack, overload
 
@@ -24,7 +23,7 @@ from bench.batch.batch_record import BatchRecord, resume_text
 from bench.batch.batch_requests import Request, RequestInbox, refusal
 from bench.batch.batch_summary import RUNS, newest_place, summarise, write_summary
 from bench.batch.schedule import NEVER_S, Item, choose_next
-from bench.batch.supervisor import Silence, WorkerEnd, adopt, make_safe_after, supervise
+from bench.batch.supervisor import WorkerEnd, adopt, make_safe_after, supervise
 from bench.records.folder_lock import lock_folder
 from bench.records.history import History, replay
 from bench.records.journal import Journal, read_journal
@@ -278,20 +277,20 @@ class Batch:
         if is_sealed(run):
             self._end(item, WorkerEnd("finished", ""))
         elif not hung and not _has_ended(run):
-            unsafe = make_safe_after(run, self._clock)
-            for fault in unsafe:
+            end = WorkerEnd("died", "its supervisor died, too", 0.0, make_safe_after(run, self._clock))
+            for fault in end.unsafe:
                 self._say(f"CHECK THE BENCH: {fault}")
-            self._alarm(item, WorkerEnd("died", "its supervisor died, too", 0.0, unsafe))
+            self._alarm(item, end)
 
     def _wait_for_orphan(self, item: Item, run: Path) -> bool:
         """Supervise a process that outlived its supervisor and still works on the run; return whether it hung."""
-        silence = adopt(run, self._clock, self._say) if run.is_dir() else Silence()
-        if silence.silent_s:
-            self._alarm(item, silence.end())
-        return silence.silent_s > 0.0
+        hung = adopt(run, self._clock, self._say) if run.is_dir() else None
+        if hung is not None:
+            self._alarm(item, hung)
+        return hung is not None
 
     def _end(self, item: Item, end: WorkerEnd) -> None:
-        self._journal_event(BatchEvent.ITEM_ENDED, item=item.key, **asdict(end))
+        self._journal_event(BatchEvent.ITEM_ENDED, item=item.key, **end.to_dict())
         self._alarm(item, end)
 
     def _alarm(self, item: Item, end: WorkerEnd) -> None:

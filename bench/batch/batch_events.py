@@ -48,6 +48,7 @@ class ItemEnded(TypedDict):
     noticed_s: float
     unsafe: Sequence[str]
     outside: NotRequired[bool]
+    devices: NotRequired[Sequence[Mapping[str, str]]]
 
 
 class Requested(TypedDict):

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Iterable
+from dataclasses import replace
 from pathlib import Path
 
 from bench.base.clock import BenchClock
@@ -63,10 +64,10 @@ class BatchMessages:
         if courier is None or end.how not in REPORTED_BY_BATCH:
             return
         what = f"{end.how}{': ' if end.why else ''}{end.why}"
-        text, place = _status_of(run)
+        text, place = _status_of(run, asked=bool(end.devices))
         if end.how != "failed":
-            made_safe = end.unsafe or ["Its stage is stopped, its light is off."]
-            text = "\n".join([f"Its process {what}", *made_safe, "", text])
+            answers = [one.text for one in end.devices] or ["No device was asked after that."]
+            text = "\n".join([f"Its process {what}", *answers, "", text])
         subject = f"Starbench: run {key} {what}"
         own_message = _journal_head(run) if end.how == "failed" else ""
         courier.write("failure", subject, text, run=key, folder=run, key=own_message or line, place=place)
@@ -143,13 +144,13 @@ class BatchMessages:
         return Courier(messages, Outbox(home_folder()), self._clock, self._say)
 
 
-def _status_of(run: Path) -> tuple[str, tuple[int, str] | None]:
-    """Return the status of a run as text, and its place in the ledger."""
+def _status_of(run: Path, *, asked: bool) -> tuple[str, tuple[int, str] | None]:
+    """Return the status of a run as text, without its devices if they were asked since, and its place in the ledger."""
     try:
         status = read_status(run)
     except BenchError as error:
         return str(error), None
-    return status_text(status), status.place
+    return status_text(replace(status, devices=()) if asked else status), status.place
 
 
 def _journal_head(run: Path) -> str:

@@ -17,18 +17,19 @@ import signal
 import subprocess
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Protocol
+from typing import Any, Protocol
 
 from bench.base.clock import Aborted, BenchClock
+from bench.base.device_ends import DeviceEnd, all_ends, lost_ends, unsafe_devices
 from bench.base.linux_process import out_of_memory_kills, waits_for_disk
 from bench.batch.starvation import Starvation
 from bench.records.folder_lock import is_locked
 from bench.records.run_folder import STATION_COPY
 from bench.run.crash_log import write_crash_log
 from bench.run.heartbeat import MOST_STARVED_S, SUPERVISOR, Heartbeat, open_process, read_heartbeat
-from bench.stations.devices import make_orphans_safe
+from bench.stations.orphans import make_orphans_safe
 from bench.stations.station import load_station
 from drivers.lateness import REMEDY
 from sequences.errors import DocumentFaults
@@ -80,20 +81,20 @@ class Silence:
             )
         return f"gave no sign of life for {self.silent_s:.1f} s"
 
-    def end(self, unsafe: Sequence[str] = ()) -> WorkerEnd:
+    def end(self, devices: Sequence[DeviceEnd] = ()) -> WorkerEnd:
         """Return the end of the worker.
 
         Parameters
         ----------
-        unsafe
-            Devices that did not confirm that they are safe.
+        devices
+            What its devices answered after its end.
 
         Returns
         -------
         WorkerEnd
             It hung, or the computer was too busy for it.
         """
-        return WorkerEnd("hung", self.text, self.silent_s, unsafe, self.is_starved)
+        return WorkerEnd("hung", self.text, self.silent_s, devices, self.is_starved)
 
 
 @dataclass(frozen=True)
@@ -108,8 +109,8 @@ class WorkerEnd:
         The reason in words; the last message of the worker if it failed.
     noticed_s
         How long the worker had been silent when it was ended as hung, s; otherwise 0.
-    unsafe
-        Devices of a dead worker that did not confirm that they are safe.
+    devices
+        What the devices of a dead worker answered after its end; empty if none was asked.
     outside
         Whether something else than the worker ended it: a signal of another process, or a computer that was too busy.
         It is no failure of the run.
@@ -118,8 +119,23 @@ class WorkerEnd:
     how: str
     why: str
     noticed_s: float = 0.0
-    unsafe: Sequence[str] = ()
+    devices: Sequence[DeviceEnd] = ()
     outside: bool = False
+
+    @property
+    def unsafe(self) -> list[str]:
+        """A sentence for stage and light each, if it did not confirm that it is safe."""
+        return unsafe_devices(self.devices)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the end as the journal holds it.
+
+        Returns
+        -------
+        dict
+            ``how``, ``why``, ``noticed_s``, ``unsafe``, ``outside``, ``devices``.
+        """
+        return {**asdict(self), "unsafe": self.unsafe, "devices": [end.to_dict() for end in self.devices]}
 
 
 def supervise(
@@ -172,9 +188,9 @@ def supervise(
             )
     except OSError as error:  # no memory, no room, too many processes: the next one may begin
         return WorkerEnd("failed", f"its process could not be started: {error}")
-    silence, unsafe = _supervise_worker(worker, folder, clock, say)
+    silence, devices = _supervise_worker(worker, folder, clock, say)
     if silence.silent_s:
-        return silence.end(unsafe)
+        return silence.end(devices)
     status = worker.process.returncode
     if status < 0:
         name = signal.Signals(-status).name
@@ -182,12 +198,12 @@ def supervise(
         if status == -signal.SIGKILL and out_of_memory_kills() > killed_for_memory:
             why, outside = OUT_OF_MEMORY, False
             write_crash_log(folder, OUT_OF_MEMORY)
-        return WorkerEnd("died", why, 0.0, unsafe, outside)
+        return WorkerEnd("died", why, 0.0, devices, outside)
     how = _ENDS.get(status, "failed")
     return WorkerEnd(how, "" if how == "finished" else _last_message(log))
 
 
-def adopt(folder: Path, clock: BenchClock, say: Callable[[str], None]) -> Silence:
+def adopt(folder: Path, clock: BenchClock, say: Callable[[str], None]) -> WorkerEnd | None:
     """Supervise a worker that outlived its supervisor, to its end. Return at once if there is none.
 
     Parameters
@@ -201,8 +217,8 @@ def adopt(folder: Path, clock: BenchClock, say: Callable[[str], None]) -> Silenc
 
     Returns
     -------
-    Silence
-        How long the worker had been silent when it was ended as hung; 0 s if it did not hang.
+    WorkerEnd or None
+        How it was ended if it hung; None if it did not hang.
 
     Raises
     ------
@@ -210,12 +226,12 @@ def adopt(folder: Path, clock: BenchClock, say: Callable[[str], None]) -> Silenc
         When a stop was requested; the worker has ended by then.
     """
     if not is_locked(folder):
-        return Silence()
-    silence, _ = _supervise_worker(_Orphan(folder), folder, clock, say)
-    return silence
+        return None
+    silence, devices = _supervise_worker(_Orphan(folder), folder, clock, say)
+    return silence.end(devices) if silence.silent_s else None
 
 
-def make_safe_after(folder: Path, clock: BenchClock) -> list[str]:
+def make_safe_after(folder: Path, clock: BenchClock) -> list[DeviceEnd]:
     """Make the devices of a dead worker safe.
 
     Parameters
@@ -227,15 +243,15 @@ def make_safe_after(folder: Path, clock: BenchClock) -> list[str]:
 
     Returns
     -------
-    list of str
-        A sentence for each device that did not confirm that it is safe.
+    list of DeviceEnd
+        What each device answered; empty if the devices are simulated and have ended with the worker.
     """
     if not (folder / STATION_COPY).is_file():  # it died before it could open a device
-        return []
+        return all_ends(())
     try:
         return make_orphans_safe(load_station(str(folder / STATION_COPY)).value, clock)
     except DocumentFaults as error:
-        return [f"the station file of {folder} cannot be read: {error}"]
+        return lost_ends(f"the station file of {folder} cannot be read: {error}")
 
 
 # ---------------------------------------------------------------- a worker, our own or another's
@@ -315,9 +331,9 @@ class _Orphan:
 
 def _supervise_worker(
     worker: _Worker, folder: Path, clock: BenchClock, say: Callable[[str], None]
-) -> tuple[Silence, list[str]]:
-    """Supervise a worker to its end; return its silence if it hung, and the devices that could not be made safe."""
-    silence, unsafe = Silence(), []
+) -> tuple[Silence, list[DeviceEnd]]:
+    """Supervise a worker to its end; return its silence if it hung, and what its devices answered if it was killed."""
+    silence, devices = Silence(), []
     try:
         silence = _watch(worker, folder, clock)
     except Aborted:
@@ -328,10 +344,10 @@ def _supervise_worker(
         with clock.shielded():
             if not worker.gone():
                 _end_now(worker)
-            unsafe = make_safe_after(folder, clock) if worker.killed() else []
-            for fault in unsafe:
+            devices = make_safe_after(folder, clock) if worker.killed() else []
+            for fault in unsafe_devices(devices):
                 say(f"CHECK THE BENCH: {fault}")
-    return silence, unsafe
+    return silence, devices
 
 
 def _watch(worker: _Worker, folder: Path, clock: BenchClock) -> Silence:

@@ -83,7 +83,7 @@ def _device_lines(end: RunEnd) -> list[str]:
     unsure = [one for one in end.devices if one.state != "confirmed safe"]
     if end.devices and not unsure:
         head = "The bench is safe; each device confirmed it:"
-    elif end.devices and all((one.device, one.state) == ("camera", "never opened") for one in unsure):
+    elif end.devices and all(one.device == "camera" for one in unsure):
         head = "Stage and light confirmed that they are safe:"  # a camera neither moves nor shines
     else:
         head = "CHECK THE BENCH. What is known of each device:"

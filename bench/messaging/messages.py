@@ -12,6 +12,7 @@ import http.client
 import importlib
 import json
 import os
+import re
 import smtplib
 import ssl
 import threading
@@ -34,6 +35,8 @@ from bench.stations.station_messages import AppriseConfig, MailConfig, MessagesC
 TIMEOUT_S = 10.0
 """Longest silence of a server, s."""
 _LOOK_S = 5.0
+_UNPRINTABLE = re.compile(r"\x1b\[[0-9;]*[A-Za-z]|[\x00-\x08\x0b-\x1f\x7f]")
+"""Colours of a terminal, and control characters: an error of another package may have them."""
 _MAIL, _WEBHOOK, _APPRISE = "mail", "webhook", "apprise"
 
 
@@ -216,6 +219,7 @@ class Courier:
         number, head = place or (None, None)
         if place is not None:
             text = f"{text}\nLedger: run {number} of this bench, line {head}"
+        subject, text = (_UNPRINTABLE.sub("", words) for words in (subject, text))
         subject = " ".join(subject.split())[:200]
         try:
             self._outbox.put(

@@ -10,7 +10,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import asdict
 from typing import Any, cast
 
-from bench.base.device_ends import NOT_ASKED, DeviceEnd, all_ends, lost_ends
+from bench.base.device_ends import NOT_ASKED, DeviceEnd, all_ends, lost_ends, unsafe_devices
 from bench.plan.job import Job
 from bench.records.events import Event
 from bench.records.run_folder import RunFolder
@@ -34,7 +34,7 @@ class RunDevices:
     Attributes
     ----------
     unsafe
-        Devices that did not confirm a safe state, as text.
+        Stage and light if they did not confirm a safe state, as text.
     was_opened
         Whether the devices were open at some time.
 
@@ -145,13 +145,13 @@ class RunDevices:
     def make_safe(self) -> None:
         """Stop the stage, switch the light off, stop the camera, each independently; never raises.
 
-        The second call does nothing. ``unsafe`` then lists the devices that did not confirm.
+        The second call does nothing. ``unsafe`` then names stage and light if they did not confirm.
         """
         if not self.was_opened or self._made_safe:
             return
         self._made_safe = True
         self._ends = lost_ends(NOT_REOPENED) if self._devices is None else self._devices.make_each_safe()
-        self.unsafe = list(dict.fromkeys(end.said for end in self._ends if end.state == "not confirmed"))
+        self.unsafe = unsafe_devices(self._ends)
         for fault in self.unsafe:
             self._say(f"CHECK THE BENCH: {fault}")
 

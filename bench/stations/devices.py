@@ -12,7 +12,7 @@ from types import MappingProxyType
 from typing import Any
 
 from bench.base.clock import BenchClock
-from bench.base.device_ends import DeviceEnd, DeviceName, lost_ends
+from bench.base.device_ends import DeviceEnd, DeviceName, lost_ends, unsafe_devices
 from bench.base.errors import SimulationError
 from bench.simulated import SimulatedBench
 from bench.stations import station_cameras, station_lights, station_stages
@@ -116,10 +116,9 @@ class Devices:
         Returns
         -------
         list of str
-            One sentence for each device that did not confirm; empty when all are safe.
+            A sentence for stage and light each that did not confirm; empty when both are safe.
         """
-        ends = self.make_each_safe()
-        return list(dict.fromkeys(end.said for end in ends if end.state == "not confirmed"))
+        return unsafe_devices(self.make_each_safe())
 
     def make_each_safe(self) -> list[DeviceEnd]:
         """Stop the stage, switch the light off and stop the camera: each of them, even if another one fails.
@@ -134,9 +133,9 @@ class Devices:
                 "the simulated bench has ended unexpectedly; no simulated device is left to make safe"
             )
         actions: Mapping[DeviceName, tuple[str, Callable[[Any], str]]] = {
-            "stage": ("the stage did not confirm its stop", _stopped),
-            "light": ("the light did not confirm that it is off", _dark),
-            "camera": ("the camera did not confirm that it stopped", _without_recording),
+            "stage": ("the stage did not confirm its stop", stop_stage),
+            "light": ("the light did not confirm that it is off", switch_off),
+            "camera": ("the camera does not answer", _without_recording),
         }
         ends = []
         for name, (fault, action) in actions.items():
@@ -191,8 +190,24 @@ def left_devices(error: BaseException) -> list[DeviceEnd]:
     return list(getattr(error, LEFT_DEVICES, ()))
 
 
-def _stopped(stage: Stage) -> str:
-    """Stop the stage; return what it answered."""
+def stop_stage(stage: Stage) -> str:
+    """Stop a stage.
+
+    Parameters
+    ----------
+    stage
+        The open stage.
+
+    Returns
+    -------
+    str
+        What it answered.
+
+    Raises
+    ------
+    drivers.errors.DriverError
+        When it does not confirm.
+    """
     stage.stop()
     try:
         angles = ", ".join(f"{axis} {angle:.3f}" for axis, angle in stage.position_deg().items())
@@ -201,62 +216,34 @@ def _stopped(stage: Stage) -> str:
     return f"it confirmed the stop and reads {angles} deg"
 
 
-def _dark(light: Light) -> str:
-    """Switch the light off; return what it answered."""
+def switch_off(light: Light) -> str:
+    """Switch a light off.
+
+    Parameters
+    ----------
+    light
+        The open light.
+
+    Returns
+    -------
+    str
+        What it answered.
+
+    Raises
+    ------
+    drivers.errors.DriverError
+        When it does not confirm.
+    """
     light.off()
     return "it was read back as off"
 
 
 def _without_recording(camera: Camera) -> str:
-    """Stop the camera; return what it answered."""
+    """Stop the camera and ask who it is: to stop it sends nothing, so it would not show that the camera is there."""
     camera.stop()
-    return "no recording is in progress"
-
-
-def make_orphans_safe(station: Station, clock: BenchClock) -> list[str]:
-    """Stop the stage and switch the light off after the process that used them has died.
-
-    Each device is opened anew, even if the other one fails. Devices of the simulated bench have ended with the process.
-
-    Parameters
-    ----------
-    station
-        The station file of the dead process.
-    clock
-        Every wait of a driver goes through it.
-
-    Returns
-    -------
-    list of str
-        One sentence for each device that could not be made safe; empty when all are safe.
-    """
-    faults = []
-    for name, ports, make_safe in (
-        ("stage", station.stage.ports, _stop_stage),
-        ("light", station.light.ports, _switch_off),
-    ):
-        if not any(port.startswith(SIMULATED_PREFIX) for port in ports):
-            try:
-                make_safe(station, clock)
-            except DriverError as error:
-                faults.append(f"the {name} of a dead process could not be made safe: {error}")
-    return faults
-
-
-def _stop_stage(station: Station, clock: BenchClock) -> None:
-    stage = open_stage(station, str, clock, None)
-    try:
-        stage.stop()
-    finally:
-        stage.close()
-
-
-def _switch_off(station: Station, clock: BenchClock) -> None:
-    light = open_light(station, str, clock, None)
-    try:
-        light.off()
-    finally:
-        light.close()
+    who = camera.identify()
+    serial = f" as serial number {who.serial}" if who.serial else ""
+    return f"it answers{serial}, and no recording is in progress"
 
 
 PortName = Callable[[str], str]

@@ -158,6 +158,8 @@ def test_a_worker_killed_by_force_leaves_devices_that_its_supervisor_makes_safe(
         time.sleep(0.01)
     ended = next(line for line in journal(folder) if line["event"] == "item_ended")
     assert (ended["how"], ended["unsafe"]) == ("died", [])
+    states = [(one["device"], one["state"]) for one in ended["devices"]]
+    assert states == [("stage", "confirmed safe"), ("light", "confirmed safe"), ("camera", "not confirmed")]
     process.communicate(timeout=PATIENCE_S)
     see_that_it_is_safe(station)
 

@@ -20,7 +20,8 @@ from bench.base.linux_process import out_of_memory_kills
 from bench.batch.supervisor import OUT_OF_MEMORY, SILENCE_S, adopt, supervise
 from bench.run.crash_log import read_crash
 from bench.simulated import SimulatedBench
-from bench.stations.devices import make_orphans_safe, open_light
+from bench.stations.devices import open_light
+from bench.stations.orphans import make_orphans_safe
 from bench.stations.station import load_station
 from drivers.light import LightSettings
 
@@ -90,7 +91,7 @@ def test_a_worker_that_is_killed_and_one_that_hangs_are_noticed_told_and_the_run
         "Starbench: batch Night finished",
         "Starbench: run cam-001 (SIMULATED) finished",
     ]
-    assert "its light is off" in server.posts[0][1]["text"]
+    assert "No device was asked after that." in server.posts[0][1]["text"]  # they ended with the process
 
 
 def test_a_worker_whose_supervisor_is_killed_continues_reports_it_and_is_found_again(tmp_path, night):
@@ -150,9 +151,12 @@ def test_a_driver_that_never_returns_is_noticed_though_its_supervisor_was_killed
         while not any(line["event"] == "deviation" for line in journal(folder)):
             time.sleep(0.01)
             assert worker.poll() is None
-        assert SILENCE_S < adopt(folder, BenchClock(), print).silent_s < 5.0
+        end = adopt(folder, BenchClock(), print)
+        assert end is not None
+        assert SILENCE_S < end.noticed_s < 5.0
+        assert [one.state for one in end.devices] == ["never opened"] * 3
         assert worker.wait(10) == -signal.SIGABRT
-    assert adopt(folder, BenchClock(), print).silent_s == 0.0
+    assert adopt(folder, BenchClock(), print) is None
 
 
 def test_a_stop_asked_of_the_next_supervisor_reaches_the_worker_it_found(tmp_path):
@@ -200,7 +204,9 @@ def test_the_light_that_a_dead_process_left_on_is_switched_off(tmp_path):
         light.on()
         assert light.is_on()
         light.close()
-        assert make_orphans_safe(station, clock) == []
+        ends = make_orphans_safe(station, clock)
+        assert [one.state for one in ends] == ["confirmed safe", "confirmed safe", "not confirmed"]
+        assert ends[1].said == "it was read back as off"
         light = open_light(station, str, clock, None)
         assert not light.is_on()
         light.close()
@@ -211,8 +217,14 @@ def test_a_device_that_is_gone_does_not_keep_the_other_from_being_made_safe(tmp_
         text = PLAIN.replace("sim:light", world.endpoints["light"])
         (tmp_path / "station.yaml").write_text(text.replace("sim:gimbal", "/dev/serial/by-id/gone"))
         station = load_station(str(tmp_path / "station.yaml")).value
-        (fault,) = make_orphans_safe(station, BenchClock())
-        assert fault.startswith("the stage of a dead process could not be made safe")
+        stage, light, _ = make_orphans_safe(station, BenchClock())
+        assert stage.said.startswith("the stage of a dead process could not be made safe")
+        assert stage.text.endswith("The stage may be moving.")
+        assert light.state == "confirmed safe"
+
+
+def test_simulated_devices_that_ended_with_their_process_are_not_said_to_be_safe():
+    assert make_orphans_safe(load_station("simulated").value, BenchClock()) == []
 
 
 def test_a_worker_that_fails_says_why(tmp_path):

@@ -17,7 +17,7 @@ from bench.records.journal import read_journal
 from bench.run.journal_text import line_text
 from bench.run.runner import RunEnd
 from calib.errors import CalibrationError
-from drivers.errors import DriverError, MoveFailed, ReplyTimeout
+from drivers.errors import CameraLost, DriverError, MoveFailed, ReplyTimeout
 from sequences.errors import SequencesError
 from simulators.errors import SimulatorError
 
@@ -114,6 +114,26 @@ def test_how_each_device_was_left_stands_in_the_journal_and_in_json(tmp_path, ca
     assert line_text(read_journal(scene.folder / "journal.jsonl")[0][-1]).endswith("The light may be on.")
 
 
+def test_a_camera_that_has_gone_is_not_said_to_be_safe(tmp_path, capsys):
+    """To stop a camera sends nothing: one without power was "confirmed safe"."""
+
+    def hook(name):
+        if name in {"camera.record", "camera.identify"} and "camera.record" in scene.calls:
+            raise CameraLost("the connection to the camera is lost.", where="camera 7", remedy="Plug it in.")
+
+    scene = Scene(tmp_path)
+    scene.hook = hook
+    end = scene.run()
+    (told,) = scene.told(Event.RUN_ENDED)
+    states = {one["device"]: one["state"] for one in told["devices"]}
+    assert states == {"stage": "confirmed safe", "light": "confirmed safe", "camera": "not confirmed"}
+    assert told["devices"][2]["said"].startswith("the camera does not answer: camera 7: the connection")
+    assert show_run(end, as_json=False) == 1
+    said = "".join(capsys.readouterr())
+    assert "Stage and light confirmed that they are safe:" in said
+    assert "CHECK THE BENCH" not in said
+
+
 def test_a_finished_run_states_what_each_device_confirmed(tmp_path):
     scene = Scene(tmp_path)
     assert scene.run().how == "finished"
@@ -173,12 +193,10 @@ def test_a_run_that_was_aborted_has_no_failure(tmp_path):
         ("confirmed safe", "never opened", "Stage and light confirmed that they are safe:"),
         ("not confirmed", "never opened", "CHECK THE BENCH."),
         ("never opened", "never opened", "CHECK THE BENCH."),
-        ("confirmed safe", "not confirmed", "CHECK THE BENCH."),
+        ("confirmed safe", "not confirmed", "Stage and light confirmed that they are safe:"),
     ],
 )
-def test_a_camera_that_was_never_opened_is_no_reason_to_check_the_bench(
-    tmp_path, capsys, light, camera, head
-):
+def test_a_camera_that_does_not_answer_is_no_reason_to_check_the_bench(tmp_path, capsys, light, camera, head):
     ends = [DeviceEnd("stage", "confirmed safe"), DeviceEnd("light", light), DeviceEnd("camera", camera)]
     end = RunEnd("failed", "no camera", tmp_path, None, devices=ends, opened=False)
     show_run(end, as_json=False)

@@ -13,7 +13,7 @@ from bench.base.errors import RunFolderError, ScriptError
 from bench.batch.batch import Batch, worker_command
 from bench.batch.batch_plan import plan_of, read_queue
 from bench.batch.schedule import by_priority, items_of
-from bench.batch.supervisor import Silence, WorkerEnd
+from bench.batch.supervisor import WorkerEnd
 from bench.records.events import Event
 from bench.records.journal import Journal, read_journal
 from sequences.errors import DocumentFaults
@@ -247,9 +247,7 @@ def test_the_run_that_was_at_work_is_seen_to_before_another_is_begun(tmp_path, m
         night(tmp_path, top, KeyboardInterrupt())[0].run()
     clock, seen = NightClock(), []
     clock.now_s = 900.0  # 20:15: the other one is due, and comes first
-    monkeypatch.setattr(
-        "bench.batch.batch.adopt", lambda run, *_: seen.append(f"wait for {run.name}") or Silence()
-    )
+    monkeypatch.setattr("bench.batch.batch.adopt", lambda run, *_: seen.append(f"wait for {run.name}"))
     monkeypatch.setattr(
         "bench.batch.batch.make_safe_after", lambda run, *_: seen.append(f"make safe {run.name}") or []
     )

@@ -6,6 +6,7 @@ import pytest
 from station_texts import PLAIN
 
 from bench.base.clock import VirtualClock
+from bench.base.device_ends import DeviceEnd
 from bench.batch.batch_messages import BatchMessages
 from bench.batch.batch_summary import newest_place
 from bench.batch.supervisor import WorkerEnd
@@ -62,11 +63,21 @@ def test_what_a_failed_run_told_itself_is_not_told_again(tmp_path, outbox, messa
 
 
 def test_what_could_not_be_made_safe_is_in_the_message(tmp_path, outbox, messages):
-    end = WorkerEnd("died", "by SIGKILL", 0.0, ["the light of a dead process could not be made safe: gone"])
+    fault = "the light of a dead process could not be made safe: gone"
+    ends = [DeviceEnd("stage", "confirmed safe", "it stands"), DeviceEnd("light", "not confirmed", fault)]
+    end = WorkerEnd("died", "by SIGKILL", 0.0, ends)
     messages.run_ended("cam-001", station(tmp_path), tmp_path / "run", end, "a" * 64)
     (delivery,) = outbox.deliveries()
-    assert "could not be made safe" in delivery.message.text
-    assert "its light is off" not in delivery.message.text
+    assert f"light: not confirmed: {fault}. The light may be on." in delivery.message.text
+    assert "stage: confirmed safe: it stands." in delivery.message.text
+
+
+def test_nothing_is_claimed_of_devices_that_nobody_asked(tmp_path, outbox, messages):
+    """Once every such message said: its stage is stopped, its light is off."""
+    messages.run_ended("cam-001", station(tmp_path), tmp_path / "run", WorkerEnd("died", "so"), "a" * 64)
+    (delivery,) = outbox.deliveries()
+    assert "No device was asked after that." in delivery.message.text
+    assert "safe" not in delivery.message.text
 
 
 @pytest.mark.parametrize(

@@ -48,6 +48,21 @@ def test_a_working_webhook_gets_its_messages_while_another_one_hangs(tmp_path, s
     assert Outbox(tmp_path).deliveries()[0].message.text == f"t\nLedger: run 7 of this bench, line {'b' * 64}"
 
 
+def test_colours_of_a_terminal_are_in_no_message(tmp_path, servers):
+    courier = Courier(
+        MessagesConfig(webhooks=[WebhookConfig(url="http://works.example/")]),
+        Outbox(tmp_path),
+        VirtualClock(NOW),
+        print,
+    )
+    words = "failed: \x1b[1mTypingError\x1b[0m\x07:\n\tat 3 \u00b0C"
+    courier.write("failure", words, words, run="r", folder=Path("/r"), key="k")
+    courier.close(5.0)
+    (delivery,) = Outbox(tmp_path).deliveries()
+    assert delivery.message.subject == "failed: TypingError: at 3 \u00b0C"
+    assert delivery.message.text == "failed: TypingError:\n\tat 3 \u00b0C"
+
+
 def test_messages_of_another_station_that_wait_are_served_too(tmp_path, servers):
     silent = Courier(
         MessagesConfig(webhooks=[WebhookConfig(url="http://hangs.example/")]),
