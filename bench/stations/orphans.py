@@ -11,7 +11,8 @@ from contextlib import closing
 from bench.base.clock import BenchClock
 from bench.base.device_ends import NOT_ASKED, DeviceEnd, DeviceName
 from bench.stations.devices import open_light, open_stage, stop_stage, switch_off
-from bench.stations.station import SIMULATED_PREFIX, Station
+from bench.stations.station import Station
+from bench.stations.station_fields import SIMULATED_PREFIX
 from drivers.errors import DriverError
 
 
