@@ -15,6 +15,7 @@ from bench.records.run_log import RunLog
 from bench.run.machine import RunMachine
 from bench.run.safe_points import SafePoints
 from bench.run.steps import Steps
+from bench.terminal.wording import counted
 from drivers.errors import RecordingFailed
 from sequences.script import PromptStep, RecordStep
 
@@ -69,7 +70,7 @@ class Attempts:
         """
         while (reasons := self._try_attempts(step)) is not None:
             pose = step.pose
-            what = f"Pose {pose.index} ({pose.name}) failed {step.attempts} attempts: {'; '.join(reasons)}."
+            what = f"Pose {pose.index} ({pose.name}) failed {counted(step.attempts, 'attempt')}: {'; '.join(reasons)}."
             if step.on_failure == "fail":
                 raise PoseFailed(
                     what,
