@@ -130,11 +130,17 @@ def actions(session: Session, files: PageFiles) -> Mapping[str, Action]:
     Mapping
         Function by name of the request. It takes the id of the page and the request.
     """
-    return {**_device_actions(session), **_file_actions(session, files), **_page_actions(session)}
+    return {
+        **_stage_actions(session),
+        **_light_actions(session),
+        **_camera_actions(session),
+        **_file_actions(session, files),
+        **_page_actions(session),
+    }
 
 
-def _device_actions(session: Session) -> dict[str, Action]:
-    """Return the requests that turn, switch or set something."""
+def _stage_actions(session: Session) -> dict[str, Action]:
+    """Return the requests that turn something, and the one that opens devices again."""
 
     def jog(page: str, body: Mapping[str, Any]) -> Any:
         steps = body.get("steps_deg")
@@ -154,6 +160,17 @@ def _device_actions(session: Session) -> dict[str, Action]:
         session.home(page)
         _told(session, page, "started the homing of the stage")
 
+    def reopen(page: str, _body: Mapping[str, Any]) -> Any:
+        _told(session, page, "asked to open the devices again")
+        failure = session.reopen()
+        return failure.to_dict() if failure else None
+
+    return {"jog": jog, "home": home, "open": reopen}
+
+
+def _light_actions(session: Session) -> dict[str, Action]:
+    """Return the request that switches or sets the light."""
+
     def light(page: str, body: Mapping[str, Any]) -> Any:
         numbers = {
             name: _number(body, name)
@@ -171,6 +188,12 @@ def _device_actions(session: Session) -> dict[str, Action]:
         if numbers:
             _told(session, page, f"set the light to {_light_text(found)}", "light")
         return found
+
+    return {"light": light}
+
+
+def _camera_actions(session: Session) -> dict[str, Action]:
+    """Return the requests that set the camera, and those to the hands of the simulated bench."""
 
     def bias(page: str, body: Mapping[str, Any]) -> Any:
         value = _number(body, "value")
@@ -197,20 +220,7 @@ def _device_actions(session: Session) -> dict[str, Action]:
         )
         return found
 
-    def reopen(page: str, _body: Mapping[str, Any]) -> Any:
-        _told(session, page, "asked to open the devices again")
-        failure = session.reopen()
-        return failure.to_dict() if failure else None
-
-    return {
-        "jog": jog,
-        "home": home,
-        "light": light,
-        "bias": bias,
-        "frame": frame,
-        "hands": hands,
-        "open": reopen,
-    }
+    return {"bias": bias, "frame": frame, "hands": hands}
 
 
 def _file_actions(session: Session, files: PageFiles) -> dict[str, Action]:
