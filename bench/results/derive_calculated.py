@@ -23,6 +23,10 @@ _SAME = within(1e-9)
 """Numbers that differ less were rounded differently by another computer."""
 _WITH_AGAIN = ("planar", "halves", "gimbal", "parallax")
 """Parts that need a calibration; `bench.results.reproduce` compares them."""
+_COMPARED_ELSEWHERE = {
+    "run", "devices", "conditions", "calibration", "poses", "untils", "deviations", "devices_left", "failures",
+    "states", "previous", "truth", *_WITH_AGAIN,
+}  # fmt: skip
 _MOST_SHOWN = 12
 
 
@@ -84,20 +88,7 @@ def check_calculated(
     if (truth is not None) != job.station.needs_simulated_bench:
         found.fault("results", RESULTS, "it has a truth if, and only if, the station has a simulated bench")
     seen = list(differences(had, due, _SAME))
-    known = {
-        "run",
-        "devices",
-        "conditions",
-        "calibration",
-        "poses",
-        "untils",
-        "deviations",
-        "devices_left",
-        "failures",
-        "states",
-    }
-    known |= {*due, *_WITH_AGAIN, "previous", "truth"}
-    further = [name for name in results if name not in known]
+    further = [name for name in results if name not in due and name not in _COMPARED_ELSEWHERE]
     other = other_software(results, tuple(software()))
     if other and (seen or further):
         places = ", ".join([*(one.where for one in seen), *further][:_MOST_SHOWN])
