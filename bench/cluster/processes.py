@@ -61,7 +61,7 @@ class Processes:
         self._memory_bytes = memory_bytes
         self._waiting: deque[Work] = deque()
         self._deaths: Counter[str] = Counter()
-        self.size = max(1, count or _processors())
+        self.size = max(1, count or processors())
         self.replaced = 0
         self._workers: list[_Worker] = []
 
@@ -190,5 +190,12 @@ def _one_thread() -> Iterator[None]:
                 os.environ[name] = value
 
 
-def _processors() -> int:
+def processors() -> int:
+    """Return how many processors this process may use.
+
+    Returns
+    -------
+    int
+        At least 1.
+    """
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

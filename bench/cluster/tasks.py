@@ -17,9 +17,9 @@ from typing import Any
 from bench.base.errors import BenchError
 from bench.base.failure import FORESEEN
 from bench.cluster.places import Place
+from bench.cluster.program import require_program_of
 from bench.records.run_folder import JOURNAL, RESULTS
 from bench.records.storage import sha256_of, storage_errors
-from bench.results.forms import forms
 from bench.results.offline import OfflineResult, calibrate_sources, with_kept_views
 from bench.results.offline_folder import offline_files
 from bench.results.offline_options import OfflineOptions
@@ -215,7 +215,7 @@ def find_view(place: Place, number: int, capture: str, task: Task) -> FoundView:
     BenchError, drivers.errors.DriverError
         If the recording cannot be read, or is not the one that the journal names.
     """
-    require_program(task)
+    require_program_of(task.program)
     kept = task.views()
     with place.folder(capture) as folder, _named(place, folder):
         source = list(view_sources(folder, task.choices))[number]
@@ -267,7 +267,7 @@ def calibrate_found(
     BenchError, calib.errors.CalibrationError
         If the views do not determine the camera, or a file of the run cannot be read.
     """
-    require_program(task)
+    require_program_of(task.program)
     with place.folder() as folder, _named(place, folder):
         listed = list(view_sources(folder, task.choices))
         sources = [
@@ -302,26 +302,6 @@ def _files(
     ]
     copies = {str(folder.resolve()): place.name, str(folder): place.name} if place.is_remote else {}
     return offline_files(result, name, sealed_by, sources=sources, read_from=copies)
-
-
-def require_program(task: Task) -> None:
-    """Refuse work of another program, because its results would differ.
-
-    Parameters
-    ----------
-    task
-        What is to be done.
-
-    Raises
-    ------
-    BenchError
-        If this worker runs another program than the one that hands out the work.
-    """
-    if (here := forms()["program"]) != task.program:
-        raise BenchError(
-            f"This worker has another Starbench ({here}) than the command ({task.program}).",
-            remedy="Install the same version on all computers, and restart the workers.",
-        )
 
 
 class _named:  # noqa: N801 - used as a context manager

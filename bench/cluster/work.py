@@ -211,6 +211,39 @@ def map_work(
                 yield int(end.key), end
 
 
+def results_of(
+    function: Callable[..., Any], items: Iterable[tuple[Any, ...]], workers: Workers
+) -> Iterator[tuple[int, Any]]:
+    """Call a function for many items, as `map_work`; the first call that fails ends it.
+
+    Parameters
+    ----------
+    function
+        A pure function at the top of a module.
+    items
+        Arguments of each call.
+    workers
+        Who does the work.
+
+    Yields
+    ------
+    tuple of (int, Any)
+        Number of the item, from 0, and what the function returned, in the order in which the calls end.
+
+    Raises
+    ------
+    WorkersLost
+        If nobody is left who could do the work.
+    BenchError
+        If a call fails.
+    """
+    for number, end in map_work(function, items, workers):
+        if end.failure is not None:
+            failed = end.failure
+            raise BenchError(failed.what, where=failed.where, remedy=failed.remedy or end.defect)
+        yield number, end.value
+
+
 def most_handed_out(workers: Workers) -> int:
     """Return how many pieces of work to hand out at once, so that no worker waits and memory stays small.
 

@@ -21,6 +21,7 @@ from bench.commands.batch_commands import BATCH_COMMANDS, BEGIN
 from bench.commands.certificate_commands import CERTIFICATE_COMMANDS
 from bench.commands.compare_command import compare
 from bench.commands.completion import add_completion
+from bench.commands.convert_command import convert
 from bench.commands.engine_commands import ENGINE_COMMANDS
 from bench.commands.help_text import Sections, complete
 from bench.commands.keys_commands import keys
@@ -266,6 +267,7 @@ cli.add_command(align)
 cli.add_command(keys)
 cli.add_command(panel)
 cli.add_command(recalibrate)
+cli.add_command(convert)
 cli.add_command(compare)
 cli.add_command(verify)
 for target_command in TARGET_COMMANDS:

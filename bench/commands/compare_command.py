@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 
 import click
 
 from bench.commands.options import JSON
+from bench.commands.worker_options import open_workers, worker_options
 
 
 @click.command()
@@ -22,19 +22,16 @@ from bench.commands.options import JSON
     "--repetitions", type=click.IntRange(1, 1000), metavar="N", help="In place of that of the SPEC."
 )
 @click.option("--seed", type=click.IntRange(0, 2**31 - 1), metavar="N", help="In place of that of the SPEC.")
-@click.option(
-    "--workers",
-    type=click.IntRange(1, 256),
-    metavar="N",
-    help="Number of processes.  [default: one for each core]",
-)
+@worker_options
 @JSON
 def compare(
     spec: str,
     output: Path | None,
     repetitions: int | None,
     seed: int | None,
+    scheduler: str | None,
     workers: int | None,
+    memory: int,
     as_json: bool,
 ) -> int:
     """Compare calibration methods on the simulated bench, where the truth is known.
@@ -52,4 +49,5 @@ def compare(
         update={name: value for name, value in given.items() if value is not None}
     )
     folder = output or Path("comparisons") / Path(spec).stem
-    return run_and_print(changed, read.text, folder, workers or os.cpu_count() or 1, as_json=as_json)
+    who = open_workers(scheduler, workers, memory)
+    return run_and_print(changed, read.text, folder, who, as_json=as_json)

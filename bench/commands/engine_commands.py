@@ -1,4 +1,4 @@
-"""Commands of the calibration engine, which need no devices: calibrate, rig, passport, study, convert.
+"""Commands of the calibration engine, which need no devices: calibrate, rig, passport, study.
 
 Arguments, options and exit statuses only, like `bench.commands.cli`; other modules do the work.
 """
@@ -15,13 +15,13 @@ from bench.commands.options import (
     JSON,
     SEED,
     CutoffFrequency,
-    EventFile,
     ExistingFile,
     ExistingPath,
     NewFile,
     Number,
     OutputFolder,
 )
+from bench.commands.worker_options import open_workers, worker_options
 
 if TYPE_CHECKING:
     from datetime import datetime
@@ -386,61 +386,41 @@ def passport_show(path: Path, as_json: bool) -> int:
 @click.option("--model", type=click.Choice(_MODELS), default="spherical", show_default=True, help=_MODEL_HELP)
 @click.option("--loss", type=click.Choice(_LOSSES), default="huber", show_default=True, help=_LOSS_HELP)
 @click.option("--plot", type=NewFile(), help="Plot the errors, in units of their sigma, to an SVG file.")
+@worker_options
+@click.option(
+    "--output",
+    "-o",
+    type=OutputFolder(),
+    help="Folder that keeps what is done. The same command with the same folder continues an interrupted study.",
+)
 @JSON
-def study(sequence: str, station: str, plot: Path | None, as_json: bool, **options: Any) -> int:
-    """Calibrate a simulated camera many times, and check whether the stated uncertainties hold."""
-    from bench.commands.engine_output import show_study
-    from bench.results.studies import run_study, write_study_plot
+def study(
+    sequence: str,
+    station: str,
+    plot: Path | None,
+    output: Path | None,
+    scheduler: str | None,
+    workers: int | None,
+    memory: int,
+    runs: int,
+    as_json: bool,
+    **options: Any,
+) -> int:
+    """Calibrate a simulated camera many times, and check whether the stated uncertainties hold.
 
-    studied = run_study(sequence, station, **options)
+    The work is done on all processors of this computer or on the workers of a Dask scheduler, with the same result.
+    """
+    from bench.cluster.many_calibrations import BLOCK
+    from bench.commands.engine_output import show_study
+    from bench.commands.many_output import run_study
+    from bench.results.studies import plan_study, write_study_plot
+
+    planned = plan_study(sequence, station, **options)
+    who = open_workers(scheduler, workers, memory, most=-(-runs // BLOCK))
+    studied = run_study(planned, runs, who, output)
     if plot is not None:
         write_study_plot(studied, plot)
     return show_study(studied, as_json=as_json)
 
 
-@click.command()
-@click.argument("source", type=EventFile())
-@click.argument("output", type=NewFile())
-@click.option(
-    "--as",
-    "kind",
-    type=click.Choice(["raw", "metavision", "hdf5", "numpy"]),
-    help="Format of OUTPUT.  [default: by its name: .raw, .hdf5 (Metavision, ECF), .h5 (plain HDF5) or .npz]",
-)
-def convert(source: Path, output: Path, kind: str | None) -> int:
-    """Convert an event file SOURCE to a new file OUTPUT of another format. The format of SOURCE is detected.
-
-    Formats: RAW (EVT3), Metavision's HDF5 (ECF), plain HDF5, NumPy's .npz. SOURCE may also be RAW with EVT2 words,
-    DAT, AEDAT4, or a bag of ROS 1 or ROS 2 (file or folder); AEDAT4 and bags need starbench[formats]. The header of
-    a converted RAW file states that it was converted, so it cannot be taken for a camera's original file.
-    """
-    from datetime import UTC, datetime
-
-    from bench.base.errors import UsageError
-    from bench.terminal.signals import reliable_interrupts
-    from drivers.camera.formats import event_conversion
-
-    kind = kind or event_conversion.kind_of_name(output)
-    if kind is None:
-        raise UsageError(
-            "The name of the output file does not show its format.",
-            where=str(output),
-            remedy="Use a name that ends in .raw, .hdf5, .h5 or .npz, or give --as.",
-        )
-    with reliable_interrupts():
-        written = event_conversion.convert(
-            source,
-            output,
-            kind,  # type: ignore[arg-type]
-            utc_now=lambda: datetime.now(UTC),
-        )
-    moved = f", {written.moved_events} given the time of the event before" if written.moved_events else ""
-    click.echo(f"{output}: {written.events} events{moved}, {written.triggers} triggers")
-    if written.cut_off:
-        click.echo(
-            f"{source}: the file ends in the middle of a word; everything before it was converted.", err=True
-        )
-    return 0
-
-
-ENGINE_COMMANDS = (calibrate, rig, passport, study, convert)
+ENGINE_COMMANDS = (calibrate, rig, passport, study)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping
 from contextlib import ExitStack
 from pathlib import Path
@@ -12,53 +11,17 @@ import click
 
 from bench.commands.engine_commands import _engine_options as engine_options
 from bench.commands.options import JSON, OutputFolder
+from bench.commands.worker_options import open_workers, worker_options
 
 if TYPE_CHECKING:
     from bench.cluster.tasks import Task
     from bench.cluster.work import Workers
 
-_MEMORY = re.compile(r"(\d+(?:\.\d+)?)\s*(M|G)i?B?", re.IGNORECASE)
-_UNITS = {"M": 1 << 20, "G": 1 << 30}
-_LEAST_BYTES = 1 << 30
-
-
-class _Memory(click.ParamType):
-    """A size as 4GB or 1500M."""
-
-    name = "size"
-
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> int:
-        """See `click.ParamType.convert`."""
-        if isinstance(value, int):
-            return value
-        found = _MEMORY.fullmatch(str(value).strip())
-        size = int(float(found[1]) * _UNITS[found[2].upper()]) if found else 0
-        if size < _LEAST_BYTES:
-            self.fail(f"{value!r} is not a size of at least 1GB. Write it as 4GB or 1500MB.", param, ctx)
-        return size
-
 
 @click.command()
 @click.argument("folders", nargs=-1, required=True, metavar="FOLDER...")
 @engine_options
-@click.option(
-    "--scheduler",
-    metavar="ADDRESS",
-    help="Address of a Dask scheduler, tcp://host:8786 or tls://host:8786 (docs/cluster.md).",
-)
-@click.option(
-    "--workers",
-    type=click.IntRange(1, 1024),
-    metavar="N",
-    help="Number of processes on this computer.  [default: one for each processor]",
-)
-@click.option(
-    "--memory",
-    type=_Memory(),
-    default="4GB",
-    show_default=True,
-    help="Memory that each process on this computer may use.",
-)
+@worker_options
 @click.option(
     "--output",
     "-o",
@@ -100,30 +63,13 @@ def recalibrate(
     from bench.results.offline_options import OfflineOptions
     from bench.views.kept_views import FOLDER
 
-    if scheduler is not None and workers is not None:
-        raise UsageError(
-            "The workers of a scheduler are not started here.",
-            where="--workers",
-            remedy="Leave out --workers or --scheduler.",
-        )
     if table_only and output is None:
         raise UsageError("There is no folder for the table.", where="--table-only", remedy="Give one: -o.")
     here = str((home_folder() / FOLDER).absolute())
     kept = "" if find_again else None if scheduler else here
     task = Task(OfflineOptions.from_command_line(**options), forms()["program"], kept)
-    who = _workers(scheduler, workers, memory)
+    who = open_workers(scheduler, workers, memory)
     return _recalibrate(folders, task, who, output, table_only, no_seal, as_json=as_json)
-
-
-def _workers(scheduler: str | None, count: int | None, memory: int) -> Workers:
-    """Return who does the work."""
-    if scheduler is not None:
-        from bench.cluster.scheduler import DaskWorkers
-
-        return DaskWorkers(scheduler)
-    from bench.cluster.processes import Processes
-
-    return Processes(count, memory)
 
 
 def _recalibrate(
@@ -167,7 +113,7 @@ def _recalibrate(
             workers,
             results,
             ended=ended,
-            progress=progress.show,
+            progress=progress.counted,
             remark=lambda text: say(text, err=True),
         )
         try:

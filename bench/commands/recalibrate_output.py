@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-import sys
-import time
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import click
-
+from bench.commands.live_line import LiveLine
 from bench.terminal.duration import clock_text
 from bench.terminal.encoding import printable
 
@@ -18,8 +15,6 @@ if TYPE_CHECKING:
 
 _SHOWN = ("fx", "cx", "cy", "r")
 _ROUNDING_SIGMA = 1e-6
-_EVERY_S = 30.0
-_EVERY_ON_A_TERMINAL_S = 0.25
 
 
 def run_text(row: Mapping[str, Any]) -> str:
@@ -87,22 +82,10 @@ def change_text(row: Mapping[str, Any]) -> str:
     return f"largest change since the run: {name} by {changes[name]:.2g} sigma"
 
 
-class CountedProgress:
-    """Shows how far a recalculation is: one live line on a terminal; elsewhere a line every half minute.
+class CountedProgress(LiveLine):
+    """Shows how far a recalculation is."""
 
-    Attributes
-    ----------
-    quiet
-        Whether nothing is shown.
-    """
-
-    def __init__(self, *, quiet: bool = False) -> None:
-        self.quiet = quiet
-        self._live = sys.stderr.isatty()
-        self._next_s = time.monotonic() + (0.0 if self._live else _EVERY_S)
-        self._width = 0
-
-    def show(self, counts: Counts, left_s: float | None) -> None:
+    def counted(self, counts: Counts, left_s: float | None) -> None:
         """Show the counts, if it is time.
 
         Parameters
@@ -112,24 +95,11 @@ class CountedProgress:
         left_s
             Expected time to the end, s; None if unknown.
         """
-        now = time.monotonic()
-        if self.quiet or now < self._next_s:
+        if not self.due():
             return
-        self._next_s = now + (_EVERY_ON_A_TERMINAL_S if self._live else _EVERY_S)
         left = "" if left_s is None else f", {clock_text(left_s)} left"
         failed = f", {counts.failed} failed" if counts.failed else ""
-        text = f"{counts.ended} of {counts.runs} runs{failed}, {counts.recordings} recordings{left}"
-        if self._live:
-            click.echo(f"\r{text:<{self._width}}", nl=False, err=True)
-            self._width = len(text)
-        else:
-            click.echo(text, err=True)
-
-    def clear(self) -> None:
-        """Remove the live line, so that another line can be printed."""
-        if self._live and self._width:
-            click.echo(f"\r{'':<{self._width}}\r", nl=False, err=True)
-            self._width = 0
+        self.show(f"{counts.ended} of {counts.runs} runs{failed}, {counts.recordings} recordings{left}")
 
 
 def sum_text(counts: Counts) -> str:

@@ -8,14 +8,15 @@ from typing import TYPE_CHECKING
 
 import click
 
-from bench.commands.options import JSON, ExistingFile, RunFolder
+from bench.commands.options import JSON, ExistingFile, OutputFolder, RunFolder
+from bench.commands.worker_options import open_workers, worker_options
 
 if TYPE_CHECKING:
     from bench.evidence.findings import Derivation, Findings
 
 
 @click.command()
-@click.argument("folder", metavar="FOLDER", type=RunFolder(journal=False))
+@click.argument("folders", metavar="FOLDER...", nargs=-1, required=True, type=RunFolder(journal=False))
 @click.option(
     "--allowed-signers", type=ExistingFile(), help="File of trusted keys.  [default: this bench's own]"
 )
@@ -42,18 +43,29 @@ if TYPE_CHECKING:
     is_flag=True,
     help="Also find the stars in the recordings again, calibrate again, and compare every number.",
 )
+@worker_options
+@click.option(
+    "--output",
+    "-o",
+    type=OutputFolder(),
+    help="With many FOLDERs: folder that keeps what was derived again. The same command continues.",
+)
 @JSON
 def verify(
-    folder: Path,
+    folders: tuple[Path, ...],
     allowed_signers: Path | None,
     revoked_keys: Path | None,
     tsa_certificates: Path | None,
     at: datetime | None,
     serial: str | None,
     again: bool,
+    scheduler: str | None,
+    workers: int | None,
+    memory: int,
+    output: Path | None,
     as_json: bool,
 ) -> int:
-    """Check a sealed FOLDER: a run, a certificate or recalculated results.
+    """Check a sealed FOLDER: a run, a certificate or recalculated results; or many, by all processors.
 
     The signatures, every file and the journal are checked. Results, exports and report are derived again and compared
     byte by byte; with --again from the recordings.
@@ -69,10 +81,19 @@ def verify(
         revoked_keys=revoked_keys,
         tsa_certificates=tsa_certificates,
     )
+    moment = at.replace(tzinfo=UTC) if at else None
+    if len(folders) > 1 or scheduler or output:
+        from bench.cluster.verifications import Check
+        from bench.commands.verify_many import verify_many
+        from bench.results.forms import forms
+
+        who = open_workers(scheduler, workers, memory, most=len(folders))
+        check = Check(trust, moment, serial, again, forms()["program"])
+        return verify_many(folders, check, who, output, _checks_of_this_bench, as_json=as_json)
     found = verify_folder(
-        folder,
+        folders[0],
         trust,
-        at=at.replace(tzinfo=UTC) if at else None,
+        at=moment,
         camera_serial=serial,
         derivations=derivations(again=again),
     )
@@ -101,6 +122,15 @@ def derivations(*, again: bool) -> dict[str, list[Derivation]]:
         "results": [check_results_folder, *([check_recalculated] if again else [])],
         "certificate": [_check_certificate],
     }
+
+
+def _checks_of_this_bench(folder: Path, kind: str) -> Findings:
+    """Compare a folder with the ledger of this bench, which no worker has."""
+    from bench.evidence.findings import Findings
+
+    if kind == "certificate":
+        return _check_certificate(folder)
+    return _check_ledger(folder) if kind == "run" else Findings()
 
 
 def _check_certificate(folder: Path) -> Findings:

@@ -1,7 +1,7 @@
-"""Runs a comparison on all cores, and keeps what is done: an interrupted comparison continues where it stopped.
+"""Runs a comparison and keeps what is done: an interrupted comparison continues where it stopped. Others do its tasks.
 
 The folder holds ``spec.yaml`` and ``rows.jsonl``: one line for each repetition of each column, written as soon as it is
-known. A line is used again if it has the same key: column, repetition, seed and version of the program.
+known. A line is used again if it has the same key: column, repetition, seed and program.
 """
 
 from __future__ import annotations
@@ -11,18 +11,15 @@ import json
 import os
 import time
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
-from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
 from functools import partial
-from multiprocessing import get_context
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
-from bench import __version__
-from bench.base.errors import BenchError, UsageError
+from bench.base.errors import UsageError
 from bench.compare.spec import ColumnConfig, ComparisonConfig
 from bench.records.storage import make_folder, storage_errors
+from bench.results.forms import forms
 
 if TYPE_CHECKING:
     from bench.compare.scenes import Images
@@ -68,7 +65,7 @@ def row_key(column: ColumnConfig, seed: int) -> str:
     str
         Hexadecimal.
     """
-    described: list[Any] = [column.model_dump(exclude={"name"}, exclude_none=True), seed, __version__]
+    described: list[Any] = [column.model_dump(exclude={"name"}, exclude_none=True), seed, forms()["program"]]
     if column.data is not None:
         from bench.compare.real_data import data_digest
 
@@ -82,7 +79,7 @@ def compare(
     text: bytes,
     folder: Path,
     *,
-    workers: int,
+    do_tasks: Callable[[Sequence[Task]], Iterator[dict[str, Row]]],
     on_progress: Callable[[int, int, float | None], None] = lambda *_: None,
     monotonic: Callable[[], float] = time.monotonic,
 ) -> list[Row]:
@@ -96,8 +93,8 @@ def compare(
         Its bytes, kept in the folder.
     folder
         Folder of the comparison; made if it does not exist.
-    workers
-        Number of processes.
+    do_tasks
+        Does tasks by `run_task`, in any order, and yields the rows of each.
     on_progress
         Called with the number of rows done, of all rows, and the time left in seconds, if known.
     monotonic
@@ -115,7 +112,7 @@ def compare(
     StorageError
         If a file cannot be read or written.
     BenchError
-        If the processes die.
+        If the tasks cannot be done.
     """
     _prepare(folder, text)
     done = _read_rows(folder / ROWS)
@@ -128,7 +125,7 @@ def compare(
     began, first, total = monotonic(), sum(key in done for key in keys.values()), len(keys)
     on_progress(first, total, None)
     with storage_errors(folder), (folder / ROWS).open("ab") as stream:
-        for rows in _results(tasks, workers):
+        for rows in do_tasks(tasks):
             for key, row in rows.items():
                 stream.write((json.dumps({"key": key, **row}, allow_nan=False) + "\n").encode())
                 done[key] = row
@@ -185,44 +182,6 @@ def _tasks(spec: ComparisonConfig, done: dict[str, Row]) -> Iterator[Task]:
                 groups.setdefault(recordings_key(column), []).append(column)
         for columns in groups.values():
             yield Task(tuple(columns), n, seed)
-
-
-def _results(tasks: Sequence[Task], workers: int) -> Iterator[dict[str, Row]]:
-    """Yield the rows of each task as they come. A task that kills its process ends the comparison with a message."""
-    if not tasks:
-        return
-    context = get_context("spawn")
-    with ProcessPoolExecutor(
-        max(1, min(workers, len(tasks))), mp_context=context, initializer=_one_thread
-    ) as pool:
-        waiting: set[Future[dict[str, Row]]] = set()
-        queue = iter(tasks)
-        try:
-            while True:
-                while len(waiting) < 2 * workers and (task := next(queue, None)) is not None:
-                    waiting.add(pool.submit(run_task, task))
-                if not waiting:
-                    return
-                ready, waiting = wait(waiting, return_when=FIRST_COMPLETED)
-                for future in ready:
-                    yield future.result()
-        except BrokenProcessPool as error:
-            raise BenchError(
-                "A process of the comparison died.",
-                remedy="What is done is kept. Start it again with the same folder, and with fewer workers.",
-            ) from error
-        finally:
-            pool.shutdown(wait=False, cancel_futures=True)
-
-
-def _one_thread() -> None:
-    """Use one thread for linear algebra and pictures: the processes share the cores. Ctrl-C is the parent's."""
-    import signal
-
-    import cv2
-
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    cv2.setNumThreads(1)
 
 
 def run_task(task: Task) -> dict[str, Row]:

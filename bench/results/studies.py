@@ -5,18 +5,19 @@ Uses the poses of a sequence and the ``expected`` section of a station. Makes no
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from rich.console import Console
-from rich.progress import Progress
 
 from bench.plan.plan import load_documents, make_plan
 from bench.records.storage import storage_errors
 from bench.results.forecasts import expected_bench
 from bench.stations.station import Station
 from calib.calibration import CalibrationOptions
-from calib.studies.monte_carlo import MonteCarloStudy, run_monte_carlo
+from calib.studies.monte_carlo import MonteCarloStudy, Repetition, calibrate_once
+from calib.studies.predicted_views import ExpectedBench
 from sequences.reader import Located
 
 _BINS = np.linspace(-4, 4, 33)
@@ -42,41 +43,88 @@ def sequence_poses_deg(sequence: str, station: str) -> tuple[list[dict[str, floa
     return poses, planned.station
 
 
-def run_study(
+@dataclass(frozen=True)
+class PlannedStudy:
+    """What all calibrations of a study have in common.
+
+    Attributes
+    ----------
+    bench
+        The expected bench.
+    poses_deg
+        For each pose its angles, named as in the engine (``pan_deg``), degrees.
+    options
+        How to calibrate.
+    seed
+        Random seed of the noise.
+    drift_mm
+        Standard deviation, for each axis, of the distance between a view's centre and the shared centre, mm.
+    outliers
+        Share of the stars that have a gross error.
+    """
+
+    bench: ExpectedBench
+    poses_deg: Sequence[Mapping[str, float]]
+    options: CalibrationOptions
+    seed: int
+    drift_mm: float = 0.0
+    outliers: float = 0.0
+
+    def calibrate(self, runs: range) -> list[Repetition]:
+        """Calibrate a simulated camera repeatedly with random noise (Monte Carlo method, JCGM 101).
+
+        Parameters
+        ----------
+        runs
+            Numbers of the calibrations; each has noise of its own.
+
+        Returns
+        -------
+        list of Repetition
+            One for each.
+        """
+        return [
+            calibrate_once(
+                self.bench,
+                self.poses_deg,
+                self.options,
+                self.seed,
+                run,
+                drift_mm=self.drift_mm,
+                outliers=self.outliers,
+            )
+            for run in runs
+        ]
+
+
+def plan_study(
     sequence: str,
     station: str,
     *,
-    runs: int,
     seed: int,
     noise_px: float | None,
     drift_mm: float,
     outliers: float,
     model: str,
     loss: str,
-) -> MonteCarloStudy:
-    """Calibrate a simulated camera repeatedly with random noise (Monte Carlo method, JCGM 101).
+) -> PlannedStudy:
+    """Read the files of a study.
 
     Parameters
     ----------
     sequence, station
         Path or name of the sequence with the poses, and of the station with the expected bench.
-    runs
-        Number of calibrations.
-    seed
-        Random seed of the noise.
+    seed, drift_mm, outliers
+        As `PlannedStudy` has them.
     noise_px
         Standard deviation of a star for each axis, px; None for the station's value.
-    drift_mm
-        Standard deviation, for each axis, of the distance between a view's centre and the shared centre, mm.
-    outliers
-        Fraction of the stars that have a gross error.
     model, loss
         Model and loss of the calibrations.
 
     Returns
     -------
-    Study
-        Errors and stated uncertainties of all calibrations.
+    PlannedStudy
+        The study.
 
     Raises
     ------
@@ -86,18 +134,7 @@ def run_study(
     poses, described = sequence_poses_deg(sequence, station)
     bench = expected_bench(described, noise_px=noise_px)
     options = CalibrationOptions(model=model, loss=loss)  # type: ignore[arg-type]
-    with Progress(console=Console(stderr=True), transient=True) as shown:
-        task = shown.add_task("calibrating", total=runs)
-        return run_monte_carlo(
-            bench,
-            poses,
-            options,
-            runs,
-            seed,
-            drift_mm=drift_mm,
-            outliers=outliers,
-            progress=lambda done, _of: shown.update(task, completed=done),
-        )
+    return PlannedStudy(bench, poses, options, seed, drift_mm, outliers)
 
 
 def write_study_plot(study: MonteCarloStudy, path: Path) -> None:

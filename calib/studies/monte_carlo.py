@@ -87,6 +87,30 @@ class MonteCarloStudy:
         return float(low) / len(self.values), float(high) / len(self.values)
 
 
+@dataclass(frozen=True)
+class Repetition:
+    """One calibration of a study.
+
+    Attributes
+    ----------
+    names, values, sigmas
+        Names, estimates and stated standard uncertainties of the G parameters.
+    factor
+        Stated coverage factor k.
+    chi_square
+        Squared error, weighted by the stated covariance.
+    failed
+        Why there is no calibration; empty if there is one.
+    """
+
+    names: tuple[str, ...] = ()
+    values: tuple[float, ...] = ()
+    sigmas: tuple[float, ...] = ()
+    factor: float = 0.0
+    chi_square: float = 0.0
+    failed: str = ""
+
+
 def run_monte_carlo(
     bench: ExpectedBench,
     poses_deg: Sequence[Mapping[str, float]],
@@ -131,36 +155,93 @@ def run_monte_carlo(
     NotConverged
         If no calibration has a result.
     """
-    truth = {**bench.camera.to_dict(), **bench.collimator.to_dict()}
-    values: list[Array] = []
-    sigmas: list[list[float]] = []
-    factors: list[float] = []
-    chi_squares: list[float] = []
-    failed: list[str] = []
-    names: tuple[str, ...] = ()
+    outcomes = []
     for run in range(runs):
-        rng = np.random.default_rng([seed, run])
-        try:
-            result = calibrate(_noisy(bench, poses_deg, rng, drift_mm, outliers), options)
-        except CalibrationError as error:
-            failed.append(str(error))
-        else:
-            names = result.parameter_names
-            values.append(result.values)
-            sigmas.append(list(result.sigma.values()))
-            factors.append(result.coverage_factor)
-            off = (result.values - [truth[name] for name in names]) / sigmas[-1]
-            chi_squares.append(float(off @ np.linalg.solve(result.correlation, off)))
+        outcomes.append(
+            calibrate_once(bench, poses_deg, options, seed, run, drift_mm=drift_mm, outliers=outliers)
+        )
         if progress:
             progress(run + 1, runs)
-    if not values:
+    return study_of(bench, outcomes)
+
+
+def calibrate_once(
+    bench: ExpectedBench,
+    poses_deg: Sequence[Mapping[str, float]],
+    options: CalibrationOptions,
+    seed: int,
+    run: int,
+    *,
+    drift_mm: float = 0.0,
+    outliers: float = 0.0,
+) -> Repetition:
+    """Calibrate predicted views with the noise of one run of a study.
+
+    Parameters
+    ----------
+    bench, poses_deg, options, seed
+        As for `run_monte_carlo`.
+    run
+        Number of the run, from 0.
+    drift_mm, outliers
+        As for `run_monte_carlo`.
+
+    Returns
+    -------
+    Repetition
+        The result, or why there is none.
+    """
+    truth = {**bench.camera.to_dict(), **bench.collimator.to_dict()}
+    rng = np.random.default_rng([seed, run])
+    try:
+        result = calibrate(_noisy(bench, poses_deg, rng, drift_mm, outliers), options)
+    except CalibrationError as error:
+        return Repetition(failed=str(error))
+    names, sigmas = result.parameter_names, list(result.sigma.values())
+    off = (result.values - [truth[name] for name in names]) / sigmas
+    chi_square = float(off @ np.linalg.solve(result.correlation, off))
+    return Repetition(
+        tuple(names), tuple(result.values.tolist()), tuple(sigmas), result.coverage_factor, chi_square
+    )
+
+
+def study_of(bench: ExpectedBench, outcomes: Sequence[Repetition]) -> MonteCarloStudy:
+    """Put the runs of a study together.
+
+    Parameters
+    ----------
+    bench
+        True camera and collimator.
+    outcomes
+        The runs, in their order.
+
+    Returns
+    -------
+    MonteCarloStudy
+        Estimates of the successful runs, and the reasons of the failed ones.
+
+    Raises
+    ------
+    NotConverged
+        If no calibration has a result.
+    """
+    good = [one for one in outcomes if not one.failed]
+    failed = tuple(one.failed for one in outcomes if one.failed)
+    if not good:
         raise NotConverged(
-            f"None of the {runs} calibrations has a result. The first one: {failed[0]}",
+            f"None of the {len(outcomes)} calibrations has a result. The first one: {failed[0]}",
             remedy="Give less noise, fewer outliers, or more poses.",
         )
+    truth = {**bench.camera.to_dict(), **bench.collimator.to_dict()}
+    names = good[-1].names
     true = np.array([truth[name] for name in names])
-    numbers = (np.array(values), np.array(sigmas), np.array(factors), np.array(chi_squares))
-    return MonteCarloStudy(names, true, *numbers, tuple(failed))
+    numbers = (
+        np.array([one.values for one in good]),
+        np.array([one.sigmas for one in good]),
+        np.array([one.factor for one in good]),
+        np.array([one.chi_square for one in good]),
+    )
+    return MonteCarloStudy(names, true, *numbers, failed)
 
 
 def _noisy(

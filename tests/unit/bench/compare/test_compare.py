@@ -150,7 +150,13 @@ def test_an_interrupted_comparison_uses_what_is_done_and_drops_a_half_line(tmp_p
     ]
     (folder / ROWS).write_text("\n".join(lines) + '\n{"key": "half')
     told = []
-    rows = compare(chosen, b"x", folder, workers=1, on_progress=lambda *words: told.append(words))
+    rows = compare(
+        chosen,
+        b"x",
+        folder,
+        do_tasks=lambda tasks: map(run_task, tasks),
+        on_progress=lambda *words: told.append(words),
+    )
     assert told == [(6, 6, None)]
     assert [(one["column"], one["repetition"]) for one in rows][:3] == [
         ("ours", 0),
@@ -163,7 +169,7 @@ def test_an_interrupted_comparison_uses_what_is_done_and_drops_a_half_line(tmp_p
 def test_a_folder_with_something_else_is_not_touched(tmp_path):
     (tmp_path / "thesis.txt").write_text("mine")
     with pytest.raises(UsageError, match="something else"):
-        compare(spec(), b"x", tmp_path, workers=1)
+        compare(spec(), b"x", tmp_path, do_tasks=lambda tasks: map(run_task, tasks))
     assert [path.name for path in tmp_path.iterdir()] == ["thesis.txt"]
 
 

@@ -162,7 +162,7 @@ def test_data_that_cannot_be_read_are_named_in_their_row_and_the_rest_goes_on(ta
     if content is not None:
         broken.write_text(content)
     chosen = spec(data_column(broken), data_column(table, name="good"), repetitions=1)
-    rows = compare(chosen, b"x", tmp_path / "out", workers=1)
+    rows = compare(chosen, b"x", tmp_path / "out", do_tasks=lambda tasks: map(run_task, tasks))
     assert said in rows[0]["error"]
     assert "error" not in rows[1]
 

@@ -1,0 +1,215 @@
+"""Many event files converted into one folder: one piece of work each; what is done is known by its content.
+
+A worker writes under a temporary name. The command keeps the row and then gives the file its name, so a file with its
+name is complete, and its row says which bytes it was made of.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+from bench.base.errors import BenchError, UsageError
+from bench.base.failure import Failure
+from bench.cluster.kept_rows import KeptRows
+from bench.cluster.program import require_program_of
+from bench.cluster.work import Finished, Workers, map_work
+from bench.records.storage import sha256_of, storage_errors, sync_folder
+from bench.results.forms import forms
+from drivers.camera.formats import event_conversion
+
+CONVERTED = "converted.jsonl"
+_ENDINGS: Mapping[str, str] = {"raw": ".raw", "metavision": ".hdf5", "hdf5": ".h5", "numpy": ".npz"}
+_PART = ".part-"
+
+
+@dataclass(frozen=True)
+class Converted:
+    """The end of one conversion.
+
+    Attributes
+    ----------
+    source
+        The file that was read.
+    target
+        The new file.
+    before
+        Whether an earlier command made it.
+    summary
+        What was written: ``events triggers moved_events cut_off``; empty if it failed.
+    failure
+        Why it failed; None if it did not.
+    """
+
+    source: Path
+    target: Path
+    before: bool = False
+    summary: Mapping[str, Any] | None = None
+    failure: Failure | None = None
+
+
+def plan_targets(sources: Sequence[Path], folder: Path, kind: str) -> list[tuple[Path, Path]]:
+    """Return each source with its new file.
+
+    Parameters
+    ----------
+    sources
+        Event files.
+    folder
+        Folder of the new files.
+    kind
+        Their format, of `drivers.camera.formats.event_conversion.KINDS`.
+
+    Returns
+    -------
+    list of tuple
+        Source and new file.
+
+    Raises
+    ------
+    UsageError
+        If two new files would have the same name.
+    """
+    pairs = [(source, folder / f"{source.stem}{_ENDINGS[kind]}") for source in dict.fromkeys(sources)]
+    taken: dict[Path, Path] = {}
+    for source, target in pairs:
+        if target in taken:
+            raise UsageError(
+                f"Two files would become {target.name}: {taken[target]} and {source}.",
+                where=str(folder),
+                remedy="Convert them into two folders.",
+            )
+        taken[target] = source
+    return pairs
+
+
+def convert_many(
+    pairs: Sequence[tuple[Path, Path]],
+    kind: str,
+    workers: Workers,
+    kept: KeptRows,
+    ended: Callable[[Converted], None],
+) -> None:
+    """Convert files. One that fails stops no other.
+
+    Parameters
+    ----------
+    pairs
+        Source and new file, of `plan_targets`.
+    kind
+        Format of the new files.
+    workers
+        Who does the work; they reach the files by the same paths.
+    kept
+        Rows of the folder.
+    ended
+        Called with the end of each conversion.
+
+    Raises
+    ------
+    WorkersLost
+        If nobody is left who could do the work.
+    StorageError
+        If a row cannot be kept, or a file not be named.
+    """
+    folder, program = kept.path.parent, forms()["program"]
+    for part in folder.glob(f"{_PART}*"):
+        part.unlink()
+    rows = [kept.get(target.name) for _, target in pairs]
+    work = (
+        (source.absolute(), target.absolute(), kind, row, program)
+        for (source, target), row in zip(pairs, rows, strict=True)
+    )
+    for number, end in map_work(convert_one, work, workers):
+        source, target = pairs[number]
+        ended(_taken(source, target, end, kept))
+
+
+def _taken(source: Path, target: Path, end: Finished, kept: KeptRows) -> Converted:
+    if end.failure is not None:
+        return Converted(source, target, failure=end.failure)
+    row, before = end.value
+    if not before:
+        kept.add(target.name, row)
+        with storage_errors(target):
+            _part_of(target).rename(target)
+            sync_folder(target.parent)
+    return Converted(source, target, before=before, summary=row["summary"])
+
+
+def convert_one(
+    source: Path, target: Path, kind: str, known: Mapping[str, Any] | None, program: str
+) -> tuple[dict[str, Any], bool]:
+    """Convert one file on a worker, unless it is done already.
+
+    Parameters
+    ----------
+    source
+        The file to read.
+    target
+        The new file; it is written under a temporary name.
+    kind
+        Its format.
+    known
+        The row of an earlier conversion to the same name; None if there is none.
+    program
+        Hash of the program that hands out the work.
+
+    Returns
+    -------
+    tuple of (dict, bool)
+        The row, and whether the file was made before.
+
+    Raises
+    ------
+    BenchError
+        If this worker runs another program, or the name of the new file is taken by something else.
+    drivers.errors.DriverError
+        If the source cannot be converted.
+    """
+    require_program_of(program)
+    with storage_errors(source):
+        decided_by = {"source_sha256": content_hash(source), "kind": kind}
+    if target.exists():
+        ours = known is not None and {**known, **decided_by} == known and sha256_of(target) == known["sha256"]
+        if not ours:
+            raise BenchError(
+                "A file with this name exists, and it is not the conversion of this source.",
+                where=str(target),
+                remedy="Choose a new folder, or remove the file.",
+            )
+        if known is not None and known["program"] == program:
+            return dict(known), True
+    part = _part_of(target)
+    part.unlink(missing_ok=True)  # of a worker that died
+    written = event_conversion.convert(source, part, kind, utc_now=lambda: datetime.now(UTC))  # type: ignore[arg-type]
+    made = {"source": str(source), "sha256": sha256_of(part), "program": program, "summary": asdict(written)}
+    return {**decided_by, **made}, False
+
+
+def content_hash(path: Path) -> str:
+    """Return the hash of a file, or of a folder's files and their names.
+
+    Parameters
+    ----------
+    path
+        The file or folder.
+
+    Returns
+    -------
+    str
+        64 hexadecimal digits.
+    """
+    if not path.is_dir():
+        return sha256_of(path)
+    files = sorted(one for one in path.rglob("*") if one.is_file())
+    listed = "\n".join(f"{sha256_of(one)}  {one.relative_to(path).as_posix()}" for one in files)
+    return hashlib.sha256(listed.encode()).hexdigest()
+
+
+def _part_of(target: Path) -> Path:
+    return target.with_name(f"{_PART}{target.name}")

@@ -1,0 +1,143 @@
+"""Results of pieces of work on the disk, by the hash of all that decides them: lines of JSON in one file.
+
+A line is synced before the work counts as done. A line that a power cut left half does not count. One process at a time
+works in the folder of the file.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+from collections.abc import Mapping
+from contextlib import suppress
+from pathlib import Path
+from typing import Any, Self
+
+from bench.base.errors import UsageError
+from bench.records.folder_lock import lock_folder
+from bench.records.storage import make_folder, storage_errors, write_all
+
+
+def content_key(parts: Mapping[str, Any]) -> str:
+    """Return the hash of all that decides a result.
+
+    Parameters
+    ----------
+    parts
+        Values that JSON can hold.
+
+    Returns
+    -------
+    str
+        64 hexadecimal digits.
+
+    Examples
+    --------
+    >>> content_key({"a": 1, "b": 2}) == content_key({"b": 2, "a": 1})
+    True
+    """
+    return hashlib.sha256(json.dumps(parts, sort_keys=True, allow_nan=False).encode()).hexdigest()
+
+
+class KeptRows:
+    """The results in one file of a folder.
+
+    Parameters
+    ----------
+    folder
+        The folder; it is made if it does not exist.
+    name
+        Name of the file.
+
+    Raises
+    ------
+    UsageError
+        If the folder holds other things, but not the file.
+    RunFolderError
+        If another process works in the folder.
+    StorageError
+        If the file cannot be read or written.
+    """
+
+    def __init__(self, folder: Path, name: str) -> None:
+        self.path = folder / name
+        with storage_errors(folder):
+            found = (
+                next((one for one in folder.iterdir() if one.name[0] != "."), None)
+                if folder.is_dir()
+                else None
+            )
+        if found is not None and not self.path.is_file():
+            raise UsageError(
+                f"The folder holds something else: it contains {found.name}, but no {name}.",
+                where=str(folder),
+                remedy="Choose a new folder.",
+            )
+        make_folder(folder)
+        self._lock = lock_folder(folder)
+        try:
+            self._rows = self._read()
+            with storage_errors(self.path):
+                self._stream = os.open(self.path, os.O_WRONLY | os.O_APPEND | os.O_CREAT, 0o644)
+        except BaseException:
+            os.close(self._lock)
+            raise
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        os.close(self._stream)
+        os.close(self._lock)
+
+    def get(self, key: str) -> Any:
+        """Return a result.
+
+        Parameters
+        ----------
+        key
+            Its key, of `content_key`.
+
+        Returns
+        -------
+        Any
+            The result, as JSON holds it; None if it is not known.
+        """
+        return self._rows.get(key)
+
+    def add(self, key: str, value: Any) -> None:
+        """Keep a result.
+
+        Parameters
+        ----------
+        key
+            Its key.
+        value
+            The result, which JSON can hold.
+
+        Raises
+        ------
+        StorageError
+            If it cannot be written.
+        """
+        line = (json.dumps({"key": key, "value": value}, allow_nan=False) + "\n").encode()
+        with storage_errors(self.path):
+            write_all(self._stream, line)
+            os.fsync(self._stream)
+        self._rows[key] = value
+
+    def _read(self) -> dict[str, Any]:
+        if not self.path.is_file():
+            return {}
+        rows: dict[str, Any] = {}
+        with storage_errors(self.path):
+            data = self.path.read_bytes()
+            whole = data[: data.rfind(b"\n") + 1]
+            if len(whole) < len(data):
+                os.truncate(self.path, len(whole))
+        for line in whole.splitlines():
+            with suppress(ValueError, KeyError, TypeError):
+                row = json.loads(line)
+                rows[row["key"]] = row["value"]
+        return rows

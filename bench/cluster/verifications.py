@@ -1,0 +1,153 @@
+"""Many sealed folders checked by workers: one piece of work each.
+
+Seals, trust and files are checked each time. Only what was derived again may be kept: it depends on nothing but the
+bytes of the folder and the program, and takes most of the time.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, dataclass
+from datetime import datetime
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from bench.cluster.conversions import content_hash
+from bench.cluster.kept_rows import content_key
+from bench.cluster.program import require_program_of
+from bench.evidence.faults import SealFault
+from bench.evidence.findings import Derivation, Findings, Verification
+from bench.evidence.key_trust import Trust
+from bench.evidence.verify import verify_folder
+
+VERIFIED = "verified.jsonl"
+
+
+@dataclass(frozen=True)
+class Check:
+    """What is to be checked in every folder.
+
+    Attributes
+    ----------
+    trust
+        Whom the reader trusts.
+    at
+        Moment for which the keys must have been valid; None: when the folder was sealed.
+    camera_serial
+        Serial number that the calibrated camera must have; None for any.
+    again
+        Whether to calibrate again from the recordings too.
+    program
+        Hash of the program that hands out the work.
+    """
+
+    trust: Trust
+    at: datetime | None
+    camera_serial: str | None
+    again: bool
+    program: str
+
+
+@dataclass(frozen=True)
+class Checked:
+    """What one check found.
+
+    Attributes
+    ----------
+    verification
+        The result.
+    key
+        Hash of what the derived findings depend on; empty if nothing was derived.
+    derived
+        Findings of what was derived again, as JSON holds them.
+    before
+        Whether they are of an earlier command.
+    """
+
+    verification: Verification
+    key: str = ""
+    derived: Mapping[str, Any] | None = None
+    before: bool = False
+
+
+def check_one(folder: Path, check: Check, known: Mapping[str, Any] | None) -> Checked:
+    """Check one sealed folder on a worker.
+
+    Parameters
+    ----------
+    folder
+        The folder. The ledger of the bench is not compared here, because only the bench has it.
+    check
+        What is to be checked.
+    known
+        Key and findings of an earlier command; None if there are none.
+
+    Returns
+    -------
+    Checked
+        What was found.
+
+    Raises
+    ------
+    BenchError
+        If this worker runs another program, or the folder cannot be read.
+    """
+    require_program_of(check.program)
+    made: list[Checked] = []
+    derive = partial(_derive, check=check, known=known, made=made)
+    found = verify_folder(
+        folder,
+        check.trust,
+        at=check.at,
+        camera_serial=check.camera_serial,
+        derivations={"run": [derive], "results": [derive], "certificate": [lambda _folder: Findings()]},
+    )
+    last = made[-1] if made else Checked(found)
+    return Checked(found, last.key, last.derived, last.before)
+
+
+def _derive(folder: Path, *, check: Check, known: Mapping[str, Any] | None, made: list[Checked]) -> Findings:
+    """Derive the files of a folder again, or take the findings of an earlier command about the same bytes."""
+    key = content_key({"folder": content_hash(folder), "again": check.again, "program": check.program})
+    before = known is not None and known["key"] == key
+    if before and known is not None:
+        derived = known["derived"]
+    else:
+        found = Findings()
+        for derivation in derivations_of(folder, again=check.again):
+            if not found.faults:
+                found.add(derivation(folder))
+        derived = asdict(found)
+    made.append(Checked(Verification(str(folder)), key, derived, before))
+    return Findings(
+        [SealFault(**one) for one in derived["faults"]], [*derived["not_compared"]], [*derived["remarks"]]
+    )
+
+
+def derivations_of(folder: Path, *, again: bool) -> list[Derivation]:
+    """Return what derives the files of a run, or of recalculated results, again.
+
+    Parameters
+    ----------
+    folder
+        The folder.
+    again
+        Whether to calibrate again from the recordings too.
+
+    Returns
+    -------
+    list of function
+        In the order in which they are called.
+    """
+    from bench.evidence.instructions import kind_of
+    from bench.results.derive_again import check_results_folder, check_run
+    from bench.results.reproduce import check_recordings
+    from bench.results.reproduce_offline import check_recalculated
+
+    of_kind: dict[str, tuple[Callable[[Path], Findings], Callable[[Path], Findings]]] = {
+        "run": (check_run, check_recordings),
+        "results": (check_results_folder, check_recalculated),
+    }
+    always, from_recordings = of_kind[kind_of(folder)]
+    return [always, from_recordings] if again else [always]
