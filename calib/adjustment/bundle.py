@@ -8,12 +8,21 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from calib.adjustment.gimbal_observations import GimbalObservations
-from calib.adjustment.linearisation import Places, blocks, residuals_px, view_equations
+from calib.adjustment.linearisation import (
+    Places,
+    Pull,
+    blocks,
+    residuals_px,
+    robust_pull,
+    squares,
+    view_equations,
+)
 from calib.adjustment.normal_equations import NormalEquations
 from calib.adjustment.observations import Observations
 from calib.adjustment.parameters import AdjustmentParameters
@@ -21,7 +30,29 @@ from calib.model.collimator import CENTRE
 from calib.model.gimbal import GIMBAL
 from calib.model.prior import Prior
 
+if TYPE_CHECKING:
+    from calib.adjustment.levenberg_marquardt import Loss
+
 Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class ViewScores:
+    """Information and scores of n views for the G shared parameters, with their L local parameters eliminated.
+
+    Attributes
+    ----------
+    information
+        (n, G, G) float64 information.
+    score
+        (n, G) float64 contribution to the negative gradient of the cost.
+    answer
+        (n, L, G) float64: the local parameters change by minus this times a change of the shared ones.
+    """
+
+    information: Array
+    score: Array
+    answer: Array
 
 
 @dataclass(frozen=True)
@@ -66,6 +97,11 @@ class Bundle:
     def has_drift_prior(self) -> bool:
         """Whether the centre of each view is free, with a prior about the shared centre."""
         return self.free_centres and bool(np.isfinite(self.drift_mm))
+
+    @property
+    def has_priors(self) -> bool:
+        """Whether `prior_cost` can differ from zero."""
+        return self.has_drift_prior or self.prior is not None or self.gimbal is not None
 
     @property
     def _drift_information(self) -> float:
@@ -195,9 +231,12 @@ class Bundle:
         Returns
         -------
         Array
-            (N, 2) weighted residuals; NaN for a star that cannot be projected.
+            (N, 2) weighted residuals, not to be written to; NaN for a star that cannot be projected.
         """
-        return self.observations.whitened(self.residuals_px(parameters))
+        obs = self.observations
+        return obs.remembered(
+            (parameters, self.displacements), lambda: obs.whitened(self.residuals_px(parameters))
+        )
 
     def normal_equations(
         self, parameters: AdjustmentParameters, influence: Array, curvature_root: Array | None = None
@@ -222,7 +261,48 @@ class Bundle:
         NormalEquations
             Equations of all free parameters, with priors.
         """
-        normal, gradient = self._view_equations(parameters, influence, curvature_root)
+        obs = self.observations
+        gradient = np.ascontiguousarray(obs.unwhitened(influence).T)
+        return self._equations(parameters, Pull(gradient, squares(obs, curvature_root)))
+
+    def robust_equations(self, parameters: AdjustmentParameters, loss: Loss) -> NormalEquations:
+        """Linearise a robust cost with its own curvature (Triggs et al., 2000, section 4.3).
+
+        Parameters
+        ----------
+        parameters
+            Where to linearise.
+        loss
+            Cost of a weighted residual.
+
+        Returns
+        -------
+        NormalEquations
+            Equations of all free parameters, with priors.
+        """
+        return self._equations(parameters, self.pull(parameters, loss))
+
+    def pull(self, parameters: AdjustmentParameters, loss: Loss) -> Pull:
+        """Return gradient and curvature of a robust cost by the image points (Triggs et al., 2000, section 4.3).
+
+        Parameters
+        ----------
+        parameters
+            Where to evaluate them.
+        loss
+            Cost of a weighted residual.
+
+        Returns
+        -------
+        Pull
+            Gradient and curvature.
+        """
+        residuals = self.weighted_residuals(parameters)
+        return robust_pull(self.observations, residuals, loss.number, float(loss.limit))
+
+    def _equations(self, parameters: AdjustmentParameters, pull: Pull) -> NormalEquations:
+        """Return the normal equations of all views and of the priors."""
+        normal, gradient = self._view_equations(parameters, pull)
         n = len(self.names)
         equations = NormalEquations(
             normal[:, :n, :n].sum(axis=0),
@@ -234,10 +314,8 @@ class Bundle:
         self._add_priors(equations, parameters)
         return equations
 
-    def scores(
-        self, parameters: AdjustmentParameters, influence: Array, curvature_root: Array | None = None
-    ) -> Iterator[tuple[Array, Array]]:
-        """Yield the information and the score of each view for the shared parameters, its local parameters eliminated.
+    def scores(self, parameters: AdjustmentParameters, loss: Loss, *, curved: bool) -> ViewScores:
+        """Return the information and the score of each view for the shared parameters, its local parameters eliminated.
 
         The score is the view's contribution J^T psi to the negative gradient of the cost. At the optimum without prior
         the scores add up to zero. The local parameters are eliminated by the Schur complement (Triggs et al., 2000,
@@ -247,38 +325,35 @@ class Bundle:
         ----------
         parameters
             Where to linearise.
-        influence
-            (N, 2) gradient of the cost by each weighted residual.
-        curvature_root
-            (N, 2, 2) symmetric square root of the second derivative of the cost by each weighted residual; None for the
-            identity.
+        loss
+            Cost of a weighted residual; it enters the scores.
+        curved
+            Whether the information has the curvature of the robust cost; else that of least squares.
 
-        Yields
-        ------
-        tuple of Array
-            (G, G) information and (G,) score of one view.
+        Returns
+        -------
+        ViewScores
+            One information and one score for each view.
         """
-        n = len(self.names)
-        for i, (normal, gradient) in enumerate(
-            zip(*self._view_equations(parameters, influence, curvature_root), strict=True)
-        ):
-            local, local_gradient, coupling = normal[n:, n:], gradient[n:], normal[:n, n:]
-            if self.has_drift_prior:
-                local = local + self.local_prior_information
-                local_gradient[3:] -= self._drift_information * parameters.offsets[i]
-            solved = np.linalg.solve(local, np.column_stack([coupling.T, local_gradient]))
-            yield normal[:n, :n] - coupling @ solved[:, :-1], gradient[:n] - coupling @ solved[:, -1]
+        n, pull = len(self.names), self.pull(parameters, loss)
+        if not curved:
+            pull = Pull(pull.gradient, squares(self.observations, None))
+        normal, gradient = self._view_equations(parameters, pull)
+        local, local_gradient, coupling = normal[:, n:, n:], gradient[:, n:], normal[:, :n, n:]
+        if self.has_drift_prior:
+            local = local + self.local_prior_information
+            local_gradient[:, 3:] -= self._drift_information * parameters.offsets
+        right = np.concatenate([np.swapaxes(coupling, 1, 2), local_gradient[:, :, None]], axis=2)
+        solved = np.linalg.solve(local, right)
+        eliminated = coupling @ solved
+        return ViewScores(
+            normal[:, :n, :n] - eliminated[:, :, :n], gradient[:, :n] - eliminated[:, :, n], solved[:, :, :n]
+        )
 
-    def _view_equations(
-        self, parameters: AdjustmentParameters, influence: Array, curvature_root: Array | None
-    ) -> tuple[Array, Array]:
-        """Return the normal matrix (n, G + L, G + L) and the gradient (n, G + L) of each view, without priors.
-
-        J^T W J and J^T psi, with the curvature of the robust cost (Triggs et al., 2000, section 4.3).
-        """
-        places = self.places(parameters)
+    def _view_equations(self, parameters: AdjustmentParameters, pull: Pull) -> tuple[Array, Array]:
+        """Return the normal matrix (n, G + L, G + L) and the gradient (n, G + L) of each view, without priors."""
         normal, gradient = view_equations(
-            self.observations, self.displacements, parameters, places, influence, curvature_root
+            self.observations, self.displacements, parameters, self.names, self.free_centres, pull
         )
         from_readings = self.reading_equations(parameters)
         if from_readings is None:

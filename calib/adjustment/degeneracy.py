@@ -49,7 +49,7 @@ def require_distinct_poses(parameters: AdjustmentParameters) -> None:
 
 
 def require_constrained(
-    parameters: AdjustmentParameters, names: Sequence[str], covariance: Array, why: str
+    parameters: AdjustmentParameters, names: Sequence[str], covariance: Array, why: str = ""
 ) -> None:
     """Refuse a result with poorly determined focal lengths.
 

@@ -7,7 +7,8 @@ gradient and by its curvature along and across the residual, so that the search 
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,6 +27,8 @@ Array = NDArray[np.float64]
 #: A predicted reduction below this share of the cost is far below the uncertainty of the parameters.
 RELATIVE_TOLERANCE = 1e-12
 _ABSOLUTE_TOLERANCE = 1e-16
+#: Largest number of steps tried, unless told.
+MAX_ITERATIONS = 100
 #: Number of rounded operations in a projection.
 _ROUNDED_OPERATIONS = 10.0
 
@@ -180,8 +183,9 @@ def refine(
     bundle: Bundle,
     start: AdjustmentParameters,
     loss: Loss,
-    max_iterations: int = 100,
+    max_iterations: int = MAX_ITERATIONS,
     tolerance: float = RELATIVE_TOLERANCE,
+    views: Sequence[int] | None = None,
 ) -> Refinement:
     """Minimise the robust cost (Marquardt, 1963; damping by the rule of Nielsen, 1999).
 
@@ -197,14 +201,18 @@ def refine(
         Largest number of steps tried.
     tolerance
         The refinement ends when the predicted reduction is below this share of the cost.
+    views
+        Indices of the views that take part; None for all. The starting values are those of these views.
 
     Returns
     -------
     Refinement
         ``converged`` is False if the number of steps was reached, or if a star cannot be projected at the start.
     """
-    search = _search if bundle.gimbal is None or start.gimbal is None else search_with_readings
-    return search(bundle, start, loss, max_iterations, tolerance)
+    if bundle.gimbal is None or start.gimbal is None:
+        return _search(bundle, start, loss, max_iterations, tolerance, views)
+    part = bundle if views is None else bundle.subset(views)
+    return search_with_readings(part, start, loss, max_iterations, tolerance)
 
 
 def search_with_readings(
@@ -248,11 +256,15 @@ def search_with_readings(
 
 
 def _search(
-    bundle: Bundle, start: AdjustmentParameters, loss: Loss, max_iterations: int, tolerance: float
+    bundle: Bundle,
+    start: AdjustmentParameters,
+    loss: Loss,
+    max_iterations: int,
+    tolerance: float,
+    views: Sequence[int] | None,
 ) -> Refinement:
     """Minimise the cost without readings of the gimbal: the same search, compiled."""
     obs, prior, state = bundle.observations, bundle.prior, packed(start)
-    places = state_places(start, bundle.places(start), bundle.displacements)
     rotations, offsets = start.rotations.copy(), start.offsets.copy()
     at = [bundle.names.index(name) for name in prior.names] if prior else []
     cost, converged, iterations = search_kernel.search(
@@ -260,9 +272,9 @@ def _search(
         shifts_of(obs, bundle.displacements),
         obs.point_rows,
         obs.factors,
-        obs.starts,
+        obs.bounds if views is None else obs.bounds[list(views)],
         start.camera.is_fisheye,
-        places,
+        state_places(start, bundle.names, bundle.displacements),
         state,
         rotations,
         offsets,
@@ -274,11 +286,29 @@ def _search(
         np.ascontiguousarray(bundle.noise_variance * prior.information) if prior else np.empty((0, 0)),
         prior.mean if prior else np.empty(0),
         max_iterations,
-        np.array([tolerance, _ABSOLUTE_TOLERANCE, _rounding(bundle, 0.5)]),
+        tolerances(bundle, tolerance),
     )
     camera, collimator = unpacked(start, state)
-    end = replace(start, camera=camera, collimator=collimator, rotations=rotations, offsets=offsets)
+    end = AdjustmentParameters(camera, collimator, rotations, offsets, start.gimbal)
     return Refinement(end, cost, converged, iterations)
+
+
+def tolerances(bundle: Bundle, tolerance: float) -> Array:
+    """Return the tolerances of `calib.adjustment.search_kernel.search`.
+
+    Parameters
+    ----------
+    bundle
+        The stars.
+    tolerance
+        Share of the cost below which a predicted reduction ends the search.
+
+    Returns
+    -------
+    Array
+        (3,) relative and absolute tolerance, and how much rounding changes the root of twice the cost.
+    """
+    return np.array([tolerance, _ABSOLUTE_TOLERANCE, _rounding(bundle, 0.5)])
 
 
 def _rounding(bundle: Bundle, cost: float) -> float:
@@ -289,7 +319,7 @@ def _rounding(bundle: Bundle, cost: float) -> float:
     independent errors d of the residuals e change sum e^2 / 2 by about d (sum e^2)^(1/2) = d (2 cost)^(1/2).
     """
     obs = bundle.observations
-    each = np.finfo(float).eps * float(np.abs(obs.points_px).max()) * obs.sigmas_per_px
+    each = np.finfo(float).eps * obs.farthest_px * obs.sigmas_per_px
     return float(_ROUNDED_OPERATIONS * each * np.sqrt(2.0 * cost))
 
 

@@ -17,12 +17,19 @@ from calib.adjustment import star_kernels
 from calib.adjustment.observations import Observations
 from calib.adjustment.parameters import AdjustmentParameters
 from calib.adjustment.star_kernels import ABERRATIONS_AT, CENTRE_AT, LENS_AT, NOWHERE, SKEW_AT
-from calib.model.camera import SKEW, CameraModel
+from calib.model.camera import PINHOLE, SKEW, CameraModel
 from calib.model.collimator import CENTRE, Collimator
 from calib.model.lens import BROWN, FISHEYE
 
 Array = NDArray[np.float64]
 
+#: Places in the state of all parameters but the aberrations.
+_PLACES = {
+    **{name: at for at, name in enumerate(PINHOLE)},
+    **{name: LENS_AT + at for family in (BROWN, FISHEYE) for at, name in enumerate(family)},
+    SKEW: SKEW_AT,
+    **{name: CENTRE_AT + at for at, name in enumerate(CENTRE)},
+}
 #: Number of stars of a block: its derivatives by 15 parameters are about half a megabyte.
 _BLOCK_STARS = 2000
 
@@ -42,6 +49,22 @@ class Places:
 
     shared: Sequence[tuple[str, int]]
     local: int
+
+
+@dataclass(frozen=True)
+class Pull:
+    """How the cost of each star depends on its image point.
+
+    Attributes
+    ----------
+    gradient
+        (2, N) float64 negative gradient of the cost, 1 / px.
+    curvature
+        (3, N) float64 elements xx, xy and yy of the second derivative, 1 / px^2.
+    """
+
+    gradient: Array
+    curvature: Array
 
 
 @dataclass(frozen=True)
@@ -160,25 +183,26 @@ def view_equations(
     observations: Observations,
     displacements: Array | None,
     parameters: AdjustmentParameters,
-    places: Places,
-    influence: Array,
-    curvature_root: Array | None,
+    names: Sequence[str],
+    free_centres: bool,
+    pull: Pull,
 ) -> tuple[Array, Array]:
     """Return the normal matrix and the gradient of each view, without priors.
 
-    J^T W J and J^T psi, with the curvature of the robust cost (Triggs et al., 2000, section 4.3).
+    J^T C J and J^T g, with the curvature C of the robust cost (Triggs et al., 2000, section 4.3).
 
     Parameters
     ----------
-    observations, parameters, places
+    observations, parameters
         As for `blocks`.
     displacements
         (N, 2, T) float64 displacement of each star by a unit of each aberration, mm; None if there are none.
-    influence
-        (N, 2) gradient of the cost by each weighted residual.
-    curvature_root
-        (N, 2, 2) symmetric square root of the second derivative of the cost by each weighted residual; None for the
-        identity.
+    names
+        Names of the G free shared parameters.
+    free_centres
+        Whether the centre of each view is free.
+    pull
+        Gradient and curvature of the cost by the image points.
 
     Returns
     -------
@@ -186,19 +210,19 @@ def view_equations(
         (n, G + L, G + L) normal matrices and (n, G + L) gradients.
     """
     obs, state = observations, packed(parameters)
-    views, width = len(obs.slices), len(places.shared) + places.local
+    views, width = len(obs.slices), len(names) + (6 if free_centres else 3)
     normal, gradient = np.empty((views, width, width)), np.empty((views, width))
     star_kernels.view_equations(
         obs.target_rows,
         shifts_of(obs, displacements),
-        obs.starts,
+        obs.bounds,
         state,
         parameters.camera.is_fisheye,
         np.ascontiguousarray(parameters.rotations),
         np.ascontiguousarray(parameters.offsets),
-        state_places(parameters, places, displacements),
-        np.ascontiguousarray(obs.unwhitened(influence).T),
-        np.array(_square(obs, curvature_root)),
+        state_places(parameters, names, displacements),
+        pull.gradient,
+        pull.curvature,
         normal,
         gradient,
     )
@@ -227,7 +251,7 @@ def residuals_px(
         observations.target_rows,
         shifts_of(observations, displacements),
         observations.point_rows,
-        observations.starts,
+        observations.bounds,
         packed(parameters),
         parameters.camera.is_fisheye,
         np.ascontiguousarray(parameters.rotations),
@@ -285,21 +309,20 @@ def unpacked(parameters: AdjustmentParameters, state: Array) -> tuple[CameraMode
 
 def _lens_places(camera: CameraModel) -> list[int]:
     """Return where the coefficients of a camera's lens, and its skew, stand in the state."""
-    family = FISHEYE if camera.is_fisheye else BROWN
-    return [SKEW_AT if name == SKEW else LENS_AT + family.index(name) for name in camera.distortion]
+    return [_PLACES[name] for name in camera.distortion]
 
 
 def state_places(
-    parameters: AdjustmentParameters, places: Places, displacements: Array | None
+    parameters: AdjustmentParameters, names: Sequence[str], displacements: Array | None
 ) -> NDArray[np.int64]:
-    """Return where the free parameters stand in the state.
+    """Return where parameters stand in the state.
 
     Parameters
     ----------
     parameters
         Camera and collimator.
-    places
-        The free parameters.
+    names
+        Names of G shared parameters.
     displacements
         (N, 2, T) float64 displacements, mm; None if there are none.
 
@@ -308,15 +331,9 @@ def state_places(
     NDArray of int64
         (G,) places; `calib.adjustment.star_kernels.NOWHERE` for a parameter that moves no star.
     """
-    lens = _lens_places(parameters.camera)
-    aberrations = range(ABERRATIONS_AT, ABERRATIONS_AT + len(parameters.collimator.aberrations))
-    known = {
-        "camera": [*range(LENS_AT), *lens],
-        "centre": range(CENTRE_AT, ABERRATIONS_AT),
-        "aberration": aberrations if displacements is not None else [NOWHERE] * len(aberrations),
-    }
-    found = [known[kind][at] if kind in known else NOWHERE for kind, at in places.shared]
-    return np.array(found, np.int64)
+    shown = parameters.collimator.aberrations if displacements is not None else ()
+    aberrations = {name: ABERRATIONS_AT + t for t, name in enumerate(shown)}
+    return np.array([_PLACES.get(name, aberrations.get(name, NOWHERE)) for name in names], np.int64)
 
 
 def shifts_of(observations: Observations, displacements: Array | None) -> Array:
@@ -339,12 +356,57 @@ def shifts_of(observations: Observations, displacements: Array | None) -> Array:
     return np.ascontiguousarray(displacements)
 
 
-def _square(observations: Observations, curvature_root: Array | None) -> tuple[Array, Array, Array]:
-    """Return the elements xx, xy and yy, (N,) each, of W^T C W: whitening W, curvature C of the robust cost."""
+def squares(observations: Observations, curvature_root: Array | None) -> Array:
+    """Return the curvature of the cost by the image points, W^T C W: whitening W, curvature C of the robust cost.
+
+    Parameters
+    ----------
+    observations
+        N stars.
+    curvature_root
+        (N, 2, 2) symmetric square root of C; None for the identity.
+
+    Returns
+    -------
+    Array
+        (3, N) elements xx, xy and yy, 1 / px^2.
+    """
     a, b, c = observations.factors
     if curvature_root is None:
-        return a * a + b * b, b * c, c * c
+        return np.array([a * a + b * b, b * c, c * c])
     xx, xy, yy = curvature_root[:, 0, 0], curvature_root[:, 0, 1], curvature_root[:, 1, 1]
     left, right = xx * a + xy * b, xy * a + yy * b
     upper, lower = xy * c, yy * c
-    return left * left + right * right, left * upper + right * lower, upper * upper + lower * lower
+    return np.array(
+        [left * left + right * right, left * upper + right * lower, upper * upper + lower * lower]
+    )
+
+
+def robust_pull(observations: Observations, residuals: Array, loss: int, limit: float) -> Pull:
+    """Return gradient and curvature of a robust cost (Triggs et al., 2000, section 4.3).
+
+    Parameters
+    ----------
+    observations
+        N stars.
+    residuals
+        (N, 2) weighted residuals.
+    loss, limit
+        As for `calib.adjustment.star_kernels.robust_cost`.
+
+    Returns
+    -------
+    Pull
+        Gradient and curvature by the image points.
+    """
+    pull = Pull(np.empty((2, len(residuals))), np.empty((3, len(residuals))))
+    star_kernels.robust_curvature(
+        np.ascontiguousarray(residuals.T),
+        observations.factors,
+        observations.bounds,
+        loss,
+        limit,
+        pull.gradient,
+        pull.curvature,
+    )
+    return pull

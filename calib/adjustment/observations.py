@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
@@ -39,6 +39,9 @@ class Observations:
     whitening: Array
     slices: tuple[slice, ...]
     view: NDArray[np.int64]
+    _remembered: list[tuple[tuple[object, ...], Array]] = field(
+        default_factory=list, init=False, repr=False, compare=False
+    )
 
     @classmethod
     def from_views(cls, views: Sequence[View]) -> Observations:
@@ -88,9 +91,9 @@ class Observations:
         return np.ascontiguousarray(self.points_px.T)
 
     @cached_property
-    def starts(self) -> NDArray[np.int64]:
-        """(n + 1,) int64 first star of each view, and the number of stars."""
-        return np.array([0, *(rows.stop for rows in self.slices)], np.int64)
+    def bounds(self) -> NDArray[np.int64]:
+        """(n, 2) int64 first star of each view, and the first behind it."""
+        return np.array([(rows.start, rows.stop) for rows in self.slices], np.int64)
 
     @cached_property
     def factors(self) -> Array:
@@ -98,9 +101,36 @@ class Observations:
         return np.array([self.whitening[:, 0, 0], self.whitening[:, 1, 0], self.whitening[:, 1, 1]])
 
     @cached_property
+    def farthest_px(self) -> float:
+        """Largest coordinate of an image point, px."""
+        return float(np.abs(self.points_px).max())
+
+    @cached_property
     def sigmas_per_px(self) -> float:
         """The factor from px to standard deviations of the typical star."""
         return float(np.sqrt(np.median(np.abs(self.factors[0] * self.factors[2]))))
+
+    def remembered(self, given: tuple[object, ...], of: Callable[[], Array]) -> Array:
+        """Return the result of a function; the last one is kept and returned for the same objects.
+
+        Parameters
+        ----------
+        given
+            Objects that the result depends on besides these observations; they never change.
+        of
+            The function.
+
+        Returns
+        -------
+        Array
+            Its result, not to be written to.
+        """
+        if self._remembered and all(a is b for a, b in zip(self._remembered[0][0], given, strict=True)):
+            return self._remembered[0][1]
+        found = of()
+        found.flags.writeable = False
+        self._remembered[:] = [(given, found)]
+        return found
 
     def whitened(self, vectors: Array) -> Array:
         """Multiply vectors by the whitening: residuals in px become weighted residuals.

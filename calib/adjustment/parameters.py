@@ -5,7 +5,7 @@ This module applies steps to the parameters. It does not compare them with obser
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -88,12 +88,39 @@ class AdjustmentParameters:
         AdjustmentParameters
             New parameters; rotations stay orthogonal.
         """
-        steps = dict(zip(names, shared.tolist(), strict=True))
+        return self.after_steps(names, shared[None], local[None])[0]
+
+    def after_steps(self, names: Sequence[str], shared: Array, local: Array) -> list[AdjustmentParameters]:
+        """Return the parameters after each of P steps, as `after_step`.
+
+        Parameters
+        ----------
+        names
+            G names of the free shared parameters.
+        shared
+            (P, G) increments of these parameters.
+        local
+            (P, n, L) increments of the local ones.
+
+        Returns
+        -------
+        list of AdjustmentParameters
+            One for each step.
+        """
+        rotations = exp_map(local[:, :, :3]) @ self.rotations
+        offsets = self.offsets + local[:, :, 3:] if local.shape[2] > 3 else [self.offsets] * len(local)
+        return [
+            self._after_step(dict(zip(names, one, strict=True)), turned, moved)
+            for one, turned, moved in zip(shared.tolist(), rotations, offsets, strict=True)
+        ]
+
+    def _after_step(
+        self, steps: Mapping[str, float], rotations: Array, offsets: Array
+    ) -> AdjustmentParameters:
+        """Return the parameters after steps of the shared parameters by name, with new rotations and offsets."""
         known = {**self.camera.to_dict(), **self.collimator.to_dict()}
         known = {name: value + steps.get(name, 0.0) for name, value in known.items()}
         camera = self.camera.with_values(np.array([known[name] for name in self.camera.parameter_names]))
-        rotations = exp_map(local[:, :3]) @ self.rotations
-        offsets = self.offsets + local[:, 3:] if local.shape[1] > 3 else self.offsets
         gimbal = self.gimbal.after_step(steps) if self.gimbal else None
         return AdjustmentParameters(camera, self.collimator.with_values(known), rotations, offsets, gimbal)
 

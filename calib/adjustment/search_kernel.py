@@ -204,12 +204,35 @@ def _decrement(right: Any, shared: Any, local: Any) -> float:
 
 
 @njit(cache=True, error_model="numpy")
+def _move(
+    state: Any,
+    rotations: Any,
+    offsets: Any,
+    places: Any,
+    shared: Any,
+    local: Any,
+    new_state: Any,
+    new_rotations: Any,
+    new_offsets: Any,
+) -> None:
+    """Write the parameters after a step, as `AdjustmentParameters.after_step`."""
+    new_state[:] = state
+    for g in range(len(places)):
+        if places[g] != NOWHERE:
+            new_state[places[g]] += shared[g]
+    for i in range(len(local)):
+        _turn(rotations[i], local[i], new_rotations[i])
+        for a in range(3, local.shape[1]):
+            new_offsets[i, a - 3] = offsets[i, a - 3] + local[i, a]
+
+
+@njit(cache=True, error_model="numpy")
 def search(
     target: Any,
     displacements: Any,
     points: Any,
     factors: Any,
-    starts: Any,
+    bounds: Any,
     fisheye: bool,
     places: Any,
     state: Any,
@@ -229,7 +252,7 @@ def search(
 
     Parameters
     ----------
-    target, displacements, points, starts, fisheye
+    target, displacements, points, bounds, fisheye
         As for `calib.adjustment.star_kernels.residuals_px`.
     factors
         (3, N) float64 elements 00, 10 and 11 of the whitening of each star, 1 / px.
@@ -257,7 +280,7 @@ def search(
     tuple of float, bool and int
         Cost at the end, whether no further step promises a reduction, and the number of steps tried.
     """
-    shared, views, stars = len(places), len(rotations), points.shape[1]
+    shared, views, stars = len(places), len(rotations), (bounds[:, 1] - bounds[:, 0]).sum()
     width = shared + (6 if free_centres else 3)
     normal, right = np.empty((views, width, width)), np.empty((views, width))
     residuals, gradient, curvature = np.empty((2, stars)), np.empty((2, stars)), np.empty((3, stars))
@@ -265,8 +288,8 @@ def search(
     new_state, new_rotations, new_offsets = state.copy(), rotations.copy(), offsets.copy()
     damping, growth, iteration = FIRST_DAMPING, 2.0, 0
 
-    residuals_px(target, displacements, points, starts, state, fisheye, rotations, offsets, residuals)
-    whiten(residuals, factors)
+    residuals_px(target, displacements, points, bounds, state, fisheye, rotations, offsets, residuals)
+    whiten(residuals, factors, bounds)
     cost = robust_cost(residuals, 0, stars, loss, limit)
     cost += _prior_cost(state, offsets, places, drift, prior_at, prior, mean)
     if not np.isfinite(cost):
@@ -274,9 +297,9 @@ def search(
     fresh = True
     while iteration < max_iterations and damping < MAX_DAMPING:
         if fresh:
-            robust_curvature(residuals, factors, loss, limit, gradient, curvature)
+            robust_curvature(residuals, factors, bounds, loss, limit, gradient, curvature)
             view_equations(
-                target, displacements, starts, state, fisheye, rotations, offsets, places, gradient,
+                target, displacements, bounds, state, fisheye, rotations, offsets, places, gradient,
                 curvature, normal, right,
             )  # fmt: skip
             _add_priors(normal, right, state, offsets, places, drift, prior_at, prior, mean)
@@ -288,18 +311,11 @@ def search(
         predicted = _decrement(right, step, local)
         if predicted * (1.0 + damping) <= tolerances[0] * cost + tolerances[1]:
             return cost, True, iteration
-        new_state[:] = state
-        for g in range(shared):
-            if places[g] != NOWHERE:
-                new_state[places[g]] += step[g]
-        for i in range(views):
-            _turn(rotations[i], local[i], new_rotations[i])
-            for a in range(3, width - shared):
-                new_offsets[i, a - 3] = offsets[i, a - 3] + local[i, a]
+        _move(state, rotations, offsets, places, step, local, new_state, new_rotations, new_offsets)
         residuals_px(
-            target, displacements, points, starts, new_state, fisheye, new_rotations, new_offsets, residuals
+            target, displacements, points, bounds, new_state, fisheye, new_rotations, new_offsets, residuals
         )
-        whiten(residuals, factors)
+        whiten(residuals, factors, bounds)
         new_cost = robust_cost(residuals, 0, stars, loss, limit)
         new_cost += _prior_cost(new_state, new_offsets, places, drift, prior_at, prior, mean)
         gain = 2.0 * (cost - new_cost) / predicted

@@ -74,7 +74,7 @@ def residuals_px(
     target: Any,
     displacements: Any,
     points: Any,
-    starts: Any,
+    bounds: Any,
     state: Any,
     fisheye: bool,
     rotations: Any,
@@ -91,8 +91,8 @@ def residuals_px(
         (N, 2, T) float64 displacement of each star by a unit of each aberration, mm.
     points
         (2, N) float64 image points, px.
-    starts
-        (n + 1,) int64 first star of each view, and the number of stars.
+    bounds
+        (n, 2) int64 first star of each of n views, and the first behind it.
     state
         (16 + T,) float64 the shared parameters.
     fisheye
@@ -100,39 +100,45 @@ def residuals_px(
     rotations, offsets
         (n, 3, 3) float64 rotations, and (n, 3) float64 centres of the views minus the shared one, mm.
     out
-        (2, N) float64 residuals, px; NaN for a star that cannot be projected.
+        (2, M) float64 residuals of the views' stars, view after view, px; NaN for a star that cannot be projected.
     """
-    centre = np.empty(3)
+    centre, at = np.empty(3), 0
     for i in range(len(rotations)):
         centre[0] = state[CENTRE_AT] + offsets[i, 0]
         centre[1] = state[CENTRE_AT + 1] + offsets[i, 1]
         centre[2] = -state[_RADIUS_AT] + offsets[i, 2]
-        for k in range(starts[i], starts[i + 1]):
+        for k in range(bounds[i, 0], bounds[i, 1]):
             x, y = _plane_point(target, displacements, state, k)
             x, y, z = _camera_point(rotations[i], centre, x, y, target[2, k])
             inverse = 1.0 / z if z > 0.0 else np.nan
             u, v = _distorted(x * inverse, y * inverse, state, fisheye)
-            out[0, k] = points[0, k] - (u * state[0] + v * state[SKEW_AT] + state[2])
-            out[1, k] = points[1, k] - (v * state[1] + state[3])
+            out[0, at] = points[0, k] - (u * state[0] + v * state[SKEW_AT] + state[2])
+            out[1, at] = points[1, k] - (v * state[1] + state[3])
+            at += 1
 
 
 @njit(cache=True, error_model="numpy")
-def whiten(residuals: Any, factors: Any) -> None:
+def whiten(residuals: Any, factors: Any, bounds: Any) -> None:
     """Divide residuals by their standard deviations, in place (Aitken, 1936); infinite if a star was not projected.
 
     Parameters
     ----------
     residuals
-        (2, N) float64 residuals, px.
+        (2, M) float64 residuals of the views' stars, view after view, px.
     factors
         (3, N) float64 elements 00, 10 and 11 of the whitening of each star, 1 / px.
+    bounds
+        (n, 2) int64 first star of each view, and the first behind it.
     """
-    for k in range(residuals.shape[1]):
-        x, y = residuals[0, k], residuals[1, k]
-        x, y = factors[0, k] * x, factors[1, k] * x + factors[2, k] * y
-        good = np.isfinite(x) and np.isfinite(y)
-        residuals[0, k] = x if good else np.inf
-        residuals[1, k] = y if good else np.inf
+    at = 0
+    for i in range(len(bounds)):
+        for k in range(bounds[i, 0], bounds[i, 1]):
+            x, y = residuals[0, at], residuals[1, at]
+            x, y = factors[0, k] * x, factors[1, k] * x + factors[2, k] * y
+            good = np.isfinite(x) and np.isfinite(y)
+            residuals[0, at] = x if good else np.inf
+            residuals[1, at] = y if good else np.inf
+            at += 1
 
 
 @njit(cache=True, error_model="numpy")
@@ -142,7 +148,7 @@ def robust_cost(residuals: Any, first: int, end: int, loss: int, limit: float) -
     Parameters
     ----------
     residuals
-        (2, N) float64 weighted residuals.
+        (2, M) float64 weighted residuals.
     first, end
         The first of the stars, and the first behind them.
     loss
@@ -171,7 +177,7 @@ def robust_cost(residuals: Any, first: int, end: int, loss: int, limit: float) -
 
 @njit(cache=True, error_model="numpy")
 def robust_curvature(
-    residuals: Any, factors: Any, loss: int, limit: float, gradient: Any, curvature: Any
+    residuals: Any, factors: Any, bounds: Any, loss: int, limit: float, gradient: Any, curvature: Any
 ) -> None:
     """Write the gradient and the curvature of the robust cost by the image points of all stars.
 
@@ -181,38 +187,43 @@ def robust_curvature(
     Parameters
     ----------
     residuals
-        (2, N) float64 weighted residuals.
+        (2, M) float64 weighted residuals of the views' stars, view after view.
     factors
         (3, N) float64 elements 00, 10 and 11 of the whitening of each star, 1 / px.
+    bounds
+        (n, 2) int64 first star of each view, and the first behind it.
     loss
         Number of the loss, see `LOSSES`.
     limit
         Length at which the loss leaves the parabola.
     gradient
-        (2, N) float64 negative gradient, 1 / px.
+        (2, M) float64 negative gradient, 1 / px.
     curvature
-        (3, N) float64 elements xx, xy and yy of the curvature, 1 / px^2.
+        (3, M) float64 elements xx, xy and yy of the curvature, 1 / px^2.
     """
-    for k in range(residuals.shape[1]):
-        x, y = residuals[0, k], residuals[1, k]
-        a, b, c = factors[0, k], factors[1, k], factors[2, k]
-        length = np.sqrt(x * x + y * y)
-        across, along = 1.0, 1.0
-        if loss == _HUBER and length > limit:
-            across, along = limit / length, 0.0
-        elif loss == _CAUCHY:
-            square = (length / limit) ** 2
-            across = 1.0 / (1.0 + square)
-            along = max((1.0 - square) * across * across, 0.0)
-        gradient[0, k] = across * (a * x + b * y)
-        gradient[1, k] = across * (c * y)
-        length = max(length, _TINY)
-        ux, uy = x / length, y / length
-        excess = along - across
-        xx, xy, yy = across + excess * ux * ux, excess * ux * uy, across + excess * uy * uy
-        curvature[0, k] = a * a * xx + 2.0 * a * b * xy + b * b * yy
-        curvature[1, k] = c * (a * xy + b * yy)
-        curvature[2, k] = c * c * yy
+    at = 0
+    for i in range(len(bounds)):
+        for k in range(bounds[i, 0], bounds[i, 1]):
+            x, y = residuals[0, at], residuals[1, at]
+            a, b, c = factors[0, k], factors[1, k], factors[2, k]
+            length = np.sqrt(x * x + y * y)
+            across, along = 1.0, 1.0
+            if loss == _HUBER and length > limit:
+                across, along = limit / length, 0.0
+            elif loss == _CAUCHY:
+                square = (length / limit) ** 2
+                across = 1.0 / (1.0 + square)
+                along = max((1.0 - square) * across * across, 0.0)
+            gradient[0, at] = across * (a * x + b * y)
+            gradient[1, at] = across * (c * y)
+            length = max(length, _TINY)
+            ux, uy = x / length, y / length
+            excess = along - across
+            xx, xy, yy = across + excess * ux * ux, excess * ux * uy, across + excess * uy * uy
+            curvature[0, at] = a * a * xx + 2.0 * a * b * xy + b * b * yy
+            curvature[1, at] = c * (a * xy + b * yy)
+            curvature[2, at] = c * c * yy
+            at += 1
 
 
 @njit(cache=True, error_model="numpy")
@@ -370,7 +381,7 @@ def _add_products(
 def view_equations(
     target: Any,
     displacements: Any,
-    starts: Any,
+    bounds: Any,
     state: Any,
     fisheye: bool,
     rotations: Any,
@@ -385,12 +396,12 @@ def view_equations(
 
     Parameters
     ----------
-    target, displacements, starts, state, fisheye, rotations, offsets
+    target, displacements, bounds, state, fisheye, rotations, offsets
         As for `residuals_px`. All stars must be in front of the camera.
     places
         (G,) int64 places of the free shared parameters in the state; `NOWHERE` for one that moves no star.
     gradient, curvature
-        (2, N) and (3, N) float64 from `robust_curvature`.
+        (2, M) and (3, M) float64 from `robust_curvature`.
     normal, right
         (n, G + L, G + L) and (n, G + L) float64 results; L is 3, or 6 with the centre of each view.
     """
@@ -398,15 +409,15 @@ def view_equations(
     columns, moved = np.zeros((count, 2, _CHUNK)), np.empty((3, 2, _CHUNK))
     p, plane = np.empty((3, _CHUNK)), np.empty((2, _CHUNK))
     bent, by_normalised, radial = np.empty((2, _CHUNK)), np.empty((3, _CHUNK)), np.empty((3, _CHUNK))
-    centre = np.empty(3)
+    centre, at = np.empty(3), 0
     normal[:] = 0.0
     right[:] = 0.0
     for i in range(len(rotations)):
         centre[0] = state[CENTRE_AT] + offsets[i, 0]
         centre[1] = state[CENTRE_AT + 1] + offsets[i, 1]
         centre[2] = -state[_RADIUS_AT] + offsets[i, 2]
-        for first in range(starts[i], starts[i + 1], _CHUNK):
-            size = min(_CHUNK, starts[i + 1] - first)
+        for first in range(bounds[i, 0], bounds[i, 1], _CHUNK):
+            size = min(_CHUNK, bounds[i, 1] - first)
             for k in range(size):
                 x, y = _plane_point(target, displacements, state, first + k)
                 x, y, z = _camera_point(rotations[i], centre, x, y, target[2, first + k])
@@ -425,7 +436,8 @@ def view_equations(
                     _write_centre(columns[g], places[g], moved, displacements[first : first + size])
                 elif places[g] != NOWHERE:
                     _write_lens(columns[g], places[g], u, v, state, fisheye, bent, radial)
-            _add_products(columns, gradient, curvature, first, size, normal[i], right[i])
+            _add_products(columns, gradient, curvature, at, size, normal[i], right[i])
+            at += size
         for g in range(count):
             for h in range(g):
                 normal[i, h, g] = normal[i, g, h]

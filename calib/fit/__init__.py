@@ -312,13 +312,14 @@ def _constrained(
     parameters = refined.parameters
     if options.passport is None:
         require_distinct_poses(parameters)
-    why = explain_weak_geometry(views, parameters)
     try:
         estimate = covariance_at_optimum(bundle, parameters, loss)
+        require_constrained(parameters, bundle.names, estimate.covariance)
     except DegenerateViews as error:
+        why = explain_weak_geometry(views, parameters)
         raise DegenerateViews(f"{error.what} {why}".strip(), remedy=error.remedy) from error
-    require_constrained(parameters, bundle.names, estimate.covariance, why)
     if not refined.converged:
+        why = explain_weak_geometry(views, parameters)
         raise NotConverged(
             f"The adjustment did not converge within {refined.iterations} steps. {why}".strip(),
             remedy="Add views from other angles, or estimate fewer distortion coefficients.",

@@ -121,8 +121,7 @@ def _by_readings(
     """
     assert bundle.gimbal is not None
     assert parameters.gimbal is not None
-    residuals = bundle.weighted_residuals(parameters)
-    equations = bundle.normal_equations(parameters, residuals, loss.curvature_root(residuals))
+    equations = bundle.robust_equations(parameters, loss)
     inverse = inverse_information(equations.reduced(), bundle.names)
     derivatives = bundle.gimbal.derivatives(parameters.gimbal, bundle.names)
     local = np.zeros((*derivatives.shape[:2], equations.local.shape[1]))

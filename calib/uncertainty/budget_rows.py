@@ -99,9 +99,11 @@ def uncertainty_budget(
     """
     applied = apply_budget(bundle, parameters, loss, estimate, terms)
     parts = covariance_parts(bundle, parameters, loss, estimate)
-    rows = budget_rows(parameters.camera, applied, parts, sources)
+    quantities = _quantities(parameters.camera, applied)
     planar = bundle.free_centres and not bundle.has_drift_prior
-    return UncertaintyBudget(applied, rows, not_included(parameters.camera, applied, planar=planar))
+    return UncertaintyBudget(
+        applied, _rows(quantities, applied, parts, sources or {}), _not_included(quantities, applied, planar)
+    )
 
 
 def budget_rows(
@@ -133,8 +135,13 @@ def budget_rows(
         Rows of the sources of the adjustment, then those of the terms, in their order. Terms that do not apply are
         omitted.
     """
-    names = applied.uncertainty.names
-    rows = _Quantities(camera, names, applied.uncertainty.covariance)
+    return _rows(_quantities(camera, applied), applied, parts, sources or {})
+
+
+def _rows(
+    rows: _Quantities, applied: AppliedBudget, parts: Mapping[str, Array], given: Mapping[str, str]
+) -> tuple[BudgetRow, ...]:
+    """Return the rows, as `budget_rows`."""
     own = rows.variances(applied.without_terms.covariance)
     found = {source: rows.variances(part) for source, part in parts.items()}
     corners = sum(each[WORST_CORNER] for each in found.values())
@@ -156,7 +163,6 @@ def budget_rows(
         )
         answer.append(_of_certificate(row, applied, rows) if name == PASSPORT else row)
     answer += [_row_of_term(each, rows, whole) for each in applied.contributions if each.applies]
-    given = sources or {}
     return tuple(replace(row, source=given.get(row.name, row.source)) for row in answer)
 
 
@@ -210,6 +216,11 @@ def _shares(
 def _finite(number: float) -> float | None:
     """Return a number, or None if it is infinite."""
     return float(number) if np.isfinite(number) else None
+
+
+def _quantities(camera: CameraModel, applied: AppliedBudget) -> _Quantities:
+    """Return the quantities of all rows; the worst corner is that of the whole uncertainty."""
+    return _Quantities(camera, applied.uncertainty.names, applied.uncertainty.covariance)
 
 
 class _Quantities:
@@ -267,7 +278,11 @@ def not_included(camera: CameraModel, applied: AppliedBudget, *, planar: bool = 
     tuple of str
         A sentence for each source. Sources that were stated but do not apply are named too.
     """
-    quantities = _Quantities(camera, applied.uncertainty.names, applied.uncertainty.covariance)
+    return _not_included(_quantities(camera, applied), applied, planar)
+
+
+def _not_included(quantities: _Quantities, applied: AppliedBudget, planar: bool) -> tuple[str, ...]:
+    """Name the sources of uncertainty that nobody stated, as `not_included`."""
     stated = {each.term.kind for each in applied.contributions}
     sentences = []
     for amount, term in _examples(applied.response):
@@ -287,7 +302,7 @@ def _effect(term: TypeBTerm, response: TargetResponse, quantities: _Quantities) 
         fx, farthest = float(np.sqrt(max(covariance[at, at], 0.0))), quantities.widest(covariance)
         chance = " (k = 2)"
     else:
-        change = response.by_term(term)[0] * term.value
+        change = response.shared_by_term(term) * term.value
         fx, farthest, chance = abs(float(change[at])), quantities.farthest(change), ""
     if max(fx, farthest) < _SMALLEST_PX:
         return f"move fx and every image point by less than {_SMALLEST_PX:g} px"

@@ -128,9 +128,9 @@ def covariance_at_optimum(bundle: Bundle, parameters: AdjustmentParameters, loss
     residuals = bundle.weighted_residuals(parameters)
     from scipy import special
 
-    lengths = np.linalg.norm(residuals, axis=1)
-    equations = bundle.normal_equations(parameters, residuals)
-    count = len(bundle.names) + equations.local_gradient.size
+    lengths = np.hypot(residuals[:, 0], residuals[:, 1])
+    views = bundle.scores(parameters, loss, curved=False)
+    count = len(bundle.names) + views.answer[:, :, 0].size
     prior_count = len(bundle.prior.names) if bundle.prior else 0
     prior_count += parameters.offsets.size if bundle.has_drift_prior else 0
     read = 0 if bundle.gimbal is None else bundle.gimbal.angles_deg.size
@@ -147,10 +147,11 @@ def covariance_at_optimum(bundle: Bundle, parameters: AdjustmentParameters, loss
     factor = variance / float(slope) ** 2
     # Priors are weighted by noise_variance in these equations, so the inverse is scaled by it.
     scale = bundle.noise_variance if prior_count else factor
-    inverse = inverse_information(equations.reduced(), bundle.names)
-    growth = noise_growth(bundle, residuals)
-    covariance = scale * (inverse + _added_by_repeats(bundle, parameters, inverse, growth))
-    ratio, views_freedom = _birge(bundle, parameters, loss, variance, growth)
+    inverse = inverse_information(views.information.sum(axis=0) + bundle.prior_information, bundle.names)
+    growth, (information, scores) = noise_growth(bundle, residuals), pose_scores(bundle, views)
+    covariance = scale * (inverse + _added_by_repeats(information, inverse, growth))
+    prior_names = len(bundle.prior.names) if bundle.prior else 0
+    ratio, views_freedom = _birge(information, scores, variance, growth, len(bundle.names) - prior_names)
     limit = special.fdtri(views_freedom, freedom, 1.0 - _FALSE_ALARMS) if views_freedom > 0 else np.inf
     return Uncertainty(
         bundle.names,
@@ -197,18 +198,15 @@ def rotation_covariance(bundle: Bundle, parameters: AdjustmentParameters, nomina
     return np.asarray(joint)
 
 
-def _added_by_repeats(
-    bundle: Bundle, parameters: AdjustmentParameters, inverse: Array, growth: Array
-) -> Array:
+def _added_by_repeats(information: Array, inverse: Array, growth: Array) -> Array:
     """Return what the common noise of repeated views adds to a covariance, per unit of noise variance.
 
-    Linear propagation of the scores' noise (JCGM 100:2008, section 5.2).
+    Linear propagation of the scores' noise (JCGM 100:2008, section 5.2). ``information`` (P, G, G) is that of each
+    pose, and (P,) ``growth`` that of its noise.
     """
     if not (growth > 1.0).any():
         return np.zeros_like(inverse)
-    each = pose_scores(bundle, parameters, bundle.weighted_residuals(parameters))
-    extra = np.sum([(g - 1.0) * own for g, (own, _) in zip(growth, each, strict=True)], axis=0)
-    return np.asarray(inverse @ extra @ inverse)
+    return np.asarray(inverse @ ((growth - 1.0)[:, None, None] * information).sum(axis=0) @ inverse)
 
 
 def _budget(bundle: Bundle, covariance: Array) -> Mapping[str, Array]:
@@ -294,12 +292,10 @@ def _from_scores(
     differ from parameter to parameter; their median is used for all. Source of the sigmas: Bell and McCaffrey (2002).
     The lower limit and the scaling of the covariance to the sigmas are this project's own.
     """
-    residuals = bundle.weighted_residuals(parameters)
-    influence = residuals * loss.weights(np.linalg.norm(residuals, axis=1))[:, None]
-    equations = pose_scores(bundle, parameters, influence, loss.curvature_root(residuals))
-    information, scores = (np.array(each) for each in zip(*equations, strict=True))
+    information, scores = pose_scores(bundle, bundle.scores(parameters, loss, curved=True))
     if working is None:
-        working = nominal.variance_factor * noise_growth(bundle, residuals)[:, None, None] * information
+        growth = noise_growth(bundle, bundle.weighted_residuals(parameters))
+        working = nominal.variance_factor * growth[:, None, None] * information
     prior = bundle.prior_information
     shown = cluster_robust_covariance(scores, information, working, prior, bundle.noise_variance * prior)
     others = {source: variances for source, variances in nominal.budget.items() if source != INCONSISTENCY}
@@ -317,26 +313,25 @@ def _from_scores(
 
 
 def _birge(
-    bundle: Bundle, parameters: AdjustmentParameters, loss: Loss, variance: float, growth: Array
+    information: Array, scores: Array, variance: float, growth: Array, count: int
 ) -> tuple[float, int]:
-    """Return the squared Birge ratio of the poses and its degrees of freedom.
+    """Return the squared Birge ratio of P poses and its degrees of freedom; `count` parameters have no prior.
 
-    At the optimum the scores s_i of the poses cancel. Star noise gives s_i the covariance variance * A_i, where A_i is
-    the pose's information on the shared parameters; repeated views multiply it by `growth`, (P,). The sum of
-    s_i^T A_i^+ s_i has as many degrees of freedom as the poses determine directions, minus the number of shared
+    At the optimum the scores s_i (P, G) of the poses cancel. Star noise gives s_i the covariance variance * A_i, where
+    A_i is the pose's information (P, G, G) on the shared parameters; repeated views multiply it by `growth` (P,). The
+    sum of s_i^T A_i^+ s_i has as many degrees of freedom as the poses determine directions, minus the number of shared
     parameters. Own extension of Birge (1932) from one measurand to several, of which a pose may determine only some.
     """
-    residuals = bundle.weighted_residuals(parameters)
-    influence = residuals * loss.weights(np.linalg.norm(residuals, axis=1))[:, None]
-    total, freedom = 0.0, -len(bundle.names) + (len(bundle.prior.names) if bundle.prior else 0)
-    for grown, (information, score) in zip(growth, pose_scores(bundle, parameters, influence), strict=True):
-        scale = 1.0 / np.sqrt(np.maximum(np.diag(information), np.finfo(float).tiny))
-        eigenvalues, vectors = np.linalg.eigh(information * np.outer(scale, scale))
-        determined = eigenvalues > _DETERMINED * eigenvalues[-1]
-        squares = (vectors[:, determined].T @ (scale * score)) ** 2 / eigenvalues[determined]
-        total += float(squares.sum()) / grown
-        freedom += int(determined.sum())
-    return (total / freedom / variance, freedom) if freedom > 0 and variance > 0 else (1.0, 0)
+    diagonals = np.diagonal(information, axis1=1, axis2=2)
+    scale = 1.0 / np.sqrt(np.maximum(diagonals, np.finfo(float).tiny))
+    eigenvalues, vectors = np.linalg.eigh(information * scale[:, :, None] * scale[:, None])
+    determined = eigenvalues > _DETERMINED * eigenvalues[:, -1:]
+    along = np.einsum("pgk,pg->pk", vectors, scale * scores)
+    squares = np.divide(along**2, eigenvalues, out=np.zeros_like(along), where=determined)
+    freedom = int(determined.sum()) - count
+    if freedom <= 0 or variance <= 0:
+        return 1.0, 0
+    return float((squares.sum(axis=1) / growth).sum()) / freedom / variance, freedom
 
 
 def inverse_information(information: Array, names: Sequence[str]) -> Array:

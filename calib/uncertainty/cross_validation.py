@@ -6,16 +6,15 @@ Views that were left out measure how well a model predicts. The estimates withou
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.adjustment import star_kernels
 from calib.adjustment.bundle import Bundle
+from calib.adjustment.left_out import costs_of_views, rms_alone
 from calib.adjustment.levenberg_marquardt import Loss, refine
-from calib.adjustment.linearisation import residuals_px
 from calib.adjustment.parameters import AdjustmentParameters
 from calib.model.collimator import Collimator
 from calib.uncertainty.repeats import pose_scores, views_of_poses
@@ -28,6 +27,8 @@ MIN_VIEWS = 3
 _TOLERANCE = 1e-8
 #: With as many others, one Newton step from the optimum of all ends within some hundredths of a sigma of theirs.
 _STEP_VIEWS = 9
+#: Singular values below this share of the largest, times their number, are zero.
+_EPSILON = float(np.finfo(float).eps)
 #: Behind a collimator the centres of the views agree to a few per cent of the radius. If they scatter by more than this
 #: share of their distance, the target is a board that was placed anew for each view.
 _PLACED_BY_HAND = 0.1
@@ -85,76 +86,73 @@ def leave_one_out(bundle: Bundle, parameters: AdjustmentParameters, loss: Loss) 
     CrossValidation
         Estimates without each pose, and the predicted residuals of its views.
     """
-    values, rms, stars = [], [], []
     poses = views_of_poses(bundle)
-    at_optimum = _view_costs(bundle, parameters, loss)
-    for left_out, near in zip(poses, _steps_without(bundle, parameters, loss), strict=True):
+    near = _steps_without(bundle, parameters, loss)
+    at_optimum, *after_step = costs_of_views(bundle, [parameters, *near], loss)
+    without: list[AdjustmentParameters] = []
+    for left_out, step, costs in zip(poses, near, after_step, strict=True):
         others = [j for j in range(len(parameters.rotations)) if j not in left_out]
-        fewer, without = _priors_of(bundle, others), near.subset(others)
-        start = parameters.subset(others)
-        cost = at_optimum[others].sum() + fewer.prior_cost(start)
-        far = not _view_costs(bundle, near, loss)[others].sum() + fewer.prior_cost(without) <= cost
+        now = at_optimum[others].sum() + _prior_cost(bundle, parameters, others)
+        far = not costs[others].sum() + _prior_cost(bundle, step, others) <= now
+        start = (parameters if far else step).subset(others)
         if far or len(poses) <= _STEP_VIEWS:
-            start = start if far else without
-            without = refine(bundle.subset(others), start, loss, tolerance=_TOLERANCE).parameters
-        values.append(without.values(bundle.names))
-        for i in left_out:
-            residuals = _alone(bundle, without, parameters.rotations[i], parameters.centres[i], i)
-            rms.append(np.sqrt((residuals**2).sum(axis=1).mean()))
-            stars.append(len(residuals))
-    return CrossValidation(np.array(values), np.array(rms), np.array(stars))
+            start = refine(bundle, start, loss, tolerance=_TOLERANCE, views=others).parameters
+        without.append(start)
+    rms = _rms_left_out(bundle, poses, without, parameters)
+    stars = [bundle.observations.bounds[i] for views in poses for i in views]
+    return CrossValidation(
+        np.array([one.values(bundle.names) for one in without]),
+        np.array([rms[i] for views in poses for i in views]),
+        np.diff(stars, axis=1)[:, 0],
+    )
 
 
-def _priors_of(bundle: Bundle, kept: Sequence[int]) -> Bundle:
-    """Return the bundle with the readings of some views, for `Bundle.prior_cost`; all stars stay."""
-    return replace(bundle, gimbal=bundle.gimbal.subset(kept)) if bundle.gimbal else bundle
+def _prior_cost(bundle: Bundle, parameters: AdjustmentParameters, kept: Sequence[int]) -> float:
+    """Return the contribution of the priors, and of the readings of some views, to the cost."""
+    if not bundle.has_priors:
+        return 0.0
+    fewer = replace(bundle, gimbal=bundle.gimbal.subset(kept)) if bundle.gimbal else bundle
+    return fewer.prior_cost(parameters.subset(kept))
 
 
 def _steps_without(
     bundle: Bundle, parameters: AdjustmentParameters, loss: Loss
-) -> Iterator[AdjustmentParameters]:
-    """Yield, for each pose, the parameters one Newton step from the optimum of all towards that without it.
+) -> list[AdjustmentParameters]:
+    """Return, for each pose, the parameters one Newton step from the optimum of all towards that without it.
 
     Without pose i, the reduced normal equations are H - A_i, and their right side is the missing score, -s_i. One-step
     deletion: Pregibon (1981); the reduced equations are this project's own.
     """
-    residuals = bundle.weighted_residuals(parameters)
-    lengths = np.linalg.norm(residuals, axis=1)
-    influence, root = residuals * loss.weights(lengths)[:, None], loss.curvature_root(residuals)
-    equations = bundle.normal_equations(parameters, influence, root)
-    information = equations.reduced()
-    answers = np.linalg.solve(equations.local, np.swapaxes(equations.coupling, 1, 2))
-    for own, score in pose_scores(bundle, parameters, influence, root):
-        left = information - own
-        # Scaled to a unit diagonal: the parameters differ by many orders of magnitude.
-        scale = 1.0 / np.sqrt(np.maximum(np.diag(left), np.finfo(float).tiny))
-        step = np.linalg.lstsq(left * np.outer(scale, scale), scale * score, rcond=None)[0]
-        shared = np.asarray(-scale * step, np.float64)
-        yield parameters.after_step(bundle.names, shared, -answers @ shared)
+    views = bundle.scores(parameters, loss, curved=True)
+    own, scores = pose_scores(bundle, views)
+    left = views.information.sum(axis=0) + bundle.prior_information - own
+    # Scaled to a unit diagonal: the parameters differ by many orders of magnitude.
+    scale = 1.0 / np.sqrt(np.maximum(np.diagonal(left, axis1=1, axis2=2), np.finfo(float).tiny))
+    inverse = np.linalg.pinv(left * scale[:, :, None] * scale[:, None], rcond=len(left[0]) * _EPSILON)
+    shared = -scale * (inverse @ (scale * scores)[:, :, None])[:, :, 0]
+    local = -np.einsum("nlg,pg->pnl", views.answer, shared)
+    return parameters.after_steps(bundle.names, shared, local)
 
 
-def _view_costs(bundle: Bundle, parameters: AdjustmentParameters, loss: Loss) -> Array:
-    """Return the (n,) robust costs of the stars of each view; infinite if a star cannot be projected."""
-    obs = bundle.observations
-    residuals = residuals_px(obs, bundle.displacements, parameters)
-    star_kernels.whiten(residuals, obs.factors)
-    costs = [
-        star_kernels.robust_cost(residuals, rows.start, rows.stop, loss.number, loss.limit)
-        for rows in obs.slices
-    ]
-    return np.array(costs)
+def _rms_left_out(
+    bundle: Bundle,
+    poses: Sequence[Sequence[int]],
+    without: Sequence[AdjustmentParameters],
+    parameters: AdjustmentParameters,
+) -> Array:
+    """Return the (n,) rms residuals of the views of each pose, px, with the camera and the centre without the pose.
 
-
-def _alone(bundle: Bundle, others: AdjustmentParameters, rotation: Array, centre: Array, i: int) -> Array:
-    """Return the residuals, (N, 2) px, of a view of which only the rotation is adjusted; of a board, its whole pose."""
-    collimator, own = others.collimator, np.zeros((1, 3))
-    by_hand = False
-    if bundle.free_centres and not bundle.has_drift_prior:
-        x, y, z = others.centres.mean(axis=0)
-        collimator = Collimator(float(x), float(y), float(-z))
-        by_hand = bool(np.linalg.norm(others.centres.std(axis=0)) > _PLACED_BY_HAND * abs(z))
-    view = replace(bundle.subset([i]), names=(), free_centres=by_hand, prior=None, gimbal=None)
-    if by_hand:
-        own = centre[None] - collimator.centre
-    start = AdjustmentParameters(others.camera, collimator, rotation[None], own)
-    return view.residuals_px(refine(view, start, Loss("l2"), tolerance=_TOLERANCE).parameters)
+    Of a view only the rotation is adjusted; of a board, its whole pose.
+    """
+    free = bundle.free_centres and not bundle.has_drift_prior
+    by_hand = np.zeros(len(parameters.rotations), np.bool_)
+    others = [parameters] * len(by_hand)
+    for views, one in zip(poses, without, strict=True):
+        found = one
+        if free:
+            x, y, z = one.centres.mean(axis=0).tolist()
+            by_hand[views] = bool(np.linalg.norm(one.centres.std(axis=0)) > _PLACED_BY_HAND * abs(z))
+            found = replace(one, collimator=Collimator(x, y, -z))
+        for i in views:
+            others[i] = found
+    return rms_alone(bundle, others, parameters.rotations, parameters.centres, by_hand, _TOLERANCE)

@@ -6,13 +6,10 @@ than as many independent views. How much less is estimated from the residuals of
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.adjustment.bundle import Bundle
-from calib.adjustment.parameters import AdjustmentParameters
+from calib.adjustment.bundle import Bundle, ViewScores
 from calib.adjustment.poses import members
 
 Array = NDArray[np.float64]
@@ -34,31 +31,28 @@ def views_of_poses(bundle: Bundle) -> list[list[int]]:
     return members(bundle.poses) if bundle.poses else [[i] for i in range(len(bundle.observations.slices))]
 
 
-def pose_scores(
-    bundle: Bundle, parameters: AdjustmentParameters, influence: Array, curvature_root: Array | None = None
-) -> Iterator[tuple[Array, Array]]:
-    """Yield the information and the score of each pose: the sums over its views of `Bundle.scores`.
+def pose_scores(bundle: Bundle, scores: ViewScores) -> tuple[Array, Array]:
+    """Return the information and the score of each pose: the sums over its views.
 
     Parameters
     ----------
     bundle
         Bundle that was adjusted.
-    parameters
-        Where to linearise.
-    influence
-        (N, 2) gradient of the cost by each weighted residual.
-    curvature_root
-        (N, 2, 2) symmetric square root of the second derivative of the cost by each weighted residual; None for the
-        identity.
+    scores
+        Information and scores of its views (`Bundle.scores`).
 
-    Yields
-    ------
+    Returns
+    -------
     tuple of Array
-        (G, G) information and (G,) score of one pose.
+        (P, G, G) information and (P, G) scores of P poses.
     """
-    each = list(bundle.scores(parameters, influence, curvature_root))
-    for views in views_of_poses(bundle):
-        yield np.sum([each[i][0] for i in views], axis=0), np.sum([each[i][1] for i in views], axis=0)
+    poses = views_of_poses(bundle)
+    if len(poses) == len(scores.score):
+        return scores.information, scores.score
+    return (
+        np.array([scores.information[views].sum(axis=0) for views in poses]),
+        np.array([scores.score[views].sum(axis=0) for views in poses]),
+    )
 
 
 def noise_growth(bundle: Bundle, residuals: Array) -> Array:

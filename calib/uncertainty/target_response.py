@@ -7,8 +7,9 @@ bow, for example. The sensitivities are therefore those of one calibration, with
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,8 +22,53 @@ from calib.model.type_b_terms import RADII, SCALES, TypeBTerm
 Array = NDArray[np.float64]
 
 _MICRO = 1e-6
+#: Signs of displacements of the centre by those of a star along X, Y and Z.
+_AGAINST = np.array([-1.0, -1.0, 1.0])
 #: Stars lie on a lattice if its rows and columns have at most this many times as many crossings as there are stars.
 _LATTICE_SHARE = 4
+
+
+@dataclass(frozen=True)
+class _ViewResponses:
+    """How the rotations of n views follow displacements of the stars; computed when it is asked for.
+
+    Attributes
+    ----------
+    local, coupling
+        (n, L, L) and (n, G, L) float64 blocks of the normal equations.
+    gradients
+        For each view the indices of its stars, (m,) int64, and the gradients of its local parameters by their
+        displacements, (L, 3, m).
+    free
+        (G, 3, M) float64 response of the free parameters to displacements of the stars, per mm.
+    free_by_radius
+        (G,) float64 their response to a relative change of 1 of a radius that has a prior; None if it is held.
+    """
+
+    local: Array
+    coupling: Array
+    gradients: Sequence[tuple[NDArray[np.int64], Array]]
+    free: Array
+    free_by_radius: Array | None
+
+    @cached_property
+    def turns(self) -> Array:
+        """(3 n, 3, M) float64 change of the rotation vectors on the camera's side, rad / mm."""
+        right = -np.einsum("ngl,gkm->nlkm", self.coupling, self.free)
+        for own, (index, gradients) in zip(right, self.gradients, strict=True):
+            own[:, :, index] += gradients
+        return self._solved(right).reshape(-1, *self.free.shape[1:])
+
+    def turns_by_radius(self, r_mm: float) -> Array:
+        """Return (3 n,) the change of the rotation vectors by a relative change of 1 of the radius, rad."""
+        if self.free_by_radius is None:
+            return np.asarray(-r_mm * self.turns[:, 2].sum(axis=1))
+        # A radius with a prior moves the rotations only through the other parameters.
+        return self._solved(-(self.free_by_radius @ self.coupling)[:, :, None]).reshape(-1)
+
+    def _solved(self, right: Array) -> Array:
+        """Return the rotations by back-substitution (Triggs et al., 2000, section 6.1)."""
+        return np.asarray(np.linalg.solve(self.local, right.reshape(*right.shape[:2], -1))[:, :3])
 
 
 @dataclass(frozen=True)
@@ -39,11 +85,11 @@ class TargetResponse:
         Foot of the collimator's axis on the target, and its radius, mm; medians if each view has its own centre.
     shared
         (G, 3, M) float64 change of each parameter by the displacement of a star along X, Y and Z, per mm.
-    turns
-        (3 n, 3, M) float64 change of the rotation vectors of n views on the camera's side, rad / mm.
-    shared_by_radius, turns_by_radius
-        (G,) and (3 n,) float64 changes by a relative change of 1 of the radius of a certificate; zero if no certificate
-        determines the radius.
+    views
+        How the rotations of the views follow.
+    shared_by_radius
+        (G,) float64 change of each parameter by a relative change of 1 of the radius of a certificate; zero if no
+        certificate determines the radius.
     has_certificate
         Whether a certificate determines the radius.
     """
@@ -53,10 +99,21 @@ class TargetResponse:
     axis_mm: tuple[float, float]
     r_mm: float
     shared: Array
-    turns: Array
+    views: _ViewResponses
     shared_by_radius: Array
-    turns_by_radius: Array
     has_certificate: bool
+
+    @property
+    def turns(self) -> Array:
+        """(3 n, 3, M) float64 change of the rotation vectors of n views on the camera's side, rad / mm."""
+        return self.views.turns
+
+    @property
+    def turns_by_radius(self) -> Array:
+        """(3 n,) float64 change of the rotation vectors by a relative change of 1 of the radius of a certificate."""
+        if not self.has_certificate:
+            return np.zeros(3 * len(self.views.local))
+        return self.views.turns_by_radius(self.r_mm)
 
     def by_term(self, term: TypeBTerm) -> tuple[Array, Array]:
         """Return the response to a term by one unit of its value.
@@ -73,8 +130,24 @@ class TargetResponse:
         """
         if term.kind in RADII:
             return self.shared_by_radius, self.turns_by_radius
-        displaced = self._displacements(term)
-        return np.einsum("gkm,mk->g", self.shared, displaced), np.einsum("gkm,mk->g", self.turns, displaced)
+        return self.shared_by_term(term), np.einsum("gkm,mk->g", self.turns, self._displacements(term))
+
+    def shared_by_term(self, term: TypeBTerm) -> Array:
+        """Return the first result of `by_term`: the changes of the parameters.
+
+        Parameters
+        ----------
+        term
+            A term that is not random from star to star: any kind but ``wavefront``.
+
+        Returns
+        -------
+        Array
+            (G,) changes of the parameters per unit of the term.
+        """
+        if term.kind in RADII:
+            return self.shared_by_radius
+        return np.asarray(np.einsum("gkm,mk->g", self.shared, self._displacements(term)))
 
     def _displacements(self, term: TypeBTerm) -> Array:
         """Return (M, 3) displacements of the stars, mm, by one unit of a term.
@@ -180,56 +253,54 @@ def target_response(
     TargetResponse
         The response; that of a held parameter is zero, except to its own change.
     """
-    obs = bundle.observations
-    residuals = bundle.weighted_residuals(parameters)
-    root = loss.curvature_root(residuals)
-    equations = bundle.normal_equations(parameters, residuals, root)
-    weight = obs.whitening if root is None else root @ obs.whitening
-    square = np.swapaxes(weight, 1, 2) @ weight
-    stars, index = np.unique(obs.target[:, :2], axis=0, return_inverse=True)
-    index = index.reshape(-1)
-    count, views = len(bundle.names), len(obs.slices)
+    obs, equations = bundle.observations, bundle.robust_equations(parameters, loss)
+    stars, index = _positions(obs.target_rows)
+    own = [index[rows] for rows in obs.slices]
+    gradients = list(_gradients(bundle, parameters, loss))
+    count = len(bundle.names)
+    eliminated = np.swapaxes(np.linalg.solve(equations.local, np.swapaxes(equations.coupling, 1, 2)), 1, 2)
     shared = np.zeros((count, 3, len(stars)))
-    local = np.zeros((views, equations.local.shape[1], 3, len(stars)))
-    # A displacement of a star moves its image as the centre does, with the opposite sign; the centre has Z = -r.
-    moving = replace(bundle, names=("x", "y", "r"), prior=None, free_centres=False)
-    derivatives = zip(obs.slices, bundle.jacobians(parameters), moving.jacobians(parameters), strict=True)
-    for i, (rows, jacobian, moves) in enumerate(derivatives):
-        along = moves[:3] * np.array([-1.0, -1.0, 1.0])[:, None, None]
-        weighted = np.einsum("mij,kjm->kim", square[rows], along)
-        gradients = np.einsum("gim,kim->gkm", jacobian, weighted)
-        local[i][:, :, index[rows]] = gradients[count:]
-        eliminated = np.linalg.solve(equations.local[i], gradients[count:].reshape(len(jacobian) - count, -1))
-        shared[:, :, index[rows]] += gradients[:count] - (equations.coupling[i] @ eliminated).reshape(
-            count, 3, -1
-        )
+    for at, by_view, back in zip(own, gradients, eliminated, strict=True):
+        shared[:, :, at] += by_view[:count] - np.tensordot(back, by_view[count:], 1)
     information = equations.reduced() if information is None else information
     free = _solved(information, shared.reshape(count, -1)).reshape(shared.shape)
-    turns = _turns(equations.local, equations.coupling, local, free)
     x, y, z = np.median(parameters.centres, axis=0).tolist()
-    r = -z
-    by_radius, has_certificate = _radius_gradient(bundle, names, free, information, r)
-    own = np.zeros(len(names))
+    by_radius, has_certificate = _radius_gradient(bundle, names, free, information, -z)
+    held = np.zeros(len(names))
     if has_certificate and "r" not in bundle.names:
-        own[list(names).index("r")] = r
-    # A radius with a prior moves the rotations only through the other parameters.
-    turns_by_radius = -r * turns[:, 2].sum(axis=1)
-    if "r" in bundle.names:
-        still = np.zeros((*local.shape[:2], 1, 1))
-        turns_by_radius = _turns(equations.local, equations.coupling, still, by_radius[:, None, None])[
-            :, 0, 0
-        ]
+        held[list(names).index("r")] = -z
+    by_stars = [(at, by_view[count:]) for at, by_view in zip(own, gradients, strict=True)]
+    through = by_radius if "r" in bundle.names else None
     return TargetResponse(
         tuple(names),
         stars,
         (x, y),
-        r,
+        -z,
         _spread(free, bundle.names, names),
-        turns,
-        own + _spread(by_radius, bundle.names, names),
-        turns_by_radius if has_certificate else np.zeros(len(turns)),
+        _ViewResponses(equations.local, equations.coupling, by_stars, free, through),
+        held + _spread(by_radius, bundle.names, names),
         has_certificate,
     )
+
+
+def _positions(target_rows: Array) -> tuple[Array, NDArray[np.int64]]:
+    """Return the (M, 2) different positions of stars, mm, in the order of X, then Y; and (N,) the place of each."""
+    x, y = target_rows[:2]
+    found, index = np.unique(x + 1j * y, return_inverse=True)
+    return np.column_stack([found.real, found.imag]), index.reshape(-1)
+
+
+def _gradients(bundle: Bundle, parameters: AdjustmentParameters, loss: Loss) -> Iterator[Array]:
+    """Yield (G + L, 3, m) the gradients of each view by displacements of its m stars along X, Y and Z, 1 / mm."""
+    count = len(bundle.names)
+    # A displacement of a star moves its image as the centre does, with the opposite sign; the centre has Z = -r.
+    moving = replace(bundle, names=(*bundle.names, "x", "y", "r"))
+    xx, xy, yy = bundle.pull(parameters, loss).curvature
+    for rows, jacobian in zip(bundle.observations.slices, moving.jacobians(parameters), strict=True):
+        u, v = np.swapaxes(jacobian[count : count + 3] * _AGAINST[:, None, None], 0, 1)
+        own = np.concatenate([jacobian[:count], jacobian[count + 3 :]])
+        by_u, by_v = xx[rows] * u + xy[rows] * v, xy[rows] * u + yy[rows] * v
+        yield own[:, :1] * by_u + own[:, 1:] * by_v
 
 
 def _radius_gradient(
@@ -282,13 +353,6 @@ def _correlations(places: Array) -> tuple[Array, Array, Array]:
     away = places[:, None] - places
     flat = np.exp(-0.5 * away**2)
     return flat, away * flat, (1.0 - away**2) * flat
-
-
-def _turns(local: Array, coupling: Array, gradients: Array, shared: Array) -> Array:
-    """Return (3 n, 3, M) the response of the rotations, by back-substitution (Triggs et al., 2000, section 6.1)."""
-    right = gradients - np.einsum("ngl,gkm->nlkm", coupling, shared)
-    answer = np.linalg.solve(local, right.reshape(*right.shape[:2], -1)).reshape(right.shape)
-    return np.asarray(answer[:, :3].reshape(-1, *right.shape[2:]))
 
 
 def _solved(information: Array, right: Array) -> Array:

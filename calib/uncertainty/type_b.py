@@ -137,7 +137,7 @@ def add_terms(response: TargetResponse, estimate: Uncertainty, terms: Sequence[T
         The new uncertainty, and the contribution of each term.
     """
     covariance = estimate.covariance.copy()
-    turns = np.zeros((len(response.turns), len(response.turns)))
+    turns = np.zeros((3 * len(response.views.local),) * 2)
     contributions, budget = [], dict(estimate.budget)
     for term in with_default_terms(response, terms):
         variance = term.standard_uncertainty**2
@@ -215,7 +215,7 @@ def radius_difference_variance(response: TargetResponse, terms: Sequence[TypeBTe
         elif term.kind == "wavefront":
             variance += float(response.shared_by_wavefront(term)[at, at]) * term.standard_uncertainty**2
         else:
-            variance += (float(response.by_term(term)[0][at]) * term.standard_uncertainty) ** 2
+            variance += (float(response.shared_by_term(term)[at]) * term.standard_uncertainty) ** 2
     return variance
 
 

@@ -1,0 +1,108 @@
+"""Views that were left out: what they cost with given parameters, and how well a rotation alone explains them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calib.adjustment import left_out_kernel
+from calib.adjustment.bundle import Bundle
+from calib.adjustment.levenberg_marquardt import MAX_ITERATIONS, Loss, tolerances
+from calib.adjustment.linearisation import packed, shifts_of
+from calib.adjustment.parameters import AdjustmentParameters
+
+Array = NDArray[np.float64]
+
+
+def costs_of_views(bundle: Bundle, candidates: Sequence[AdjustmentParameters], loss: Loss) -> Array:
+    """Return the robust cost of the stars of each view with each of several parameters, without priors.
+
+    The costs are those of `Loss.cost` (Huber, 1964; Holland and Welsch, 1977).
+
+    Parameters
+    ----------
+    bundle
+        Bundle of n views.
+    candidates
+        P parameters with the rotations of all n views.
+    loss
+        Cost of a weighted residual.
+
+    Returns
+    -------
+    Array
+        (P, n) costs; infinite if a star cannot be projected.
+    """
+    obs = bundle.observations
+    costs = np.empty((len(candidates), len(obs.slices)))
+    left_out_kernel.costs_of_views(
+        obs.target_rows,
+        shifts_of(obs, bundle.displacements),
+        obs.point_rows,
+        obs.factors,
+        obs.bounds,
+        candidates[0].camera.is_fisheye,
+        np.array([packed(one) for one in candidates]),
+        np.array([one.rotations for one in candidates]),
+        np.array([one.offsets for one in candidates]),
+        loss.number,
+        float(loss.limit),
+        costs,
+    )
+    return costs
+
+
+def rms_alone(
+    bundle: Bundle,
+    others: Sequence[AdjustmentParameters],
+    rotations: Array,
+    centres: Array,
+    by_hand: NDArray[np.bool_],
+    tolerance: float,
+) -> Array:
+    """Return how well the camera of other views explains each view, of which only the rotation is adjusted.
+
+    Parameters
+    ----------
+    bundle
+        Bundle of n views.
+    others
+        For each view the camera and the collimator that the others give.
+    rotations
+        (n, 3, 3) rotations of the views, the start.
+    centres
+        (n, 3) centres of the views, mm. They count for a view that was placed by hand; the others have the centre of
+        the collimator.
+    by_hand
+        (n,) bool, whether the centre is adjusted too.
+    tolerance
+        As for `calib.adjustment.levenberg_marquardt.refine`.
+
+    Returns
+    -------
+    Array
+        (n,) root mean square residual, px.
+    """
+    obs = bundle.observations
+    offsets = np.zeros((len(rotations), 3))
+    for i in np.flatnonzero(by_hand):
+        offsets[i] = centres[i] - others[i].collimator.centre
+    rms = np.empty(len(rotations))
+    left_out_kernel.rms_alone(
+        obs.target_rows,
+        shifts_of(obs, bundle.displacements),
+        obs.point_rows,
+        obs.factors,
+        obs.bounds,
+        others[0].camera.is_fisheye,
+        np.array([packed(one) for one in others]),
+        rotations.copy(),
+        offsets,
+        by_hand,
+        MAX_ITERATIONS,
+        tolerances(bundle, tolerance),
+        rms,
+    )
+    return rms
