@@ -81,6 +81,19 @@ def empty_events(n: int) -> Events:
     )
 
 
+def copy_events(source: Events, target: Events) -> None:
+    """Copy events into other arrays, which may overlap.
+
+    Parameters
+    ----------
+    source
+        The events.
+    target
+        Arrays of the same length, filled in.
+    """
+    target.t[:], target.x[:], target.y[:], target.p[:] = source
+
+
 def empty_triggers(n: int) -> Triggers:
     """Allocate arrays for trigger edges.
 

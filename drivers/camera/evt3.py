@@ -8,15 +8,16 @@ byte offset. This module opens no files and no devices. ``evt3_kernel`` lists th
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.camera.event_arrays import Events, Triggers, empty_events, join_triggers
-from drivers.camera.evt3_kernel import run
+from drivers.camera.event_arrays import Events, Triggers, copy_events, empty_events, join_triggers
+from drivers.camera.evt3_kernel import max_event_count, run
+from drivers.camera.evt3_place import Place, place_of, set_place
 from drivers.camera.evt3_state import S, StopReason, new_state
+from drivers.camera.evt3_statistics import StreamStatistics as StreamStatistics  # noqa: PLC0414 - exported
 from drivers.camera.evt3_usual import Mode
 from drivers.camera.evt3_vectors import MARGIN, add_events
 from drivers.camera.word_vectors import BLOCK_WORDS
@@ -29,81 +30,8 @@ GAPS_KEPT: Final = 64
 """Number of gaps whose times are kept; further gaps are only counted."""
 
 _TRIGGERS_AT_ONCE: Final = 4096
-
-
-@dataclass(frozen=True)
-class StreamStatistics:
-    """Counts, times and losses of a stream up to its last word.
-
-    Attributes
-    ----------
-    events, on_events, triggers
-        Number of events, of ON events, and of trigger edges (rising and falling).
-    first_t_us, last_t_us
-        The sensor's clock at its first and its last time word, us; both -1 before any time word.
-    rate_controller_in, rate_controller_out
-        Number of events into and out of the rate controller, summed over its windows of 200 us; None if the sensor
-        sent no report.
-    lost_events
-        Number of events that the sensor counted in its windows and that did not arrive; 0 without reports.
-    mismatched_windows
-        Number of windows in which the sensor's count differs from the number of events that arrived; 0 without reports.
-    missing_windows
-        Number of windows whose report did not arrive. It is not known how many events the sensor sent in them, so
-        ``lost_events`` is then a lower bound.
-    gaps
-        The clock before and after each step of TIME_HIGH by more than one, us: words are missing there. The first 64.
-    gap_count
-        Number of all gaps.
-    unplaced_events
-        Number of events before the first time, row or vector base: the stream began in the middle of another one.
-    back_steps
-        Number of times that TIME_LOW stepped back by some microseconds, as it does in busy sensors.
-    """
-
-    events: int
-    on_events: int
-    triggers: int
-    first_t_us: int
-    last_t_us: int
-    rate_controller_in: int | None
-    rate_controller_out: int | None
-    lost_events: int
-    mismatched_windows: int
-    missing_windows: int
-    gaps: tuple[tuple[int, int], ...]
-    gap_count: int
-    unplaced_events: int
-    back_steps: int
-
-    @property
-    def duration_s(self) -> float:
-        """Time on the sensor's clock from the first time word to the last, s; 0 without time words."""
-        return (self.last_t_us - self.first_t_us) * 1e-6 if self.first_t_us >= 0 else 0.0
-
-    def loss_messages(self) -> tuple[str, ...]:
-        """Describe each gap, and the losses that the sensor's own counts show.
-
-        Returns
-        -------
-        tuple of str
-            Sentences for the operator; none if nothing was lost.
-        """
-        messages = [f"Words are missing from {a} to {b} us of the sensor's clock." for a, b in self.gaps]
-        if self.gap_count > len(self.gaps):
-            messages.append(f"{self.gap_count - len(self.gaps)} more gaps follow.")
-        if self.missing_windows:
-            messages.append(
-                f"{self.missing_windows} event count reports of the sensor are missing (it sends one every 200 us): "
-                f"at least {self.lost_events} events are lost, and all events sent in these "
-                f"{self.missing_windows * 0.2:.1f} ms."
-            )
-        elif self.mismatched_windows:
-            messages.append(
-                f"In {self.mismatched_windows} windows of 200 us the number of events that arrived differs from the "
-                f"sensor's count: {self.lost_events} events are missing."
-            )
-        return tuple(messages)
+_WORDS_AT_ONCE: Final = 1 << 20
+"""Largest number of words whose events are counted to give arrays their size."""
 
 
 class Evt3Decoder:
@@ -158,7 +86,9 @@ class Evt3Decoder:
         """
         start, words = 0, _in_a_row(words)
         while start < len(words):
-            out = empty_events(min(max(max_events, MARGIN), 12 * (len(words) - start) + MARGIN))
+            rest = len(words) - start
+            most = 12 * rest if rest > _WORDS_AT_ONCE else max_event_count(words[start:])
+            out = empty_events(min(max(max_events, MARGIN), most + MARGIN))
             stop = self._store(words, start, out)
             yield out.part(0, int(self._state[S.TAKEN])), self._copied_triggers()
             start = self._advance(words, start, stop)
@@ -171,7 +101,7 @@ class Evt3Decoder:
         words
             (N,) uint16, the next words of the stream.
         events
-            Arrays to fill; they need room for 32 events more than the words hold.
+            Arrays to fill. Up to 32 places after the last event may be touched, but none outside the arrays.
         at
             Index of the first event to write.
 
@@ -190,12 +120,17 @@ class Evt3Decoder:
         found = []
         start, words = 0, _in_a_row(words)
         while start < len(words):
-            out = events.part(at, len(events.t))
+            room = len(events.t) - at
+            few = room < 2 * MARGIN
+            out = empty_events(2 * MARGIN) if few else events.part(at, len(events.t))
             stop = self._store(words, start, out)
             found.append(self._copied_triggers())
-            if stop == start and self._state[S.STOP_REASON] == StopReason.ROOM:
+            taken = int(self._state[S.TAKEN])
+            if taken > room:
                 raise ValueError(f"arrays for {len(events.t)} events have no room for more events")
-            at += int(self._state[S.TAKEN])
+            if few:
+                copy_events(out.part(0, taken), events.part(at, at + taken))
+            at += taken
             start = self._advance(words, start, stop)
         return at, join_triggers(found)
 
@@ -300,6 +235,36 @@ class Evt3Decoder:
                 f"The sensor's clock steps back from {state[S.T]} us: its {part} part reads {word & 0xFFF}."
             )
         return f"The type of word 0x{word:04X} does not exist in EVT3."
+
+    @property
+    def place(self) -> Place:
+        """Clock, row and vector base after the last word."""
+        return place_of(self._state)
+
+    def at(self, place: Place, first_byte: int) -> Evt3Decoder:
+        """Return a decoder of the same stream that continues elsewhere. Its statistics begin anew.
+
+        Parameters
+        ----------
+        place
+            Clock, row and vector base before its first word.
+        first_byte
+            Offset of that word in the file, bytes.
+
+        Returns
+        -------
+        Evt3Decoder
+            The decoder.
+        """
+        size = int(self._state[S.WIDTH]), int(self._state[S.HEIGHT])
+        decoder = Evt3Decoder(*size, first_byte=first_byte, where=self._where)
+        set_place(decoder._state, place)
+        return decoder
+
+    @property
+    def next_byte(self) -> int:
+        """Offset of the next word in the file, bytes."""
+        return self._next_byte
 
     @property
     def clock_us(self) -> int:

@@ -50,6 +50,7 @@ class Mode(IntEnum):
 LONG_RUN: Final = 6
 """Number of single events in a row from which on they are copied together."""
 
+_ALL: Final = np.uint64(0xFFFFFFFF)
 _ONE: Final = np.uint64(1)
 _ADDRESS: Final = np.uint64(0x7FF)
 _P: Final = np.uint64(11)
@@ -161,6 +162,39 @@ def _take_vectors(
     return i, x, n
 
 
+@njit(**JIT, forceinline=True)
+def _take_plain_blocks(
+    words: Any,
+    i: Any,
+    mode: int,
+    limits: Any,
+    t: Any,
+    y: Any,
+    n: Any,
+    on: Any,
+    events: Any,
+    image: Any,
+    scratch: Any,
+) -> Any:
+    """Take blocks while all their words are plain, without long runs; return next word, next event, ON events, t and y.
+
+    The next block does not depend on what this one holds, so that the processor works on several at once.
+    """
+    repeated, width, height, most = limits
+    while (i + np.uint64(BLOCK_WORDS) <= np.uint64(len(words))) & (n <= np.uint64(most)):
+        singles, rows, lows, on_singles, plain = word_masks(words, i, width, height, repeated, t & 0xFFF)
+        run = lowest_place(~(singles >> (lowest_place(singles) & np.uint64(63))))
+        if (plain != _ALL) | (run >= np.uint64(LONG_RUN)):
+            break
+        if mode != Mode.TALLY:
+            _take_mixed(words, i, mode, singles, t, y, n, events, image, scratch)
+        n += count_ones(singles)
+        on += count_ones(on_singles)
+        t, y = _in_force(words, i, rows, lows, t, y)
+        i += np.uint64(BLOCK_WORDS)
+    return i, n, on, t, y
+
+
 @njit(**JIT)
 def take_usual_words(
     words: Any,
@@ -223,10 +257,15 @@ def take_usual_words(
                 _fill(events, filled, n, t, y)
             if found and mode != Mode.TALLY:
                 _take_mixed(words, i, mode, found, t, y, n, events, image, scratch)
-            filled = n = n + count_ones(found)
+            n += count_ones(found)
             on += count_ones(on_singles & found)
             t, y = _in_force(words, i, rows, lows, t, y)
             i += size
+            if size == np.uint64(BLOCK_WORDS):
+                i, n, on, t, y = _take_plain_blocks(
+                    words, i, mode, limits, t, y, n, on, events, image, scratch
+                )
+            filled = n
         if copied & (i - began == next_single) & (n <= room):
             _take_run(words, i, mode, run, y, n, events, image)
             n += run

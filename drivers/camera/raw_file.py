@@ -6,6 +6,7 @@ words raise ``RecordingCorrupt`` with their byte offset in the file.
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,9 +14,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.camera.event_arrays import Events, Triggers, empty_events, join_triggers
+from drivers.camera.event_arrays import Events, Triggers, copy_events, empty_events, join_triggers
 from drivers.camera.evt3 import Evt3Decoder, StreamStatistics, Words
 from drivers.camera.evt3_kernel import max_event_count
+from drivers.camera.evt3_threads import BLOCK_WORDS, decode_blocks, threads_for, with_room
 from drivers.camera.evt3_vectors import MARGIN
 from drivers.camera.raw_header import MAX_HEADER_BYTES, RawHeader, parse_header
 from drivers.camera.whole_file import require_regular, require_whole
@@ -127,7 +129,7 @@ class RawFile:
         """Serial number of the camera; empty if the header has none."""
         return self.raw_header.fields.get("serial_number", "")
 
-    def words(self, *, piece_words: int = 1 << 19) -> Iterator[Words]:
+    def words(self, *, piece_words: int = 1 << 18) -> Iterator[Words]:
         """Read the words as they stand in the file. An odd byte at the end is left out.
 
         Parameters
@@ -173,9 +175,13 @@ class RawFile:
         RecordingFileError
             If the file cannot be read.
         """
-        decoder = self._decoder()
-        for words in self.words():
-            yield from decoder.decode(words, max_events=max_events)
+        decoder, threads = self._decoder(), threads_for(self._size())
+        if threads == 1:
+            for words in self.words():
+                yield from decoder.decode(words, max_events=max_events)
+            return
+        blocks = with_room(self.words(piece_words=BLOCK_WORDS), max(max_events, MARGIN))
+        yield from decode_blocks(decoder, blocks, threads)
 
     def chunks(self, *, max_events: int = 1_000_000) -> Iterator[Events]:
         """Decode events in the order of the file.
@@ -212,13 +218,19 @@ class RawFile:
         RecordingCorrupt, RecordingFileError
             As ``pieces``.
         """
-        events = empty_events(sum(max_event_count(words) for words in self.words()) + MARGIN)
-        decoder = self._decoder()
+        counts = [max_event_count(words) for words in self.words(piece_words=BLOCK_WORDS)]
+        bounds = np.concatenate(([0], np.cumsum(counts, dtype=np.int64)))
+        events = empty_events(int(bounds[-1]))
+
+        rooms = (events.part(int(a), int(b)) for a, b in itertools.pairwise(bounds))
+        blocks = zip(
+            self.words(piece_words=BLOCK_WORDS), rooms, strict=False
+        )  # the file may have changed since it was counted
         triggers = []
         done = 0
-        for words in self.words():
-            done, edges = decoder.decode_into(words, events, done)
+        for part, edges in decode_blocks(self._decoder(), blocks, threads_for(self._size())):
             triggers.append(edges)
+            done = _close_up(events, done, part)
         return events.part(0, done), join_triggers(triggers)
 
     def triggers(self) -> Triggers:
@@ -283,6 +295,15 @@ class RawFile:
     def _decoder(self) -> Evt3Decoder:
         first_byte = self.raw_header.size_bytes
         return Evt3Decoder(self.width, self.height, first_byte=first_byte, where=str(self.path))
+
+
+def _close_up(events: Events, end: int, part: Events) -> int:
+    """Move a part of the events to ``end``, unless it is there already; return the new end."""
+    new_end = end + len(part.t)
+    place = events.part(end, new_end)
+    if len(part.t) and place.t.ctypes.data != part.t.ctypes.data:
+        copy_events(part, place)
+    return new_end
 
 
 def _unreadable(path: Path, error: OSError) -> RecordingFileError:

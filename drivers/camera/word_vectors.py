@@ -62,24 +62,24 @@ def _many(value: int, n: int = BLOCK_WORDS) -> Any:
 
 
 @intrinsic
-def count_ones(_typing: Any, _bits: Any) -> Any:
-    """Return the number of bits set in a uint64.
+def count_ones(_typing: Any, bits: Any) -> Any:
+    """Return the number of bits set in an unsigned integer, in the same type.
 
     Parameters
     ----------
-    _bits
-        Bits, uint64.
+    bits
+        Bits.
 
     Returns
     -------
-    uint64
+    int
         Number of bits.
     """
 
     def generate(_context: Any, builder: Any, _signature: Any, args: Any) -> Any:
         return builder.ctpop(args[0])
 
-    return types.uint64(types.uint64), generate
+    return bits(bits), generate
 
 
 @intrinsic

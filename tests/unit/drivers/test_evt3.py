@@ -183,7 +183,16 @@ def test_an_image_of_another_size_is_refused():
 def test_arrays_without_room_are_refused():
     words = np.array([high(0), low(0), row(0), *[event(k) for k in range(40)]], np.uint16)
     with pytest.raises(ValueError, match="no room"):
-        Evt3Decoder(WIDTH, HEIGHT).decode_into(words, empty_events(50), 0)
+        Evt3Decoder(WIDTH, HEIGHT).decode_into(words, empty_events(39), 0)
+
+
+def test_arrays_that_the_events_just_fill_are_enough_and_nothing_beside_them_is_touched():
+    words = np.array([high(0), low(0), row(0), *[event(k) for k in range(300)]], np.uint16)
+    events = empty_events(320)
+    events.x[:] = 7
+    end, _ = Evt3Decoder(WIDTH, HEIGHT).decode_into(words, events.part(10, 310), 0)
+    assert end == 300
+    assert events.x.tolist() == [7] * 10 + list(range(300)) + [7] * 10
 
 
 def test_decoding_into_arrays_refuses_a_malformed_first_word():
