@@ -11,7 +11,7 @@ from typing import Any, ClassVar
 import pytest
 
 from bench.plugin_tests.rig import SPOILT, Rig, SimulatedLight, fails_in_time, rig
-from bench.plugin_tests.stages import _Clock
+from bench.plugin_tests.stages import ContractClock
 from bench.stations.devices import open_light
 from bench.stations.station import Station
 from drivers.errors import DriverError, PortBusy, PortLost, ReplyError, SettingRefused, WrongDevice
@@ -168,5 +168,5 @@ class LightContract:
 
 
 def _opened(station: Station) -> Light:
-    clock: Any = _Clock()
+    clock: Any = ContractClock()
     return open_light(station, str, clock, None)

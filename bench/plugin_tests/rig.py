@@ -163,12 +163,33 @@ def rig(kind: str, section: Mapping[str, Any], device: SimulatedDevice, folder: 
     with SerialDevice(PseudoTerminal(folder / "port"), line) as plugged:
 
         def station(changes: Mapping[str, Any]) -> Station:
-            filled = _filled(section, plugged.address)
-            document = {"format": "starbench/station/1", "name": "Contract tests", **_OTHERS}
-            text = json.dumps({**document, kind: {**filled, **changes}}, indent=1)
-            return check_document(text.encode(), "contract.yaml", Station).value
+            return station_of(kind, section, plugged.address, changes)
 
         yield Rig(plugged, line, station)
+
+
+def station_of(kind: str, section: Mapping[str, Any], address: str, changes: Mapping[str, Any]) -> Station:
+    """Return a station with a section.
+
+    Parameters
+    ----------
+    kind
+        "stage", "light" or "camera".
+    section
+        Section of the station file.
+    address
+        What stands for each `PORT`.
+    changes
+        Keys of the section with other values.
+
+    Returns
+    -------
+    Station
+        The station; its other devices are never opened.
+    """
+    document = {"format": "starbench/station/1", "name": "Contract tests", **_OTHERS}
+    text = json.dumps({**document, kind: {**_filled(section, address), **changes}}, indent=1)
+    return check_document(text.encode(), "contract.yaml", Station).value
 
 
 def _filled(section: Mapping[str, Any], address: str) -> dict[str, Any]:

@@ -6,6 +6,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import closing, suppress
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -28,11 +29,12 @@ from drivers.errors import (
 from drivers.stage import Stage
 
 
-class _Clock(SystemClock):
+class ContractClock(SystemClock):
     """The system's clock, as a run's."""
 
-    def utc_now(self) -> str:
-        return time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime())
+    def utc_now(self) -> datetime:
+        """Return the time of the system."""
+        return datetime.now(UTC)
 
 
 class StageContract:
@@ -218,7 +220,7 @@ class StageContract:
 
 
 def _opened(station: Station) -> Stage:
-    clock: Any = _Clock()
+    clock: Any = ContractClock()
     return open_stage(station, str, clock, None)
 
 

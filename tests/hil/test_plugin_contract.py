@@ -3,19 +3,23 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from typing import Any, ClassVar
 
 import pytest
 
-from bench.plugin_tests import LightContract, StageContract
+from bench.plugin_tests import CameraContract, LightContract, StageContract
+from simulators.cameras.evk4 import SimulatedEvk4
 from simulators.lights.microcontroller import MicrocontrollerLight
 from simulators.stages.dynamixel import DynamixelBus
 from simulators.stages.dynamixel_servo import ServoModel
 from simulators.stages.flir_ptu import PtuAxisModel, PtuController
 from simulators.stages.mechanics import Mechanics
 from simulators.stages.thorlabs_apt import AptController, AptModel
+from simulators.world.world import World
 from tests.hil.direct_stages import K10CR1_COUNTS_PER_DEG
+from tests.hil.evk4_host import FLICKER, SMALL
 
 AXIS = {"counts_per_deg": 800, "limits_deg": [-15, 15], "speed_deg_s": 40, "acceleration_deg_s2": 200}
 
@@ -125,3 +129,26 @@ class TestMicrocontrollerLight(LightContract):
 
     def device(self, clock: Callable[[], float]) -> Lamp:
         return Lamp("SB7", clock)
+
+
+@pytest.mark.slow
+class TestSimulatedEvk4(CameraContract):
+    section: ClassVar[Mapping[str, Any]] = {
+        "driver": "simulated_evk4",
+        "address": "PORT",
+        "serial": "00050423",
+    }
+    other_serial = "00050424"
+    biases: ClassVar[Mapping[str, int]] = {"bias_diff_on": 5, "bias_fo": -3}
+    impossible_biases: ClassVar[Mapping[str, int]] = {"bias_diff_on": 5000}
+
+    @contextmanager
+    def connected(self) -> Iterator[SimulatedEvk4]:
+        world = World(SMALL, seed=1)
+        world.set_light(FLICKER)
+        camera = SimulatedEvk4(world, paced=True)
+        camera.start()
+        try:
+            yield camera
+        finally:
+            camera.close()

@@ -11,6 +11,8 @@ import zipfile
 from pathlib import Path
 
 import pytest
+from quick_runs import THREE, write_sequence, write_station
+from station_texts import without
 
 ROOT = Path(__file__).parents[2]
 EXAMPLE = ROOT / "docs" / "plugins" / "starbench_turntable"
@@ -144,6 +146,80 @@ def test_a_broken_plugin_is_named_and_breaks_nothing_else(tmp_path, code, reason
     assert reason in said[0]
     assert "bench.yaml:4:3: stage" in said[0] or "bench.yaml:3:" in said[0]
     assert said[-1] == "ZaberStageConfig"
+
+
+LAB = """\
+from datetime import UTC, datetime
+from typing import Literal
+from bench.stations.sections import EventCameraSection, LightSection
+from drivers.camera.simulated_evk4 import SimulatedEvk4Camera
+from drivers.light.scpi import ScpiLight
+class Camera(EventCameraSection):
+    driver: Literal['labcam']
+    address: str
+    @property
+    def ports(self):
+        return (self.address,)
+    def open_device(self, port, *, clock):
+        return SimulatedEvk4Camera.open(
+            port(self.address), serial=self.serial, clock=clock, utc_now=lambda: datetime.now(UTC)
+        )
+class Lamp(LightSection):
+    driver: Literal['lablamp']
+    wire: str
+    @property
+    def ports(self):
+        return (self.wire,)
+    def open_device(self, port, *, clock, wire_log):
+        return ScpiLight.open(port(self.wire), clock=clock, wire_log=wire_log)
+"""
+
+
+@pytest.fixture
+def lab(tmp_path: Path) -> Path:
+    """A package with a camera and a light, as an installer would leave it."""
+    site = tmp_path / "site"
+    info = site / "lab-0.3.dist-info"
+    info.mkdir(parents=True)
+    (site / "lab.py").write_text(LAB)
+    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: lab\nVersion: 0.3\n")
+    (info / "entry_points.txt").write_text(
+        "[starbench.cameras]\nlabcam = lab:Camera\n[starbench.lights]\nlablamp = lab:Lamp\n"
+    )
+    text = write_station(tmp_path / "bench.yaml").read_text()
+    text = without(text, "light").replace("driver: simulated_evk4", "driver: labcam")
+    (tmp_path / "bench.yaml").write_text(text + "light: {driver: lablamp, wire: sim:light}\n")
+    return site
+
+
+def test_a_camera_and_a_light_of_a_package_have_sections_like_any_other(lab, tmp_path) -> None:
+    (tmp_path / "wrong.yaml").write_text((tmp_path / "bench.yaml").read_text().replace("wire:", "wier:"))
+    said = run(lab, "-c", READ.replace("stage", "camera"), tmp_path / "bench.yaml", tmp_path / "wrong.yaml")
+    assert said.startswith("Camera\n")
+    assert "light.wier: unknown key. Did you mean 'wire'?" in said
+    schema = run(lab, "-m", "bench", "schema", "station")
+    assert '"labcam"' in schema
+    assert '"lablamp"' in schema
+
+
+@pytest.mark.slow
+def test_a_run_uses_a_camera_and_a_light_of_a_package(lab, tmp_path, monkeypatch) -> None:
+    monkeypatch.setenv("STARBENCH_HOME", str(tmp_path / "home"))
+    sequence = write_sequence(tmp_path / "sequence.yaml", THREE)
+    said = run(
+        lab,
+        "-m",
+        "bench",
+        "run",
+        sequence,
+        "-s",
+        tmp_path / "bench.yaml",
+        "-o",
+        tmp_path / "run",
+        "--seed",
+        "1",
+    )
+    assert "Report: " in said, said
 
 
 def test_two_packages_of_one_name_are_both_named_and_a_built_in_driver_stays(installed, tmp_path) -> None:
