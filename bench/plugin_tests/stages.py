@@ -33,7 +33,13 @@ class ContractClock(SystemClock):
     """The system's clock, as a run's."""
 
     def utc_now(self) -> datetime:
-        """Return the time of the system."""
+        """Return the time of the system.
+
+        Returns
+        -------
+        datetime
+            In UTC.
+        """
         return datetime.now(UTC)
 
 
