@@ -80,6 +80,25 @@ def test_files_written_by_faery(tmp_path, version):
     assert_same(found, rows, origin_us=int(rows["t"][0]) - int(found.events.t[0]))
 
 
+@pytest.mark.parametrize("kind", ["evt2", "dat"])
+def test_another_reader_finds_the_same_events(tmp_path, kind):
+    expelliarmus = pytest.importorskip("expelliarmus", reason="pip install expelliarmus")
+    rows = some_events(step_us=11)
+    path = tmp_path / ("a.raw" if kind == "evt2" else "a.dat")
+    if kind == "dat":
+        path.write_bytes(dat_rows(rows))
+    else:
+        highs = 0x8000_0000 | (rows["t"] >> 6)
+        words = rows["on"] * np.uint64(1) << 28 | (rows["t"] & 63) << 22
+        words |= rows["x"].astype(np.uint64) << 11 | rows["y"]
+        path.write_bytes(EVT2_HEAD + np.column_stack((highs, words)).astype("<u4").tobytes())
+    theirs = expelliarmus.Wizard(encoding=kind).read(path)
+    found = import_events(path)
+    assert_same(found, rows)
+    for name in "txyp":
+        assert np.array_equal(theirs[name], getattr(found.events, name))
+
+
 def test_dat_times_go_on_where_their_counter_turns_over(tmp_path):
     rows = some_events(4)
     rows["t"] = [0xFFFF_FFF0, 0xFFFF_FFFF, 0x1_0000_0001, 0x1_0000_0002]
