@@ -18,6 +18,7 @@ import click
 from bench import __version__
 from bench.commands.align_command import align
 from bench.commands.batch_commands import BATCH_COMMANDS, BEGIN
+from bench.commands.calibrate_command import calibrate
 from bench.commands.certificate_commands import CERTIFICATE_COMMANDS
 from bench.commands.compare_command import compare
 from bench.commands.completion import add_completion
@@ -268,6 +269,7 @@ cli.add_command(keys)
 cli.add_command(panel)
 cli.add_command(recalibrate)
 cli.add_command(convert)
+cli.add_command(calibrate)
 cli.add_command(compare)
 cli.add_command(verify)
 for target_command in TARGET_COMMANDS:

@@ -1,4 +1,4 @@
-"""Commands of the calibration engine, which need no devices: calibrate, rig, passport, study.
+"""Commands of the calibration engine, which need no devices: rig, passport, study.
 
 Arguments, options and exit statuses only, like `bench.commands.cli`; other modules do the work.
 """
@@ -120,80 +120,46 @@ _OPTIONS = (
 )
 
 
-def _engine_options(command: _Command) -> _Command:
-    """Add the options that say how to calibrate to a command."""
+def engine_options(command: _Command) -> _Command:
+    """Add the options that say how to calibrate to a command.
+
+    Parameters
+    ----------
+    command
+        The function of the command.
+
+    Returns
+    -------
+    function
+        The same, with the options.
+    """
     for option in reversed(_OPTIONS):
         command = option(command)
     return command
 
 
-def _views_and_options(command: _Command) -> _Command:
-    """Add the argument that names the views, and the options that say how to calibrate, to a command."""
-    command = _engine_options(command)
+def views_and_options(command: _Command) -> _Command:
+    """Add the argument that names the views, and the options that say how to calibrate, to a command.
+
+    Parameters
+    ----------
+    command
+        The function of the command.
+
+    Returns
+    -------
+    function
+        The same, with the argument and the options.
+    """
+    command = engine_options(command)
     paths = click.argument("paths", nargs=-1, required=True, metavar="PATH...", type=ExistingPath())
     return paths(command)
 
 
 @click.command()
-@_views_and_options
-@click.option("--compare", is_flag=True, help="Compare with OpenCV's planar method and the published recipe.")
-@click.option(
-    "--output",
-    "-o",
-    type=OutputFolder(),
-    help="New folder for results, report, exports and hashes of the input files; sealed with the bench's key.",
-)
-@click.option("--no-seal", is_flag=True, help="Leave the folder a DRAFT, without a seal.")
-@click.option(
-    "--find-again",
-    is_flag=True,
-    help="Find the stars in every recording, also where an earlier command has kept them (docs/cluster.md).",
-)
-@JSON
-def calibrate(
-    paths: tuple[Path, ...],
-    compare: bool,
-    output: Path | None,
-    no_seal: bool,
-    find_again: bool,
-    as_json: bool,
-    **options: Any,
-) -> int:
-    """Calibrate without devices, from existing data in one or more PATHs.
-
-    A PATH is a run folder, a RAW file, an image of the target from a frame camera, a file of points (columns x, y,
-    X, Y, id), or a folder of such files. A run is calibrated with its own options, passport and gimbal readings, unless
-    options are given here.
-    """
-    from bench.commands.calibration_output import print_calibration
-    from bench.commands.keys_output import key_or_draft
-    from bench.records.run_folder import REPORT
-    from bench.results.offline import calibrate_paths, compare_methods
-    from bench.results.offline_options import OfflineOptions
-    from bench.views.kept_views import KeptViews
-
-    if output is not None:
-        from bench.results.offline_folder import require_new, write_offline_results
-
-        require_new(output)
-    key = None if output is None or no_seal else key_or_draft()
-    choices = OfflineOptions.from_command_line(**options)
-    kept = None if find_again else KeptViews.of_bench()
-    result = calibrate_paths(paths, choices, kept)
-    for remark in kept.remarks if kept else ():
-        click.echo(remark, err=True)
-    if output is not None:
-        write_offline_results(result, output, key)
-    print_calibration(result, compare_methods(result) if compare else None, as_json=as_json)
-    if output is not None and not as_json:
-        click.echo(f"Report: {output / REPORT}")
-    return 0
-
-
-@click.command()
 @click.argument("first", type=ExistingPath())
 @click.argument("second", type=ExistingPath())
-@_engine_options
+@engine_options
 @JSON
 def rig(first: Path, second: Path, as_json: bool, **options: Any) -> int:
     """Calculate the rotation from the camera of FIRST to the camera of SECOND on one rig, behind one collimator.
@@ -219,7 +185,7 @@ def passport() -> None:
 
 
 @passport.command("make")
-@_views_and_options
+@views_and_options
 @click.option("--output", "-o", required=True, type=NewFile(), help="New passport file.")
 @click.option(
     "--collimator", help="Serial number or name of the collimator.  [default: as in the run's station]"
@@ -423,4 +389,4 @@ def study(
     return show_study(studied, as_json=as_json)
 
 
-ENGINE_COMMANDS = (calibrate, rig, passport, study)
+ENGINE_COMMANDS = (rig, passport, study)

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from bench.commands.engine_commands import _engine_options as engine_options
+from bench.commands.engine_commands import engine_options
 from bench.commands.options import JSON, OutputFolder
 from bench.commands.worker_options import open_workers, worker_options
 

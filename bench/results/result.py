@@ -22,6 +22,7 @@ from bench.report.choice import pictured_poses
 from bench.report.html import ReportData, render_report
 from bench.report.view_picture import ViewPicture
 from bench.results.exports import exports
+from bench.results.keep_views import keep_views_of_run
 from bench.results.previous_calibration import bench_ledger, previous_calibration
 from bench.results.results_content import results_content, software
 from bench.results.solution import Solution, main_numbers, solve_run
@@ -96,6 +97,7 @@ class ResultWriter:
         calib.errors.CalibrationError
             If the views do not determine the camera.
         """
+        keep_views_of_run(self._job, history, measured)
         self._solution = solve_run(self._job, self._folder.path, step, history, measured, check)
         return main_numbers(self._solution.calibration)
 

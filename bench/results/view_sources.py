@@ -154,11 +154,26 @@ def _run_sources(folder: Path, choices: OfflineOptions) -> Iterator[ViewSource]:
                 decided_by=_decided_by("recording", path, choices),
             )
             continue
-        yield ViewSource(path, read, job=job, attempt=attempt, decided_by=_decided_by_run(job, step, attempt))
+        yield ViewSource(path, read, job=job, attempt=attempt, decided_by=decided_by_run(job, step, attempt))
 
 
-def _decided_by_run(job: Job, step: RecordStep, attempt: Attempt) -> dict[str, Any]:
-    """Return what decides the view of a recording of a run."""
+def decided_by_run(job: Job, step: RecordStep, attempt: Attempt) -> dict[str, Any]:
+    """Return what decides the view of a recording of a run.
+
+    Parameters
+    ----------
+    job
+        Task of the run.
+    step
+        The step that recorded it.
+    attempt
+        The accepted recording.
+
+    Returns
+    -------
+    dict
+        Values that JSON can hold.
+    """
     return {
         "kind": f"run, {job.camera_kind.name} camera",
         "name": step.pose.name,

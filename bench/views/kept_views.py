@@ -11,22 +11,20 @@ import functools
 import hashlib
 import io
 import json
-import os
 import platform
-import tempfile
-import time
 import zipfile
 from collections.abc import Callable, Iterable, Mapping
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bench.base.home import home_folder
+from bench.records.kept_entries import KeptEntries
 from bench.records.storage import sha256_of
 from calib.errors import InputMismatch
 from calib.view import RimPoints, View
@@ -43,6 +41,7 @@ DETECTOR_SOURCES = (
     "calib/view.py",
     "calib/model/homography.py",
     "calib/model/local_consistency.py",
+    "calib/model/neighbour_kernels.py",
     "calib/boards",
     "calib/events",
     "calib/stars",
@@ -55,34 +54,29 @@ DETECTOR_SOURCES = (
 """Files and folders of the program that decide which view a recording gives. A change of any makes a new version."""
 _LIBRARIES = ("numpy", "opencv-python-headless", "numba", "scipy", "h5py")
 
-_BUCKETS = 256
-_STALE_S = 3600.0
 _ARRAYS = ("ids", "points_px", "target_mm", "covariances_px2")
 _RIM = ("points_mm", "sigmas_mm", "lit_mm")
 
 
 @dataclass
-class KeptViews:
+class KeptViews(KeptEntries):
     """A folder of views; several processes may use it at once.
 
     Attributes
     ----------
-    folder
-        The folder; it is made at the first view, readable for its owner only.
     most_bytes
-        Size of all entries together. The entries that were used least recently are deleted first.
-    remarks
-        Sentences for the user: which entries were broken, and why views cannot be kept.
+        Size of all entries together.
     found, used
         Numbers of views found in recordings, and of views taken from the folder.
     """
 
-    folder: Path
     most_bytes: int = MOST_BYTES
-    remarks: list[str] = field(default_factory=list)
     found: int = 0
     used: int = 0
-    _usable: bool | None = field(default=None, init=False, repr=False)
+
+    ending: ClassVar[str] = ".view"
+    thing: ClassVar[str] = "view"
+    otherwise: ClassVar[str] = "the stars are found"
 
     @classmethod
     def of_bench(cls) -> KeptViews:
@@ -112,7 +106,7 @@ class KeptViews:
         View
             The same as ``find`` returns.
         """
-        if not self._is_usable():
+        if not self.is_usable():
             return find()
         try:
             recording = sha256_of(path)
@@ -142,26 +136,14 @@ class KeptViews:
         View or None
             None if there is no entry, or it is broken; a broken one is deleted and told.
         """
-        path = self._path(key)
-        try:
-            data = path.read_bytes()
-        except FileNotFoundError:
-            return None
-        except OSError as error:
-            self.remarks.append(
-                f"{path}: a kept view cannot be read ({error.strerror}); the stars are found again."
-            )
+        data = self.read_entry(key)
+        if data is None:
             return None
         try:
-            view = unpack_view(data, key)
+            return unpack_view(data, key)
         except (ValueError, KeyError, TypeError, EOFError, InputMismatch, zipfile.BadZipFile) as error:
-            self.remarks.append(f"{path}: a kept view is broken ({error}); the stars are found again.")
-            with suppress(OSError):
-                path.unlink()
+            self.drop_entry(key, str(error))
             return None
-        with suppress(OSError):
-            os.utime(path)
-        return view
 
     def write(self, key: str, view: View) -> None:
         """Keep a view. If this is not possible, say so and go on.
@@ -173,74 +155,7 @@ class KeptViews:
         view
             The view.
         """
-        if not self._is_usable():
-            return
-        path, data = self._path(key), pack_view(view, key)
-        if len(data) > self.most_bytes // _BUCKETS:
-            return
-        try:
-            path.parent.mkdir(mode=0o700, exist_ok=True)
-            self._make_room(path.parent, len(data))
-            descriptor, part = tempfile.mkstemp(dir=path.parent, prefix=".", suffix=".tmp")
-            try:
-                with os.fdopen(descriptor, "wb") as stream:
-                    stream.write(data)
-                Path(part).replace(path)
-            except OSError:
-                with suppress(OSError):
-                    Path(part).unlink()
-                raise
-        except OSError as error:
-            self._refuse(f"{error.strerror or error}")
-
-    def _path(self, key: str) -> Path:
-        return self.folder / key[:2] / f"{key}.view"
-
-    def _make_room(self, bucket: Path, size: int) -> None:
-        """Delete the entries of a bucket that were used least recently, and parts that dead processes left.
-
-        Keys are hashes, so entries are spread evenly over the buckets, and each has the same share of the size.
-        """
-        entries = []
-        for entry in os.scandir(bucket):
-            with suppress(FileNotFoundError):
-                status = entry.stat(follow_symlinks=False)
-                if entry.name.startswith("."):
-                    if time.time() - status.st_mtime > _STALE_S:
-                        Path(entry.path).unlink(missing_ok=True)
-                    continue
-                entries.append((status.st_mtime_ns, status.st_size, entry.path))
-        total = size + sum(one[1] for one in entries)
-        for _, had, name in sorted(entries):
-            if total <= self.most_bytes // _BUCKETS:
-                break
-            Path(name).unlink(missing_ok=True)
-            total -= had
-
-    def _is_usable(self) -> bool:
-        """Return whether the folder is there, belongs to this user, and nobody else may write to it."""
-        if self._usable is None:
-            self._usable = True
-            try:
-                self.folder.mkdir(mode=0o700, parents=True, exist_ok=True)
-                status = self.folder.stat()
-                if hasattr(os, "getuid"):
-                    if status.st_uid != os.getuid():
-                        self._refuse("the folder belongs to another user")
-                    elif status.st_mode & 0o077:
-                        self._refuse(
-                            f"other users may use the folder; change its mode: chmod 700 {self.folder}"
-                        )
-            except OSError as error:
-                self._refuse(f"{error.strerror or error}")
-        return self._usable
-
-    def _refuse(self, why: str) -> None:
-        if self._usable is not False:
-            self.remarks.append(
-                f"{self.folder}: views cannot be kept ({why}); the stars are found each time."
-            )
-        self._usable = False
+        self.write_entry(key, pack_view(view, key))
 
 
 def view_key(recording_sha256: str, options: Mapping[str, Any]) -> str:

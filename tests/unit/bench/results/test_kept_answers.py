@@ -1,0 +1,98 @@
+"""Answers of `calibrate` are kept until anything that decides them changes; a run keeps its own views."""
+
+import pytest
+from click.testing import CliRunner
+from solved_run import write_solved_run
+
+from bench.commands import calibrate_command
+from bench.commands.cli import cli
+from bench.plan.job import Job
+from bench.records.history import replay
+from bench.records.journal import read_journal
+from bench.results import kept_answers
+from bench.results.keep_views import keep_views_of_run
+from bench.results.kept_answers import KeptAnswers, answer_key
+from bench.results.offline import with_kept_views
+from bench.results.offline_options import OfflineOptions
+from bench.results.view_sources import view_sources
+from bench.views.kept_views import KeptViews, pack_view
+from bench.views.measure import Measurement
+from bench.views.views_file import read_views
+
+
+@pytest.fixture
+def run(tmp_path, monkeypatch):
+    monkeypatch.setenv("STARBENCH_HOME", str(tmp_path / "home"))
+    folder = tmp_path / "run"
+    (folder / "captures").mkdir(parents=True)
+    (folder / "journal.jsonl").write_text("{}\n")
+    (folder / "captures" / "one.raw").write_bytes(b"events")
+    return folder
+
+
+def test_the_key_covers_every_file_the_options_and_the_program(run, monkeypatch):
+    keys = {answer_key([run], {"model": None})}
+    assert keys == {
+        answer_key([run], {"model": None, "passport": None}) and answer_key([run], {"model": None})
+    }
+    keys.add(answer_key([run], {"model": "radial"}))
+    (run / "captures" / "one.raw").write_bytes(b"Events")
+    keys.add(answer_key([run], {"model": None}))
+    (run / "station.yaml").write_text("")
+    keys.add(answer_key([run], {"model": None}))
+    monkeypatch.setattr(kept_answers, "forms", lambda: {"program": "newer"})
+    keys.add(answer_key([run], {"model": None}))
+    assert len(keys) == 5
+    assert None not in keys
+    assert answer_key([run], {"passport": "file.json"}) is None
+    assert answer_key([run / "captures" / "one.raw"], {}) is None
+
+
+def test_a_changed_answer_is_calculated_again_and_told(run):
+    answers, key = KeptAnswers.of_bench(), "ab" * 32
+    answers.keep(key, "fx 3345 ± 1 px\n")
+    assert KeptAnswers.of_bench().answer(key) == "fx 3345 ± 1 px\n"
+    (entry,) = answers.folder.glob("*/*.json")
+    entry.write_bytes(entry.read_bytes().replace(b"3345", b"3346"))
+    assert answers.answer(key) is None
+    assert "it is calculated again" in answers.remarks[0]
+    assert not entry.exists()
+
+
+def test_the_command_calculates_once(run, monkeypatch):
+    calls = []
+
+    def calibrated(paths, *_, **__):
+        calls.append(paths)
+        return "the answer\n"
+
+    monkeypatch.setattr(calibrate_command, "_calibrated", calibrated)
+
+    def say(*words):
+        return CliRunner().invoke(cli, ["calibrate", str(run), *words], standalone_mode=False).stdout
+
+    assert (say(), say(), say()) == ("", "the answer\n", "the answer\n")
+    assert len(calls) == 1
+    say("--find-again")
+    say("--compare")
+    say("--json")
+    assert len(calls) == 4
+    (run / "captures" / "one.raw").write_bytes(b"other")
+    say()
+    assert len(calls) == 5
+
+
+def test_a_run_keeps_its_views(tmp_path):
+    folder = write_solved_run(tmp_path)
+    job = Job.from_run_folder(folder)
+    history = replay(read_journal(folder / "journal.jsonl")[0])
+    views = [stored.view for stored in read_views(folder / "views.h5")]
+    measured = {
+        index: Measurement(view, None, {})
+        for index, view in zip(sorted(history.accepted()), views, strict=True)
+    }
+    assert keep_views_of_run(job, history, measured) == len(views) == 4
+    kept = KeptViews.of_bench()
+    read = [with_kept_views(source, kept).read() for source in view_sources(folder, OfflineOptions())]
+    assert (kept.used, kept.found) == (4, 0)
+    assert [pack_view(view, "0") for view in read] == [pack_view(view, "0") for view in views]
