@@ -73,8 +73,8 @@ def _without_process(model: RunModel) -> Leave:
         return Leave(False, "The run has not begun.")
     return Leave(
         False,
-        "The run's process was killed or lost its power. Nothing has been made safe since: look at the light and the"
-        " stage, then resume the run.",
+        "The run's process was killed or lost its power. Nothing in its journal says how it left the bench: look at the"
+        " light and the stage, then resume the run.",
     )
 
 

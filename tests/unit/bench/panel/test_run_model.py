@@ -142,7 +142,7 @@ def test_a_killed_run_is_not_called_safe(run):
     head = _head(run, ProcessState())
     assert head["verdict"] == "interrupted"
     assert not head["leave"]["safe"]
-    assert "Nothing has been made safe since" in head["leave"]["text"]
+    assert "Nothing in its journal says how it left the bench" in head["leave"]["text"]
 
 
 def test_a_run_that_needs_nobody_can_be_left(run):
