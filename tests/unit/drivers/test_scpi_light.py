@@ -246,10 +246,13 @@ def test_what_is_no_number_is_refused(light, generator, garbage) -> None:
         light.read()
 
 
-def test_something_else_than_an_instrument_is_refused(generator, clock) -> None:
-    generator.identity = "hello"
-    with pytest.raises(ReplyError, match=r"the four fields of IEEE 488\.2, was expected"):
+@pytest.mark.parametrize("said", ["hello", "Agilent Technologies,33220A-SIM,1.0", ",,1,2"])
+def test_something_else_than_an_instrument_is_refused_with_what_it_said(generator, clock, said) -> None:
+    """Instruments with three fields exist; "no identity" was all that was told."""
+    generator.identity = said
+    with pytest.raises(ReplyError, match=r"the four fields of IEEE 488\.2, was expected") as caught:
         ScpiLight(generator, clock=clock)
+    assert repr(said) in caught.value.what
     assert generator.closed
 
 
