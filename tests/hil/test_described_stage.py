@@ -181,6 +181,15 @@ def test_a_board_that_restarts_when_its_port_is_opened_is_waited_for(starts_s, o
     assert clock.now_s < awake_s
 
 
+@pytest.mark.parametrize(("frequency_hz", "duty_percent"), [(3232, 1), (4999, 99), (4999.3, 50), (0.5, 1)])
+def test_a_light_makes_all_that_it_says_it_can_make(frequency_hz, duty_percent) -> None:
+    """365 whole frequencies up to 5000 Hz were refused for the rounding to ticks of a timer."""
+    light = direct_light("microcontroller", VirtualClock(), np.random.default_rng(2)).light
+    got = light.apply(LightSettings(frequency_hz=frequency_hz, duty_percent=duty_percent))
+    assert got.frequency_hz == pytest.approx(frequency_hz, rel=1.6e-4)
+    assert got.duty_percent == pytest.approx(duty_percent, rel=0.016)
+
+
 def test_a_reply_with_another_digit_does_not_pass_its_checksum() -> None:
     rig = direct_light("microcontroller", VirtualClock(), np.random.default_rng(2))
     rig.light.apply(LightSettings(frequency_hz=50.0))
