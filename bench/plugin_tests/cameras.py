@@ -234,7 +234,7 @@ class CameraContract:
 def _opened(station: Station, clock: ContractClock) -> EventCamera:
     any_clock: Any = clock
     camera: Any = open_camera(station, str, any_clock)
-    return camera  # type: ignore[no-any-return]
+    return camera
 
 
 def _readable(folder: Path) -> None:
