@@ -350,6 +350,23 @@ class Bundle:
             normal[:, :n, :n] - eliminated[:, :, :n], gradient[:, :n] - eliminated[:, :, n], solved[:, :, :n]
         )
 
+    def view_equations(self, parameters: AdjustmentParameters, loss: Loss) -> tuple[Array, Array]:
+        """Return the equations of each view with a robust cost (Triggs et al., 2000, section 4.3), without priors.
+
+        Parameters
+        ----------
+        parameters
+            Where to linearise.
+        loss
+            Cost of a weighted residual.
+
+        Returns
+        -------
+        tuple of Array
+            (n, G + L, G + L) normal matrices and (n, G + L) negative gradients.
+        """
+        return self._view_equations(parameters, self.pull(parameters, loss))
+
     def _view_equations(self, parameters: AdjustmentParameters, pull: Pull) -> tuple[Array, Array]:
         """Return the normal matrix (n, G + L, G + L) and the gradient (n, G + L) of each view, without priors."""
         normal, gradient = view_equations(

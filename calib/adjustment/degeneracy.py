@@ -177,8 +177,8 @@ def beam_half_angle_deg(parameters: AdjustmentParameters, views: Sequence[View])
     """
     widest = 0.0
     for view, centre in zip(views, parameters.centres, strict=True):
-        rays = np.column_stack([view.target_mm, np.zeros(len(view))]) - centre
-        rays /= np.linalg.norm(rays, axis=1, keepdims=True)
-        middle = rays.mean(axis=0) / np.linalg.norm(rays.mean(axis=0))
-        widest = max(widest, float(np.rad2deg(np.arccos(np.clip(rays @ middle, -1, 1)).max())))
+        x, y = (view.target_mm - centre[:2]).T
+        rays = np.array([x, y, np.full(len(view), -centre[2])]) / np.sqrt(x * x + y * y + centre[2] ** 2)
+        middle = rays.mean(axis=1) / np.linalg.norm(rays.mean(axis=1))
+        widest = max(widest, float(np.rad2deg(np.arccos(np.clip((middle @ rays).min(), -1, 1)))))
     return widest

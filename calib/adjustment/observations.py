@@ -65,13 +65,7 @@ class Observations:
         counts = [len(view) for view in views]
         target = np.concatenate([view.target_mm for view in views])
         covariances = np.concatenate([view.covariances_px2 for view in views])
-        try:
-            whitening = np.linalg.inv(np.linalg.cholesky(covariances))
-        except np.linalg.LinAlgError:
-            raise InputMismatch(
-                "A star's covariance is not positive definite.",
-                remedy="Use unit covariances if they are unknown.",
-            ) from None
+        whitening = _whitening(covariances)
         return cls(
             np.column_stack([target, np.zeros(len(target))]),
             np.asfortranarray(np.concatenate([view.points_px for view in views])),
@@ -123,7 +117,7 @@ class Observations:
         Returns
         -------
         Array
-            Its result, not to be written to.
+            The array that it returns, of any shape; not to be written to.
         """
         if self._remembered and all(a is b for a, b in zip(self._remembered[0][0], given, strict=True)):
             return self._remembered[0][1]
@@ -231,6 +225,22 @@ class Observations:
             _slices(counts),
             np.repeat(np.arange(len(counts)), counts),
         )
+
+
+def _whitening(covariances: Array) -> Array:
+    """Return (N, 2, 2) the inverses of the Cholesky factors of (N, 2, 2) covariances, written out."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        first = 1.0 / np.sqrt(covariances[:, 0, 0])
+        lower = covariances[:, 1, 0] * first
+        second = 1.0 / np.sqrt(covariances[:, 1, 1] - lower * lower)
+    found = np.zeros_like(covariances)
+    found[:, 0, 0], found[:, 1, 0], found[:, 1, 1] = first, -lower * first * second, second
+    if not np.isfinite(found).all():
+        raise InputMismatch(
+            "A star's covariance is not positive definite.",
+            remedy="Use unit covariances if they are unknown.",
+        )
+    return found
 
 
 def _slices(counts: Sequence[int]) -> tuple[slice, ...]:

@@ -30,6 +30,16 @@ _TINY = float(np.finfo(float).tiny)
 
 
 @njit(cache=True, error_model="numpy")
+def _pivot(matrix: Any, i: int) -> int:
+    """Return the row from ``i`` on with the largest element in column ``i``."""
+    best = i
+    for j in range(i + 1, len(matrix)):
+        if abs(matrix[j, i]) > abs(matrix[best, i]):
+            best = j
+    return best
+
+
+@njit(cache=True, error_model="numpy")
 def solve_in_place(matrix: Any, right: Any) -> bool:
     """Solve matrix x = right in place, by Gaussian elimination with partial pivoting (Golub and Van Loan, 2013).
 
@@ -47,7 +57,7 @@ def solve_in_place(matrix: Any, right: Any) -> bool:
     """
     n, m = right.shape
     for i in range(n):
-        best = i + np.argmax(np.abs(matrix[i:, i]))
+        best = _pivot(matrix, i)
         if not abs(matrix[best, i]) > 0.0:
             return False
         if best != i:
@@ -131,14 +141,15 @@ def _add_priors(
 
 
 @njit(cache=True, error_model="numpy")
-def _eliminate(normal: Any, right: Any, damping: float, solved: Any, information: Any, score: Any) -> bool:
+def _eliminate(
+    normal: Any, right: Any, damping: float, block: Any, solved: Any, information: Any, score: Any
+) -> bool:
     """Eliminate the local parameters of a view, and add what is left to the equations of the shared ones.
 
     Schur complement (Triggs et al., 2000, section 6.1). ``solved`` (L, G + 1) becomes the damped local block's solution
-    for the coupling and the local gradient. False if that block is singular.
+    for the coupling and the local gradient; ``block`` (L, L) is overwritten. False if that block is singular.
     """
     count, own = len(score), len(solved)
-    block = np.empty((own, own))
     for a in range(own):
         for b in range(own):
             block[a, b] = normal[count + a, count + b]
@@ -169,8 +180,9 @@ def _step(normal: Any, right: Any, damping: float, shared: Any, local: Any) -> b
     count, views = len(shared), len(local)
     information, score = np.zeros((count, count)), np.zeros((count, 1))
     solved = np.empty((views, local.shape[1], count + 1))
+    block = np.empty((local.shape[1], local.shape[1]))
     for i in range(views):
-        if not _eliminate(normal[i], right[i], damping, solved[i], information, score):
+        if not _eliminate(normal[i], right[i], damping, block, solved[i], information, score):
             return False
     for g in range(count):
         for i in range(views):

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import itertools
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,6 +14,8 @@ from calib.view import View
 SAME_PX = 1e-6
 #: Two recordings of one pose differ by sqrt(2) times the noise of one; below this share of it they are too much alike.
 _TOO_MUCH_ALIKE = 0.5
+#: Only pairs of views with a smaller rms distance of the common stars are compared, px.
+_NEAR_PX = 1.0
 #: Views with fewer common stars are not compared, nor views of which less than this share is common.
 _FEWEST = 4
 _COMMON_SHARE = 0.5
@@ -79,16 +80,29 @@ def find_duplicates(views: Sequence[View]) -> tuple[DuplicateViews, ...]:
         One for each pair.
     """
     found = []
-    for one, other in itertools.combinations(views, 2):
+    for one, other in _alike(views):
         _, here, there = np.intersect1d(one.ids, other.ids, return_indices=True)
-        if len(here) < max(_FEWEST, _COMMON_SHARE * min(len(one), len(other))):
-            continue
         apart = one.points_px[here] - other.points_px[there]
         rms = float(np.sqrt((apart**2).sum(axis=1).mean()))
-        # Most pairs are other poses: their noise need not be known.
-        if rms > 1.0:
-            continue
         noise = 0.0 if rms <= SAME_PX else float(np.fmin(noise_px(one), noise_px(other)))
         if rms <= SAME_PX or rms / np.sqrt(2.0) < _TOO_MUCH_ALIKE * np.sqrt(2.0) * noise:
             found.append(DuplicateViews(one.name, other.name, len(here), rms, noise))
     return tuple(found)
+
+
+def _alike(views: Sequence[View]) -> Iterator[tuple[View, View]]:
+    """Yield the pairs of views that show many of the same stars at about the same points; most pairs do not."""
+    known = np.unique(np.concatenate([view.ids for view in views]))
+    points = np.full((2, len(views), len(known)), np.nan)
+    for i, view in enumerate(views):
+        points[:, i, np.searchsorted(known, view.ids)] = view.points_px.T
+    stars = np.array([len(view) for view in views])
+    for i in range(len(views) - 1):
+        x, y = points[:, i + 1 :] - points[:, i, None]
+        squares = x * x + y * y
+        common = np.isfinite(squares)
+        count = common.sum(axis=1)
+        enough = count >= np.maximum(_FEWEST, _COMMON_SHARE * np.minimum(stars[i], stars[i + 1 :]))
+        near = np.where(common, squares, 0.0).sum(axis=1) <= _NEAR_PX**2 * count
+        for j in np.flatnonzero(enough & near):
+            yield views[i], views[i + 1 + j]

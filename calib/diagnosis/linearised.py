@@ -7,12 +7,13 @@ hundreds of hypotheses cost no more than one step of an adjustment.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from calib.adjustment.bundle import Bundle
+from calib.adjustment.levenberg_marquardt import Loss
 from calib.adjustment.parameters import AdjustmentParameters
 
 Array = NDArray[np.float64]
@@ -127,34 +128,47 @@ def image_shifts(bundle: Bundle, parameters: AdjustmentParameters) -> ShiftEquat
 
 def _shift_equations(bundle: Bundle, parameters: AdjustmentParameters, *, of_image: bool) -> ShiftEquations:
     """Return the reduced equations of target shifts or of image shifts."""
-    freed = Bundle(bundle.observations, bundle.names, free_centres=True, displacements=bundle.displacements)
-    obs, count = bundle.observations, len(bundle.names)
-    residuals = bundle.weighted_residuals(parameters)
-    n = len(obs.slices)
-    squares, shared, score = 0.0, np.zeros((count, count)), np.zeros(count)
-    gradient, coupling = np.zeros((n, 2)), np.zeros((n, 2, count))
+    squares, gram, score = _without_turns(bundle, parameters, of_image=of_image)
+    n, count = len(gram), len(bundle.names)
+    gradient, coupling = score[:, count:], gram[:, count:, :count]
     information = np.zeros((n, 2, n, 2))
-    for i, (rows, own) in enumerate(zip(obs.slices, freed.jacobians(parameters), strict=True)):
-        white = obs.whitening[rows]
-        columns = np.einsum("sij,pjs->sip", white, own).reshape(-1, len(own))
-        # Shifts change the residuals: found minus predicted. A target shift is the opposite centre shift.
-        shift = white.reshape(-1, 2) if of_image else -columns[:, count + 3 : count + 5]
-        stacked = np.column_stack([columns[:, :count], shift, residuals[rows].reshape(-1)])
-        rotation = columns[:, count : count + 3]
-        solved = np.linalg.lstsq(rotation.T @ rotation, rotation.T @ stacked, rcond=None)[0]
-        left = stacked - rotation @ solved
-        gram = left.T @ left
-        squares += float(gram[-1, -1])
-        shared += gram[:count, :count]
-        score += gram[:count, -1]
-        gradient[i] = gram[count:-1, -1]
-        coupling[i] = gram[count:-1, :count]
-        information[i, :, i] = gram[count:-1, count:-1]
+    information[np.arange(n), :, np.arange(n)] = gram[:, count:, count:]
     if count:
+        shared = gram[:, :count, :count].sum(axis=0)
         scale = 1.0 / np.sqrt(np.maximum(np.diag(shared), np.finfo(float).tiny))
         flat = coupling.reshape(2 * n, count) * scale
         inverse = np.linalg.pinv(shared * np.outer(scale, scale), rcond=1e-13, hermitian=True)
-        squares -= float((scale * score) @ inverse @ (scale * score))
-        gradient = gradient - (flat @ inverse @ (scale * score)).reshape(n, 2)
+        right = scale * score[:, :count].sum(axis=0)
+        squares -= float(right @ inverse @ right)
+        gradient = gradient - (flat @ inverse @ right).reshape(n, 2)
         information = information - (flat @ inverse @ flat.T).reshape(n, 2, n, 2)
     return ShiftEquations(max(squares, 0.0), gradient, information)
+
+
+def _without_turns(
+    bundle: Bundle, parameters: AdjustmentParameters, *, of_image: bool
+) -> tuple[float, Array, Array]:
+    """Return sum of squares, normal matrices (n, G + 2, G + 2) and gradients (n, G + 2) of n views.
+
+    They are those of the shared parameters and the two shifts of each view; its rotation is eliminated (Schur
+    complement; Triggs et al., 2000, section 6.1).
+    """
+    count = len(bundle.names)
+    # A shift of the image is one of the principal point; a shift of the target is the opposite one of the centre.
+    names = (*bundle.names, "cx", "cy") if of_image else bundle.names
+    freed = replace(bundle, names=names, free_centres=not of_image)
+    normal, gradient = freed.view_equations(parameters, Loss("l2"))
+    shift, turn = ((0, 1), (2, 3, 4)) if of_image else ((3, 4), (0, 1, 2))
+    kept, turned = [*range(count), *(count + k for k in shift)], [count + k for k in turn]
+    sign = np.ones(count + 2)
+    sign[count:] = 1.0 if of_image else -1.0
+    coupling = sign[:, None] * normal[:, kept][:, :, turned]
+    inverse = np.linalg.pinv(normal[:, turned][:, :, turned], hermitian=True)
+    answer = coupling @ inverse
+    own = gradient[:, turned]
+    squares = float((bundle.weighted_residuals(parameters) ** 2).sum())
+    return (
+        squares - float(np.einsum("ni,nij,nj->", own, inverse, own)),
+        np.outer(sign, sign) * normal[:, kept][:, :, kept] - answer @ np.swapaxes(coupling, 1, 2),
+        sign * gradient[:, kept] - (answer @ own[:, :, None])[:, :, 0],
+    )

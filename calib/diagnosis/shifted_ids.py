@@ -196,7 +196,9 @@ def _lattice_pitch(views: Sequence[View]) -> float | None:
     """Return the pitch of the lattice on which all stars lie, mm; None if they lie on none."""
     if min(len(view) for view in views) < 4:
         return None
-    pitch = local_spacing(np.unique(np.concatenate([view.target_mm for view in views]), axis=0))
+    x, y = np.concatenate([view.target_mm for view in views]).T
+    found = np.unique(x + 1j * y)
+    pitch = local_spacing(np.column_stack([found.real, found.imag]))
     for view in views:
         steps = (view.target_mm - views[0].target_mm[0]) / pitch
         if not np.abs(steps - np.round(steps)).max() < _ON_LATTICE:

@@ -192,19 +192,18 @@ def _estimate_variances(z: Array, parts: Sequence[Array], noise: float) -> tuple
     likelihood grows in every iteration (Zhou, Hu, Zhou and Lange, 2019). The information is that on the logarithms of
     the variances.
     """
-    own = noise * np.eye(len(z))
+    own, flat = noise * np.eye(len(z)), np.array(parts).reshape(len(parts), -1)
     variances = np.array([z @ z / np.trace(part) / len(parts) for part in parts])
     for _ in range(_ROUNDS):
-        inverse = np.linalg.inv(sum((v * part for v, part in zip(variances, parts, strict=True)), start=own))
+        inverse = np.linalg.inv((variances @ flat).reshape(own.shape) + own)
         scaled = inverse @ z
-        observed = np.array([scaled @ part @ scaled for part in parts])
-        expected = np.array([(inverse * part).sum() for part in parts])
-        factors = np.sqrt(observed / expected)
+        factors = np.sqrt((flat @ np.outer(scaled, scaled).reshape(-1)) / (flat @ inverse.reshape(-1)))
         variances = variances * factors
         if (np.abs(np.sqrt(factors) - 1.0) * (variances > 1e-3 * variances / factors)).max() < _CONVERGED:
             break
-    by_log_variance = [v * inverse @ part for v, part in zip(variances, parts, strict=True)]
-    return variances, 0.5 * np.array([[(a * b.T).sum() for b in by_log_variance] for a in by_log_variance])
+    by_log_variance = np.array([v * inverse @ part for v, part in zip(variances, parts, strict=True)])
+    swapped = np.swapaxes(by_log_variance, 1, 2).reshape(len(parts), -1)
+    return variances, 0.5 * by_log_variance.reshape(len(parts), -1) @ swapped.T
 
 
 def _field_equations(bundle: Bundle, parameters: AdjustmentParameters, loss: Loss) -> _FieldEquations:
@@ -217,8 +216,8 @@ def _field_equations(bundle: Bundle, parameters: AdjustmentParameters, loss: Los
     weights = loss.weights(np.linalg.norm(residuals, axis=1))
     count = len(bundle.names)
     # A displacement of the target moves the image as a shift of the centre does, with the opposite sign.
-    moving = replace(bundle, names=("x", "y"), prior=None, free_centres=False, gimbal=None)
-    derivatives = list(zip(bundle.jacobians(parameters), moving.jacobians(parameters), strict=True))
+    moving = replace(bundle, names=("x", "y", *bundle.names))
+    derivatives = [(whole[2:], whole[:2]) for whole in moving.jacobians(parameters)]
     readings = bundle.reading_equations(parameters)
     rims = _rim_shapes(bundle, parameters)
     information, normals, couplings, scores, groups, squares = [], [], [], [], [], 0.0
@@ -301,10 +300,12 @@ def _weighted_columns(
     """
     rows = bundle.observations.slices[view]
     root = np.sqrt(weights[rows])
-    by_field = -np.einsum("aim,maf->fim", moves[:2], fields)
-    whitening = root[:, None, None] * bundle.observations.whitening[rows]
-    columns = np.einsum("mij,fjm->fim", whitening, np.concatenate([jacobian, by_field]))
-    return columns.reshape(len(columns), -1), (root[:, None] * residuals[rows]).T.reshape(-1)
+    a, b, c = root * bundle.observations.factors[:, rows]
+    along_x, along_y = np.ascontiguousarray(fields.transpose(1, 2, 0))
+    u, v = (-(moves[0, axis] * along_x + moves[1, axis] * along_y) for axis in (0, 1))
+    by_x, by_y = np.concatenate([jacobian[:, 0], u]), np.concatenate([jacobian[:, 1], v])
+    columns = np.concatenate([a * by_x, b * by_x + c * by_y], axis=1)
+    return columns, (root[:, None] * residuals[rows]).T.reshape(-1)
 
 
 def basis_fields(
