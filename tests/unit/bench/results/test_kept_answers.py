@@ -32,9 +32,7 @@ def run(tmp_path, monkeypatch):
 
 def test_the_key_covers_every_file_the_options_and_the_program(run, monkeypatch):
     keys = {answer_key([run], {"model": None})}
-    assert keys == {
-        answer_key([run], {"model": None, "passport": None}) and answer_key([run], {"model": None})
-    }
+    assert answer_key([run], {"model": None}) in keys
     keys.add(answer_key([run], {"model": "radial"}))
     (run / "captures" / "one.raw").write_bytes(b"Events")
     keys.add(answer_key([run], {"model": None}))
