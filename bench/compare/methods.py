@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from bench.compare.outside_check import gimbal_ratio_error
 from bench.compare.scenes import Images
 from bench.compare.spec import STAR_METHODS, ColumnConfig
 from calib.calibration import Calibration, CalibrationOptions
@@ -74,6 +75,7 @@ def solve(column: ColumnConfig, images: Images, seed: int) -> dict[str, Any]:
         "rms_px": result.rms_px,
         "mean_px": result.mean_px,
         "left_out_px": result.left_out_rms_px,
+        "gimbal_ratio_error": gimbal_ratio_error(result.camera, images.views, images.readings_deg),
     }
     return row | compare_with_truth(result.camera, images.camera, result.sigma, k, calibration)
 

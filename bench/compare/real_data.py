@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import hashlib
 import time
+import warnings
 from collections.abc import Sequence
 from functools import lru_cache
 from pathlib import Path
@@ -195,7 +196,8 @@ def _read_table(file: Path, data: DataConfig) -> tuple[View, ...]:
     if data.pitch_mm is None:
         raise BenchError("A table needs pitch_mm.", where=str(file), remedy="Add it to data.")
     try:
-        with storage_errors(file):
+        with storage_errors(file), warnings.catch_warnings():
+            warnings.simplefilter("ignore", UserWarning)  # of an empty file, which has no six columns either
             table = np.genfromtxt(file, delimiter=",", skip_header=1, ndmin=2)
     except ValueError as error:
         raise BenchError(f"The table cannot be read: {error}.", where=str(file)) from error

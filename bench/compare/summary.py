@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from bench.compare.outside_check import bench_time_s
 from bench.compare.spec import ComparisonConfig
 
 Row = Mapping[str, Any]
@@ -38,6 +39,7 @@ def summarise(spec: ComparisonConfig, rows: Sequence[Row]) -> dict[str, Any]:
         "columns": [
             {
                 "settings": column.model_dump(),
+                "bench_time_s": None if column.data else bench_time_s(column),
                 **_column([row for row in rows if row["column"] == column.name]),
             }
             for column in spec.columns
@@ -71,6 +73,7 @@ def _column(rows: Sequence[Row]) -> dict[str, Any]:
     }
     for key in ("rms_px", "mean_px", "left_out_px", "direction_rms_urad", "centre_urad"):
         found[key] = _rms([row[key] for row in good])
+    found["gimbal_ratio_error"] = _rms([row.get("gimbal_ratio_error") for row in good])
     found["halves_urad"] = _rms([row.get("halves_urad") for row in good])
     found["direction_worst_urad"] = _largest([row["direction_worst_urad"] for row in good])
     found["corner_rms_urad"] = _rms([row["corner_urad"] for row in good])

@@ -16,6 +16,8 @@ HEADS = (
     "worst µrad",
     "fx in U",
     "corner in U",
+    "gimbal %",
+    "bench s",
 )
 """Heads of the columns after the name. Errors are root mean squares over the repetitions."""
 
@@ -158,7 +160,7 @@ def _cells(column: Summary, repetitions: int) -> list[str]:
     settings = column["settings"]
     head = [settings["name"], str(settings["images"]), f"{column['solved']} of {repetitions}"]
     if not column["solved"]:
-        return head + ["-"] * (len(HEADS) - 2)
+        return head + ["-"] * (len(HEADS) - 3) + [shown(column["bench_time_s"], 2)]
     values, covered = column["parameters"], column["coverage"]
     return [
         *head,
@@ -170,6 +172,8 @@ def _cells(column: Summary, repetitions: int) -> list[str]:
         shown(column["direction_worst_urad"]),
         share(covered.get("fx")),
         share(covered.get("corner")),
+        "-" if column["gimbal_ratio_error"] is None else f"{100 * column['gimbal_ratio_error']:.2f}",
+        f"{column['bench_time_s']:.0f}",
     ]
 
 
