@@ -8,6 +8,7 @@ from __future__ import annotations
 import queue
 import time
 import warnings
+from collections import Counter
 from collections.abc import Sequence
 from typing import Any, Self, cast
 
@@ -20,6 +21,8 @@ _SILENCE_S = 60.0
 _CONNECT_S = 10.0
 _RESULT_S = 60.0
 _SIZE_HOLDS_S = 5.0
+_MOST_ROUNDS = 3
+"""How often work is handed out again after Dask gave it up, because as many workers died with it as Dask allows."""
 _REMEDY = "Start it, check the address, then repeat the command: what was done is kept."
 
 
@@ -61,6 +64,8 @@ class DaskWorkers:
             raise WorkersLost(what, where=address, remedy=_REMEDY) from error
         self._ended: queue.SimpleQueue[Any] = queue.SimpleQueue()
         self._futures: dict[str, Any] = {}
+        self._works: dict[str, Work] = {}
+        self._rounds: Counter[str] = Counter()
         self._left_s = self._without_worker_s = without_worker_s
         self._size, self._size_until_s = 1, 0.0
 
@@ -88,10 +93,10 @@ class DaskWorkers:
                 warnings.simplefilter(
                     "ignore", UserWarning
                 )  # about arguments of some megabytes: the stars of a run
-                future = self._client.submit(do, work, pure=False, key=f"starbench-{work.key}-{id(work):x}")
+                future = self._client.submit(do, work, pure=False, key=self._name_of(work))
         except (OSError, TimeoutError, ValueError, RuntimeError) as error:
             raise self._lost() from error
-        self._futures[work.key] = future
+        self._futures[work.key], self._works[work.key] = future, work
         future.add_done_callback(lambda done, key=work.key: self._ended.put((key, done)))
 
     def finished(self, timeout_s: float) -> Sequence[Finished]:
@@ -105,6 +110,12 @@ class DaskWorkers:
         if future.cancelled() or future.status not in {"finished", "error"}:
             raise self._lost()
         self._futures.pop(key, None)
+        if future.status == "error" and type(future.exception()).__name__ == "KilledWorker":
+            self._rounds[key] += 1
+            if self._rounds[key] < _MOST_ROUNDS:
+                self.submit(self._works[key])
+                return []
+        self._works.pop(key, None)
         return [self._end(key, future)]
 
     def close(self) -> None:
@@ -116,6 +127,10 @@ class DaskWorkers:
         self._futures.clear()
         self._client.close(timeout=_CONNECT_S)
         self._client = None
+
+    def _name_of(self, work: Work) -> str:
+        """Return a name that no other piece of work of the scheduler has, nor an earlier round of this one."""
+        return f"starbench-{work.key}-{id(self):x}-{id(work):x}-{self._rounds[work.key]}"
 
     def _end(self, key: str, future: Any) -> Finished:
         """Return the end of a piece of work that Dask calls done."""

@@ -232,7 +232,7 @@ class DaskServers:
     def _start(self) -> None:
         dask = [str(Path(sys.executable).with_name("dask"))]
         quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL, "cwd": self.folder}
-        port = ["--host", "127.0.0.1", "--port", str(self.port), "--no-dashboard"]
+        port = ["--host", "127.0.0.1", "--port", str(self.port), "--dashboard-address", "127.0.0.1:0"]
         self.scheduler = subprocess.Popen([*dask, "scheduler", *port], **quiet)
         each = ["--nworkers", "2", "--nthreads", "1", "--no-dashboard", "--local-directory", str(self.folder)]
         self.workers = subprocess.Popen([*dask, "worker", self.address, *each], **quiet)

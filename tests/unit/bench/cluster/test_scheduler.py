@@ -33,7 +33,7 @@ def cluster(monkeypatch, tmp_path):
         threads_per_worker=1,
         processes=True,
         host="127.0.0.1",
-        dashboard_address=None,
+        dashboard_address="127.0.0.1:0",
         local_directory=str(tmp_path),
     )
     yield made
@@ -96,7 +96,7 @@ def test_nobody_at_the_address_is_told():
 def test_a_scheduler_without_workers_is_told(tmp_path):
     with (
         distributed.LocalCluster(
-            n_workers=0, host="127.0.0.1", dashboard_address=None, local_directory=str(tmp_path)
+            n_workers=0, host="127.0.0.1", dashboard_address="127.0.0.1:0", local_directory=str(tmp_path)
         ) as empty,
         DaskWorkers(empty.scheduler_address, without_worker_s=1.0) as workers,
     ):

@@ -1,5 +1,6 @@
 """Kept views: found once, equal to the last bit, never trusted when broken, bounded, private, safe with two processes."""
 
+import errno
 import os
 import threading
 
@@ -153,6 +154,18 @@ def test_a_folder_that_cannot_be_made_is_told_once(tmp_path, recording):
         kept.view(recording, OPTIONS, find)
     assert find.calls == 3
     assert len(kept.remarks) == 1
+
+
+def test_a_full_disk_is_told_once_and_leaves_no_part(kept, recording, monkeypatch):
+    def full(*_):
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr("pathlib.Path.replace", full)
+    find = Finder(a_view())
+    for _ in range(2):
+        assert same(kept.view(recording, OPTIONS, find), find.view)
+    assert [remark.count("No space left") for remark in kept.remarks] == [1]
+    assert not [path for path in kept.folder.rglob("*") if path.is_file()]
 
 
 def test_several_writers_of_one_entry_leave_it_whole(kept):
