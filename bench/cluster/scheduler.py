@@ -5,6 +5,7 @@ Whoever reaches a scheduler can run programs on its workers: docs/cluster.md say
 
 from __future__ import annotations
 
+import logging
 import queue
 import time
 import warnings
@@ -23,6 +24,14 @@ _RESULT_S = 60.0
 _SIZE_HOLDS_S = 5.0
 _MOST_ROUNDS = 3
 """How often work is handed out again after Dask gave it up, because as many workers died with it as Dask allows."""
+_LOGGERS = (
+    "distributed",
+    "distributed.client",
+    "distributed.utils",
+    "distributed.comm",
+    "tornado",
+    "asyncio",
+)
 _REMEDY = "Start it, check the address, then repeat the command: what was done is kept."
 
 
@@ -54,6 +63,8 @@ class DaskWorkers:
                 where="--scheduler",
                 remedy="Install it: pip install 'starbench[cluster]'",
             ) from error
+        for name in _LOGGERS:  # a lost connection is told by WorkersLost, not by tracebacks of the libraries
+            logging.getLogger(name).setLevel(logging.CRITICAL)
         self.address = address
         self._client: Any = None
         try:

@@ -46,8 +46,6 @@ from bench.results.forms import forms
 from bench.results.offline_options import OfflineOptions
 
 ROOT = Path(__file__).parents[2]
-_COMMAND_DIES = 12
-"""Of so many kills, one hits the command itself."""
 
 
 def main() -> None:
@@ -70,18 +68,18 @@ def main() -> None:
     )
     rng = random.Random(options.seed)
     if options.only in {"", "processes"}:
-        kills = Kills(rng, options.every_s)
+        kills = Kills(rng, options.every_s, options.command_dies)
         rows = kills.calibrate([str(folder / "runs"), "--workers", "2"], folder / "by-processes")
         report("by 2 processes", rows, expected, kills)
     if options.only in {"", "dask"} and options.dask_runs:
         some = [str(run) for run in runs[: options.dask_runs]]
-        kills = Kills(rng, options.every_s)
+        kills = Kills(rng, options.every_s, options.command_dies)
         with DaskServers(folder) as servers:
             kills.servers = servers
             rows = kills.calibrate([*some, "--scheduler", servers.address], folder / "by-dask")
         report("by a Dask scheduler", rows, {name: expected[name] for name in some}, kills)
     if options.only in {"", "s3"} and options.s3_runs:
-        kills = Kills(rng, options.every_s)
+        kills = Kills(rng, options.every_s, options.command_dies)
         some = runs[: options.s3_runs]
         with s3_server() as system:
             for run in some:
@@ -104,6 +102,9 @@ def _options() -> argparse.Namespace:
     parser.add_argument("--s3-runs", type=int, default=24)
     parser.add_argument("--pieces", type=int, default=16, help="pieces of work for each part of the scaling")
     parser.add_argument("--every-s", type=float, default=10.0, help="mean time between two kills")
+    parser.add_argument(
+        "--command-dies", type=int, default=12, help="of so many kills, one hits the command itself"
+    )
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--only", default="", choices=["", "scaling", "processes", "dask", "s3"])
     return parser.parse_args()
@@ -131,8 +132,8 @@ def serial(folder: Path) -> dict[str, Mapping]:
 class Kills:
     """Runs the command while workers, the command and the scheduler are killed at random."""
 
-    def __init__(self, rng: random.Random, every_s: float) -> None:
-        self.rng, self.every_s = rng, every_s
+    def __init__(self, rng: random.Random, every_s: float, command_dies: int) -> None:
+        self.rng, self.every_s, self.command_dies = rng, every_s, command_dies
         self.servers: DaskServers | None = None
         self.counts: Counter[str] = Counter()
         self.doubled = 0
@@ -160,7 +161,7 @@ class Kills:
 
     def _kill_one(self, command: int) -> None:
         """Kill a worker; sometimes the command or the scheduler."""
-        if self.rng.random() < 1 / _COMMAND_DIES:
+        if self.rng.random() < 1 / self.command_dies:
             if self.servers is not None and self.rng.random() < 0.5:
                 self.counts["scheduler killed"] += 1
                 self.servers.kill_scheduler()
