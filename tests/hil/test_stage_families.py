@@ -399,7 +399,13 @@ def test_a_restart_in_mid_move_is_noticed_and_undoes_the_reference(rig, homed) -
 @each_in_turn
 def test_a_limit_switch_in_mid_move_is_noticed(rig, homed) -> None:
     rig.order("limit")
-    assert bounded(lambda: homed.move_to({"pan": -9.0})).where == "pan"
+    error = bounded(lambda: homed.move_to({"pan": -9.0}))
+    if isinstance(
+        homed, GrblStage
+    ):  # its board stops all axes, answers nothing, and does not say which it was
+        assert "limit switch hit" in error.what
+    else:
+        assert error.where == "pan"
 
 
 @with_encoder
