@@ -68,6 +68,8 @@ class RehearsedKind(EventKind):
         frequency_hz: float,
         target: StarTarget,
         expected_grid: ExpectedGrid | None,  # noqa: ARG002 - the file states the stars' ids
+        *,
+        motion: bool = True,  # noqa: ARG002
     ) -> Measurement:
         """See `CameraKind.measure`. Reads the stars of a rehearsed recording."""
         self._clock.sleep(CHECK_S)

@@ -225,7 +225,8 @@ def _refuse_truncated(path: Path) -> None:
 
 def _view_of_run(job: Job, path: Path, step: RecordStep, expected_grid: ExpectedGrid | None) -> View:
     _refuse_truncated(path)
-    return _view(job.camera_kind.measure(path, step, job.frequency_hz(step), job.target, expected_grid), path)
+    kind, frequency_hz = job.camera_kind, job.frequency_hz(step)
+    return _view(kind.measure(path, step, frequency_hz, job.target, expected_grid, motion=False), path)
 
 
 def _file_sources(path: Path, choices: OfflineOptions) -> Iterator[ViewSource]:
@@ -313,7 +314,13 @@ def _view_of_recording(path: Path, choices: OfflineOptions) -> View:
         image = recorded_image(path, choices.image).image
         return _detected_board(image, choices.board, path)
     found = measure(
-        path, name=path.stem, target=choices.target, image=choices.image, periods=None, expected_hz=None
+        path,
+        name=path.stem,
+        target=choices.target,
+        image=choices.image,
+        periods=None,
+        expected_hz=None,
+        motion=False,
     )
     return _view(found, path)
 

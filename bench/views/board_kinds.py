@@ -57,6 +57,8 @@ class EventBoardKind(EventKind):
         frequency_hz: float,
         target: StarTarget,  # noqa: ARG002
         expected_grid: ExpectedGrid | None,  # noqa: ARG002
+        *,
+        motion: bool = True,  # noqa: ARG002
     ) -> Measurement:
         """See `CameraKind.measure`. Finds the board."""
         from bench.views.measure_board import measure_board
@@ -102,6 +104,8 @@ class FrameBoardKind(FrameKind):
         frequency_hz: float,  # noqa: ARG002
         target: StarTarget,  # noqa: ARG002
         expected_grid: ExpectedGrid | None,  # noqa: ARG002
+        *,
+        motion: bool = True,  # noqa: ARG002
     ) -> Measurement:
         """See `CameraKind.measure`. Finds the board in the mean of the frames."""
         from bench.views.measure_board import measure_board_frames

@@ -98,6 +98,8 @@ class CameraKind(Protocol):
         frequency_hz: float,
         target: StarTarget,
         expected_grid: ExpectedGrid | None,
+        *,
+        motion: bool = True,
     ) -> Measurement:
         """Find the stars in a recording.
 
@@ -113,6 +115,8 @@ class CameraKind(Protocol):
             The printed target.
         expected_grid
             Predicts where the stars lie; used only if the tag does not label them.
+        motion
+            Whether to measure how far the stars moved, which takes twice as long as finding them.
 
         Returns
         -------
@@ -227,6 +231,8 @@ class EventKind:
         frequency_hz: float,
         target: StarTarget,
         expected_grid: ExpectedGrid | None,
+        *,
+        motion: bool = True,
     ) -> Measurement:
         """See `CameraKind.measure`. Uses the event image of whole flicker periods."""
         from bench.views.measure import measure
@@ -239,6 +245,7 @@ class EventKind:
             periods=periods_in_window(step.window_ms, frequency_hz),
             expected_hz=frequency_hz,
             expected_grid=expected_grid,
+            motion=motion,
         )
 
     def judge(
@@ -313,6 +320,8 @@ class FrameKind:
         frequency_hz: float,  # noqa: ARG002
         target: StarTarget,
         expected_grid: ExpectedGrid | None,
+        *,
+        motion: bool = True,  # noqa: ARG002
     ) -> Measurement:
         """See `CameraKind.measure`. Uses the mean of the frames."""
         from bench.views.frames import measure_frames

@@ -95,6 +95,7 @@ def measure(
     periods: int | None,
     expected_hz: float | None,
     expected_grid: ExpectedGrid | None = None,
+    motion: bool = True,
 ) -> Measurement:
     """Read a recording and find the stars in it.
 
@@ -114,6 +115,9 @@ def measure(
         Nominal frequency of the flicker, Hz; None if unknown.
     expected_grid
         Predicts where the stars lie; used only if the tag does not label them.
+    motion
+        Whether to measure how far the stars moved from the first half of the recording to the second, which takes twice
+        as long as finding them. The view does not depend on it.
 
     Returns
     -------
@@ -126,7 +130,8 @@ def measure(
         whole = whole_image(read_events(path), image, periods, expected_hz, facts)
         stored = StoredImage.from_image(whole.image)
         view = downweight_vignetted(find_stars(whole.image, target, name, expected_grid, facts), target)
-        facts["motion_px"] = motion_px(whole.halves(), target, facts)
+        if motion:
+            facts["motion_px"] = motion_px(whole.halves(), target, facts)
     except (CalibrationError, RecordingFileError) as error:
         return Measurement(None, stored, plain_facts(facts), str(error))
     return Measurement(view, stored, plain_facts(facts))

@@ -10,6 +10,7 @@ The result is text in Markdown, for docs/costs.md.
 from __future__ import annotations
 
 import argparse
+import os
 import resource
 import statistics
 import sys
@@ -20,6 +21,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as the command does, before numpy is imported
 sys.path.insert(0, str(Path(__file__).parents[2]))
 
 from bench.records.storage import sha256_of
