@@ -83,7 +83,13 @@ def read_events(path: Path) -> EventData:
 
 
 def whole_image(
-    data: EventData, image: str, periods: int | None, expected_hz: float | None, facts: MeasuredFacts
+    data: EventData,
+    image: str,
+    periods: int | None,
+    expected_hz: float | None,
+    facts: MeasuredFacts,
+    *,
+    one_phase: bool = True,
 ) -> WholeImage:
     """Make the event image of whole flicker periods.
 
@@ -99,6 +105,8 @@ def whole_image(
         Nominal frequency of the flicker, Hz; None if unknown.
     facts
         Changed in place: numbers about flicker and image are added.
+    one_phase
+        Whether the light of all pixels changes at the same moment, as that of a lamp does.
 
     Returns
     -------
@@ -116,14 +124,14 @@ def whole_image(
     facts.update(_flicker_facts(flicker, triggers, span_us))
     facts.update(_compare_flicker(flicker, events))
     images = make_images(*_event_arrays(events), size, flicker, window_us=span_us, periods=periods)
-    chosen = _choose(images, image)
+    chosen = _choose(images, image, one_phase=one_phase)
     facts.update(_image_facts(images, chosen, origin_us))
     halves = partial(_half_images, events, size, flicker, images.facts, chosen.name)
     return WholeImage(chosen.image, halves)
 
 
 def recorded_image(path: Path, image: str = "auto") -> ChosenImage:
-    """Return the event image of a recording, of whole flicker periods.
+    """Return the event image in which a board is searched, of all whole flicker periods of a recording.
 
     Parameters
     ----------
@@ -135,7 +143,7 @@ def recorded_image(path: Path, image: str = "auto") -> ChosenImage:
     Returns
     -------
     ChosenImage
-        The image that `measure` would use.
+        The image that `bench.views.measure_board` would use.
 
     Raises
     ------
@@ -148,7 +156,7 @@ def recorded_image(path: Path, image: str = "auto") -> ChosenImage:
     flicker = _flicker(triggers, (events.t, events.p), None)
     span_us = _span_us(events.t, triggers)
     images = make_images(*_event_arrays(events), size, flicker, window_us=span_us)
-    return _choose(images, image)
+    return _choose(images, image, one_phase=len(triggers.t) > 0)
 
 
 def _compare_flicker(flicker: Flicker, events: Events) -> MeasuredFacts:
@@ -233,9 +241,9 @@ def _flicker_facts(flicker: Flicker, triggers: Triggers, span_us: tuple[float, f
     return facts
 
 
-def _choose(images: EventImages, kind: str) -> ChosenImage:
+def _choose(images: EventImages, kind: str, *, one_phase: bool = True) -> ChosenImage:
     if kind == "auto":
-        return images.best()
+        return images.best(one_phase=one_phase)
     name = kind.replace("_", "-")
     return ChosenImage(name, images.named(name), "asked for by the sequence")
 

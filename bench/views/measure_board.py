@@ -133,7 +133,8 @@ def _of_image(
     wanted: tuple[str, int | None, float | None],
 ) -> tuple[View, list[View]]:
     """Find a board in the event image of whole periods, and in the images of the halves of the window."""
-    whole = whole_image(data, *wanted, facts)
+    # Without sync edges, the board is a screen of its own, which may be drawn line by line.
+    whole = whole_image(data, *wanted, facts, one_phase=len(data.triggers.t) > 0)
     stored.append(StoredImage.from_image(whole.image))
     try:
         view = detect_board(whole.image, board, name=name)

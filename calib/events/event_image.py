@@ -155,15 +155,25 @@ class EventImages:
         share = (self.on_fired.astype(np.float32) + self.off_fired) / np.float32(edges)
         return _without_hot_pixels(share, self.hot)
 
-    def best(self) -> ChosenImage:
+    def best(self, *, one_phase: bool = True) -> ChosenImage:
         """Choose the kind of image in which stars are found best, by the events of a lit pixel at an edge.
+
+        Parameters
+        ----------
+        one_phase
+            Whether the light of all pixels changes at the same moment. The lines of a screen change one after the
+            other: the lock-in sum is then smaller where they change early or late, and this slope displaces edges.
 
         Returns
         -------
         ChosenImage
-            Lock-in from `LOCK_IN_MIN_EVENTS` events an edge on, fired-per-edge below; hot pixels are replaced.
+            Lock-in from `LOCK_IN_MIN_EVENTS` events an edge on (count if there are several phases), fired-per-edge
+            below; hot pixels are replaced.
         """
         rate = self.facts.events_per_edge
+        if rate >= LOCK_IN_MIN_EVENTS and not one_phase:
+            reason = f"{rate:.2f} events per edge; no sync edges show that all pixels change at once."
+            return ChosenImage("count", self.named("count"), reason)
         if rate >= LOCK_IN_MIN_EVENTS:
             reason = (
                 f"{rate:.2f} events per edge, {LOCK_IN_MIN_EVENTS} or more: their number carries grey levels."

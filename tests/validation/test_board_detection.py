@@ -6,6 +6,10 @@ import cv2
 import numpy as np
 import pytest
 
+from calib.boards.board import Board
+from calib.boards.detect import detect_board
+from calib.events.event_image import make_images
+from calib.events.flicker import flicker_from_events
 from drivers.camera.evt3 import Evt3Decoder
 from simulators.config import bench_config
 from simulators.optics import scene
@@ -105,6 +109,26 @@ def test_opencv_finds_each_board_where_the_truth_puts_it(board, rms_px):
     error = errors(points, scene.corners(truth, {}))
     assert np.sqrt((error**2).mean()) < rms_px
     assert np.abs(error.mean(axis=0)).max() < 0.1
+
+
+def test_a_screen_that_is_drawn_line_by_line_keeps_its_height():
+    truth = truth_of({**SCREEN, "scan": 0.9})
+    world = World(truth, clock=lambda: 100.0)
+    world.set_light(LightState(output=True, sync=True))
+    stream = SensorStream(world, CameraState(trigger_in=True), {})
+    words = np.frombuffer(b"".join(stream.next_frame() for _ in range(26)), "<u2")
+    parts = [events for events, _ in Evt3Decoder(1280, 720).decode(words)]
+    t, x, y, p = (np.concatenate([getattr(part, name) for part in parts]) for name in "txyp")
+    flicker = flicker_from_events(t, p)
+    images = make_images(t, x, y, p, (1280, 720), flicker, window_us=(float(t[0]), float(t[-1])))
+    true = scene.corners(truth, {})
+    slopes = {}
+    for one_phase in (True, False):
+        chosen = images.best(one_phase=one_phase)
+        error = errors(detect_board(chosen.image, Board("checkerboard", 11, 7, 20.0)).points_px, true)
+        slopes[chosen.name] = np.polyfit(true[:, 1], error[:, 1], 1)[0]
+    assert abs(slopes["count"]) < 1e-4
+    assert abs(slopes["lock-in"]) > 1.5e-4  # its sum is smaller for lines that change early or late
 
 
 def place(position_mm, turn_deg=(0, 0, 0), **more):

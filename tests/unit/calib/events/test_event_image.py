@@ -113,6 +113,14 @@ def test_several_events_an_edge_choose_lock_in_and_few_choose_fired_per_edge():
     assert "4.00 events per edge" in several.reason
 
 
+def test_where_pixels_change_one_after_the_other_their_events_are_counted():
+    several = images(lit_square(burst=4))
+    chosen = several.best(one_phase=False)
+    assert chosen.name == "count"
+    assert np.array_equal(chosen.image, several.named("count"))
+    assert images(lit_square(burst=1)).best(one_phase=False).name == "fired-per-edge"
+
+
 def test_a_hot_pixel_is_masked_and_filled_from_its_surroundings():
     hot = [(int(t), 14, 10, int(t) % 2) for t in np.linspace(0, 19_999, 60)]
     made = images([*lit_square(), *hot])
