@@ -227,9 +227,8 @@ class DaskServers:
         return self
 
     def __exit__(self, *_: object) -> None:
-        for process in (self.workers, self.scheduler):
-            process.terminate()
-            process.wait(30)
+        self._kill_workers()
+        self.kill_scheduler()
 
     def _start(self) -> None:
         dask = [str(Path(sys.executable).with_name("dask"))]
@@ -253,9 +252,17 @@ class DaskServers:
     def require(self) -> None:
         """Start both again if the scheduler was killed."""
         if self.scheduler.poll() is not None:
-            self.workers.terminate()
-            self.workers.wait(60)
+            self._kill_workers()
             self._start()
+
+    def _kill_workers(self) -> None:
+        """Kill the workers, and the process that would start them again."""
+        below = _workers_below(self.workers.pid)
+        self.workers.kill()
+        self.workers.wait()
+        for worker in below:
+            with contextlib.suppress(ProcessLookupError):
+                os.kill(worker, signal.SIGKILL)
 
 
 @contextlib.contextmanager

@@ -10,10 +10,12 @@ The result is text in Markdown, for docs/costs.md.
 from __future__ import annotations
 
 import argparse
+import itertools
 import os
 import resource
 import statistics
 import sys
+import tempfile
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -24,7 +26,12 @@ from typing import Any
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as the command does, before numpy is imported
 sys.path.insert(0, str(Path(__file__).parents[2]))
 
+from bench.cluster.places import Place
+from bench.cluster.results_folders import ResultsFolders
+from bench.cluster.tasks import Task, list_recordings
+from bench.evidence.keys import create_key
 from bench.records.storage import sha256_of
+from bench.results.forms import forms
 from bench.results.offline import OfflineResult, calibrate_sources
 from bench.results.offline_folder import offline_files
 from bench.results.offline_options import OfflineOptions
@@ -69,7 +76,22 @@ def main() -> None:
         ),
         "results, report, exports": _median(rounds, lambda: offline_files(result, "costs")),
     }
-    _print_parts(pose, run, poses)
+    task = Task(OfflineOptions(), forms()["program"], "")
+    with tempfile.TemporaryDirectory() as folder:
+        made = offline_files(result, "costs")
+        with ResultsFolders(Path(folder) / "out", create_key(Path(folder) / "key")) as output:
+            numbers = itertools.count()
+            row = {"folder": "", "state": "done", "key": "", "results": "", "results_sha256": ""}
+
+            def write() -> None:
+                n = next(numbers)
+                output.write(f"run-{n}", made, {**row, "folder": str(n)})
+
+            command = {
+                "list a run": _median(rounds, lambda: list_recordings(Place(str(options.run)), task)),
+                "write and seal its results": _median(rounds, write),
+            }
+    _print_parts(pose, run, command, poses)
     _print_sizes(paths, views, result, before_mb)
     _print_sums(pose, run, paths, options.scaling)
 
@@ -97,12 +119,20 @@ def _peak_mb() -> float:
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
 
 
-def _print_parts(pose: dict[str, float], run: dict[str, float], poses: int) -> None:
+def _print_parts(
+    pose: dict[str, float], run: dict[str, float], command: dict[str, float], poses: int
+) -> None:
     print("| work | CPU time |\n| --- | ---: |")
     for what, seconds in pose.items():
         print(f"| a pose: {what} | {seconds:.3f} s |")
     for what, seconds in run.items():
         print(f"| a run of {poses} poses: {what} | {seconds:.2f} s |")
+    for what, seconds in command.items():
+        print(f"| the command itself: {what} | {seconds:.3f} s |")
+    work = sum(run.values()) - run["fit, spherical, no passport"] + poses * (
+        pose["hash of the recording"] + pose["finding the stars, decoding included"]
+    )  # fmt: skip
+    print(f"\nThe command keeps {work / sum(command.values()):.0f} workers busy.")
 
 
 def _print_sizes(
