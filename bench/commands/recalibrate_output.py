@@ -28,7 +28,8 @@ def run_text(row: Mapping[str, Any]) -> str:
     Returns
     -------
     str
-        Values with their standard uncertainty, and the largest change against the run's own results; or why it failed.
+        Values with their expanded uncertainty and its k, and the largest change against the run's own results; or why
+        it failed.
     """
     from bench.commands.calibration_output import unit_text
     from bench.report.text import with_uncertainty
@@ -40,12 +41,12 @@ def run_text(row: Mapping[str, Any]) -> str:
         return printable(f"{name}: FAILED. {failure['what']}{place} {failure['remedy']}".rstrip())
     if row.get("skipped"):
         return printable(f"{name}: was done before; its results are in {row['results']}.")
-    shown = []
+    shown, k = [], row["coverage_factor"]
     for parameter in _SHOWN:
         if parameter in row["sigma"]:
-            value, sigma = with_uncertainty(row["values"][parameter], row["sigma"][parameter])
-            shown.append(f"{parameter} {value} ± {sigma} {unit_text(parameter)}".rstrip())
-    parts = [", ".join(shown), f"{row['views']} views, {row['stars']} stars"]
+            value, expanded = with_uncertainty(row["values"][parameter], k * row["sigma"][parameter])
+            shown.append(f"{parameter} {value} ± {expanded} {unit_text(parameter)}".rstrip())
+    parts = [f"{', '.join(shown)} (U with k = {k:.3g})", f"{row['views']} views, {row['stars']} stars"]
     if row["left_out"]:
         parts.append(f"{len(row['left_out'])} recordings left out")
     if not row["converged"]:
