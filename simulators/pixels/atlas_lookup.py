@@ -191,14 +191,94 @@ def branch_crossing(d: Drive, level: Any, target: Any, off: Any) -> Any:
 
 
 @njit(inline="always", **JIT)
-def smooth_crossing(
+def near_crossing(
     d: Drive, level: Any, on_at: Any, off_at: Any, phase: float, bent: bool
-) -> tuple[Any, Any]:
-    """Return phase and polarity of a pixel's next crossing: on the present branch of the curve, or on the one after it.
+) -> tuple[Any, Any, Any, Any, Any]:
+    """Return about when a pixel crosses next: on the present branch of the curve, or on the one after it.
 
     ``Drive.when`` holds the phase of a crossing over the light and the height of the target between the curve's
     extremes. The height has a scale that grows as the root of the distance from either extreme; the phase is smooth in
-    it.
+    it. With ``exact_crossing`` the two halves of a crossing are two short loops over many pixels: a processor then
+    waits for the memory of several pixels at once.
+
+    Parameters
+    ----------
+    d
+        Light with an atlas.
+    level
+        Level of the pixel on the atlas; negative if too dark ever to fire.
+    on_at, off_at
+        Values of u at which an ON and an OFF event come.
+    phase
+        Phase from which on crossings count, below one period, us.
+    bent
+        Whether the atlas has uneven bins, that is, the light is square; the crossing is then exact.
+
+    Returns
+    -------
+    tuple of float32
+        Phase of the crossing on its branch, us; ln u there; the earliest phase that it may have, us; what is to be
+        added to it, us (inf = it never crosses); and its polarity (1.0 = ON).
+    """
+    j = np.uint32(np.int32(max(level, _ZERO)))
+    f = level - np.float32(j)
+    bright, dark = between(d.turns[LN_BRIGHT], j, f), between(d.turns[LN_DARK], j, f)
+    t_bright, t_dark = between(d.turns[T_BRIGHT], j, f), between(d.turns[T_DARK], j, f)
+    period = np.float32(d.period_us)
+    turn = period if np.float32(phase) < t_dark else _ZERO  # the period that begins in the dark
+    now = np.float32(phase) + turn
+    rising = now >= t_bright
+    on_ln, off_ln = log32(on_at), log32(off_at)
+    can_on, can_off = on_ln >= bright, off_ln <= dark
+    in_now = can_off if rising else can_on
+    off = rising == in_now
+    never = not (can_on or can_off) or level < _ZERO
+    target = off_ln if off else on_ln
+    if bent:
+        near = _bisected_crossing(
+            d, j, f, target, t_bright if off else t_dark, t_dark + period if off else t_bright, off
+        )
+    else:
+        near = _tabulated_crossing(d, j, f, target, bright, dark, off)
+    shift = (period if rising and not in_now else _ZERO) - turn
+    return near, target, now if in_now else _ZERO, _NEVER if never else shift, _ZERO if off else _ONE
+
+
+@njit(inline="always", **JIT)
+def exact_crossing(
+    d: Drive, level: Any, near: Any, target: Any, earliest: Any, shift: Any, bent: bool
+) -> Any:
+    """Return the phase of a pixel's next crossing.
+
+    Parameters
+    ----------
+    d
+        Light with an atlas.
+    level
+        Level of the pixel on the atlas; negative if too dark ever to fire.
+    near, target, earliest, shift
+        From ``near_crossing``.
+    bent
+        Whether the atlas has uneven bins.
+
+    Returns
+    -------
+    float32
+        Phase of the crossing, us; may exceed a period; inf = none.
+    """
+    cross = near
+    if not bent:
+        j = np.uint32(np.int32(max(level, _ZERO)))
+        cross = _atlas_crossing(d, j, level - np.float32(j), target, near)
+    cross = max(cross, earliest) + shift
+    return _NEVER if shift == _NEVER else cross
+
+
+@njit(inline="always", **JIT)
+def smooth_crossing(
+    d: Drive, level: Any, on_at: Any, off_at: Any, phase: float, bent: bool
+) -> tuple[Any, Any]:
+    """Return phase and polarity of a pixel's next crossing.
 
     Parameters
     ----------
@@ -218,26 +298,5 @@ def smooth_crossing(
     tuple of float32
         Phase of the crossing in us (may exceed a period, inf = none) and its polarity (1.0 = ON).
     """
-    j = np.uint32(np.int32(max(level, _ZERO)))
-    f = level - np.float32(j)
-    bright, dark = between(d.turns[LN_BRIGHT], j, f), between(d.turns[LN_DARK], j, f)
-    t_bright, t_dark = between(d.turns[T_BRIGHT], j, f), between(d.turns[T_DARK], j, f)
-    period = np.float32(d.period_us)
-    turn = period if np.float32(phase) < t_dark else _ZERO  # the period that begins in the dark
-    now = np.float32(phase) + turn
-    rising = now >= t_bright
-    on_ln, off_ln = log32(on_at), log32(off_at)
-    can_on, can_off = on_ln >= bright, off_ln <= dark
-    in_now = can_off if rising else can_on
-    off = rising == in_now
-    never = not (can_on or can_off) or level < _ZERO
-    target = off_ln if off else on_ln
-    if bent:
-        cross = _bisected_crossing(
-            d, j, f, target, t_bright if off else t_dark, t_dark + period if off else t_bright, off
-        )
-    else:
-        cross = _atlas_crossing(d, j, f, target, _tabulated_crossing(d, j, f, target, bright, dark, off))
-    cross = max(cross, now if in_now else _ZERO)
-    cross += (period if rising and not in_now else _ZERO) - turn
-    return _NEVER if never else cross, _ZERO if off else _ONE
+    near, target, earliest, shift, is_on = near_crossing(d, level, on_at, off_at, phase, bent)
+    return exact_crossing(d, level, near, target, earliest, shift, bent), is_on

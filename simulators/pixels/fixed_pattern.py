@@ -13,8 +13,9 @@ from numpy.typing import NDArray
 
 from simulators.pixels import sensor_state
 from simulators.pixels.biases import PixelSettings
+from simulators.pixels.lanes import BLOCK
 from simulators.pixels.photoreceptor import N_BATCH
-from simulators.pixels.sensor_state import BLOCK, GROUP, Pixels
+from simulators.pixels.sensor_state import GROUP, Pixels
 from simulators.world.truth import NoiseTruth
 
 GAIN_ONE: Final = 1 << sensor_state.ON_BITS
@@ -62,7 +63,9 @@ def make_pixels(
         row_min=np.full(groups * GROUP, np.inf, np.float32),
         group_min=np.full(groups, np.inf, np.float32),
         batch=np.zeros((N_BATCH, shape[1]), np.float32),
-        column=np.zeros(shape[1], np.uint32),
+        column=np.zeros(shape[1] + BLOCK, np.uint32),
+        off_column=np.zeros(shape[1] + BLOCK, np.uint16),
+        asked=np.zeros(blocks, np.uint32),
         noise_t=np.zeros(sensor_state.AHEAD),
         noise_at=np.zeros(sensor_state.AHEAD, np.int64),
     )

@@ -26,7 +26,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from simulators.pixels.atlas_lookup import smooth_crossing, smooth_level
+from simulators.pixels.atlas_lookup import exact_crossing, near_crossing, smooth_crossing, smooth_level
 from simulators.pixels.drive import ATLAS_LEVELS, BENT, LEAST, SMOOTH, SQUARE, Drive
 from simulators.pixels.fast_math import JIT, KERNEL, exp32, log32
 
@@ -42,7 +42,10 @@ U: Final = 5  # u at the requested phase
 T: Final = 6  # phase of the next crossing; may exceed a period; inf = none
 IS_ON: Final = 7  # its polarity
 LIMIT_DISTANCE: Final = 8  # square: relative distance of the targets from the limit of u; see square_tail
-N_BATCH: Final = 9
+TARGET: Final = 2  # smooth: ln u at the next crossing
+EARLIEST: Final = 8  # smooth: see atlas_lookup.near_crossing
+SHIFT: Final = 9
+N_BATCH: Final = 10
 
 _ZERO: Final = np.float32(0.0)
 _ONE: Final = np.float32(1.0)
@@ -234,9 +237,11 @@ def fill_crossings(drive: Drive, batch: NDArray[np.float32], n: int, phase: floa
     """
     if drive.kind == SMOOTH:
         for k in range(n):
-            on_at, off_at = batch[ON_AT, k], batch[OFF_AT, k]
-            found = smooth_crossing(drive, batch[U_RISE, k], on_at, off_at, phase, False)
-            batch[T, k], batch[IS_ON, k] = found
+            found = near_crossing(drive, batch[U_RISE, k], batch[ON_AT, k], batch[OFF_AT, k], phase, False)
+            batch[T, k], batch[TARGET, k], batch[EARLIEST, k], batch[SHIFT, k], batch[IS_ON, k] = found
+        for k in range(n):
+            near, target, earliest, shift = batch[T, k], batch[TARGET, k], batch[EARLIEST, k], batch[SHIFT, k]
+            batch[T, k] = exact_crossing(drive, batch[U_RISE, k], near, target, earliest, shift, False)
     elif drive.kind == BENT:
         for k in range(n):
             on_at, off_at = batch[ON_AT, k], batch[OFF_AT, k]

@@ -245,7 +245,7 @@ def reset_row(
     fill_crossings(drive, px.batch, whole, phase)
     _store((px.cell[r], px.t_next[r], px.is_on[r]), px.column, px.batch, n, start, t_live)
     width = tail.tail_width(drive)
-    if tail.fill_limit_distance(drive, px.batch, n) < width:
+    if width > 0.0 and tail.fill_limit_distance(drive, px.batch, n) < width:
         for k in range(n):
             if px.batch[pr.LIMIT_DISTANCE, k] < width:
                 c = np.int64(px.column[k])

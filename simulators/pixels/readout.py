@@ -20,12 +20,12 @@ from simulators.pixels import photoreceptor as pr
 from simulators.pixels import square_tail as tail
 from simulators.pixels.drive import SQUARE, Drive
 from simulators.pixels.fast_math import JIT
+from simulators.pixels.lanes import BLOCK, count_bits, list_bits, prefetch, smallest, waiting
 from simulators.pixels.photoreceptor import fill_crossings, fill_levels, fill_steady_states, period_start
 from simulators.pixels.pixel_noise import draw_arrivals, uniform
 from simulators.pixels.pixel_reset import cross_exactly, firing_levels, reset_at_once, reset_pixel, reset_row
 from simulators.pixels.sensor_state import (
     AHEAD,
-    BLOCK,
     EPOCH,
     FIFO,
     FIFO_T,
@@ -41,14 +41,10 @@ from simulators.pixels.sensor_state import (
     U_REF,
     Pixels,
     Readout,
-    count_bits,
-    lowest_bit,
     retime,
     row_at,
-    smallest,
     update_minima,
     update_row,
-    waiting,
 )
 
 VECTOR_FROM: Final = 5
@@ -118,51 +114,64 @@ def _block_words(n: int) -> int:
 
 
 @njit(forceinline=True, **JIT)
-def _gather_row(px: Pixels, r: int, t: float) -> tuple[int, int, int]:
-    """List the waiting pixels of a row in ``px.column``; return their number, how many are ON, and their words."""
-    n, n_on, words = 0, 0, 2
-    t32 = np.float32(t)
+def _find_blocks(px: Pixels, r: int, t32: Any) -> int:
+    """List the blocks of a row in which pixels wait in ``px.asked``, and ask for their memory; return their number."""
+    n = 0
     for b in range(px.block_min.shape[1]):
-        if px.block_min[r, b] > t32:
-            continue
-        first, last = b * BLOCK, (b + 1) * BLOCK
-        asking, on = waiting(px.t_next[r, first:last], px.is_on[r, first:last], t32)
-        all_here, on_here = int(count_bits(asking)), int(count_bits(on))
-        for _ in range(all_here):
-            px.column[n] = np.uint32(first) + lowest_bit(asking)
-            asking &= asking - np.uint32(1)
-            n += 1
+        px.asked[n] = b
+        n += px.block_min[r, b] <= t32
+    start = r * px.t_next.shape[1]
+    for k in range(n):
+        first = start + np.int64(px.asked[k]) * BLOCK
+        prefetch(px.t_next, first)
+        prefetch(px.t_next, first + BLOCK // 2)
+        prefetch(px.is_on, first)
+    return n
+
+
+@njit(forceinline=True, **JIT)
+def _gather_row(px: Pixels, r: int, t32: Any, blocks: int, xs: NDArray[np.uint16]) -> Any:
+    """List the waiting pixels of a row in ``px.column``; return their number, how many are ON, and their words.
+
+    The columns of ON events are written to ``xs``, those of OFF events to ``px.off_column``.
+    """
+    n, n_on, words = np.int64(0), np.int64(0), np.int64(2)
+    t_next, is_on = px.t_next[r], px.is_on[r]
+    for k in range(blocks):
+        first = np.int64(px.asked[k]) * BLOCK
+        asking, on = waiting(t_next[first : first + BLOCK], is_on[first : first + BLOCK], t32)
+        off = asking & ~on
+        here, on_here = np.int64(count_bits(asking)), np.int64(count_bits(on))
+        list_bits(asking, np.uint64(first), px.column, np.uint64(n))
+        list_bits(on, np.uint64(first), xs, np.uint64(n_on))
+        list_bits(off, np.uint64(first), px.off_column, np.uint64(n - n_on))
+        n += here
         n_on += on_here
-        words += _block_words(on_here) + _block_words(all_here - on_here)
+        words += _block_words(on_here) + _block_words(here - on_here)
     return n, n_on, words
 
 
 @njit(forceinline=True, **JIT)
-def _emit_row(px: Pixels, r: int, n: int, n_on: int, stamp: int, out: EventArrays, first: int) -> None:
-    """Write a row's events: ON first, then OFF, each from left to right."""
+def _emit_row(px: Pixels, r: int, n: int, n_on: int, stamp: int, out: EventArrays) -> None:
+    """Write a row's events, whose ON columns are written: ON first, then OFF, each from left to right."""
     ts, xs, ys, ps = out
-    i_on, i_off = first, first + n_on
+    off = xs[n_on:n]
+    for k in range(off.size):
+        off[k] = px.off_column[k]
     for k in range(n):
-        c = px.column[k]
-        on = int(px.is_on[r, c]) & 1
-        xs[i_on if on else i_off] = c
-        i_on += on
-        i_off += 1 - on
-    for i in range(first, first + n):
-        ts[i] = stamp
-    for i in range(first, first + n):
-        ys[i] = r
-    for i in range(first, first + n):
-        ps[i] = i < first + n_on
+        ts[k] = stamp
+    for k in range(n):
+        ys[k] = r
+    for k in range(n):
+        ps[k] = k < n_on
 
 
 @njit(forceinline=True, **JIT)
-def _update_blocks(px: Pixels, r: int, t: float) -> None:
-    """Update the earliest requests of the blocks of a row that were read at t, and of the row."""
-    t32 = np.float32(t)
-    for b in range(px.block_min.shape[1]):
-        if px.block_min[r, b] <= t32:
-            px.block_min[r, b] = smallest(px.t_next[r, b * BLOCK : (b + 1) * BLOCK])
+def _update_blocks(px: Pixels, r: int, blocks: int) -> None:
+    """Update the earliest requests of the listed blocks of a row, and of the row."""
+    for k in range(blocks):
+        b = np.int64(px.asked[k])
+        px.block_min[r, b] = smallest(px.t_next[r, b * BLOCK : (b + 1) * BLOCK])
     update_row(px, r)
 
 
@@ -254,7 +263,7 @@ def read_rows(
     int
         Number of events written. The next call continues exactly there.
     """
-    room = out[0].size - width
+    room = out[0].size - width - BLOCK
     start = period_start(drive, state[EPOCH], state[FREE])
     n = 0
     state[FULL] = 0.0
@@ -279,13 +288,16 @@ def read_rows(
             _next_noise(px, ro, width, state, random)
             continue
         r = row_at(px, smallest(px.group_min))
-        n_row, n_on, words = _gather_row(px, r, t)
-        _emit_row(px, r, n_row, n_on, np.int64(floor(state[EPOCH] + t)), out, n)
+        blocks = _find_blocks(px, r, np.float32(t))
+        ts, xs, ys, ps = out
+        here = ts[n:], xs[n:], ys[n:], ps[n:]
+        n_row, n_on, words = _gather_row(px, r, np.float32(t), blocks, here[1])
+        _emit_row(px, r, n_row, n_on, np.int64(floor(state[EPOCH] + t)), here)
         if t == oldest and drive.kind == SQUARE:
             reset_at_once(px, drive, ro, r, n_row, t, start, random)
         else:
             reset_row(px, drive, ro, r, n_row, t, start, random)
-        _update_blocks(px, r, t)
+        _update_blocks(px, r, blocks)
         n += n_row
         state[STALL] += max(0.0, t_link - max(oldest, state[FREE]))
         _account(state, ro, t, n_row, words)

@@ -7,16 +7,15 @@ are microseconds after the epoch, the moment to which the float32 times of the p
 
 from __future__ import annotations
 
-from typing import Any, Final, NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
 from simulators.pixels.fast_math import JIT
+from simulators.pixels.lanes import BLOCK, smallest
 
-BLOCK: Final = 32
-"""Pixels of a block: one vector triple of the EVT3 format."""
 GROUP: Final = 24
 """Rows of a group; groups speed up the search for the oldest request."""
 AHEAD: Final = 256
@@ -67,7 +66,11 @@ class Pixels(NamedTuple):
     batch
         (N_BATCH, columns) float32, scratch: the pixels of a row that are processed.
     column
-        (columns,) uint32, their columns.
+        (columns + BLOCK,) uint32, their columns.
+    off_column
+        (columns + BLOCK,) uint16, scratch: the columns of those with an OFF event.
+    asked
+        (blocks,) uint32, scratch: the blocks of a row in which pixels wait.
     noise_t
         (AHEAD,) float64, times of the next background and hot-pixel events, us after the epoch.
     noise_at
@@ -83,6 +86,8 @@ class Pixels(NamedTuple):
     group_min: NDArray[np.float32]
     batch: NDArray[np.float32]
     column: NDArray[np.uint32]
+    off_column: NDArray[np.uint16]
+    asked: NDArray[np.uint32]
     noise_t: NDArray[np.float64]
     noise_at: NDArray[np.int64]
 
@@ -119,26 +124,6 @@ class Readout(NamedTuple):
     noise_rate_us: float
     alias: NDArray[np.uint64]
     normals: NDArray[np.float32]
-
-
-@njit(forceinline=True, **JIT)
-def smallest(values: NDArray[np.float32]) -> float:
-    """Return the smallest of some numbers; a plain loop, which the compiler vectorises.
-
-    Parameters
-    ----------
-    values
-        (N,), at least one number.
-
-    Returns
-    -------
-    float
-        The minimum.
-    """
-    m = values[0]
-    for i in range(1, values.size):
-        m = min(m, values[i])
-    return m
 
 
 @njit(forceinline=True, **JIT)
@@ -260,69 +245,3 @@ def move_epoch(px: Pixels, state: NDArray[np.float64], by_us: float) -> None:
     state[FREE] -= by_us
     state[NOISE] -= by_us
     state[FIFO_T] -= by_us
-
-
-@njit(forceinline=True, **JIT)
-def waiting(t_next: NDArray[np.float32], is_on: NDArray[np.uint8], t32: Any) -> tuple[Any, Any]:
-    """Return which pixels of a block wait, a bit each, and which of them are ON.
-
-    Parameters
-    ----------
-    t_next
-        (BLOCK,) float32, next requests, us after the epoch.
-    is_on
-        (BLOCK,) uint8, their polarities in bit 0.
-    t32
-        Present time, float32.
-
-    Returns
-    -------
-    tuple of uint32
-        Bits of waiting pixels, and of those with an ON event.
-    """
-    asking, on = np.uint32(0), np.uint32(0)
-    for i in range(BLOCK):
-        bit = np.uint32(np.uint32(1) << np.uint32(i))
-        asking |= bit if t_next[i] <= t32 else np.uint32(0)
-        on |= bit if is_on[i] & np.uint8(1) else np.uint32(0)
-    return asking, on & asking
-
-
-@njit(inline="always", **JIT)
-def lowest_bit(bits: Any) -> Any:
-    """Return the position of the lowest set bit: the exponent of that bit as a float32.
-
-    x & (~x + 1) isolates the bit (Warren, Hacker's Delight, chapter 2).
-
-    Parameters
-    ----------
-    bits
-        Nonzero word, uint32.
-
-    Returns
-    -------
-    uint32
-        Position, 0 for the least significant bit.
-    """
-    alone = bits & (~bits + np.uint32(1))
-    return (np.uint32(np.float32(alone).view(np.int32)) >> np.uint32(23)) - np.uint32(127)
-
-
-@njit(inline="always", **JIT)
-def count_bits(bits: Any) -> Any:
-    """Return the number of set bits, by parallel sums within the word (Warren, Hacker's Delight, chapter 5).
-
-    Parameters
-    ----------
-    bits
-        Word, uint32.
-
-    Returns
-    -------
-    uint32
-        Number of bits.
-    """
-    b = bits - ((bits >> np.uint32(1)) & np.uint32(0x55555555))
-    b = (b & np.uint32(0x33333333)) + ((b >> np.uint32(2)) & np.uint32(0x33333333))
-    b = (b + (b >> np.uint32(4))) & np.uint32(0x0F0F0F0F)
-    return np.uint32(b * np.uint32(0x01010101)) >> np.uint32(24)

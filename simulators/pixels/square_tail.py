@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from simulators.pixels import photoreceptor as pr
 from simulators.pixels.drive import SQUARE, Drive
 from simulators.pixels.fast_math import JIT, KERNEL
+from simulators.pixels.lanes import smallest
 
 STEEP: Final = 3e-5
 """Smallest change of ln u per microsecond at which float32 is good to some hundredths of a microsecond."""
@@ -87,14 +88,11 @@ def fill_limit_distance(drive: Drive, batch: NDArray[np.float32], n: int) -> Any
     float32
         The smallest distance, at most 1.
     """
-    nearest = np.float32(1.0)
     for k in range(n):
         batch[pr.LIMIT_DISTANCE, k] = limit_distance(
             drive, batch[pr.LIGHT, k], batch[pr.ON_AT, k], batch[pr.OFF_AT, k]
         )
-    for k in range(n):
-        nearest = min(nearest, batch[pr.LIMIT_DISTANCE, k])
-    return nearest
+    return min(np.float32(1.0), smallest(batch[pr.LIMIT_DISTANCE, :n]))
 
 
 @njit(**JIT)
