@@ -40,7 +40,8 @@ def run_text(row: Mapping[str, Any]) -> str:
         place = f" ({failure['where']})" if failure["where"] else ""
         return printable(f"{name}: FAILED. {failure['what']}{place} {failure['remedy']}".rstrip())
     if row.get("skipped"):
-        return printable(f"{name}: was done before; its results are in {row['results']}.")
+        where = f"; its results are in {row['results']}" if row["results"] else ""
+        return printable(f"{name}: was done before{where}.")
     shown, k = [], row["coverage_factor"]
     for parameter in _SHOWN:
         if parameter in row["sigma"]:

@@ -146,6 +146,8 @@ class Kills:
         while True:
             with subprocess.Popen(command, cwd=ROOT, stdout=log, stderr=log) as process:
                 while not self._ended(process):
+                    if self.servers is not None and self.servers.workers.poll() is not None:
+                        self.servers.require()  # Dask gives up when a worker is killed while it starts
                     self._kill_one(process.pid)
             self.counts["starts"] += 1
             self.doubled += _doubled(output / TABLE)
@@ -250,9 +252,10 @@ class DaskServers:
         self.scheduler.wait()
 
     def require(self) -> None:
-        """Start both again if the scheduler was killed."""
-        if self.scheduler.poll() is not None:
+        """Start both again if one of them has ended."""
+        if self.scheduler.poll() is not None or self.workers.poll() is not None:
             self._kill_workers()
+            self.kill_scheduler()
             self._start()
 
     def _kill_workers(self) -> None:
