@@ -85,7 +85,7 @@ def run(
     """Run a SEQUENCE on a station and write a sealed report.
 
     SEQUENCE is a file, or the name of a sequence that is included (three_pose, nine_pose, turntable, until_good,
-    parallax_test).
+    parallax_test, boards).
 
     The first Ctrl-C stops the run safely: stage stopped, light off, files closed. The third one ends the process at
     once.
