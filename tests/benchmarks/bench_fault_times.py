@@ -1,8 +1,9 @@
 """From a fault of a simulated device to its line in the journal, to a message, and to the end of the run.
 
-    python tests/benchmarks/bench_fault_times.py FOLDER [FAULT ...]
+    python tests/benchmarks/bench_fault_times.py [--devices KIND] FOLDER [FAULT ...]
 
-FOLDER is new. A real run in a process of its own uses a simulated bench in another process. The fault is ordered while
+FOLDER is new. KIND is a kind of stage, ``flir_ptu``, ``thorlabs_apt`` or ``dynamixel``, with a microcontroller light;
+without it, Zaber stages and a function generator. A real run in a process of its own uses a simulated bench in another process. The fault is ordered while
 pose 2 is at work; a web server in this process receives the messages. Prints a row for each fault: seconds after the
 order, and what was told. The load of the computer stands in the last line.
 """
@@ -12,6 +13,7 @@ from __future__ import annotations
 import argparse
 import json
 import os
+import re
 import subprocess
 import sys
 import threading
@@ -24,6 +26,7 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "support"))
 from quick_runs import write_sequence, write_station
 from running import PATIENCE_S, STARBENCH, entering, environment, journal, start
 from servers import WebServer, serving
+from station_texts import without
 
 POSES = "[{pan_deg: -6, tilt_deg: 2}, {pan_deg: 6, tilt_deg: 2}, {pan_deg: 0, tilt_deg: -3}]"
 FAULTS = {
@@ -47,6 +50,33 @@ FAULTS = {
     "camera frames_lost count=3": "recording",
 }
 """The order, and the state of pose 2 in which it is given."""
+RAMP = "speed_deg_s: 90, acceleration_deg_s2: 2000"
+SERVO = "model: XL430-W250, counts_per_deg: 11.377778"
+STAGES = {
+    "flir_ptu": f"""stage:
+  driver: text
+  protocol: flir_ptu
+  port: sim:gimbal
+  axes:
+    pan: {{address: P, counts_per_deg: 800, limits_deg: [-15, 15], {RAMP}}}
+    tilt: {{address: T, counts_per_deg: 800, limits_deg: [-10, 10], {RAMP}}}
+""",
+    "thorlabs_apt": f"""stage:
+  driver: thorlabs_apt
+  axes:
+    pan: {{port: sim:gimbal-pan, serial: "100101", counts_per_deg: 136533.333, limits_deg: [-15, 15], {RAMP}}}
+    tilt: {{port: sim:gimbal-tilt, serial: "100102", counts_per_deg: 136533.333, limits_deg: [-10, 10], {RAMP}}}
+""",
+    "dynamixel": f"""stage:
+  driver: dynamixel
+  port: sim:gimbal
+  axes:
+    pan: {{id: 1, {SERVO}, limits_deg: [-15, 15], {RAMP}}}
+    tilt: {{id: 2, {SERVO}, limits_deg: [-10, 10], {RAMP}}}
+""",
+}
+"""Sections of a station file, by the kind of simulated stage."""
+LIGHT = "light: {driver: text, protocol: microcontroller_light, port: sim:light}\n"
 
 
 @dataclass
@@ -69,7 +99,7 @@ class Bench:
         )
         bench = cls(process)
         assert process.stdout is not None
-        while set(bench.ports) < {"gimbal", "light", "camera"}:
+        while set(bench.ports) < set(re.findall(r"sim:([\w-]+)", station.read_text())):
             name, port = process.stdout.readline().split()
             bench.ports[name] = port
         threading.Thread(target=lambda: list(process.stdout), daemon=True).start()
@@ -96,19 +126,28 @@ def told_by(lines: list[dict], since: int) -> str:
     return ""
 
 
-def measure(folder: Path, fault: str, state: str) -> str:
+def with_devices(station: Path, kind: str) -> None:
+    """Give a station other devices."""
+    text = without(station.read_text(), "stage", "light") + STAGES[kind] + LIGHT
+    kinds = f"simulation: {{stage: {{kind: {kind}}}, light: {{kind: microcontroller}}, "
+    station.write_text(text.replace("simulation: {", kinds))
+
+
+def measure(folder: Path, fault: str, state: str, kind: str | None) -> str:
     """Do a run with one fault; return its row."""
     folder.mkdir()
     with serving(WebServer()) as server:
         hook = f"\nmessages: {{webhooks: [{{url: '{server.url}'}}]}}\n"
         station = write_station(folder / "station.yaml", hook)
+        if kind is not None:
+            with_devices(station, kind)
         bench = Bench.started(station, folder / "home")
         try:
             text = "\n".join(
                 line for line in station.read_text().splitlines() if not line.startswith("simulation:")
             )
             for name, port in bench.ports.items():
-                text = text.replace(f"sim:{name}", port)
+                text = re.sub(rf"sim:{name}(?![\w-])", port, text)
             station.write_text(text + "\n")
             sequence = write_sequence(folder / "sequence.yaml", POSES, attempts=1)
             run = folder / "run"
@@ -126,7 +165,9 @@ def measure(folder: Path, fault: str, state: str) -> str:
                     message_s = now_s
                 time.sleep(0.01)
             ended_s = time.monotonic() - began_s
-            process.communicate()
+            _, said = process.communicate()
+            if not journal(run):
+                raise SystemExit(f"the run did not begin: {said}")
             if message_s is None and server.posts:
                 message_s = ended_s
         finally:
@@ -143,11 +184,14 @@ def main() -> None:
     parser = argparse.ArgumentParser()
     parser.add_argument("folder", type=Path)
     parser.add_argument("faults", nargs="*", default=list(FAULTS))
+    parser.add_argument("--devices", choices=list(STAGES))
     given = parser.parse_args()
     given.folder.mkdir(parents=True)
     print(f"{'fault':28}{'in state':10} journal message     end  how       what")
     for number, fault in enumerate(given.faults):
-        print(measure(given.folder / f"{number:02}", fault, FAULTS[fault]), flush=True)
+        line = "gimbal-pan" if given.devices == "thorlabs_apt" else "gimbal"
+        order = fault.replace("gimbal", line)
+        print(measure(given.folder / f"{number:02}", order, FAULTS[fault], given.devices), flush=True)
     print(json.dumps({"load": os.getloadavg()}))
 
 
