@@ -3,12 +3,11 @@
 import pytest
 from rehearsed import TWO, Scene
 
-from bench.base.device_ends import DEVICES
+from bench.base.device_ends import DEVICES, NOT_ASKED
 from bench.records.events import Event
 from bench.records.history import replay
 from bench.records.journal import read_journal
 from bench.report import device_tables
-from bench.base.device_ends import NOT_ASKED
 from drivers.errors import LightFault
 
 END = "  - solve: {model: spherical, distortion: [k1]}\n  - report\n"
