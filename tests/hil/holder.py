@@ -5,10 +5,14 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable
 
+from bench.stations.device_description import find_description, read_stage_protocol
 from drivers.clock import SystemClock
 from drivers.stage import AxisLimits, Stage
+from drivers.stage.dynamixel import DynamixelAxis, DynamixelStage
 from drivers.stage.esp import EspAxis, EspStage
 from drivers.stage.grbl import GrblAxis, GrblStage
+from drivers.stage.text import TextAxis, TextStage
+from drivers.stage.thorlabs import ThorlabsAxis, ThorlabsStage
 from drivers.stage.ximc import XimcAxis, XimcStage
 from drivers.stage.zaber import ZaberAxis, ZaberStage
 
@@ -31,6 +35,27 @@ OPENED: dict[str, Callable[[str], Stage]] = {
     ),
     "esp": lambda address: EspStage.open(
         address, [EspAxis(name="pan", number=1, serial="", limits=LIMITS)], clock=CLOCK
+    ),
+    "flir": lambda address: TextStage.open(
+        address,
+        [TextAxis(name="pan", address="P", counts_per_deg=800.0, limits=LIMITS)],
+        read_stage_protocol(find_description("flir_ptu", None)).value.for_driver(),
+        baudrate=57_600,
+        clock=CLOCK,
+    ),
+    "thorlabs": lambda address: ThorlabsStage.open(
+        [ThorlabsAxis(name="pan", port=address, serial="", counts_per_deg=409_600 / 3, limits=LIMITS)],
+        clock=CLOCK,
+    ),
+    "dynamixel": lambda address: DynamixelStage.open(
+        address,
+        [
+            DynamixelAxis(
+                name="pan", id=1, model="XL430-W250", counts_per_deg=100.0, limits=LIMITS, tolerance_deg=0.02
+            )
+        ],
+        baudrate=57_600,
+        clock=CLOCK,
     ),
 }
 

@@ -54,7 +54,9 @@ def test_killed_while_open_it_leaves_a_free_port_and_nothing_moves(rig, holder) 
     holder.wait()
     with closing(OPENED[rig.family](rig.devices[0].address)) as stage:
         assert stands(rig)  # even if it had just begun to home
-        assert not stage.is_homed()
+        assert (
+            rig.family == "dynamixel" or not stage.is_homed()
+        )  # a servo knows its angle; its torque stays on
     assert abs(pan_deg(rig) - stood) < 3.0
 
 
