@@ -36,6 +36,7 @@ EXAMPLES = {
     "verify": (
         "starbench verify runs/cam7",
         "starbench verify runs/cam7 --serial 00051234 --allowed-signers lab_signers --again",
+        "starbench verify runs/* --again --workers 4 -o checked",
     ),
     "status": ("starbench status runs/cam7 --follow", "starbench status runs/night"),
     "panel": ("starbench panel", "starbench panel runs/night --port 8800 --no-browser"),
@@ -79,8 +80,15 @@ EXAMPLES = {
         "starbench compare table1 --repetitions 3",
         "starbench compare my_comparison.yaml -o comparisons/mine",
     ),
-    "study": ("starbench study nine_pose --runs 500 --plot errors.svg",),
-    "convert": ("starbench convert pose-001-attempt-1.raw pose.hdf5", "starbench convert pose.hdf5 pose.raw"),
+    "study": (
+        "starbench study nine_pose --runs 500 --plot errors.svg",
+        "starbench study nine_pose --runs 100000 --scheduler tls://cluster.lab:8786 -o study",
+    ),
+    "convert": (
+        "starbench convert pose-001-attempt-1.raw pose.hdf5",
+        "starbench convert pose.hdf5 pose.raw",
+        "starbench convert captures/*.raw converted/ --as hdf5",
+    ),
     "devices": ("starbench devices",),
     "station": ("starbench station new my_bench.yaml",),
     "station new": (
