@@ -35,6 +35,7 @@ SYMMETRY_REACH = 0.49
 #: Number of unknowns: centre x, y; relative slope x, y; absolute slope x, y.
 SYMMETRY_UNKNOWNS = 6
 _MAX_STEPS = 12
+_SIXTH = 1.0 / 6.0
 
 
 class SymmetryFit(NamedTuple):
@@ -128,10 +129,10 @@ def _spline_weights(a: float) -> tuple[float, float, float, float]:
     """
     b = 1.0 - a
     return (
-        b * b * b / 6.0,
-        (4.0 - 6.0 * a * a + 3.0 * a * a * a) / 6.0,
-        (4.0 - 6.0 * b * b + 3.0 * b * b * b) / 6.0,
-        a * a * a / 6.0,
+        b * b * b * _SIXTH,
+        (4.0 - 6.0 * a * a + 3.0 * a * a * a) * _SIXTH,
+        (4.0 - 6.0 * b * b + 3.0 * b * b * b) * _SIXTH,
+        a * a * a * _SIXTH,
     )
 
 
@@ -192,6 +193,7 @@ def _normal_equations(
     samples: Any,
     used_to: Any,
     slopes: Any,
+    rows: Any,
     normal: Any,
     right: Any,
 ) -> float:
@@ -199,14 +201,10 @@ def _normal_equations(
 
     The unknowns are the centre (x, y), px, and ``slopes``: the relative slope g, 1/pitch, and the absolute slope b,
     brightness/pitch. ``used_to`` is how far from the centre the cell is used along the columns and along the rows,
-    pitches. Residuals: Schöps et al. (2020), with this project's own slopes and curvature; the head of the module gives
-    the equations.
+    pitches. ``rows`` (7, M) takes the derivatives and the residuals. Residuals: Schöps et al. (2020), with this
+    project's own slopes and curvature; the head of the module gives the equations.
     """
-    normal[:] = 0.0
-    right[:] = 0.0
-    squares = 0.0
     n = asked = 0
-    j = np.empty(SYMMETRY_UNKNOWNS)
     for i in range(len(samples)):
         u, v = samples[i, 0], samples[i, 1]
         if abs(u) > used_to[0] or abs(v) > used_to[1]:
@@ -220,19 +218,34 @@ def _normal_equations(
         here, here_x, here_y = _smooth_sample(image, mx - ax, my - ay)
         if np.isnan(there) or np.isnan(here):
             continue
-        n += 1
         both = there + here
-        j[0], j[1], j[2], j[3], j[4], j[5] = there_x - here_x, there_y - here_y, -u * both, -v * both, -u, -v
-        r = there - here + slopes[0] * j[2] + slopes[1] * j[3] + slopes[2] * j[4] + slopes[3] * j[5]
-        squares += r * r
-        for k in range(SYMMETRY_UNKNOWNS):
-            right[k] += j[k] * r
-            for m in range(k + 1):
-                normal[k, m] += j[k] * j[m]
-    for k in range(SYMMETRY_UNKNOWNS):
-        for m in range(k):
-            normal[m, k] = normal[k, m]
+        gx, gy = -u * both, -v * both
+        rows[0, n], rows[1, n], rows[2, n], rows[3, n] = there_x - here_x, there_y - here_y, gx, gy
+        rows[4, n], rows[5, n] = -u, -v
+        rows[6, n] = there - here + slopes[0] * gx + slopes[1] * gy - slopes[2] * u - slopes[3] * v
+        n += 1
+    squares = _sum_products(rows, n, normal, right)
     return squares / n if asked > 0 and n >= MIN_COVERED * asked else np.nan
+
+
+@njit(cache=True, error_model="numpy", fastmath={"reassoc", "contract", "nsz"})
+def _sum_products(rows: Any, n: int, normal: Any, right: Any) -> float:
+    """Compute J^T J and J^T r from the first ``n`` columns of ``rows``, J^T above r; return the sum of r^2."""
+    r = rows[SYMMETRY_UNKNOWNS]
+    for k in range(SYMMETRY_UNKNOWNS):
+        j, total = rows[k], 0.0
+        for i in range(n):
+            total += j[i] * r[i]
+        right[k] = total
+        for m in range(k + 1):
+            other, total = rows[m], 0.0
+            for i in range(n):
+                total += j[i] * other[i]
+            normal[k, m] = normal[m, k] = total
+    total = 0.0
+    for i in range(n):
+        total += r[i] * r[i]
+    return total
 
 
 @njit(cache=True, error_model="numpy")
@@ -313,6 +326,7 @@ def refine_by_symmetry(
     centres, information = np.full((n, 2), np.nan), np.full((n, 2, 2), np.nan)
     mean_square, light_slope, converged = np.full(n, np.nan), np.full(n, np.nan), np.zeros(n, np.bool_)
     normal, right = np.empty((SYMMETRY_UNKNOWNS, SYMMETRY_UNKNOWNS)), np.empty(SYMMETRY_UNKNOWNS)
+    rows = np.empty((SYMMETRY_UNKNOWNS + 1, len(samples)))
     for k in range(n):
         x, y = guesses[k, 0], guesses[k, 1]
         slopes = np.zeros(SYMMETRY_UNKNOWNS - 2)
@@ -326,6 +340,7 @@ def refine_by_symmetry(
                 samples,
                 used_to[k],
                 slopes,
+                rows,
                 normal,
                 right,
             )

@@ -7,25 +7,23 @@ smooth map of the others is left out, because no star is better than a wrong one
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Literal, NamedTuple
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from functools import cached_property, partial
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.errors import InputMismatch, StarsUnnamed, TargetNotFound, TooFewStars
-from calib.model.homography import apply_homography
+from calib.errors import InputMismatch, TooFewStars
+from calib.stars.candidates import MIN_STARS, Candidates, NamedBy, find_candidates
 from calib.stars.centring import SYMMETRY_REACH, SymmetryFit, refine_by_symmetry, smooth, symmetry_samples
 from calib.stars.edge_pixels import quantise
 from calib.stars.grid_map import fit_grid_map
-from calib.stars.growth import GrowthStart, StarGrid, grow_star_grid, start_at_tag
-from calib.stars.labelling import label_by_pose, label_by_tag
-from calib.stars.lattice import find_lattice
 from calib.stars.likelihood import edge_width_px, refine_by_likelihood
 from calib.stars.local_map import LocalMap
 from calib.stars.noise import variance_factor
 from calib.stars.open_sides import cell_reach, open_sides
-from calib.stars.tag import find_tag
 from calib.stars.template import SHARP_CORRELATION, StarTemplate, learnt_contrasts, star_contrasts
 from calib.target import StarTarget
 from calib.view import View
@@ -49,10 +47,6 @@ OUTLIER_PX = 0.05
 COARSE_STEP_PX, FINE_STEP_PX = 1.6, 1.0
 #: Largest move of a centre in a refinement, pitches.
 MAX_MOVE_PITCHES = 0.06
-#: Largest share of the stars found without the tag that may lie where none is printed.
-MAX_STRAY = 0.02
-#: Least number of stars of a view.
-MIN_STARS = 12
 #: Least number of stars from which the statistics of pixels near edges are learnt.
 MIN_FOR_LIKELIHOOD = 40
 #: Typical factor of the symmetry's covariances, because the residuals of neighbouring pixels are not independent.
@@ -63,11 +57,9 @@ UNEVEN_LIGHT_PX = 0.035
 MAX_APART_SIGMAS = 6.0
 
 
-NamedBy = Literal["tag", "part of the tag", "expected pose"]
-
-
-class Detection(NamedTuple):
-    """Stars detected in an image.
+@dataclass(frozen=True)
+class Detection:
+    """Stars detected in an image; it can be unpacked as view, what named it, and edge width.
 
     Attributes
     ----------
@@ -75,44 +67,23 @@ class Detection(NamedTuple):
         The stars.
     named_by
         What identified the stars: the whole tag, a part of it, or only the expected pose.
-    edge_width_px
-        Blur of the stars' edges by lens and pixel together, standard deviation, px, as
-        `calib.stars.likelihood.edge_width_px` measures it.
     """
 
     view: View
     named_by: NamedBy
-    edge_width_px: float
+    _measure_width: Callable[[], float] = field(repr=False)
 
+    @cached_property
+    def edge_width_px(self) -> float:
+        """Blur of the stars' edges by lens and pixel together, standard deviation, px; measured when it is asked for.
 
-class Candidates(NamedTuple):
-    """Possible stars.
-
-    Attributes
-    ----------
-    nodes
-        (N, 2) int64, columns and rows of the target.
-    points
-        (N, 2) float64, px.
-    """
-
-    nodes: NDArray[np.int64]
-    points: NDArray[np.float64]
-
-    def select(self, mask: NDArray[np.bool_]) -> Candidates:
-        """Return some of them.
-
-        Parameters
-        ----------
-        mask
-            (N,) bool.
-
-        Returns
-        -------
-        Candidates
-            In the same order.
+        `calib.stars.likelihood.edge_width_px` measures it.
         """
-        return Candidates(self.nodes[mask], self.points[mask])
+        return self._measure_width()
+
+    def __iter__(self) -> Iterator[Any]:
+        """Yield view, what named it, and edge width."""
+        yield from (self.view, self.named_by, self.edge_width_px)
 
 
 def detect_view(
@@ -193,16 +164,16 @@ def detect_stars(
             remedy="Give one grey plane (H, W).",
         )
     smoothed = smooth(np.nan_to_num(np.asarray(image, np.float32)), BLUR_PX)
-    candidates, sign, named_by = _candidates(image, smoothed, target, expected, name)
+    candidates, sign, named_by = find_candidates(image, smoothed, target, expected, name=name)
     blurred = False
     for step_px in (COARSE_STEP_PX, FINE_STEP_PX):
         _require_enough(len(candidates.nodes), name, blurred=blurred)
         candidates, fit, local_map, blurred = refine_candidates(smoothed, candidates, target, sign, step_px)
     _require_enough(len(candidates.nodes), name, blurred=blurred)
-    points, covariances, width_px = _best_centres(image, candidates, fit, local_map, target)
+    points, covariances, measure_width = _best_centres(image, candidates, fit, local_map, target)
     kept = np.isfinite(points).all(axis=1)
     least = MIN_FOR_LIKELIHOOD if blurred else MIN_STARS
-    _require_enough(int(np.count_nonzero(kept)), name, least, blurred=blurred, width_px=width_px)
+    _require_enough(int(np.count_nonzero(kept)), name, least, blurred=blurred, measure_width=measure_width)
     ids = target.id_at(candidates.nodes[kept, 0], candidates.nodes[kept, 1])
     order = np.argsort(ids)
     view = View(
@@ -213,83 +184,7 @@ def detect_stars(
         target_mm=target.positions_mm(ids[order]),
         covariances_px2=covariances[kept][order],
     )
-    return Detection(view, named_by, width_px)
-
-
-def _candidates(
-    image: NDArray[np.generic],
-    smoothed: NDArray[np.float32],
-    target: StarTarget,
-    expected: NDArray[np.float64] | None,
-    name: str,
-) -> tuple[Candidates, float, NamedBy]:
-    """Find possible stars, starting at the tag if it can be read; return also the contrast and what labelled them."""
-    tag = find_tag(image, target, name=name)
-    if tag is None:
-        return _candidates_without_tag(smoothed, target, expected, name)
-    grown = grow_star_grid(smoothed, start_at_tag(tag, target), target.segments, _printed(target))
-    return Candidates(grown.nodes(), grown.places()), tag.sign, "tag"
-
-
-def _printed(target: StarTarget) -> Callable[[NDArray[np.int64]], NDArray[np.bool_]]:
-    """Return a function from (N, 2) nodes of the target to (N,) bool: whether a star is printed there."""
-    return lambda nodes: np.asarray(target.id_at(nodes[:, 0], nodes[:, 1]) >= 0)
-
-
-def _candidates_without_tag(
-    image: NDArray[np.float32], target: StarTarget, expected: NDArray[np.float64] | None, name: str
-) -> tuple[Candidates, float, NamedBy]:
-    """Find possible stars starting at any of them, and label them by the visible part of the tag or by the pose."""
-    start = find_lattice(image, target.segments)
-    starts = [start] if start is not None else _starts_as_expected(image, expected)
-    size = max(target.columns, target.rows)
-    grown = StarGrid()
-    for tried in starts:
-        found = grow_star_grid(
-            image, tried, target.segments, lambda nodes: np.asarray((np.abs(nodes) < size).all(axis=1))
-        )
-        if len(found.points) > len(grown.points):
-            start, grown = tried, found
-    if start is None or len(grown.points) < MIN_STARS:
-        raise TargetNotFound(
-            f"Tag {target.tag_id} of family {target.tag_family} is not in the image, and no stars are either.",
-            where=f"view {name}",
-            remedy="Turn the camera so that the tag is in view; check focus, light and the target's description.",
-        )
-    named_by: NamedBy = "part of the tag"
-    try:
-        labels = label_by_tag(image, grown, start.sign, target, name=name)
-    except StarsUnnamed:
-        if expected is None:
-            raise
-        labels, named_by = label_by_pose(grown, expected, name=name), "expected pose"
-    nodes = labels.apply(grown.nodes())
-    printed = _printed(target)(nodes)
-    if np.count_nonzero(~printed) > MAX_STRAY * len(nodes):
-        raise TargetNotFound(
-            f"{np.count_nonzero(~printed)} of {len(nodes)} stars would lie where the target has none.",
-            where=f"view {name}",
-            remedy="Check the target's description and the expected pose.",
-        )
-    return Candidates(nodes, grown.places()).select(printed), start.sign, named_by
-
-
-def _starts_as_expected(
-    image: NDArray[np.float32], expected: NDArray[np.float64] | None
-) -> list[GrowthStart]:
-    """Return where growth may start by the expected pose, for either contrast: nodes in the middle of the image.
-
-    An image out of focus may show stars, but none that is found without knowing where it is.
-    """
-    if expected is None:
-        return []
-    height, width = image.shape
-    inverse = np.asarray(np.linalg.inv(expected), np.float64)
-    middle = apply_homography(inverse, np.array([[width / 2.0, height / 2.0]]))
-    steps = np.arange(-2, 3)
-    nodes = (np.round(middle) + np.stack(np.meshgrid(steps, steps), axis=-1).reshape(-1, 2)).astype(np.int64)
-    nothing = np.zeros((0, 2))
-    return [GrowthStart(expected, sign, nodes, nothing, nothing) for sign in (1.0, -1.0)]
+    return Detection(view, named_by, measure_width)
 
 
 def _best_centres(
@@ -298,8 +193,10 @@ def _best_centres(
     fit: SymmetryFit,
     local_map: LocalMap,
     target: StarTarget,
-) -> tuple[NDArray[np.float64], NDArray[np.float64], float]:
-    """Locate the stars by likelihood too, and return what scatters less: (N, 2) px and (N, 2, 2) px^2; and edge width.
+) -> tuple[NDArray[np.float64], NDArray[np.float64], Callable[[], float]]:
+    """Locate the stars by likelihood too, and return what scatters less: (N, 2) px and (N, 2, 2) px^2.
+
+    The third result measures the width of the edges, px.
 
     Symmetry is best if the image has many shades of grey and little noise, likelihood if it is nearly black and white.
     Stars on which the two contradict each other are nan. Own rule: centres agree if d^T (V + W)^-1 d <= 6^2, with their
@@ -311,7 +208,7 @@ def _best_centres(
     by_symmetry += _uneven_light(fit.light_slope)
     levels = quantise(image)
     if len(nodes) < MIN_FOR_LIKELIHOOD:
-        return points, by_symmetry, edge_width_px(levels, points, local_map, target)
+        return points, by_symmetry, partial(edge_width_px, levels, points, local_map, target)
     likely = refine_by_likelihood(levels, points, local_map, target, open_sides(target, nodes))
     factor = variance_factor(nodes, likely.centres, likely.covariances, typical=1.0)
     by_likelihood = likely.covariances * factor
@@ -320,8 +217,8 @@ def _best_centres(
     squares = np.einsum("ni,nij,nj->n", apart, np.linalg.inv(by_symmetry + by_likelihood), apart)
     agree = (squares <= MAX_APART_SIGMAS**2)[:, None]
     if _typical_variance(by_likelihood) < _typical_variance(by_symmetry):
-        return np.where(agree, likely.centres, np.nan), by_likelihood, likely.edge_width_px
-    return np.where(agree, points, np.nan), by_symmetry, likely.edge_width_px
+        return np.where(agree, likely.centres, np.nan), by_likelihood, lambda: likely.edge_width_px
+    return np.where(agree, points, np.nan), by_symmetry, lambda: likely.edge_width_px
 
 
 def _uneven_light(light_slope: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -423,7 +320,12 @@ def _without_outliers(
 
 
 def _require_enough(
-    count: int, name: str, least: int = MIN_STARS, *, blurred: bool, width_px: float = float("nan")
+    count: int,
+    name: str,
+    least: int = MIN_STARS,
+    *,
+    blurred: bool,
+    measure_width: Callable[[], float] | None = None,
 ) -> None:
     """Refuse a view with too few stars. If few stars of a blurred image remain, their covariances are too small."""
     if count >= least:
@@ -435,6 +337,7 @@ def _require_enough(
             where=f"view {name}",
             remedy="Check focus, light and that the target is the one described.",
         )
+    width_px = measure_width() if measure_width else np.nan
     wide = f": star edges are {width_px:.1f} px wide" if np.isfinite(width_px) else ""
     raise TooFewStars(
         f"{found} The image is out of focus{wide}.",

@@ -20,6 +20,7 @@ from calib.stars.printed_star import OVERSAMPLING, EdgeMap
 
 #: Width of the bins of tau, px.
 TAU_BIN_PX = 0.03
+_BINS_PER_PX = 1.0 / TAU_BIN_PX
 #: Largest number of levels of brightness.
 LEVELS = 64
 #: Number of unknowns of a star: shift of its centre x, y; shift of the threshold; slope of the threshold x, y.
@@ -242,7 +243,7 @@ def _gather(
         found.first[k + 1] = m
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", fastmath={"contract"})
 def _tau_bin(pixels: EdgePixels, m: int, unknowns: Any, limit_px: float) -> float:
     """Return the bin of tau of a pixel, with its fraction, for the current unknowns of its star.
 
@@ -251,10 +252,10 @@ def _tau_bin(pixels: EdgePixels, m: int, unknowns: Any, limit_px: float) -> floa
     tau = pixels.tau[m]
     for p in range(EDGE_UNKNOWNS):
         tau += pixels.slope[m, p] * unknowns[p]
-    return (tau + limit_px) / TAU_BIN_PX
+    return (tau + limit_px) * _BINS_PER_PX
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", fastmath={"contract"})
 def count_levels(pixels: EdgePixels, unknowns: Any, limit_px: float) -> Any:
     """Count the levels of all pixels over tau. Each pixel is shared between the two nearest bins.
 
@@ -286,7 +287,7 @@ def count_levels(pixels: EdgePixels, unknowns: Any, limit_px: float) -> Any:
     return counts
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", fastmath={"contract"})
 def edge_scores(
     pixels: EdgePixels, unknowns: Any, tables: ScoreTables, limit_px: float, edges: int
 ) -> tuple[Any, Any]:

@@ -29,8 +29,8 @@ ratio (its overdispersion).
 from __future__ import annotations
 
 from collections.abc import Sequence
-from functools import lru_cache
-from typing import NamedTuple
+from dataclasses import dataclass, field
+from functools import cached_property, lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -71,7 +71,8 @@ MAX_STEP_PX = 0.15
 _RIDGE = 1e-6
 
 
-class LikelihoodFit(NamedTuple):
+@dataclass(frozen=True)
+class LikelihoodFit:
     """Most likely centres of N stars.
 
     Attributes
@@ -82,14 +83,17 @@ class LikelihoodFit(NamedTuple):
         (N, 2, 2) float64, px^2, from the Fisher information, weighted by the overdispersion.
     light_slope
         (N,) float64, px per pitch, length of b: how uneven the light is across the star.
-    edge_width_px
-        Width of the stars' edges, px, from `edge_width_px`.
     """
 
     centres: NDArray[np.float64]
     covariances: NDArray[np.float64]
     light_slope: NDArray[np.float64]
-    edge_width_px: float
+    _information: _InformationByBlur = field(repr=False)
+
+    @cached_property
+    def edge_width_px(self) -> float:
+        """Width of the stars' edges, px, from `edge_width_px`; measured when it is asked for."""
+        return _most_informative_blur(self._information)
 
 
 def refine_by_likelihood(
@@ -142,9 +146,7 @@ def refine_by_likelihood(
             overdispersion = _overdispersion(score, fisher)
     light_slope = np.linalg.norm(unknowns[:, 3:], axis=1)
     covariances = np.linalg.inv(normal)[:, :2, :2]
-    return LikelihoodFit(
-        centres + unknowns[:, :2], covariances, light_slope, _most_informative_blur(information)
-    )
+    return LikelihoodFit(centres + unknowns[:, :2], covariances, light_slope, information)
 
 
 def edge_width_px(

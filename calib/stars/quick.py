@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.errors import StarsUnnamed
+from calib.stars.candidates import MIN_STARS, Candidates
 from calib.stars.centring import SYMMETRY_REACH, refine_by_symmetry, smooth, symmetry_samples
 from calib.stars.detect import (
     BLUR_PX,
@@ -21,9 +22,7 @@ from calib.stars.detect import (
     MIN_CONTRAST,
     MIN_CORRELATION,
     MIN_OCTANT,
-    MIN_STARS,
     OPEN_STRIP_PX,
-    Candidates,
     refine_candidates,
 )
 from calib.stars.growth import StarGrid, grow_star_grid, start_at_tag

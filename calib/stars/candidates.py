@@ -1,0 +1,164 @@
+"""Possible stars of an image, with their places on the target: from the tag, from a part of it, or from the pose.
+
+They are found to about a pixel; `calib.stars.detect` refines and tests them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Literal, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calib.errors import StarsUnnamed, TargetNotFound
+from calib.model.homography import apply_homography
+from calib.stars.growth import GrowthStart, StarGrid, grow_star_grid, start_at_tag
+from calib.stars.labelling import label_by_pose, label_by_tag
+from calib.stars.lattice import find_lattice
+from calib.stars.tag import find_tag
+from calib.target import StarTarget
+
+#: Least number of stars of a view.
+MIN_STARS = 12
+#: Largest share of the stars found without the tag that may lie where none is printed.
+MAX_STRAY = 0.02
+
+NamedBy = Literal["tag", "part of the tag", "expected pose"]
+
+
+class Candidates(NamedTuple):
+    """Possible stars.
+
+    Attributes
+    ----------
+    nodes
+        (N, 2) int64, columns and rows of the target.
+    points
+        (N, 2) float64, px.
+    """
+
+    nodes: NDArray[np.int64]
+    points: NDArray[np.float64]
+
+    def select(self, mask: NDArray[np.bool_]) -> Candidates:
+        """Return some of them.
+
+        Parameters
+        ----------
+        mask
+            (N,) bool.
+
+        Returns
+        -------
+        Candidates
+            In the same order.
+        """
+        return Candidates(self.nodes[mask], self.points[mask])
+
+
+def find_candidates(
+    image: NDArray[np.generic],
+    smoothed: NDArray[np.float32],
+    target: StarTarget,
+    expected: NDArray[np.float64] | None,
+    *,
+    name: str,
+) -> tuple[Candidates, float, NamedBy]:
+    """Find possible stars, starting at the tag if it can be read.
+
+    Parameters
+    ----------
+    image
+        (H, W) of any integer or floating type; white may be bright or dark.
+    smoothed
+        (H, W) float32, from `calib.stars.centring.smooth`.
+    target
+        Printed target.
+    expected
+        (3, 3) float64, homography from the target's grid to px, by the pose; None if it is not known.
+    name
+        Name of the pose, for messages.
+
+    Returns
+    -------
+    candidates : Candidates
+        Possible stars, with their nodes.
+    sign : float
+        +1 if white is bright in the image, -1 if it is dark.
+    named_by : str
+        What labelled them.
+
+    Raises
+    ------
+    StarsUnnamed
+        If neither the tag nor an expected pose identifies the stars.
+    TargetNotFound
+        If the image shows no stars, a wrong tag, or the tag more than once.
+    """
+    tag = find_tag(image, target, name=name)
+    if tag is None:
+        return _candidates_without_tag(smoothed, target, expected, name)
+    grown = grow_star_grid(smoothed, start_at_tag(tag, target), target.segments, _printed(target))
+    return Candidates(grown.nodes(), grown.places()), tag.sign, "tag"
+
+
+def _printed(target: StarTarget) -> Callable[[NDArray[np.int64]], NDArray[np.bool_]]:
+    """Return a function from (N, 2) nodes of the target to (N,) bool: whether a star is printed there."""
+    return lambda nodes: np.asarray(target.id_at(nodes[:, 0], nodes[:, 1]) >= 0)
+
+
+def _candidates_without_tag(
+    image: NDArray[np.float32], target: StarTarget, expected: NDArray[np.float64] | None, name: str
+) -> tuple[Candidates, float, NamedBy]:
+    """Find possible stars starting at any of them, and label them by the visible part of the tag or by the pose."""
+    start = find_lattice(image, target.segments)
+    starts = [start] if start is not None else _starts_as_expected(image, expected)
+    size = max(target.columns, target.rows)
+    grown = StarGrid()
+    for tried in starts:
+        found = grow_star_grid(
+            image, tried, target.segments, lambda nodes: np.asarray((np.abs(nodes) < size).all(axis=1))
+        )
+        if len(found.points) > len(grown.points):
+            start, grown = tried, found
+    if start is None or len(grown.points) < MIN_STARS:
+        raise TargetNotFound(
+            f"Tag {target.tag_id} of family {target.tag_family} is not in the image, and no stars are either.",
+            where=f"view {name}",
+            remedy="Turn the camera so that the tag is in view; check focus, light and the target's description.",
+        )
+    named_by: NamedBy = "part of the tag"
+    try:
+        labels = label_by_tag(image, grown, start.sign, target, name=name)
+    except StarsUnnamed:
+        if expected is None:
+            raise
+        labels, named_by = label_by_pose(grown, expected, name=name), "expected pose"
+    nodes = labels.apply(grown.nodes())
+    printed = _printed(target)(nodes)
+    if np.count_nonzero(~printed) > MAX_STRAY * len(nodes):
+        raise TargetNotFound(
+            f"{np.count_nonzero(~printed)} of {len(nodes)} stars would lie where the target has none.",
+            where=f"view {name}",
+            remedy="Check the target's description and the expected pose.",
+        )
+    return Candidates(nodes, grown.places()).select(printed), start.sign, named_by
+
+
+def _starts_as_expected(
+    image: NDArray[np.float32], expected: NDArray[np.float64] | None
+) -> list[GrowthStart]:
+    """Return where growth may start by the expected pose, for either contrast: nodes in the middle of the image.
+
+    An image out of focus may show stars, but none that is found without knowing where it is.
+    """
+    if expected is None:
+        return []
+    height, width = image.shape
+    inverse = np.asarray(np.linalg.inv(expected), np.float64)
+    middle = apply_homography(inverse, np.array([[width / 2.0, height / 2.0]]))
+    steps = np.arange(-2, 3)
+    nodes = (np.round(middle) + np.stack(np.meshgrid(steps, steps), axis=-1).reshape(-1, 2)).astype(np.int64)
+    nothing = np.zeros((0, 2))
+    return [GrowthStart(expected, sign, nodes, nothing, nothing) for sign in (1.0, -1.0)]
