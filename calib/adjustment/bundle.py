@@ -23,7 +23,7 @@ from calib.adjustment.linearisation import (
     squares,
     view_equations,
 )
-from calib.adjustment.normal_equations import NormalEquations
+from calib.adjustment.normal_equations import NormalEquations, ViewScores
 from calib.adjustment.observations import Observations
 from calib.adjustment.parameters import AdjustmentParameters
 from calib.model.collimator import CENTRE
@@ -34,25 +34,6 @@ if TYPE_CHECKING:
     from calib.adjustment.levenberg_marquardt import Loss
 
 Array = NDArray[np.float64]
-
-
-@dataclass(frozen=True)
-class ViewScores:
-    """Information and scores of n views for the G shared parameters, with their L local parameters eliminated.
-
-    Attributes
-    ----------
-    information
-        (n, G, G) float64 information.
-    score
-        (n, G) float64 contribution to the negative gradient of the cost.
-    answer
-        (n, L, G) float64: the local parameters change by minus this times a change of the shared ones.
-    """
-
-    information: Array
-    score: Array
-    answer: Array
 
 
 @dataclass(frozen=True)
@@ -339,16 +320,10 @@ class Bundle:
         if not curved:
             pull = Pull(pull.gradient, squares(self.observations, None))
         normal, gradient = self._view_equations(parameters, pull)
-        local, local_gradient, coupling = normal[:, n:, n:], gradient[:, n:], normal[:, :n, n:]
         if self.has_drift_prior:
-            local = local + self.local_prior_information
-            local_gradient[:, 3:] -= self._drift_information * parameters.offsets
-        right = np.concatenate([np.swapaxes(coupling, 1, 2), local_gradient[:, :, None]], axis=2)
-        solved = np.linalg.solve(local, right)
-        eliminated = coupling @ solved
-        return ViewScores(
-            normal[:, :n, :n] - eliminated[:, :, :n], gradient[:, :n] - eliminated[:, :, n], solved[:, :, :n]
-        )
+            normal[:, n:, n:] += self.local_prior_information
+            gradient[:, n + 3 :] -= self._drift_information * parameters.offsets
+        return ViewScores.of(normal, gradient, n)
 
     def view_equations(self, parameters: AdjustmentParameters, loss: Loss) -> tuple[Array, Array]:
         """Return the equations of each view with a robust cost (Triggs et al., 2000, section 4.3), without priors.

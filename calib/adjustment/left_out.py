@@ -10,8 +10,9 @@ from numpy.typing import NDArray
 from calib.adjustment import left_out_kernel
 from calib.adjustment.bundle import Bundle
 from calib.adjustment.levenberg_marquardt import MAX_ITERATIONS, Loss, tolerances
-from calib.adjustment.linearisation import packed, shifts_of
+from calib.adjustment.linearisation import shifts_of
 from calib.adjustment.parameters import AdjustmentParameters
+from calib.adjustment.state import packed
 
 Array = NDArray[np.float64]
 
@@ -87,7 +88,7 @@ def rms_alone(
     """
     obs = bundle.observations
     offsets = np.zeros((len(rotations), 3))
-    for i in np.flatnonzero(by_hand):
+    for i in np.flatnonzero(by_hand).tolist():
         offsets[i] = centres[i] - others[i].collimator.centre
     rms = np.empty(len(rotations))
     left_out_kernel.rms_alone(

@@ -15,11 +15,12 @@ from numpy.typing import NDArray
 
 from calib.adjustment import search_kernel
 from calib.adjustment.bundle import Bundle
-from calib.adjustment.linearisation import packed, shifts_of, state_places, unpacked
+from calib.adjustment.linearisation import shifts_of
 from calib.adjustment.normal_equations import NormalEquations
 from calib.adjustment.parameters import AdjustmentParameters
 from calib.adjustment.search_kernel import FIRST_DAMPING, MAX_DAMPING
 from calib.adjustment.star_kernels import LOSSES
+from calib.adjustment.state import packed, state_places, unpacked
 from calib.errors import InputMismatch
 
 Array = NDArray[np.float64]

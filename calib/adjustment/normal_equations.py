@@ -110,3 +110,48 @@ class NormalEquations:
             Gradient times step, in the unit of the cost.
         """
         return float(self.shared_gradient @ shared + (self.local_gradient * local).sum())
+
+
+@dataclass(frozen=True)
+class ViewScores:
+    """Information and scores of n views for the G shared parameters, with their L local parameters eliminated.
+
+    Attributes
+    ----------
+    information
+        (n, G, G) float64 information.
+    score
+        (n, G) float64 contribution to the negative gradient of the cost.
+    answer
+        (n, L, G) float64: the local parameters change by minus this times a change of the shared ones.
+    """
+
+    information: Array
+    score: Array
+    answer: Array
+
+    @classmethod
+    def of(cls, normal: Array, gradient: Array, count: int) -> ViewScores:
+        """Eliminate the local parameters of each view by the Schur complement (Triggs et al., 2000, section 6.1).
+
+        Parameters
+        ----------
+        normal, gradient
+            (n, G + L, G + L) normal matrices and (n, G + L) negative gradients.
+        count
+            Number G of shared parameters.
+
+        Returns
+        -------
+        ViewScores
+            Information and scores.
+        """
+        coupling = normal[:, :count, count:]
+        right = np.concatenate([np.swapaxes(coupling, 1, 2), gradient[:, count:, None]], axis=2)
+        solved = np.linalg.solve(normal[:, count:, count:], right)
+        eliminated = coupling @ solved
+        return cls(
+            normal[:, :count, :count] - eliminated[:, :, :count],
+            gradient[:, :count] - eliminated[:, :, count],
+            solved[:, :, :count],
+        )

@@ -11,12 +11,12 @@ from typing import Any
 import numpy as np
 from numba import njit
 
+from calib.adjustment.equation_kernels import view_equations
 from calib.adjustment.star_kernels import (
     NOWHERE,
     residuals_px,
     robust_cost,
     robust_curvature,
-    view_equations,
     whiten,
 )
 

@@ -1,4 +1,4 @@
-"""Compiled loops over the stars of all views: residuals, robust cost, normal equations of each view.
+"""Compiled loops over the stars of all views: residuals, and their robust cost with its derivatives.
 
 One loop does what a chain of array operations would do: nothing but the results is written to memory. The shared
 parameters are one vector, the state; `Places` says where each free parameter stands in it. This module is arithmetic
@@ -17,6 +17,7 @@ from numba import njit
 LENS_AT = 4
 SKEW_AT = 12
 CENTRE_AT = 13
+RADIUS_AT = 15
 ABERRATIONS_AT = 16
 #: Place of a parameter that moves no star.
 NOWHERE = -1
@@ -25,14 +26,24 @@ LOSSES = {"l2": 0, "huber": 1, "cauchy": 2}
 
 _TINY = float(np.finfo(float).tiny)
 _HUBER, _CAUCHY = LOSSES["huber"], LOSSES["cauchy"]
-_RADIUS_AT = CENTRE_AT + 2
-#: Stars whose derivatives are kept at a time: those by 12 parameters take 50 kilobytes.
-_CHUNK = 256
 
 
 @njit(cache=True, error_model="numpy")
-def _plane_point(target: Any, displacements: Any, state: Any, k: int) -> tuple[float, float]:
-    """Return where star ``k`` appears on the target, mm: its position plus its displacement by the aberrations."""
+def plane_point(target: Any, displacements: Any, state: Any, k: int) -> tuple[float, float]:
+    """Return where a star appears on the target: its position plus its displacement by the aberrations.
+
+    Parameters
+    ----------
+    target, displacements, state
+        As for `residuals_px`.
+    k
+        Index of the star.
+
+    Returns
+    -------
+    tuple of float
+        X and Y, mm.
+    """
     x, y = target[0, k], target[1, k]
     for t in range(displacements.shape[2]):
         x += displacements[k, 0, t] * state[ABERRATIONS_AT + t]
@@ -41,8 +52,21 @@ def _plane_point(target: Any, displacements: Any, state: Any, k: int) -> tuple[f
 
 
 @njit(cache=True, error_model="numpy")
-def _camera_point(rotation: Any, centre: Any, x: float, y: float, z: float) -> tuple[float, float, float]:
-    """Return the point R (X - c) in the camera frame (arXiv:2512.16092, eq. 2)."""
+def camera_point(rotation: Any, centre: Any, x: float, y: float, z: float) -> tuple[float, float, float]:
+    """Return the point R (X - c) in the camera frame (arXiv:2512.16092, eq. 2).
+
+    Parameters
+    ----------
+    rotation, centre
+        (3, 3) rotation R, camera <- target, and (3,) centre c, mm.
+    x, y, z
+        The point X on the target, mm.
+
+    Returns
+    -------
+    tuple of float
+        Its coordinates, mm.
+    """
     a, b, c = x - centre[0], y - centre[1], z - centre[2]
     return (
         rotation[0, 0] * a + rotation[0, 1] * b + rotation[0, 2] * c,
@@ -106,10 +130,10 @@ def residuals_px(
     for i in range(len(rotations)):
         centre[0] = state[CENTRE_AT] + offsets[i, 0]
         centre[1] = state[CENTRE_AT + 1] + offsets[i, 1]
-        centre[2] = -state[_RADIUS_AT] + offsets[i, 2]
+        centre[2] = -state[RADIUS_AT] + offsets[i, 2]
         for k in range(bounds[i, 0], bounds[i, 1]):
-            x, y = _plane_point(target, displacements, state, k)
-            x, y, z = _camera_point(rotations[i], centre, x, y, target[2, k])
+            x, y = plane_point(target, displacements, state, k)
+            x, y, z = camera_point(rotations[i], centre, x, y, target[2, k])
             inverse = 1.0 / z if z > 0.0 else np.nan
             u, v = _distorted(x * inverse, y * inverse, state, fisheye)
             out[0, at] = points[0, k] - (u * state[0] + v * state[SKEW_AT] + state[2])
@@ -224,234 +248,3 @@ def robust_curvature(
             curvature[1, at] = c * (a * xy + b * yy)
             curvature[2, at] = c * c * yy
             at += 1
-
-
-@njit(cache=True, error_model="numpy")
-def _bend(x: Any, y: Any, state: Any, fisheye: bool, bent: Any, by_normalised: Any, radial: Any) -> None:
-    """Distort M normalised points (x, y): Brown (1971) with OpenCV's denominator, or Kannala and Brandt (2006).
-
-    Own derivatives, as in `calib.model.lens`. Writes the distorted point (u, v) to ``bent`` (2, M), the derivatives
-    du/dx, du/dy = dv/dx and dv/dy to ``by_normalised`` (3, M). The first radial coefficient moves the point by (x, y)
-    times ``radial[0]``, a further one by ``radial[1]`` times more; ``radial[2]`` is minus the radial factor.
-    """
-    c = state[LENS_AT:SKEW_AT]
-    if fisheye:
-        for k in range(len(x)):
-            r = max(np.sqrt(x[k] * x[k] + y[k] * y[k]), 1e-12)
-            theta = np.arctan(r)
-            t2 = theta * theta
-            scale = theta * (1.0 + t2 * (c[0] + t2 * (c[1] + t2 * (c[2] + t2 * c[3])))) / r
-            slope = 1.0 + t2 * (3.0 * c[0] + t2 * (5.0 * c[1] + t2 * (7.0 * c[2] + t2 * 9.0 * c[3])))
-            more = slope / (1.0 + r * r) - scale
-            ux, uy = x[k] / r, y[k] / r
-            bent[0, k], bent[1, k] = x[k] * scale, y[k] * scale
-            by_normalised[0, k], by_normalised[1, k] = scale + more * ux * ux, more * ux * uy
-            by_normalised[2, k] = scale + more * uy * uy
-            radial[0, k], radial[1, k], radial[2, k] = theta * t2 / r, t2, 0.0
-        return
-    p1, p2 = c[2], c[3]
-    for k in range(len(x)):
-        r2 = x[k] * x[k] + y[k] * y[k]
-        inverse = 1.0 / (1.0 + r2 * (c[5] + r2 * (c[6] + r2 * c[7])))
-        factor = (1.0 + r2 * (c[0] + r2 * (c[1] + r2 * c[4]))) * inverse
-        slope = c[0] + r2 * (2.0 * c[1] + 3.0 * c[4] * r2)
-        slope = 2.0 * (slope - factor * (c[5] + r2 * (2.0 * c[6] + 3.0 * c[7] * r2))) * inverse
-        xx, xy, yy = x[k] * x[k], x[k] * y[k], y[k] * y[k]
-        bent[0, k] = x[k] * factor + 2.0 * p1 * xy + p2 * (r2 + 2.0 * xx)
-        bent[1, k] = y[k] * factor + p1 * (r2 + 2.0 * yy) + 2.0 * p2 * xy
-        by_normalised[0, k] = factor + xx * slope + 2.0 * p1 * y[k] + 6.0 * p2 * x[k]
-        by_normalised[1, k] = xy * slope + 2.0 * p1 * x[k] + 2.0 * p2 * y[k]
-        by_normalised[2, k] = factor + yy * slope + 6.0 * p1 * y[k] + 2.0 * p2 * x[k]
-        radial[0, k], radial[1, k], radial[2, k] = r2 * inverse, r2, -factor
-
-
-@njit(cache=True, error_model="numpy")
-def _write_lens(
-    column: Any, at: int, x: Any, y: Any, state: Any, fisheye: bool, bent: Any, radial: Any
-) -> None:
-    """Write the derivatives (2, M) of M image points by the camera's parameter in place ``at`` of the state, px."""
-    fx, fy, count = state[0], state[1], len(x)
-    if at < LENS_AT:
-        column[:] = 0.0
-        if at < 2:
-            column[at] = bent[at]
-        else:
-            column[at - 2] = 1.0
-        return
-    if at == SKEW_AT:
-        column[0], column[1] = bent[1], 0.0
-        return
-    at -= LENS_AT
-    if not fisheye and 2 <= at < 4:
-        for k in range(count):
-            r2, xy = x[k] * x[k] + y[k] * y[k], 2.0 * x[k] * y[k]
-            column[0, k] = fx * (xy if at == 2 else r2 + 2.0 * x[k] * x[k])
-            column[1, k] = fy * (xy if at == 3 else r2 + 2.0 * y[k] * y[k])
-        _skewed(column, state)
-        return
-    power, below = at, False
-    if not fisheye:
-        # k1 k2 and k3 of the numerator, k4 k5 k6 of the denominator.
-        power, below = min(at, 2) if at < 5 else at - 5, at >= 5
-    _write_radial(column[0, :count], power, below, radial)
-    for k in range(count):
-        column[1, k] = fy * column[0, k] * y[k]
-        column[0, k] *= fx * x[k]
-    _skewed(column, state)
-
-
-@njit(cache=True, error_model="numpy")
-def _write_radial(factor: Any, power: int, below: bool, radial: Any) -> None:
-    """Write by how much of (x, y) a radial coefficient moves M points, as `_bend` says; ``below`` the fraction line."""
-    for k in range(len(factor)):
-        factor[k] = radial[0, k]
-    for _ in range(power):
-        for k in range(len(factor)):
-            factor[k] *= radial[1, k]
-    if below:
-        for k in range(len(factor)):
-            factor[k] *= radial[2, k]
-
-
-@njit(cache=True, error_model="numpy")
-def _skewed(column: Any, state: Any) -> None:
-    """Add to derivatives (2, M) of the column u what the skew makes of those of the row v (own, by the chain rule)."""
-    share = state[SKEW_AT] / state[1]
-    if share != 0.0:
-        for k in range(column.shape[1]):
-            column[0, k] += share * column[1, k]
-
-
-@njit(cache=True, error_model="numpy")
-def _write_geometry(
-    p: Any, x: Any, y: Any, by_normalised: Any, rotation: Any, state: Any, turned: Any, moved: Any
-) -> None:
-    """Write the derivatives of M image points by a rotation and a shift of the centre, (3, 2, M) each.
-
-    Own derivation, by the chain rule: with P = R (X - c), a rotation t on the camera's side moves P by t x P, and a
-    shift s of the centre moves it by -R s. ``p`` (3, M) is P.
-    """
-    a, b, c = rotation[0], rotation[1], rotation[2]
-    ax, ay, az, bx, by, bz = a[0], a[1], a[2], b[0], b[1], b[2]
-    cx, cy, cz = c[0], c[1], c[2]
-    for axis in range(2):
-        focal, first, second = state[axis], by_normalised[axis], by_normalised[axis + 1]
-        for k in range(len(x)):
-            scale = focal / p[2, k]
-            u, v = first[k] * scale, second[k] * scale
-            w = -(u * x[k] + v * y[k])
-            turned[0, axis, k] = p[1, k] * w - p[2, k] * v
-            turned[1, axis, k] = p[2, k] * u - p[0, k] * w
-            turned[2, axis, k] = p[0, k] * v - p[1, k] * u
-            moved[0, axis, k] = -(ax * u + bx * v + cx * w)
-            moved[1, axis, k] = -(ay * u + by * v + cy * w)
-            moved[2, axis, k] = -(az * u + bz * v + cz * w)
-
-
-@njit(cache=True, error_model="numpy")
-def _write_centre(column: Any, at: int, moved: Any, shifts: Any) -> None:
-    """Write the derivatives (2, M) by the shared centre or an aberration, in place ``at`` of the state.
-
-    ``moved`` (3, 2, M) are those by a shift of the centre, ``shifts`` (M, 2, T) the displacements of the stars by a
-    unit of each aberration, mm.
-    """
-    for axis in range(2):
-        if at <= _RADIUS_AT:
-            sign, along = -1.0 if at == _RADIUS_AT else 1.0, moved[at - CENTRE_AT, axis]
-            for k in range(len(shifts)):
-                column[axis, k] = sign * along[k]
-            continue
-        t, by_x, by_y = at - ABERRATIONS_AT, moved[0, axis], moved[1, axis]
-        for k in range(len(shifts)):
-            column[axis, k] = -(by_x[k] * shifts[k, 0, t] + by_y[k] * shifts[k, 1, t])
-
-
-@njit(cache=True, error_model="numpy", fastmath={"reassoc", "contract", "nsz"})
-def _add_products(
-    columns: Any, gradient: Any, curvature: Any, first: int, count: int, normal: Any, right: Any
-) -> None:
-    """Add J^T C J of ``count`` stars from star ``first`` to the lower half of ``normal``, and J^T g to ``right``."""
-    xx, xy = curvature[0, first : first + count], curvature[1, first : first + count]
-    yy = curvature[2, first : first + count]
-    gx, gy = gradient[0, first : first + count], gradient[1, first : first + count]
-    wx, wy = np.empty(count), np.empty(count)
-    for i in range(len(right)):
-        x, y = columns[i, 0], columns[i, 1]
-        total = 0.0
-        for k in range(count):
-            wx[k] = xx[k] * x[k] + xy[k] * y[k]
-            wy[k] = xy[k] * x[k] + yy[k] * y[k]
-            total += gx[k] * x[k] + gy[k] * y[k]
-        right[i] += total
-        for j in range(i + 1):
-            u, v = columns[j, 0], columns[j, 1]
-            total = 0.0
-            for k in range(count):
-                total += wx[k] * u[k] + wy[k] * v[k]
-            normal[i, j] += total
-
-
-@njit(cache=True, error_model="numpy")
-def view_equations(
-    target: Any,
-    displacements: Any,
-    bounds: Any,
-    state: Any,
-    fisheye: bool,
-    rotations: Any,
-    offsets: Any,
-    places: Any,
-    gradient: Any,
-    curvature: Any,
-    normal: Any,
-    right: Any,
-) -> None:
-    """Compute the normal matrix and the gradient of each view, without priors: J^T C J and J^T g.
-
-    Parameters
-    ----------
-    target, displacements, bounds, state, fisheye, rotations, offsets
-        As for `residuals_px`. All stars must be in front of the camera.
-    places
-        (G,) int64 places of the free shared parameters in the state; `NOWHERE` for one that moves no star.
-    gradient, curvature
-        (2, M) and (3, M) float64 from `robust_curvature`.
-    normal, right
-        (n, G + L, G + L) and (n, G + L) float64 results; L is 3, or 6 with the centre of each view.
-    """
-    shared, count = len(places), right.shape[1]
-    columns, moved = np.zeros((count, 2, _CHUNK)), np.empty((3, 2, _CHUNK))
-    p, plane = np.empty((3, _CHUNK)), np.empty((2, _CHUNK))
-    bent, by_normalised, radial = np.empty((2, _CHUNK)), np.empty((3, _CHUNK)), np.empty((3, _CHUNK))
-    centre, at = np.empty(3), 0
-    normal[:] = 0.0
-    right[:] = 0.0
-    for i in range(len(rotations)):
-        centre[0] = state[CENTRE_AT] + offsets[i, 0]
-        centre[1] = state[CENTRE_AT + 1] + offsets[i, 1]
-        centre[2] = -state[_RADIUS_AT] + offsets[i, 2]
-        for first in range(bounds[i, 0], bounds[i, 1], _CHUNK):
-            size = min(_CHUNK, bounds[i, 1] - first)
-            for k in range(size):
-                x, y = _plane_point(target, displacements, state, first + k)
-                x, y, z = _camera_point(rotations[i], centre, x, y, target[2, first + k])
-                p[0, k], p[1, k], p[2, k] = x, y, z
-                plane[0, k], plane[1, k] = x / z, y / z
-            u, v = plane[0, :size], plane[1, :size]
-            _bend(u, v, state, fisheye, bent, by_normalised, radial)
-            _write_geometry(p, u, v, by_normalised, rotations[i], state, columns[shared : shared + 3], moved)
-            for axis in range(3):
-                _skewed(columns[shared + axis], state)
-                _skewed(moved[axis], state)
-            if count > shared + 3:
-                columns[shared + 3 :] = moved
-            for g in range(shared):
-                if places[g] >= CENTRE_AT:
-                    _write_centre(columns[g], places[g], moved, displacements[first : first + size])
-                elif places[g] != NOWHERE:
-                    _write_lens(columns[g], places[g], u, v, state, fisheye, bent, radial)
-            _add_products(columns, gradient, curvature, at, size, normal[i], right[i])
-            at += size
-        for g in range(count):
-            for h in range(g):
-                normal[i, h, g] = normal[i, g, h]

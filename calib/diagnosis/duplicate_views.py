@@ -104,5 +104,5 @@ def _alike(views: Sequence[View]) -> Iterator[tuple[View, View]]:
         count = common.sum(axis=1)
         enough = count >= np.maximum(_FEWEST, _COMMON_SHARE * np.minimum(stars[i], stars[i + 1 :]))
         near = np.where(common, squares, 0.0).sum(axis=1) <= _NEAR_PX**2 * count
-        for j in np.flatnonzero(enough & near):
+        for j in np.flatnonzero(enough & near).tolist():
             yield views[i], views[i + 1 + j]

@@ -9,7 +9,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.adjustment.bundle import Bundle, ViewScores
+from calib.adjustment.bundle import Bundle
+from calib.adjustment.normal_equations import ViewScores
 from calib.adjustment.poses import members
 
 Array = NDArray[np.float64]
