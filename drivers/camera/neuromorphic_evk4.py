@@ -110,6 +110,7 @@ class NeuromorphicEvk4:
         self._clock = clock
         self._utc_now = utc_now
         self._stop_asked = threading.Event()
+        self._has_measured = False
 
     @classmethod
     def open(
@@ -203,6 +204,11 @@ class NeuromorphicEvk4:
             serial, size = str(self._device.serial()), self._device.properties()
         except RuntimeError as error:
             raise self._lost(error) from error
+        # The package may remember the serial number: only a measurement shows that the camera is still there.
+        measured = self.temperature_c() is not None
+        if self._has_measured and not measured:
+            raise self._lost("it does not answer")
+        self._has_measured = measured
         if self._serial is not None and serial != self._serial:
             raise WrongDevice(
                 f"This is camera {serial}, not {self._serial}.",
@@ -354,7 +360,7 @@ class NeuromorphicEvk4:
         except RuntimeError:  # the package's sign of a failed measurement
             return None
 
-    def _lost(self, error: Exception) -> CameraLost:
+    def _lost(self, error: Exception | str) -> CameraLost:
         return CameraLost(
             f"The connection to the camera is lost ({error}).",
             where=self._where,

@@ -100,6 +100,21 @@ def test_a_camera_that_cannot_be_opened_is_told_with_those_that_are_there(packag
         NeuromorphicEvk4.open(serial="1", clock=clock, utc_now=lambda: NOW)
 
 
+def test_a_camera_that_has_gone_does_not_say_who_it_is(camera, device, monkeypatch):
+    """The serial number may be remembered; a run then said that the camera answers."""
+
+    def gone():
+        raise RuntimeError("temperature timeout")
+
+    assert camera.identify().serial == SERIAL
+    monkeypatch.setattr(device, "temperature_celsius", gone)
+    with pytest.raises(CameraLost, match="does not answer"):
+        camera.identify()
+    NeuromorphicEvk4(
+        device, None, serial=SERIAL, clock=None, utc_now=lambda: NOW
+    ).identify()  # it never measured
+
+
 @pytest.mark.usefixtures("package")
 def test_another_camera_is_refused_and_given_back(device, clock):
     with pytest.raises(WrongDevice, match="00051234, not 00099999"):
