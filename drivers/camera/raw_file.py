@@ -129,13 +129,13 @@ class RawFile:
         """Serial number of the camera; empty if the header has none."""
         return self.raw_header.fields.get("serial_number", "")
 
-    def words(self, *, piece_words: int = 1 << 18) -> Iterator[Words]:
+    def words(self, *, piece_words: int = 1 << 16) -> Iterator[Words]:
         """Read the words as they stand in the file. An odd byte at the end is left out.
 
         Parameters
         ----------
         piece_words
-            Number of words in a piece.
+            Number of words in a piece; their events then stay in the processor's caches.
 
         Yields
         ------

@@ -8,16 +8,22 @@ the words of a stream, and as one list of events. Beside
 them stand those of published simulators on the same kind of work, measured once on a machine of the same class;
 they are not run here.
 
-    python tests/benchmarks/bench_pixels.py
+    python tests/benchmarks/bench_pixels.py [--old FOLDER]
+
+``--old`` names a checkout of an earlier version. Only the figures of the sensor are then measured, of both versions in
+turn, each in a process of its own.
 """
 
 from __future__ import annotations
 
+import argparse
 import itertools
+import os
 import subprocess
 import sys
 import time
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Literal
 
 import numpy as np
@@ -31,6 +37,7 @@ from simulators.world.world import LightState
 
 PERIOD_US = 1e6 / 60.0
 SLICES = 6
+ROUNDS = 3
 BUSY = NoiseTruth(mismatch=0.12, background_hz=10.0, hot_share=2e-4, hot_hz=2000.0, reset_noise=0.01)
 
 PUBLISHED = (
@@ -128,22 +135,59 @@ def memory(waveform: str, step_us: int, *, written: bool) -> str:
     return subprocess.run(command, check=True, capture_output=True, text=True).stdout.strip()
 
 
-def main() -> None:
-    truth = Truth()
-    rotation = optics.pose_rotation({"pan": 1.0, "tilt": -1.0}, truth.optics)
-    optics.render(truth, rotation)
-    begin = time.process_time()
-    picture = optics.render(truth, rotation)
-    render_s = time.process_time() - begin
+def sensor_figures(picture: np.ndarray) -> list[Figure]:
+    """The figures of the sensor; the first two slices are not counted (they compile)."""
     measure("", picture, "square", NOISE_LEVELS["none"]), measure("", picture, "sine", NOISE_LEVELS["none"])
-
-    print("CPU time for a simulated second, this simulator (readout, link and noise included)")
-    figures = [
+    return [
         measure("square, typical noise", picture, "square", NOISE_LEVELS["typical"]),
         measure("square, 10 Hz background, 2e-4 hot pixels", picture, "square", BUSY),
         measure("square, heavy noise (20 Hz, 5e-4)", picture, "square", NOISE_LEVELS["heavy"]),
         measure("sine, typical noise, link full", picture, "sine", NOISE_LEVELS["typical"]),
     ]
+
+
+def picture_of_a_pose() -> np.ndarray:
+    truth = Truth()
+    return optics.render(truth, optics.pose_rotation({"pan": 1.0, "tilt": -1.0}, truth.optics))
+
+
+def compare(old: Path) -> None:
+    """Print ns an event of both versions, the best of some rounds in turn."""
+    best: dict[str, dict[str, float]] = {"old": {}, "new": {}}
+    for _ in range(ROUNDS):
+        for version, folder in (("old", old), ("new", Path(__file__).parents[2])):
+            command = [sys.executable, __file__, "--figures"]
+            env = {**os.environ, "PYTHONPATH": str(folder)}
+            found = subprocess.run(command, check=True, capture_output=True, text=True, env=env).stdout
+            for line in found.splitlines():
+                name, ns = line.rsplit("\t", 1)
+                best[version][name] = min(best[version].get(name, np.inf), float(ns))
+    print("CPU time, ns an event                            old    new   share")
+    for name, ns in best["new"].items():
+        print(f"{name:44s} {best['old'][name]:7.1f} {ns:6.1f} {ns / best['old'][name]:7.2f}")
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser()
+    parser.add_argument("--old", type=Path, help="checkout of an earlier version")
+    parser.add_argument("--figures", action="store_true", help="print the sensor's ns an event only")
+    options = parser.parse_args()
+    if options.old:
+        compare(options.old)
+    elif options.figures:
+        for figure in sensor_figures(picture_of_a_pose()):
+            print(f"{figure.name}\t{1e9 * figure.cpu_s / figure.events_s}")
+    else:
+        report()
+
+
+def report() -> None:
+    picture_of_a_pose()
+    begin = time.process_time()
+    picture = picture_of_a_pose()
+    render_s = time.process_time() - begin
+    print("CPU time for a simulated second, this simulator (readout, link and noise included)")
+    figures = sensor_figures(picture)
     for figure in figures:
         print(figure)
     print("\npublished simulators, pixels only          CPU time   times this one's typical")
