@@ -214,7 +214,7 @@ def aligned_poses(facts: Iterable[MeasuredFacts]) -> int:
     return sum(
         edge_angle_deg(np.array(one["grid"])) < _ALIGNED_DEG
         for one in facts
-        if "grid" in one and one["image"]["kind"] in {"fired-per-edge", "last-polarity"}
+        if "grid" in one and "image" in one and one["image"]["kind"] in {"fired-per-edge", "last-polarity"}
     )
 
 

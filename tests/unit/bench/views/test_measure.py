@@ -34,6 +34,8 @@ def test_images_with_levels_of_grey_may_be_aligned():
 
 def test_recordings_without_stars_are_left_out():
     assert aligned_poses([{"image": {"kind": "last-polarity"}}, {}]) == 0
+    blinking_dots = {"grid": facts(0, "lock-in")["grid"]}  # they have no event image
+    assert aligned_poses([blinking_dots]) == 0
 
 
 def test_a_stored_image_is_small_and_lossless():
