@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,15 +22,13 @@ from calib.adjustment.linearisation import (
     squares,
     view_equations,
 )
+from calib.adjustment.loss import Loss
 from calib.adjustment.normal_equations import NormalEquations, ViewScores
 from calib.adjustment.observations import Observations
 from calib.adjustment.parameters import AdjustmentParameters
 from calib.model.collimator import CENTRE
 from calib.model.gimbal import GIMBAL
 from calib.model.prior import Prior
-
-if TYPE_CHECKING:
-    from calib.adjustment.levenberg_marquardt import Loss
 
 Array = NDArray[np.float64]
 

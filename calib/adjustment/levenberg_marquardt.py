@@ -16,12 +16,21 @@ from numpy.typing import NDArray
 from calib.adjustment import search_kernel
 from calib.adjustment.bundle import Bundle
 from calib.adjustment.linearisation import shifts_of
+from calib.adjustment.loss import Loss, lengths
 from calib.adjustment.normal_equations import NormalEquations
 from calib.adjustment.parameters import AdjustmentParameters
 from calib.adjustment.search_kernel import FIRST_DAMPING, MAX_DAMPING
-from calib.adjustment.star_kernels import LOSSES
 from calib.adjustment.state import packed, state_places, unpacked
-from calib.errors import InputMismatch
+
+__all__ = [
+    "MAX_ITERATIONS",
+    "RELATIVE_TOLERANCE",
+    "Loss",
+    "Refinement",
+    "refine",
+    "search_with_readings",
+    "tolerances",
+]
 
 Array = NDArray[np.float64]
 
@@ -32,130 +41,6 @@ _ABSOLUTE_TOLERANCE = 1e-16
 MAX_ITERATIONS = 100
 #: Number of rounded operations in a projection.
 _ROUNDED_OPERATIONS = 10.0
-
-
-@dataclass(frozen=True)
-class Loss:
-    """A cost rho of the length e of a weighted residual, quadratic near zero.
-
-    Huber (1964) is the loss of arXiv:2512.16092, eq. 7, divided by two.
-
-    Parameters
-    ----------
-    name
-        ``l2``: e^2 / 2. ``huber``: linear above the limit. ``cauchy``: logarithmic above it.
-    limit
-        Length at which the loss leaves the parabola, in standard deviations.
-
-    Raises
-    ------
-    InputMismatch
-        If the name is unknown.
-    """
-
-    name: str
-    limit: float = float("inf")
-
-    def __post_init__(self) -> None:
-        if self.name not in ("l2", "huber", "cauchy"):
-            raise InputMismatch(f"Unknown loss {self.name!r}.", remedy="Known: l2, huber, cauchy.")
-
-    @property
-    def number(self) -> int:
-        """The loss as a number for `calib.adjustment.star_kernels`; least squares if the limit is infinite."""
-        return LOSSES[self.name if np.isfinite(self.limit) else "l2"]
-
-    def cost(self, lengths: Array) -> float:
-        """Return the total cost.
-
-        ``huber``: Huber (1964). ``cauchy``: Holland and Welsch (1977), limit^2 / 2 log(1 + (e / limit)^2).
-
-        Parameters
-        ----------
-        lengths
-            (N,) lengths of the weighted residuals.
-
-        Returns
-        -------
-        float
-            Sum of rho(e).
-        """
-        if self.name == "huber" and np.isfinite(self.limit):
-            inside = np.minimum(lengths, self.limit)
-            return float((inside * (lengths - 0.5 * inside)).sum())
-        if self.name == "cauchy" and np.isfinite(self.limit):
-            return float(0.5 * self.limit**2 * np.log1p((lengths / self.limit) ** 2).sum())
-        return float(0.5 * (lengths**2).sum())
-
-    def weights(self, lengths: Array) -> Array:
-        """Return the weights rho'(e) / e.
-
-        They are the weights of iteratively reweighted least squares (Huber, 1964; Holland and Welsch, 1977).
-
-        Parameters
-        ----------
-        lengths
-            (N,) lengths of the weighted residuals.
-
-        Returns
-        -------
-        Array
-            (N,) weights, 0 to 1.
-        """
-        if self.name == "huber" and np.isfinite(self.limit):
-            return np.asarray(self.limit / np.maximum(lengths, self.limit))
-        if self.name == "cauchy" and np.isfinite(self.limit):
-            return np.asarray(1.0 / (1.0 + (lengths / self.limit) ** 2))
-        return np.ones_like(lengths)
-
-    def second_derivatives(self, lengths: Array) -> Array:
-        """Return the second derivatives rho''(e), along the residuals.
-
-        They follow from the losses of Huber (1964) and of Holland and Welsch (1977).
-
-        Parameters
-        ----------
-        lengths
-            (N,) lengths of the weighted residuals.
-
-        Returns
-        -------
-        Array
-            (N,) second derivatives; negative where the Cauchy loss is concave.
-        """
-        if self.name == "huber" and np.isfinite(self.limit):
-            return np.where(lengths <= self.limit, 1.0, 0.0)
-        if self.name == "cauchy" and np.isfinite(self.limit):
-            return np.asarray((1.0 - (lengths / self.limit) ** 2) * self.weights(lengths) ** 2)
-        return np.ones_like(lengths)
-
-    def curvature_root(self, residuals: Array) -> Array | None:
-        """Return the symmetric square roots of the second derivatives of rho in the plane.
-
-        The curvature is rho'' along the residual (set to zero where negative, so that every step descends) and rho' / e
-        across it. This is the second derivative of a robust cost of Triggs et al. (2000), section 4.3, who also limit
-        it where it is negative; the root is this project's own.
-
-        Parameters
-        ----------
-        residuals
-            (N, 2) weighted residuals.
-
-        Returns
-        -------
-        Array or None
-            (N, 2, 2) square roots; None if all are the identity.
-        """
-        if not np.isfinite(self.limit):
-            return None
-        lengths = _lengths(residuals)
-        ux, uy = residuals.T / np.maximum(lengths, np.finfo(float).tiny)
-        along = np.sqrt(np.maximum(self.second_derivatives(lengths), 0.0))
-        across = np.sqrt(self.weights(lengths))
-        excess = along - across
-        shared = excess * ux * uy
-        root = np.array([[across + excess * ux * ux, shared], [shared, across + excess * uy * uy]])
-        return np.asarray(root.transpose(2, 0, 1))
 
 
 @dataclass(frozen=True)
@@ -244,7 +129,7 @@ def search_with_readings(
         if predicted * (1.0 + damping) <= tolerance * cost + _ABSOLUTE_TOLERANCE:
             return Refinement(parameters, cost, converged=True, iterations=iteration)
         candidate = parameters.after_step(bundle.names, shared, local)
-        candidate_cost = loss.cost(_lengths(_residuals(bundle, candidate))) + bundle.prior_cost(candidate)
+        candidate_cost = loss.cost(lengths(_residuals(bundle, candidate))) + bundle.prior_cost(candidate)
         gain = 2.0 * (cost - candidate_cost) / predicted
         if gain > 0.0:
             parameters, (cost, equations) = candidate, _linearised(bundle, candidate, loss)
@@ -329,11 +214,11 @@ def _linearised(
 ) -> tuple[float, NormalEquations | None]:
     """Return the cost and the normal equations; None instead of equations if a star cannot be projected."""
     residuals = _residuals(bundle, parameters)
-    lengths = _lengths(residuals)
-    cost = loss.cost(lengths) + bundle.prior_cost(parameters)
+    away = lengths(residuals)
+    cost = loss.cost(away) + bundle.prior_cost(parameters)
     if not np.isfinite(cost):
         return float("inf"), None
-    influence = residuals * loss.weights(lengths)[:, None]
+    influence = residuals * loss.weights(away)[:, None]
     return cost, bundle.normal_equations(parameters, influence, loss.curvature_root(residuals))
 
 
@@ -342,9 +227,3 @@ def _residuals(bundle: Bundle, parameters: AdjustmentParameters) -> Array:
     with np.errstate(invalid="ignore", over="ignore"):
         residuals = bundle.weighted_residuals(parameters)
     return np.where(np.isfinite(residuals), residuals, np.inf)
-
-
-def _lengths(residuals: Array) -> Array:
-    """Return (N,) lengths of residuals."""
-    x, y = residuals.T
-    return np.asarray(np.sqrt(x * x + y * y))

@@ -1,0 +1,154 @@
+"""The robust losses of the adjustment: costs of weighted residuals, and their derivatives."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calib.adjustment.star_kernels import LOSSES
+from calib.errors import InputMismatch
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Loss:
+    """A cost rho of the length e of a weighted residual, quadratic near zero.
+
+    Huber (1964) is the loss of arXiv:2512.16092, eq. 7, divided by two.
+
+    Parameters
+    ----------
+    name
+        ``l2``: e^2 / 2. ``huber``: linear above the limit. ``cauchy``: logarithmic above it.
+    limit
+        Length at which the loss leaves the parabola, in standard deviations.
+
+    Raises
+    ------
+    InputMismatch
+        If the name is unknown.
+    """
+
+    name: str
+    limit: float = float("inf")
+
+    def __post_init__(self) -> None:
+        if self.name not in ("l2", "huber", "cauchy"):
+            raise InputMismatch(f"Unknown loss {self.name!r}.", remedy="Known: l2, huber, cauchy.")
+
+    @property
+    def number(self) -> int:
+        """The loss as a number for `calib.adjustment.star_kernels`; least squares if the limit is infinite."""
+        return LOSSES[self.name if np.isfinite(self.limit) else "l2"]
+
+    def cost(self, lengths: Array) -> float:
+        """Return the total cost.
+
+        ``huber``: Huber (1964). ``cauchy``: Holland and Welsch (1977), limit^2 / 2 log(1 + (e / limit)^2).
+
+        Parameters
+        ----------
+        lengths
+            (N,) lengths of the weighted residuals.
+
+        Returns
+        -------
+        float
+            Sum of rho(e).
+        """
+        if self.name == "huber" and np.isfinite(self.limit):
+            inside = np.minimum(lengths, self.limit)
+            return float((inside * (lengths - 0.5 * inside)).sum())
+        if self.name == "cauchy" and np.isfinite(self.limit):
+            return float(0.5 * self.limit**2 * np.log1p((lengths / self.limit) ** 2).sum())
+        return float(0.5 * (lengths**2).sum())
+
+    def weights(self, lengths: Array) -> Array:
+        """Return the weights rho'(e) / e.
+
+        They are the weights of iteratively reweighted least squares (Huber, 1964; Holland and Welsch, 1977).
+
+        Parameters
+        ----------
+        lengths
+            (N,) lengths of the weighted residuals.
+
+        Returns
+        -------
+        Array
+            (N,) weights, 0 to 1.
+        """
+        if self.name == "huber" and np.isfinite(self.limit):
+            return np.asarray(self.limit / np.maximum(lengths, self.limit))
+        if self.name == "cauchy" and np.isfinite(self.limit):
+            return np.asarray(1.0 / (1.0 + (lengths / self.limit) ** 2))
+        return np.ones_like(lengths)
+
+    def second_derivatives(self, lengths: Array) -> Array:
+        """Return the second derivatives rho''(e), along the residuals.
+
+        They follow from the losses of Huber (1964) and of Holland and Welsch (1977).
+
+        Parameters
+        ----------
+        lengths
+            (N,) lengths of the weighted residuals.
+
+        Returns
+        -------
+        Array
+            (N,) second derivatives; negative where the Cauchy loss is concave.
+        """
+        if self.name == "huber" and np.isfinite(self.limit):
+            return np.where(lengths <= self.limit, 1.0, 0.0)
+        if self.name == "cauchy" and np.isfinite(self.limit):
+            return np.asarray((1.0 - (lengths / self.limit) ** 2) * self.weights(lengths) ** 2)
+        return np.ones_like(lengths)
+
+    def curvature_root(self, residuals: Array) -> Array | None:
+        """Return the symmetric square roots of the second derivatives of rho in the plane.
+
+        The curvature is rho'' along the residual (set to zero where negative, so that every step descends) and rho' / e
+        across it. This is the second derivative of a robust cost of Triggs et al. (2000), section 4.3, who also limit
+        it where it is negative; the root is this project's own.
+
+        Parameters
+        ----------
+        residuals
+            (N, 2) weighted residuals.
+
+        Returns
+        -------
+        Array or None
+            (N, 2, 2) square roots; None if all are the identity.
+        """
+        if not np.isfinite(self.limit):
+            return None
+        away = lengths(residuals)
+        ux, uy = residuals.T / np.maximum(away, np.finfo(float).tiny)
+        along = np.sqrt(np.maximum(self.second_derivatives(away), 0.0))
+        across = np.sqrt(self.weights(away))
+        excess = along - across
+        shared = excess * ux * uy
+        root = np.array([[across + excess * ux * ux, shared], [shared, across + excess * uy * uy]])
+        return np.asarray(root.transpose(2, 0, 1))
+
+
+def lengths(residuals: Array) -> Array:
+    """Return the lengths of residuals.
+
+    Parameters
+    ----------
+    residuals
+        (N, 2) residuals.
+
+    Returns
+    -------
+    Array
+        (N,) lengths.
+    """
+    x, y = residuals.T
+    return np.asarray(np.sqrt(x * x + y * y))
