@@ -2,7 +2,9 @@
 
 The place at which a block begins is guessed from the words before it, so that no block waits for another. In the end
 it is compared with the place that the block before it has reached. If they differ, which only a damaged stream brings
-about, the block is decoded again. Memory is bounded: no more blocks are in work than there are threads, and two.
+about, the block is decoded again. This pays where all events go into the same arrays. It does not pay for events in
+small pieces: one thread keeps these in its caches. Memory is bounded: no more blocks are in work than there are
+threads, and two.
 """
 
 from __future__ import annotations
@@ -16,9 +18,8 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.camera.event_arrays import Events, Triggers, empty_events
+from drivers.camera.event_arrays import Events, Triggers
 from drivers.camera.evt3 import Evt3Decoder
-from drivers.camera.evt3_kernel import max_event_count
 from drivers.camera.evt3_place import Place, guess_place
 from drivers.errors import RecordingCorrupt
 
@@ -62,36 +63,6 @@ def threads_for(size_bytes: int) -> int:
         return 1
     usable = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     return min(usable, MOST_THREADS)
-
-
-def with_room(pieces: Iterable[Words], max_events: int) -> Iterator[tuple[Words, Events]]:
-    """Cut words into blocks that do not hold too many events, and allocate arrays for these.
-
-    The arrays are allocated in the thread that frees them: memory of other threads would not be used again.
-
-    Parameters
-    ----------
-    pieces
-        The words of the stream, (N,) uint16 each.
-    max_events
-        Largest number of events in a block; at least 12, the most that a word holds.
-
-    Yields
-    ------
-    tuple of ndarray and Events
-        The words of a block, and arrays for its events.
-    """
-    waiting: deque[Words] = deque()
-    for words in pieces:
-        waiting.append(words)
-        while waiting:
-            part = waiting.popleft()
-            count = max_event_count(part)
-            if count > max_events:
-                half = len(part) // 2
-                waiting.extendleft((part[half:], part[:half]))
-            else:
-                yield part, empty_events(count)
 
 
 def decode_blocks(

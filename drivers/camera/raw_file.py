@@ -17,8 +17,7 @@ from numpy.typing import NDArray
 from drivers.camera.event_arrays import Events, Triggers, copy_events, empty_events, join_triggers
 from drivers.camera.evt3 import Evt3Decoder, StreamStatistics, Words
 from drivers.camera.evt3_kernel import max_event_count
-from drivers.camera.evt3_threads import BLOCK_WORDS, decode_blocks, threads_for, with_room
-from drivers.camera.evt3_vectors import MARGIN
+from drivers.camera.evt3_threads import BLOCK_WORDS, decode_blocks, threads_for
 from drivers.camera.raw_header import MAX_HEADER_BYTES, RawHeader, parse_header
 from drivers.camera.whole_file import require_regular, require_whole
 from drivers.errors import NotARecording, RecordingFileError
@@ -175,13 +174,9 @@ class RawFile:
         RecordingFileError
             If the file cannot be read.
         """
-        decoder, threads = self._decoder(), threads_for(self._size())
-        if threads == 1:
-            for words in self.words():
-                yield from decoder.decode(words, max_events=max_events)
-            return
-        blocks = with_room(self.words(piece_words=BLOCK_WORDS), max(max_events, MARGIN))
-        yield from decode_blocks(decoder, blocks, threads)
+        decoder = self._decoder()
+        for words in self.words():
+            yield from decoder.decode(words, max_events=max_events)
 
     def chunks(self, *, max_events: int = 1_000_000) -> Iterator[Events]:
         """Decode events in the order of the file.
@@ -206,7 +201,7 @@ class RawFile:
                 yield events
 
     def read(self) -> tuple[Events, Triggers]:
-        """Decode all events and triggers, which takes 13 bytes of memory an event.
+        """Decode all events and triggers, which takes 13 bytes of memory an event; large files in several threads.
 
         Returns
         -------

@@ -8,7 +8,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from drivers.camera import evt3_threads, raw_file
+from drivers.camera.event_arrays import empty_events
 from drivers.camera.evt3 import Evt3Decoder
+from drivers.camera.evt3_kernel import max_event_count
 from drivers.camera.evt3_place import guess_place
 from drivers.camera.raw_file import RawFile
 from drivers.errors import RecordingCorrupt
@@ -33,8 +35,8 @@ def in_threads(words, bounds, threads=2):
     """Events and triggers of the blocks between bounds, decoded in threads."""
     blocks = [words[begin:end] for begin, end in itertools.pairwise(bounds)]
     found, edges = [], []
-    blocks = evt3_threads.with_room(blocks, 1000)
-    for events, triggers in evt3_threads.decode_blocks(Evt3Decoder(WIDTH, HEIGHT), blocks, threads):
+    with_room = ((part, empty_events(max_event_count(part))) for part in blocks)
+    for events, triggers in evt3_threads.decode_blocks(Evt3Decoder(WIDTH, HEIGHT), with_room, threads):
         found += rows(events)
         edges += rows(triggers)
     return found, edges
