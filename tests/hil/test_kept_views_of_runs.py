@@ -17,7 +17,9 @@ def test_views_of_a_run_are_kept_and_equal_to_those_found_again(tmp_path, monkey
     files = write_sequence(tmp_path / "q.yaml", THREE), write_station(tmp_path / "s.yaml")
     words = ["run", files[0], "-s", files[1], "--seed", 1, "-o", tmp_path / "run"]
     assert not CliRunner().invoke(cli, [str(word) for word in words], standalone_mode=False).exception
-    monkeypatch.setattr("bench.views.measure.motion_px", None)  # gates of a run need it, a calibration does not
+    monkeypatch.setattr(
+        "bench.views.measure.motion_px", None
+    )  # gates of a run need it, a calibration does not
     kept = KeptViews(tmp_path / "home" / FOLDER)
     for source in view_sources(tmp_path / "run", OfflineOptions()):
         key = view_key(source.attempt.stored["sha256"], source.decided_by)
