@@ -81,6 +81,8 @@ def main() -> None:
     chosen = parser.parse_args()
     if chosen.data is None:
         parser.error("give --data FOLDER, or set STARBENCH_REFERENCE_DATA")
+    if not (chosen.data / "collimator_real").is_dir():
+        parser.error(f"{chosen.data}: it contains no folder collimator_real")
     if chosen.measure:
         measure(chosen.data)
         return
