@@ -14,7 +14,7 @@ from bench.base.linux_process import processor_times_s, thread_is_ready
 
 @dataclass
 class _Thread:
-    """What was seen of one thread: the last look, and a wait that has not ended yet.
+    """Times of one thread when it was last looked at, and its present wait for a processor.
 
     Attributes
     ----------

@@ -38,7 +38,7 @@ class ResultsFolders:
     key
         The bench's key; None leaves the results drafts.
     table_only
-        Whether there is only the table, without a folder for each run.
+        True writes the table alone, and no folder for a run.
 
     Raises
     ------

@@ -120,6 +120,10 @@ def _readable(key: str) -> str:
 
 
 def _with_unit(key: str, value: Any) -> str:
-    unit = next((unit for ending, unit in _UNIT_ENDINGS.items() if key.endswith(ending)), "")
     printed = value_text(value)
-    return printed if printed == NOTHING or not unit else f"{printed} {unit}"
+    if printed == NOTHING:
+        return printed
+    for ending, unit in _UNIT_ENDINGS.items():
+        if key.endswith(ending):
+            return f"{printed} {unit}"
+    return printed

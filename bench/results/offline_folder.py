@@ -253,7 +253,7 @@ def offline_results(
 
 
 def _run_facts(result: OfflineResult, name: str, key: Sealer | None) -> dict[str, Any]:
-    """Return what results.json states about the origin of a recalculation."""
+    """Return section ``run`` of results.json: which runs were calculated again, when, and who seals the result."""
     jobs = _jobs(result)
     job = jobs[0] if len(jobs) == 1 else None
     started = _started(result.sources[0]) if job is not None else {}

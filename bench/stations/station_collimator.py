@@ -5,6 +5,7 @@ from __future__ import annotations
 import datetime as dt
 import re
 from collections.abc import Mapping
+from contextlib import suppress
 from typing import Annotated, Any, Literal
 
 from pydantic import BeforeValidator, Discriminator, Field, Tag, model_validator
@@ -23,11 +24,9 @@ def _date(value: Any) -> Any:
     """Read a date; raise PydanticCustomError if it is not one."""
     if not isinstance(value, str):
         return value
-    try:
-        if _DATE.fullmatch(value):
+    if _DATE.fullmatch(value):
+        with suppress(ValueError):  # a day that does not exist, such as 2026-02-30: refused below
             return dt.date.fromisoformat(value)
-    except ValueError:
-        pass
     raise PydanticCustomError(
         "no_date", "must be a date, year-month-day: 2026-03-31 (got {got}).", {"got": repr(value[:60])}
     )

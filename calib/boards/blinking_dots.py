@@ -321,7 +321,7 @@ def _plane(board: Board, ids: NDArray[np.int64], centres: Array, where: str) -> 
         raise TargetNotFound(
             f"{len(ids)} dots of the board's frequencies are in view, but they do not lie in its grid.",
             where=where,
-            remedy="Check columns and rows, and that the frequencies are listed row by row.",
+            remedy="Check the numbers of columns and rows. List the frequencies row by row.",
         )
     if np.linalg.det(h) * np.sign(h[2] @ [*nodes.mean(axis=0), 1.0]) < 0:
         raise TargetNotFound(

@@ -64,14 +64,14 @@ def distort_with_jacobians(points: Array, coefficients: Mapping[str, float]) -> 
     points
         (N, 2) normalised points, dimensionless.
     coefficients
-        K coefficients by name, of `BROWN` or of `FISHEYE`; those that are not named are zero. A further name, such as
-        the skew of the camera matrix, has no part in the distortion.
+        K coefficients by name, of `BROWN` or of `FISHEYE`; those that are not named are zero. Other names are
+        allowed and change nothing, for example the skew, which belongs to the camera matrix.
 
     Returns
     -------
     tuple of Array
         (N, 2) distorted points; (N, 2, 2) derivatives by the points; (N, 2, K) derivatives by the named coefficients,
-        zero for a further name.
+        zero for other names.
     """
     family = FISHEYE if is_fisheye(coefficients) else BROWN
     evaluate = _fisheye_with_jacobians if family is FISHEYE else _brown_with_jacobians

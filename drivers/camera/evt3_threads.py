@@ -114,13 +114,12 @@ def _finish(
     decoder: Evt3Decoder, block: _Block, at: Place
 ) -> Generator[tuple[Events, Triggers], None, Place]:
     """Yield the events of a block, decoded again unless it began at ``at`` and ended well; return the place then."""
-    try:
+    damaged = isinstance(block.result.exception(), RecordingCorrupt)  # told below, after the events before it
+    if not damaged:
         n, edges = block.result.result()
         if block.began == at:
             yield block.room.part(0, n), edges
             return block.decoder.place
-    except RecordingCorrupt:  # which is raised again below, after the events before it
-        pass
     again = decoder.at(at, block.first_byte)
     yield from again.decode(block.words)
     return again.place

@@ -81,7 +81,7 @@ HARDWARE_ERRORS: Final = {
     0x01: "supply voltage out of range",
     0x04: "too hot",
     0x08: "encoder fault",
-    0x10: "electrical shock, or too little power for the motor",
+    0x10: "an electric shock in the circuit, or too little power for the motor",
     0x20: "overload: the motor was blocked, or its load is too heavy",
 }
 """Meanings of the bits of the hardware error status."""

@@ -213,7 +213,7 @@ class ManyLightsSensor:
             act(sensor, part, own, own_phase)
 
     def _light(self, seen: ImageOfLight, light: LightState, phase: float) -> tuple[LightState, float]:
-        """Return the light of a part and its phase now."""
+        """Return the light that shines on a part of the image, and its present phase, 0 to 1."""
         if seen.frequency_hz == 0.0:
             return light, (phase - seen.phase) % 1.0
         own = LightState(output=True, high_v=FULL_DRIVE_V, frequency_hz=seen.frequency_hz)

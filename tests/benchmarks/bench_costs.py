@@ -1,4 +1,4 @@
-"""Measure what the calibration of captures costs: CPU time, bytes and memory a pose, a run, a night, and 10^6 captures.
+"""Measure the cost of calibrations: CPU time, bytes and memory for a pose, a run, a night, and a million captures.
 
     python tests/benchmarks/bench_costs.py RUN [--rounds 5] [--scaling 1.97]
 

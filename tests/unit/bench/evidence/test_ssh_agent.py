@@ -183,12 +183,13 @@ def test_an_agent_that_does_not_answer_is_given_up(tmp_path, monkeypatch):
 
 @given(st.binary(max_size=200))
 def test_any_bytes_are_an_answer_or_a_value_error(data):
-    for read in (read_identities, read_sign_response):
+    for read, kind in ((read_identities, list), (read_sign_response, bytes)):
         for answer in (data, b"\x0c" + data, b"\x0e" + data):
             try:
-                read(answer)
+                found = read(answer)
             except ValueError:
                 continue
+            assert isinstance(found, kind)
 
 
 @given(st.lists(st.tuples(st.binary(max_size=60), st.text(max_size=20)), max_size=5))

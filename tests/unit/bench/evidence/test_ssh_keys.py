@@ -112,9 +112,10 @@ def test_any_bytes_are_a_key_or_a_value_error(data):
         string(b"ecdsa-sha2-nistp256") + data,
     ):
         try:
-            PublicKey.parse(blob)
+            found = PublicKey.parse(blob)
         except ValueError:
             continue
+        assert isinstance(found, PublicKey)
 
 
 _KEY = Ed25519PrivateKey.generate()

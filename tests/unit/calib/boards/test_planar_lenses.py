@@ -31,7 +31,7 @@ OPTIONS = {
 
 @cache
 def views(lens, sigma_px=0.0):
-    """Placements of a board, with points as OpenCV takes them: of single precision."""
+    """Return a view of each placement of a board; its points are float32, because OpenCV takes no others."""
     names = distortion_names(lens)
     camera = CameraModel(1105.0, 1102.0, 633.0, 352.0, SIZE, {name: TRUE[name] for name in names})
     rng = np.random.default_rng(3)
