@@ -36,7 +36,7 @@ _MIN_IMPROVEMENT = 0.03
 #: From this number of poses on, left-out poses decide.
 _ENOUGH_VIEWS = 6
 _KEPT_RADIAL = (
-    "The radial model was kept in its place: these views cannot exclude a bow of the reticle or a distortion of the "
+    "The radial model is used instead: these views cannot exclude a bow of the reticle or a distortion of the "
     "collimator that would change the focal length, and the uncertainties include it."
 )
 
@@ -112,10 +112,10 @@ def choose(views: Sequence[View], options: CalibrationOptions, wrong: Sequence[G
     eligible, notes, choice = _eligible(fits), [*_not_fitted(errors)], None
     while eligible:
         place = _by_criterion(candidates, eligible) if few else _by_prediction(candidates, eligible)
-        reason = _reason(place, candidates, eligible, few=few)
-        if candidates[place].model == "spherical" and options.radial_sigma is None:
-            at = next(iter(_first(candidates, "radial")), place)
-            reason, place = f"{reason} {_KEPT_RADIAL}" if at != place else reason, at
+        best = place
+        if candidates[best].model == "spherical" and options.radial_sigma is None:
+            place = next(iter(_first(candidates, "radial")), best)
+        reason = _reason(best, candidates, eligible, few=few, used=place == best)
         chosen = with_uncertainty(fits[place], options)
         choice = choice or Choice(chosen, candidates, (*notes, reason))
         if _is_constrained(chosen):
@@ -227,20 +227,27 @@ def _predicted(one: Candidate) -> float:
     return np.inf if one.left_out_rms_px is None else one.left_out_rms_px
 
 
-def _reason(place: int, candidates: Sequence[Candidate], eligible: Sequence[int], *, few: bool) -> str:
-    """Return the reason for the choice, and the next best model."""
+def _reason(
+    place: int, candidates: Sequence[Candidate], eligible: Sequence[int], *, few: bool, used: bool
+) -> str:
+    """Return why a model is the best one, which is the next best, and why the radial model is used if this is not."""
+    chosen, was = candidates[place].model, "was" if used else "would be"
+    found = _best_and_next(place, candidates, eligible, few=few)
+    return f"The {chosen} model {was} chosen{found}" + ("" if used else f" {_KEPT_RADIAL}")
+
+
+def _best_and_next(place: int, candidates: Sequence[Candidate], eligible: Sequence[int], *, few: bool) -> str:
+    """Return the figure by which a model was chosen, and that of the next best."""
     chosen = candidates[place]
     others = [candidates[i] for i in eligible if i != place]
     if few:
-        text = f"The {chosen.model} model was chosen by the Bayesian information criterion ({chosen.bic:.0f})"
+        text = f" by the Bayesian information criterion ({chosen.bic:.0f})"
         rivals = [candidates[i] for i in _judged_by_criterion(candidates, eligible) if i != place]
         second = min(rivals, key=lambda one: one.bic, default=None)
         return (
             f"{text}; the next best is the {second.model} model ({second.bic:.0f})." if second else f"{text}."
         )
-    text = (
-        f"The {chosen.model} model was chosen: it predicts left-out views to {_predicted(chosen):.3f} px rms"
-    )
+    text = f": it predicts left-out views to {_predicted(chosen):.3f} px rms"
     second = min(others, key=_predicted, default=None)
     return (
         f"{text}; the next best is the {second.model} model ({_predicted(second):.3f} px rms)."

@@ -95,3 +95,16 @@ def test_what_another_program_does_not_state_is_not_compared_and_that_is_told(st
     assert found.faults == []
     assert found.not_compared == ["gates of results.json with the recordings: another program calculated it"]
     assert seen(changed(other, "camera", "fx", 1), other)[0]  # a number that both state must be the same
+
+
+def test_notes_of_another_program_may_have_other_words_but_not_those_of_the_same_program(stored):
+    other = {**stored, "run": {**stored["run"], "software": {**software(), "program": "another"}}}
+    for had, is_fault in ((stored, True), (other, False)):
+        reworded = copy.deepcopy(had)
+        had["calibration"]["notes"], reworded["calibration"]["notes"] = ["As it was."], ["As it is."]
+        found = Findings()
+        check_numbers(reworded, had, found)
+        assert bool(found.faults) == is_fault
+        if not is_fault:
+            assert "calibration.notes[0]" in found.not_compared[0]
+            assert not any("rounding" in remark for remark in found.remarks)
