@@ -5,13 +5,13 @@ The module uses times and polarities of events and the light's `Flicker`. It doe
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from calib.errors import TooFewEvents
+from calib.events.event_times import EventTimes
 from calib.events.flicker import Flicker
 
 #: Share of a period that a window may lack and still count as whole: 33 ms at 60 Hz are two periods less 1 %.
@@ -37,18 +37,15 @@ class BurstWindow(NamedTuple):
     length_us: float
 
 
-@njit(cache=True, error_model="numpy")
-def folded_rate(t: Any, p: Any, start_us: float, period_us: float) -> Any:
+def folded_rate(times: EventTimes, start_us: float, period_us: float) -> NDArray[np.float64]:
     """Count the events over the phase of one period (epoch folding).
 
     Epoch folding: Leahy et al. (1983).
 
     Parameters
     ----------
-    t
-        (N,) int64, times of the events, us.
-    p
-        (N,) uint8, polarities: 1 is ON, 0 is OFF.
+    times
+        The events by their time.
     start_us
         Time of phase 0, us.
     period_us
@@ -59,12 +56,9 @@ def folded_rate(t: Any, p: Any, start_us: float, period_us: float) -> Any:
     array
         (2, FOLD_BINS) float64, number of OFF events (row 0) and ON events (row 1) in each bin.
     """
-    folded = np.zeros((2, FOLD_BINS))
-    for i in range(t.size):
-        turns = (t[i] - start_us) / period_us
-        at = int((turns - np.floor(turns)) * FOLD_BINS)
-        folded[1 if p[i] else 0, min(at, FOLD_BINS - 1)] += 1.0
-    return folded
+    turns = (times.t - start_us) / period_us
+    at = np.minimum(((turns - np.floor(turns)) * FOLD_BINS).astype(np.int64), FOLD_BINS - 1)
+    return np.array([np.bincount(at, count, FOLD_BINS) for count in (times.off, times.on)])
 
 
 def burst_window(folded: NDArray[np.float64], start_us: float, period_us: float) -> BurstWindow:

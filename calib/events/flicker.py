@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.errors import FlickerNotFound, TooFewEvents
+from calib.events.event_times import event_times
 
 #: Largest distance of an edge from its place in the train, as a share of the period.
 EDGE_TOLERANCE = 0.15
@@ -206,20 +207,21 @@ def flicker_from_events(
     FlickerNotFound
         If no period stands out, or the events cover fewer than two periods.
     """
-    t = np.asarray(t_us, np.float64)
-    if t.size < 100:
+    if t_us.size < 100:
         raise TooFewEvents(
-            f"{t.size} events; at least 100 are needed to find the flicker.",
+            f"{t_us.size} events; at least 100 are needed to find the flicker.",
             where="flicker",
             remedy="Check that the light is on.",
         )
-    is_on = np.asarray(p) > 0
-    start, span = float(t[0]), float(t[-1] - t[0])
+    times = event_times(t_us, np.asarray(p))
+    counts = (times.on, times.off)
+    start, span = float(times.t[0]), float(times.t[-1] - times.t[0])
+    late = times.t - start
     bin_us = max(RATE_BIN_US, span / RATE_BINS)
-    bins = int(span / bin_us) + 1
-    rates = [np.bincount(((t[m] - start) / bin_us).astype(np.int64), minlength=bins) for m in (is_on, ~is_on)]
-    period = 1e6 / _search_frequency(np.array(rates, float), bin_us, band_hz)
-    on, off = (_onset(_folded(t[m] - start, period)) for m in (is_on, ~is_on))
+    bins, at = int(span / bin_us) + 1, (late / bin_us).astype(np.int64)
+    rates = np.array([np.bincount(at, count, bins) for count in counts])
+    period = 1e6 / _search_frequency(rates, bin_us, band_hz)
+    on, off = (_onset(_folded(late, count, period)) for count in counts)
     return Flicker(
         period_us=period,
         phase_us=start + on * period,
@@ -364,22 +366,24 @@ def _harmonic_power(
     """
     times = np.arange(rates.shape[1]) * (bin_us * 1e-6)
     power = np.zeros(frequencies_hz.size)
+    first = np.exp(-2j * np.pi * frequencies_hz[:, None] * times[None, :])
+    waves = np.ones_like(first)
     for harmonic in range(1, HARMONICS + 1):
         if harmonic * frequencies_hz.max() > 0.4e6 / bin_us:
             break
-        waves = np.exp(-2j * np.pi * harmonic * frequencies_hz[:, None] * times[None, :])
+        waves *= first
         power += np.sum(np.abs(waves @ rates.T) ** 2, axis=1)
     return power
 
 
-def _folded(t_us: NDArray[np.float64], period_us: float) -> NDArray[np.float64]:
-    """Count the events over the phase of one period, in `ONSET_BINS` bins.
+def _folded(t_us: NDArray[np.float64], count: NDArray[np.int64], period_us: float) -> NDArray[np.float64]:
+    """Count the events, ``count`` at each time, over the phase of one period, in `ONSET_BINS` bins.
 
     Epoch folding: Leahy et al. (1983).
     """
     turns = t_us / period_us
     at = ((turns - np.floor(turns)) * ONSET_BINS).astype(np.int64)
-    return np.bincount(np.minimum(at, ONSET_BINS - 1), minlength=ONSET_BINS).astype(float)
+    return np.bincount(np.minimum(at, ONSET_BINS - 1), count, ONSET_BINS)
 
 
 def _onset(folded: NDArray[np.float64]) -> float:

@@ -1,0 +1,87 @@
+"""Events by their time: which of them share a time, and how many of these are ON.
+
+Times are whole microseconds, and hundreds of events share one. What depends on the time alone is computed once for all
+of them. The module does not use pixel positions.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+
+class EventTimes(NamedTuple):
+    """The K different times of N events.
+
+    Attributes
+    ----------
+    t
+        (K,) int64, us, ascending.
+    first
+        (K + 1,) int64, number of the first event at each time; the last value is N.
+    on
+        (K,) int64, number of ON events at each time.
+    """
+
+    t: NDArray[np.int64]
+    first: NDArray[np.int64]
+    on: NDArray[np.int64]
+
+    @property
+    def off(self) -> NDArray[np.int64]:
+        """(K,) int64, number of OFF events at each time."""
+        return np.diff(self.first) - self.on
+
+
+def event_times(t: NDArray[np.int64], p: NDArray[np.integer]) -> EventTimes:
+    """Gather the events by their time.
+
+    Parameters
+    ----------
+    t
+        (N,) int64, times of the events, us, in ascending order; N >= 1.
+    p
+        (N,) int, polarities: 1 is ON, 0 is OFF.
+
+    Returns
+    -------
+    EventTimes
+        Each time once.
+    """
+    is_on = p if p.dtype == np.uint8 else (p > 0).astype(np.uint8)
+    return EventTimes(*_gathered(np.ascontiguousarray(t, np.int64), np.ascontiguousarray(is_on)))
+
+
+@njit(cache=True, error_model="numpy")
+def _gathered(t: Any, p: Any) -> tuple[Any, Any, Any]:
+    """Return the fields of `EventTimes`.
+
+    The end of each run of equal times is found by doubling steps, then by bisection (Bentley and Yao, 1976).
+    """
+    n = t.size
+    room = min(n, t[n - 1] - t[0] + 1)
+    times, first, on = np.empty(room, np.int64), np.empty(room + 1, np.int64), np.empty(room, np.int64)
+    k = i = 0
+    while i < n:
+        low, high, step = i, i + 1, 1
+        while high < n and t[high] == t[i]:
+            step *= 2
+            low, high = high, high + step
+        high = min(high, n)
+        while high - low > 1:
+            middle = (low + high) // 2
+            if t[middle] == t[i]:
+                low = middle
+            else:
+                high = middle
+        bright = 0
+        for j in range(i, high):
+            bright += p[j] > 0
+        times[k], first[k], on[k] = t[i], i, bright
+        k += 1
+        i = high
+    first[k] = n
+    return times[:k], first[: k + 1], on[:k]
