@@ -11,19 +11,16 @@ from typing import Any
 import numpy as np
 from numba import njit
 
+from calib.adjustment.product_kernels import add_columns, add_pinhole, gather
 from calib.adjustment.star_kernels import (
     ABERRATIONS_AT,
     CENTRE_AT,
     LENS_AT,
-    NOWHERE,
     RADIUS_AT,
     SKEW_AT,
-    camera_point,
-    plane_point,
+    project,
 )
-
-#: Stars whose derivatives are kept at a time: those by 12 parameters take 50 kilobytes.
-_CHUNK = 256
+from calib.adjustment.star_kernels import CHUNK as _CHUNK
 
 
 @njit(cache=True, error_model="numpy")
@@ -69,15 +66,8 @@ def _bend(x: Any, y: Any, state: Any, fisheye: bool, bent: Any, by_normalised: A
 def _write_lens(
     column: Any, at: int, x: Any, y: Any, state: Any, fisheye: bool, bent: Any, radial: Any
 ) -> None:
-    """Write the derivatives (2, M) of M image points by the camera's parameter in place ``at`` of the state, px."""
+    """Write the derivatives (2, M) of M image points by a lens coefficient or the skew in place ``at``."""
     fx, fy, count = state[0], state[1], len(x)
-    if at < LENS_AT:
-        column[:] = 0.0
-        if at < 2:
-            column[at] = bent[at]
-        else:
-            column[at - 2] = 1.0
-        return
     if at == SKEW_AT:
         column[0], column[1] = bent[1], 0.0
         return
@@ -166,29 +156,17 @@ def _write_centre(column: Any, at: int, moved: Any, shifts: Any) -> None:
             column[axis, k] = -(by_x[k] * shifts[k, 0, t] + by_y[k] * shifts[k, 1, t])
 
 
-@njit(cache=True, error_model="numpy", fastmath={"reassoc", "contract", "nsz"})
-def _add_products(
-    columns: Any, gradient: Any, curvature: Any, first: int, count: int, normal: Any, right: Any
-) -> None:
-    """Add J^T C J of ``count`` stars from star ``first`` to the lower half of ``normal``, and J^T g to ``right``."""
-    xx, xy = curvature[0, first : first + count], curvature[1, first : first + count]
-    yy = curvature[2, first : first + count]
-    gx, gy = gradient[0, first : first + count], gradient[1, first : first + count]
-    wx, wy = np.empty(count), np.empty(count)
-    for i in range(len(right)):
-        x, y = columns[i, 0], columns[i, 1]
-        total = 0.0
-        for k in range(count):
-            wx[k] = xx[k] * x[k] + xy[k] * y[k]
-            wy[k] = xy[k] * x[k] + yy[k] * y[k]
-            total += gx[k] * x[k] + gy[k] * y[k]
-        right[i] += total
-        for j in range(i + 1):
-            u, v = columns[j, 0], columns[j, 1]
-            total = 0.0
-            for k in range(count):
-                total += wx[k] * u[k] + wy[k] * v[k]
-            normal[i, j] += total
+@njit(cache=True, error_model="numpy")
+def _dense(places: Any, local: int) -> tuple[Any, int]:
+    """Return which of the G shared and L local parameters need a row of derivatives, and how many are shared ones."""
+    dense, count = np.empty(len(places) + local, np.int64), 0
+    for g in range(len(places)):
+        if places[g] >= LENS_AT:
+            dense[count] = g
+            count += 1
+    for a in range(local):
+        dense[count + a] = len(places) + a
+    return dense[: count + local], count
 
 
 @njit(cache=True, error_model="numpy")
@@ -219,39 +197,40 @@ def view_equations(
     normal, right
         (n, G + L, G + L) and (n, G + L) float64 results; L is 3, or 6 with the centre of each view.
     """
-    shared, count = len(places), right.shape[1]
-    columns, moved = np.zeros((count, 2, _CHUNK)), np.empty((3, 2, _CHUNK))
-    p, plane = np.empty((3, _CHUNK)), np.empty((2, _CHUNK))
+    shared = len(places)
+    dense, freed = _dense(places, right.shape[1] - shared)
+    columns, weighted = np.empty((len(dense), 2, _CHUNK)), np.empty((len(dense), 2, _CHUNK))
+    moved, p, plane = np.empty((3, 2, _CHUNK)), np.empty((3, _CHUNK)), np.empty((2, _CHUNK))
     bent, by_normalised, radial = np.empty((2, _CHUNK)), np.empty((3, _CHUNK)), np.empty((3, _CHUNK))
-    centre, at = np.empty(3), 0
-    normal[:] = 0.0
-    right[:] = 0.0
+    pinhole, by_pinhole, own = np.empty((4, 4)), np.empty((len(dense), 4)), np.empty((len(dense), len(dense)))
+    scores, centre, at = np.empty(LENS_AT + len(dense)), np.empty(3), 0
     for i in range(len(rotations)):
+        pinhole[:], by_pinhole[:], own[:], scores[:] = 0.0, 0.0, 0.0, 0.0
         centre[0] = state[CENTRE_AT] + offsets[i, 0]
         centre[1] = state[CENTRE_AT + 1] + offsets[i, 1]
         centre[2] = -state[RADIUS_AT] + offsets[i, 2]
         for first in range(bounds[i, 0], bounds[i, 1], _CHUNK):
             size = min(_CHUNK, bounds[i, 1] - first)
-            for k in range(size):
-                x, y = plane_point(target, displacements, state, first + k)
-                x, y, z = camera_point(rotations[i], centre, x, y, target[2, first + k])
-                p[0, k], p[1, k], p[2, k] = x, y, z
-                plane[0, k], plane[1, k] = x / z, y / z
+            project(target, displacements, state, rotations[i], centre, first, size, p, plane)
             u, v = plane[0, :size], plane[1, :size]
             _bend(u, v, state, fisheye, bent, by_normalised, radial)
-            _write_geometry(p, u, v, by_normalised, rotations[i], state, columns[shared : shared + 3], moved)
+            turned = columns[freed : freed + 3]
+            _write_geometry(p, u, v, by_normalised, rotations[i], state, turned, moved)
             for axis in range(3):
-                _skewed(columns[shared + axis], state)
+                _skewed(turned[axis], state)
                 _skewed(moved[axis], state)
-            if count > shared + 3:
-                columns[shared + 3 :] = moved
-            for g in range(shared):
-                if places[g] >= CENTRE_AT:
-                    _write_centre(columns[g], places[g], moved, displacements[first : first + size])
-                elif places[g] != NOWHERE:
-                    _write_lens(columns[g], places[g], u, v, state, fisheye, bent, radial)
-            _add_products(columns, gradient, curvature, at, size, normal[i], right[i])
+            if len(dense) > freed + 3:
+                columns[freed + 3 :] = moved
+            for d in range(freed):
+                place = places[dense[d]]
+                if place >= CENTRE_AT:
+                    _write_centre(columns[d], place, moved, displacements[first : first + size])
+                else:
+                    _write_lens(columns[d], place, u, v, state, fisheye, bent, radial)
+            add_columns(
+                columns, bent, gradient, curvature, at, size, weighted, own, by_pinhole, scores[LENS_AT:]
+            )
+            if freed < shared:
+                add_pinhole(bent, gradient, curvature, at, size, pinhole, scores)
             at += size
-        for g in range(count):
-            for h in range(g):
-                normal[i, h, g] = normal[i, g, h]
+        gather(places, dense, pinhole, by_pinhole, own, scores, normal[i], right[i])

@@ -21,6 +21,8 @@ RADIUS_AT = 15
 ABERRATIONS_AT = 16
 #: Place of a parameter that moves no star.
 NOWHERE = -1
+#: Stars that are handled at a time: their derivatives by 12 parameters take 50 kilobytes.
+CHUNK = 256
 #: Robust losses by number.
 LOSSES = {"l2": 0, "huber": 1, "cauchy": 2}
 
@@ -29,68 +31,80 @@ _HUBER, _CAUCHY = LOSSES["huber"], LOSSES["cauchy"]
 
 
 @njit(cache=True, error_model="numpy")
-def plane_point(target: Any, displacements: Any, state: Any, k: int) -> tuple[float, float]:
-    """Return where a star appears on the target: its position plus its displacement by the aberrations.
+def project(
+    target: Any,
+    displacements: Any,
+    state: Any,
+    rotation: Any,
+    centre: Any,
+    first: int,
+    count: int,
+    p: Any,
+    plane: Any,
+) -> None:
+    """Write points in the camera frame, R (X - c) (arXiv:2512.16092, eq. 2), and their normalised coordinates.
+
+    A star appears at its position X on the target plus its displacement by the aberrations.
 
     Parameters
     ----------
     target, displacements, state
         As for `residuals_px`.
-    k
-        Index of the star.
-
-    Returns
-    -------
-    tuple of float
-        X and Y, mm.
-    """
-    x, y = target[0, k], target[1, k]
-    for t in range(displacements.shape[2]):
-        x += displacements[k, 0, t] * state[ABERRATIONS_AT + t]
-        y += displacements[k, 1, t] * state[ABERRATIONS_AT + t]
-    return x, y
-
-
-@njit(cache=True, error_model="numpy")
-def camera_point(rotation: Any, centre: Any, x: float, y: float, z: float) -> tuple[float, float, float]:
-    """Return the point R (X - c) in the camera frame (arXiv:2512.16092, eq. 2).
-
-    Parameters
-    ----------
     rotation, centre
         (3, 3) rotation R, camera <- target, and (3,) centre c, mm.
-    x, y, z
-        The point X on the target, mm.
-
-    Returns
-    -------
-    tuple of float
-        Its coordinates, mm.
+    first, count
+        The first of M stars, and their number, at most `CHUNK`.
+    p, plane
+        (3, `CHUNK`) float64 points, mm, and (2, `CHUNK`) float64 x / z and y / z; NaN for a point behind the camera.
     """
-    a, b, c = x - centre[0], y - centre[1], z - centre[2]
-    return (
-        rotation[0, 0] * a + rotation[0, 1] * b + rotation[0, 2] * c,
-        rotation[1, 0] * a + rotation[1, 1] * b + rotation[1, 2] * c,
-        rotation[2, 0] * a + rotation[2, 1] * b + rotation[2, 2] * c,
-    )
+    # One loop writes few rows, so that the compiler can show that they do not overlap with those it reads.
+    end = first + count
+    tx, ty, tz = target[0, first:end], target[1, first:end], target[2, first:end]
+    x, y, z, u, v = p[0, :count], p[1, :count], p[2, :count], plane[0, :count], plane[1, :count]
+    cx, cy, cz = centre[0], centre[1], centre[2]
+    for k in range(count):
+        u[k] = tx[k] - cx
+    for k in range(count):
+        v[k] = ty[k] - cy
+    for t in range(displacements.shape[2]):
+        size = state[ABERRATIONS_AT + t]
+        for k in range(count):
+            u[k] += displacements[first + k, 0, t] * size
+            v[k] += displacements[first + k, 1, t] * size
+    a, b, c = rotation[0, 0], rotation[0, 1], rotation[0, 2]
+    for k in range(count):
+        x[k] = a * u[k] + b * v[k] + c * (tz[k] - cz)
+    a, b, c = rotation[1, 0], rotation[1, 1], rotation[1, 2]
+    for k in range(count):
+        y[k] = a * u[k] + b * v[k] + c * (tz[k] - cz)
+    a, b, c = rotation[2, 0], rotation[2, 1], rotation[2, 2]
+    for k in range(count):
+        z[k] = a * u[k] + b * v[k] + c * (tz[k] - cz)
+    for k in range(count):
+        inverse = 1.0 / z[k] if z[k] > 0.0 else np.nan
+        u[k] = x[k] * inverse
+        v[k] = y[k] * inverse
 
 
 @njit(cache=True, error_model="numpy")
-def _distorted(x: float, y: float, state: Any, fisheye: bool) -> tuple[float, float]:
-    """Return a distorted normalised point: Brown (1971) with OpenCV's denominator, or Kannala and Brandt (2006)."""
+def _distort(x: Any, y: Any, state: Any, fisheye: bool) -> None:
+    """Distort normalised points in place: Brown (1971) with OpenCV's denominator, or Kannala and Brandt (2006)."""
     k = state[LENS_AT:SKEW_AT]
+    a, b, c, d, e, f, g, h = k[0], k[1], k[2], k[3], k[4], k[5], k[6], k[7]
     if fisheye:
-        r = max(np.sqrt(x * x + y * y), 1e-12)
-        theta = np.arctan(r)
-        t2 = theta * theta
-        scale = theta * (1.0 + t2 * (k[0] + t2 * (k[1] + t2 * (k[2] + t2 * k[3])))) / r
-        return x * scale, y * scale
-    r2 = x * x + y * y
-    radial = (1.0 + r2 * (k[0] + r2 * (k[1] + r2 * k[4]))) / (1.0 + r2 * (k[5] + r2 * (k[6] + r2 * k[7])))
-    return (
-        x * radial + 2.0 * k[2] * x * y + k[3] * (r2 + 2.0 * x * x),
-        y * radial + k[2] * (r2 + 2.0 * y * y) + 2.0 * k[3] * x * y,
-    )
+        for i in range(len(x)):
+            r = max(np.sqrt(x[i] * x[i] + y[i] * y[i]), 1e-12)
+            theta = np.arctan(r)
+            t2 = theta * theta
+            scale = theta * (1.0 + t2 * (a + t2 * (b + t2 * (c + t2 * d)))) / r
+            x[i], y[i] = x[i] * scale, y[i] * scale
+        return
+    for i in range(len(x)):
+        u, v = x[i], y[i]
+        r2 = u * u + v * v
+        radial = (1.0 + r2 * (a + r2 * (b + r2 * e))) / (1.0 + r2 * (f + r2 * (g + r2 * h)))
+        x[i] = u * radial + 2.0 * c * u * v + d * (r2 + 2.0 * u * u)
+        y[i] = v * radial + c * (r2 + 2.0 * v * v) + 2.0 * d * u * v
 
 
 @njit(cache=True, error_model="numpy")
@@ -127,18 +141,23 @@ def residuals_px(
         (2, M) float64 residuals of the views' stars, view after view, px; NaN for a star that cannot be projected.
     """
     centre, at = np.empty(3), 0
+    p, plane = np.empty((3, CHUNK)), np.empty((2, CHUNK))
+    fx, fy, cx, cy, skew = state[0], state[1], state[2], state[3], state[SKEW_AT]
     for i in range(len(rotations)):
         centre[0] = state[CENTRE_AT] + offsets[i, 0]
         centre[1] = state[CENTRE_AT + 1] + offsets[i, 1]
         centre[2] = -state[RADIUS_AT] + offsets[i, 2]
-        for k in range(bounds[i, 0], bounds[i, 1]):
-            x, y = plane_point(target, displacements, state, k)
-            x, y, z = camera_point(rotations[i], centre, x, y, target[2, k])
-            inverse = 1.0 / z if z > 0.0 else np.nan
-            u, v = _distorted(x * inverse, y * inverse, state, fisheye)
-            out[0, at] = points[0, k] - (u * state[0] + v * state[SKEW_AT] + state[2])
-            out[1, at] = points[1, k] - (v * state[1] + state[3])
-            at += 1
+        for first in range(bounds[i, 0], bounds[i, 1], CHUNK):
+            size = min(CHUNK, bounds[i, 1] - first)
+            project(target, displacements, state, rotations[i], centre, first, size, p, plane)
+            u, v, along_u, along_v = plane[0, :size], plane[1, :size], out[0, at:], out[1, at:]
+            _distort(u, v, state, fisheye)
+            found_u, found_v = points[0, first : first + size], points[1, first : first + size]
+            for k in range(size):
+                along_u[k] = found_u[k] - (u[k] * fx + v[k] * skew + cx)
+            for k in range(size):
+                along_v[k] = found_v[k] - (v[k] * fy + cy)
+            at += size
 
 
 @njit(cache=True, error_model="numpy")
@@ -225,26 +244,64 @@ def robust_curvature(
     curvature
         (3, M) float64 elements xx, xy and yy of the curvature, 1 / px^2.
     """
-    at = 0
+    at, across, excess = 0, np.empty(CHUNK), np.empty(CHUNK)
     for i in range(len(bounds)):
-        for k in range(bounds[i, 0], bounds[i, 1]):
-            x, y = residuals[0, at], residuals[1, at]
-            a, b, c = factors[0, k], factors[1, k], factors[2, k]
-            length = np.sqrt(x * x + y * y)
-            across, along = 1.0, 1.0
-            if loss == _HUBER and length > limit:
-                across, along = limit / length, 0.0
-            elif loss == _CAUCHY:
-                square = (length / limit) ** 2
-                across = 1.0 / (1.0 + square)
-                along = max((1.0 - square) * across * across, 0.0)
-            gradient[0, at] = across * (a * x + b * y)
-            gradient[1, at] = across * (c * y)
-            length = max(length, _TINY)
-            ux, uy = x / length, y / length
-            excess = along - across
-            xx, xy, yy = across + excess * ux * ux, excess * ux * uy, across + excess * uy * uy
-            curvature[0, at] = a * a * xx + 2.0 * a * b * xy + b * b * yy
-            curvature[1, at] = c * (a * xy + b * yy)
-            curvature[2, at] = c * c * yy
-            at += 1
+        for first in range(bounds[i, 0], bounds[i, 1], CHUNK):
+            size = min(CHUNK, bounds[i, 1] - first)
+            _slopes(residuals[0, at : at + size], residuals[1, at : at + size], loss, limit, across, excess)
+            _pulled(residuals, factors, first, across, excess, at, size, gradient, curvature)
+            at += size
+
+
+@njit(cache=True, error_model="numpy")
+def _slopes(rx: Any, ry: Any, loss: int, limit: float, across: Any, excess: Any) -> None:
+    """Write the curvatures across M residuals e, and what the curvatures along them exceed these by, over e^2."""
+    count = len(rx)
+    if loss == _HUBER:
+        for k in range(count):
+            square = max(rx[k] * rx[k] + ry[k] * ry[k], _TINY)
+            outside = square > limit * limit
+            across[k] = limit / np.sqrt(square) if outside else 1.0
+            excess[k] = -limit / np.sqrt(square) / square if outside else 0.0
+    elif loss == _CAUCHY:
+        for k in range(count):
+            square = max(rx[k] * rx[k] + ry[k] * ry[k], _TINY)
+            share = square / (limit * limit)
+            across[k] = 1.0 / (1.0 + share)
+            excess[k] = (max((1.0 - share) * across[k] * across[k], 0.0) - across[k]) / square
+    else:
+        across[:count] = 1.0
+        excess[:count] = 0.0
+
+
+@njit(cache=True, error_model="numpy")
+def _pulled(
+    residuals: Any,
+    factors: Any,
+    first: int,
+    across: Any,
+    excess: Any,
+    at: int,
+    count: int,
+    gradient: Any,
+    curvature: Any,
+) -> None:
+    """Write gradient and curvature by the image points of some stars, from those of `_slopes` by the residuals."""
+    rows, end = first + count, at + count
+    rx, ry = residuals[0, at:end], residuals[1, at:end]
+    a, b, c = factors[0, first:rows], factors[1, first:rows], factors[2, first:rows]
+    # One loop writes one row, so that the compiler can show that it does not overlap with those it reads.
+    gx, gy = gradient[0, at:end], gradient[1, at:end]
+    xx, xy, yy = curvature[0, at:end], curvature[1, at:end], curvature[2, at:end]
+    for k in range(count):
+        along = a[k] * rx[k] + b[k] * ry[k]
+        xx[k] = across[k] * (a[k] * a[k] + b[k] * b[k]) + excess[k] * along * along
+    for k in range(count):
+        along = a[k] * rx[k] + b[k] * ry[k]
+        xy[k] = c[k] * (across[k] * b[k] + excess[k] * along * ry[k])
+    for k in range(count):
+        yy[k] = c[k] * c[k] * (across[k] + excess[k] * ry[k] * ry[k])
+    for k in range(count):
+        gx[k] = across[k] * (a[k] * rx[k] + b[k] * ry[k])
+    for k in range(count):
+        gy[k] = across[k] * c[k] * ry[k]
