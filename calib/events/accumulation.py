@@ -14,35 +14,38 @@ from numpy.typing import NDArray
 from calib.events.bursts import FOLD_BINS, BurstWindow, burst_window, folded_rate
 from calib.events.event_times import EventTimes, event_times
 
+#: Types of the fields of `PixelSums`, the widest first, so that each begins at a multiple of its size.
+_KINDS = (np.uint32, np.uint32, np.int32, np.int32, np.float32, np.float32, np.uint16, np.uint16, np.int8)
+
 
 class PixelSums(NamedTuple):
     """Sums over the events of each pixel, all (H, W).
 
     Attributes
     ----------
-    last_polarity
-        int8, polarity of the last event: +1 ON, -1 OFF, 0 if there was none.
     on_count, off_count
         uint32, number of events of each polarity.
-    on_fired, off_fired
-        uint16, number of bursts in which the pixel fired.
     on_burst, off_burst
-        int32, number of the last burst in which the pixel fired, from 1; -1 if there was none.
+        int32, number of the last burst in which the pixel fired, from 1; 0 if there was none.
     on_latency
         float32, us, sum over the ON bursts of the time from the start of the burst to the pixel's first ON event.
     lock_in
         float32, sum of polarity times cosine of the flicker's phase.
+    on_fired, off_fired
+        uint16, number of bursts in which the pixel fired.
+    last_polarity
+        int8, polarity of the last event: +1 ON, -1 OFF, 0 if there was none.
     """
 
-    last_polarity: NDArray[np.int8]
     on_count: NDArray[np.uint32]
     off_count: NDArray[np.uint32]
-    on_fired: NDArray[np.uint16]
-    off_fired: NDArray[np.uint16]
     on_burst: NDArray[np.int32]
     off_burst: NDArray[np.int32]
     on_latency: NDArray[np.float32]
     lock_in: NDArray[np.float32]
+    on_fired: NDArray[np.uint16]
+    off_fired: NDArray[np.uint16]
+    last_polarity: NDArray[np.int8]
 
     @classmethod
     def empty(cls, size: tuple[int, int]) -> PixelSums:
@@ -56,20 +59,17 @@ class PixelSums(NamedTuple):
         Returns
         -------
         PixelSums
-            All 0; numbers of bursts -1.
+            All 0.
         """
-        shape = (size[1], size[0])
-        return cls(
-            np.zeros(shape, np.int8),
-            np.zeros(shape, np.uint32),
-            np.zeros(shape, np.uint32),
-            np.zeros(shape, np.uint16),
-            np.zeros(shape, np.uint16),
-            np.full(shape, -1, np.int32),
-            np.full(shape, -1, np.int32),
-            np.zeros(shape, np.float32),
-            np.zeros(shape, np.float32),
-        )
+        pixels, parts, start = size[0] * size[1], [], 0
+        # One block: the system gives a large one in few pages. The thousands of pages of many small ones take longer
+        # than the loop over the events.
+        block = np.zeros(pixels * sum(np.dtype(kind).itemsize for kind in _KINDS), np.uint8)
+        for kind in _KINDS:
+            end = start + pixels * np.dtype(kind).itemsize
+            parts.append(block[start:end].view(kind).reshape(size[1], size[0]))
+            start = end
+        return cls(*parts)
 
     def mean_latency_us(self) -> NDArray[np.float32]:
         """Return the mean latency of each pixel's first ON events.
@@ -152,6 +152,8 @@ def _add_events(
     loop would take four times as long. The head of `calib.events.event_image` gives the equations; lock-in: Meade
     (1983).
     """
+    # In variables of their own: the compiled loop would load their addresses from the tuple for every event.
+    on_count, off_count, on_seen, off_seen, on_latency, lock_in, on_fired, off_fired, last_polarity = sums
     columns = np.uint64(width)
     for k in range(times.t.size):
         now = times.t[k]
@@ -159,25 +161,25 @@ def _add_events(
         off_turns = np.floor((now - off.start_us) / period)
         on_late = now - on.start_us - on_turns * period
         off_late = now - off.start_us - off_turns * period
-        on_burst, off_burst = np.int32(on_turns + 1), np.int32(off_turns + 1)
+        on_burst, off_burst = np.int32(on_turns + 2), np.int32(off_turns + 2)
         in_on, in_off = on_late <= on.length_us, off_late <= off.length_us
         wave = np.cos(2.0 * np.pi * (now - response_us) / period)
         for i in range(times.first[k], times.first[k + 1]):
             at = np.uint64(y[i]) * columns + np.uint64(x[i])
             if p[i]:
-                sums.on_count[at] += np.uint32(1)
-                sums.last_polarity[at] = 1
-                sums.lock_in[at] += wave
+                on_count[at] += np.uint32(1)
+                last_polarity[at] = 1
+                lock_in[at] += wave
                 if in_on:
-                    is_first = sums.on_burst[at] != on_burst
-                    sums.on_burst[at] = on_burst
-                    sums.on_fired[at] += np.uint16(is_first)
-                    sums.on_latency[at] += on_late * is_first
+                    is_first = on_seen[at] != on_burst
+                    on_seen[at] = on_burst
+                    on_fired[at] += np.uint16(is_first)
+                    on_latency[at] += on_late * is_first
             else:
-                sums.off_count[at] += np.uint32(1)
-                sums.last_polarity[at] = -1
-                sums.lock_in[at] -= wave
+                off_count[at] += np.uint32(1)
+                last_polarity[at] = -1
+                lock_in[at] -= wave
                 if in_off:
-                    is_first = sums.off_burst[at] != off_burst
-                    sums.off_burst[at] = off_burst
-                    sums.off_fired[at] += np.uint16(is_first)
+                    is_first = off_seen[at] != off_burst
+                    off_seen[at] = off_burst
+                    off_fired[at] += np.uint16(is_first)
