@@ -262,5 +262,5 @@ def _compare_with_run(folder: Path, run: Path, certificate: Certificate, found: 
     stored = {path.stem: path.read_text("utf-8") for path in (folder / PLOTS).glob("*.svg")}
     if drawn != stored:
         found.not_compared.append(
-            "the plots are not drawn alike from the run here: another version of Matplotlib, or changed plots"
+            "the plots are not drawn alike from the run here: another version of Starbench, or changed plots"
         )

@@ -7,23 +7,25 @@ import re
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-import matplotlib as mpl
 import numpy as np
-from matplotlib.figure import Figure
-from matplotlib.ticker import FuncFormatter
 
-from bench.report.drawing import INK, LINE, MUTED, POSE_COLOURS, STYLE, WIDE, hide_frame, to_svg
+from bench.report.drawing import INK, MUTED, POSE_COLOURS, WIDE
+from bench.report.plot_frame import axes_in
+from bench.report.scales import Scale, plain
+from bench.report.svg_plot import Axes, Key, Picture, Words
 
 Row = Mapping[str, Any]
 
-_ROW_HEIGHT = 0.27
-_MARGIN = 0.85
+_ROW_HEIGHT = 19.5
+_MARGIN = 46.0
 _JITTER = 0.26
 _LINEAR_PX = 5.0
 _FINE_UP_TO = 300.0
-_LINES_HEIGHT, _FEWEST_POINTS = 4.2, 3
-_MARKS = ("o", "s", "D", "^", "v", "P")
-
+_LINES_HEIGHT, _FEWEST_POINTS = 290.0, 3
+_BESIDE = 0.04
+"""Room at each end of an axis, as a share of its length."""
+_DASHES = ("", "6 2", "2 2", "8 2 2 2", "1 2", "10 3")
+"""Dashes tell lines apart where colours do not."""
 
 _COLOUR_OF = dict(
     zip(
@@ -108,30 +110,31 @@ def images_plot(columns: Sequence[Mapping[str, Any]]) -> str:
     series = _by_images(columns)
     if not series:
         return ""
-    with mpl.rc_context(STYLE):
-        figure = Figure(figsize=(WIDE, _LINES_HEIGHT), layout="constrained")
-        axes = figure.add_subplot()
-        for place, (name, points) in enumerate(series.items()):
-            images, errors = zip(*points, strict=True)
-            colour, mark = POSE_COLOURS[place % len(POSE_COLOURS)], _MARKS[place % len(_MARKS)]
-            axes.plot(images, errors, color=colour, marker=mark, markersize=5, linewidth=1.4, label=name)
-        axes.set_xscale("log")
-        axes.set_yscale("log")
-        counts = sorted({images for points in series.values() for images, _ in points})
-        axes.set_xticks(counts)
-        every = [error for points in series.values() for _, error in points]
-        axes.set_yticks([step for step in _decades(max(every)) if step >= 0.5 * min(every)])
-        axes.minorticks_off()
-        for axis in (axes.xaxis, axes.yaxis):
-            axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-        axes.grid(color=LINE, linewidth=0.6)
-        axes.set_xlabel("images")
-        axes.set_ylabel("error of direction, rms, µrad")
-        figure.legend(loc="outside lower center", ncols=2, frameon=False, labelcolor=INK)
-        hide_frame(axes)
-        return to_svg(
-            figure, "images", "Error of direction by the number of images, both on logarithmic scales"
-        )
+    every = [error for points in series.values() for _, error in points]
+    counts = sorted({images for points in series.values() for images, _ in points})
+    keys = [
+        Key(name, POSE_COLOURS[place % len(POSE_COLOURS)], "dashed" if place % len(_DASHES) else "line")
+        for place, name in enumerate(series)
+    ]
+    label = "Error of direction by the number of images, both on logarithmic scales"
+    parts = (f"{name}: {points[0][1]:.3g} to {points[-1][1]:.3g} µrad" for name, points in series.items())
+    picture = Picture(WIDE, _LINES_HEIGHT + 13.0 * len(series) / 2, "images", label, "; ".join(parts) + ".")
+    low, high = _longer(counts[0], counts[-1])
+    across = Scale(low, high, "log", ticks=[(count, plain(count)) for count in counts])
+    low, high = _longer(min(every), max(every))
+    marks = [(step, plain(step)) for step in _decades(max(every)) if low <= step <= high]
+    words = Words((), "images", "error of direction, rms, µrad", keys)
+    axes = axes_in(picture, across, Scale(low, high, "log", ticks=marks), words, grid="xy")
+    for place, (key, points) in enumerate(zip(keys, series.values(), strict=True)):
+        axes.line(points, key.colour, 1.4, dash=_DASHES[place % len(_DASHES)])
+        axes.dots(points, key.colour, 5.0)
+    return picture.svg()
+
+
+def _longer(low: float, high: float) -> tuple[float, float]:
+    """Return the ends of a logarithmic axis, a little beyond the values."""
+    factor = max(high / low, 1.2) ** _BESIDE
+    return low / factor, high * factor
 
 
 def _by_images(columns: Sequence[Mapping[str, Any]]) -> dict[str, list[tuple[int, float]]]:
@@ -166,43 +169,52 @@ def _dots(
     bands: Sequence[float] | None = None,
 ) -> str:
     """Draw one line of dots for each column."""
-    with mpl.rc_context(STYLE):
-        figure = Figure(figsize=(WIDE, _ROW_HEIGHT * len(columns) + _MARGIN), layout="constrained")
-        axes = figure.add_subplot()
-        rng = np.random.default_rng(0)
-        for place, (some, method) in enumerate(zip(values, columns.values(), strict=True)):
-            if bands is not None and np.isfinite(bands[place]):
-                axes.barh(place, 2 * bands[place], left=-bands[place], height=0.72, color="#e3edf5", zorder=1)
-            height = place + _JITTER * rng.uniform(-1, 1, len(some))
-            colour = _COLOUR_OF[method]
-            axes.scatter(some, height, s=9, color=colour, alpha=0.75, linewidths=0, zorder=3)
-            if logarithmic and len(some):
-                middle = float(np.sqrt(np.mean(np.square(some))))
-                axes.plot([middle, middle], [place - 0.36, place + 0.36], color=INK, linewidth=1.4, zorder=4)
-        axes.set_yticks(range(len(columns)), list(columns))
-        axes.set_ylim(len(columns) - 0.4, -0.6)
-        axes.tick_params(axis="y", length=0, labelcolor=INK)
-        axes.grid(axis="x", color=LINE, linewidth=0.6, zorder=0)
-        largest = max((abs(each) for some in values for each in some), default=1.0)
-        if logarithmic:
-            axes.set_xscale("log")
-            axes.set_xticks(_decades(largest))
-        else:
-            axes.axvline(0.0, color=MUTED, linewidth=0.8, zorder=2)
-            axes.set_xscale("symlog", linthresh=_LINEAR_PX)
-            steps = [
-                _LINEAR_PX * 10.0**power for power in range(5) if _LINEAR_PX * 10.0**power <= 2.5 * largest
-            ]
-            axes.set_xticks([-step for step in reversed(steps)] + [0.0, *steps])
-        axes.minorticks_off()
-        axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}".replace("-", "\u2212")))
-        axes.set_xlabel(axis)
-        hide_frame(axes)
-        return to_svg(figure, identifier, label)
+    largest = max((abs(each) for some in values for each in some), default=1.0)
+    smallest = min((abs(each) for some in values for each in some if each), default=0.1 * largest)
+    rows = [(place, name) for place, name in enumerate(columns)]
+    across = _log_scale(smallest, largest) if logarithmic else _two_sided_scale(values, bands or [])
+    counts = (f"{name}: {len(some)}" for name, some in zip(columns, values, strict=True))
+    about = f"Repetitions: {', '.join(counts)}."
+    picture = Picture(WIDE, _ROW_HEIGHT * len(columns) + _MARGIN, identifier, label, about)
+    axes = axes_in(picture, across, Scale(len(columns) - 0.4, -0.6, ticks=rows), Words((), axis), grid="x")
+    if not logarithmic:
+        axes.upright(0.0, MUTED)
+    rng = np.random.default_rng(0)
+    for place, (some, method) in enumerate(zip(values, columns.values(), strict=True)):
+        if bands is not None and np.isfinite(bands[place]):
+            _band(axes, place, bands[place])
+        height = place + _JITTER * rng.uniform(-1, 1, len(some))
+        axes.dots(np.column_stack([some, height]), _COLOUR_OF[method], 3.2, 0.75)
+        if logarithmic and len(some):
+            middle = float(np.sqrt(np.mean(np.square(some))))
+            axes.line([(middle, place - 0.36), (middle, place + 0.36)], INK, 1.4)
+    return picture.svg()
+
+
+def _band(axes: Axes, place: int, half: float) -> None:
+    top, bottom = place - 0.36, place + 0.36
+    axes.shapes([[(-half, top), (half, top), (half, bottom), (-half, bottom)]], POSE_COLOURS[0], 0.13)
+
+
+def _log_scale(smallest: float, largest: float) -> Scale:
+    low, high = _longer(smallest, largest)
+    steps = [step for step in _decades(largest) if low <= step <= high]
+    return Scale(low, high, "log", ticks=[(step, plain(step)) for step in steps])
+
+
+def _two_sided_scale(values: Sequence[Sequence[float]], bands: Sequence[float]) -> Scale:
+    """Return an axis that is linear near zero, logarithmic beyond, and shows all values and bands."""
+    every = [each for some in values for each in some]
+    every += [end for half in bands if np.isfinite(half) for end in (-half, half)]
+    low, high = (1.15 * end for end in (min(every, default=-1.0), max(every, default=1.0)))
+    low, high = min(low, -0.2 * _LINEAR_PX), max(high, 0.2 * _LINEAR_PX)
+    steps = [_LINEAR_PX * 10.0**power for power in range(7)]
+    marks = [value for value in (*(-step for step in reversed(steps)), 0.0, *steps) if low <= value <= high]
+    return Scale(low, high, "symlog", _LINEAR_PX, [(value, plain(value)) for value in marks])
 
 
 def _decades(largest: float) -> list[float]:
     """Return 1, 2, 5, 10, 20, ... up to a number of the same size as the largest; 1, 10, 100, ... if that is many."""
     digits = (1, 2, 5) if largest <= _FINE_UP_TO else (1,)
-    steps = [digit * 10.0**power for power in range(7) for digit in digits]
+    steps = [digit * 10.0**power for power in range(-1, 7) for digit in digits]
     return [step for step in steps if step <= (2.5 if len(digits) > 1 else 10.0) * largest]

@@ -9,8 +9,9 @@ from collections.abc import Mapping, Sequence
 from datetime import datetime
 from typing import Any
 
+from bench.report.chart_axes import BLUE, MANY, RED, ChartAxes
 from bench.report.drawing import INK
-from bench.report.svg_axes import BLUE, MANY, RED, Axes, tick_label, ticks
+from bench.report.scales import tick_label, ticks
 from bench.report.text import with_uncertainty
 
 _TICKS = 4
@@ -130,14 +131,14 @@ def _drift(
     return axes.svg(labels)
 
 
-def _axes(title: str, xs: Sequence[float], values: Sequence[float]) -> Axes:
+def _axes(title: str, xs: Sequence[float], values: Sequence[float]) -> ChartAxes:
     low, high = min(values), max(values)
     margin = 0.05 * (high - low)
     beside = 0.02 * (max(xs) - min(xs))
-    return Axes(title, min(xs) - beside, max(xs) + beside, low - margin, high + margin)
+    return ChartAxes(title, min(xs) - beside, max(xs) + beside, low - margin, high + margin)
 
 
-def _join(axes: Axes, xs: Sequence[float], values: Sequence[float]) -> None:
+def _join(axes: ChartAxes, xs: Sequence[float], values: Sequence[float]) -> None:
     """Join the dots; thousands of them would hide each other behind the lines."""
     if len(xs) <= MANY:
         axes.line(xs, values, BLUE, width=0.7)
@@ -148,7 +149,7 @@ def _titled(what: str, chart: Json) -> str:
     return f"{what} of {chart['name']}{unit}"
 
 
-def _name_limits(axes: Axes, centre: float, lower: float, upper: float, sigma: float) -> None:
+def _name_limits(axes: ChartAxes, centre: float, lower: float, upper: float, sigma: float) -> None:
     for value, dashed in ((lower, True), (centre, False), (upper, True)):
         axes.rule(value, with_uncertainty(value, sigma)[0], dashed=dashed)
 

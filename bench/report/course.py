@@ -1,7 +1,7 @@
 """The course of an ``until``: the expanded uncertainty after each pose, as a table and a plot, and how the step ended.
 
 The data are the decisions of the journal, as results.json holds them under ``untils``. The plot is drawn by
-`bench.report.course_plot`, so that text alone needs no Matplotlib.
+`bench.report.course_plot`, so that text alone needs no arrays.
 """
 
 from __future__ import annotations

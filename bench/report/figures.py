@@ -1,4 +1,4 @@
-"""Draws all plots of a report as SVG. Matplotlib is imported here and below, so that text alone needs none."""
+"""Draws all plots of a report as SVG. What needs arrays is imported here and below: text alone needs none."""
 
 from __future__ import annotations
 

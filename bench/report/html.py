@@ -133,7 +133,7 @@ def render_report(data: ReportData, *, draw: bool = True) -> str:
 def printed_text(html: str) -> list[str]:
     """Extract the texts and numbers of a report, without those in images and plots.
 
-    Two reports of the same results have the same texts, even if another version of Matplotlib drew their plots.
+    Two reports of the same results have the same texts, even if another version of a library encoded their images.
 
     Parameters
     ----------

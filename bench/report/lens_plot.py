@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-import matplotlib as mpl
 import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from bench.report.drawing import INK, MUTED, PANEL, POSE_COLOURS, STYLE, hide_frame, to_svg
+from bench.report.drawing import MUTED, PANEL, POSE_COLOURS
+from bench.report.plot_frame import axes_in
+from bench.report.scales import Scale, text_width
+from bench.report.svg_plot import Axes, Picture, Words
 from calib.model.camera import CameraModel
 from calib.model.lens import is_fisheye
 
@@ -45,31 +45,36 @@ def distortion_curve(camera: CameraModel, covariance: Array, k: float, outermost
     shown, sigma = displacement(camera, covariance, angles)
     # The last bits differ between processes; the plot does not need them.
     shown, expanded = np.round(shown, 6), np.round(k * sigma, 6)
-    with mpl.rc_context(STYLE):
-        figure = Figure(figsize=PANEL, layout="constrained")
-        axes = figure.add_subplot()
-        axes.axhline(0, color=MUTED, linewidth=0.7)
-        axes.fill_between(
-            angles, shown - expanded, shown + expanded, color=POSE_COLOURS[0], alpha=0.2, linewidth=0
-        )
-        axes.plot(angles, shown, color=POSE_COLOURS[0], linewidth=1.5)
-        axes.set(xlim=(0, float(angles[-1]) * 1.02), xlabel="field angle, degrees")
-        _marks(axes, edges)
-        if outermost_deg is not None:
-            axes.axvline(outermost_deg, color=POSE_COLOURS[1], linewidth=1.0, linestyle=":")
-            axes.annotate(
-                "outermost star", (outermost_deg, 0.03), (-3, 0), xycoords=("data", "axes fraction"),
-                textcoords="offset points", ha="right", color=POSE_COLOURS[1], fontsize=8,
-            )  # fmt: skip
-        ideal = (
-            "f \N{GREEK SMALL LETTER THETA}"
-            if is_fisheye(camera.distortion)
-            else "f tan \N{GREEK SMALL LETTER THETA}"
-        )
-        axes.set_ylabel(f"displacement from {ideal}, px")
-        axes.set_title(f"Radial displacement; band: U, k = {k:.3g}")
-        hide_frame(axes)
-        return to_svg(figure, "distortion", "Distortion curve: radial displacement against the field angle")
+    lower, upper = shown - expanded, shown + expanded
+    ideal = (
+        "f \N{GREEK SMALL LETTER THETA}"
+        if is_fisheye(camera.distortion)
+        else "f tan \N{GREEK SMALL LETTER THETA}"
+    )
+    words = Words(
+        (f"Radial displacement; band: U, k = {k:.3g}",),
+        "field angle, degrees",
+        f"displacement from {ideal}, px",
+    )
+    last = float(angles[-1])
+    about = f"At {last:.3g} degrees the displacement is {shown[-1]:.3g} px, with U = {expanded[-1]:.2g} px."
+    picture = Picture(
+        *PANEL, "distortion", "Distortion curve: radial displacement against the field angle", about
+    )
+    low, high = min(0.0, float(lower.min())), max(0.0, float(upper.max()))
+    room = max(high - low, 1e-6)
+    # Above the curve, the names of the edges have a row of their own.
+    axes = axes_in(picture, Scale(0.0, 1.02 * last), Scale(low - 0.05 * room, high + 0.16 * room), words)
+    axes.level(0.0, MUTED, 0.7)
+    band = np.vstack([np.column_stack([angles, upper]), np.column_stack([angles, lower])[::-1]])
+    axes.shapes([band], POSE_COLOURS[0], 0.2)
+    axes.line(np.column_stack([angles, shown]), POSE_COLOURS[0], 1.5)
+    _mark_edges(axes, edges)
+    if outermost_deg is not None:
+        axes.upright(outermost_deg, POSE_COLOURS[1], 1.0, "1 1.6")
+        at = (outermost_deg, axes.y.low)
+        axes.text(at, "outermost star", by=(-3.0, -4.0), colour=POSE_COLOURS[1], anchor="end")
+    return picture.svg()
 
 
 def displacement(camera: CameraModel, covariance: Array, angles_deg: Array) -> tuple[Array, Array]:
@@ -160,14 +165,16 @@ def _radial(values: Mapping[str, float], angles_deg: Array) -> Array:
     return np.asarray(camera.project(rays)[:, 0] - focal * ideal)
 
 
-def _marks(axes: Axes, edges: Mapping[str, float]) -> None:
-    """Mark the field angles of the sensor's edges at the top of the plot."""
-    for name, angle in edges.items():
-        axes.axvline(angle, color=MUTED, linewidth=0.6, linestyle="--")
-        axes.annotate(
-            name, (angle, 1.0), (-3, -2), xycoords=("data", "axes fraction"), textcoords="offset points",
-            ha="right", va="top", color=INK, fontsize=8,
-        )  # fmt: skip
+def _mark_edges(axes: Axes, edges: Mapping[str, float]) -> None:
+    """Mark the field angles of the sensor's edges, with their names in rows at the top where they do not collide."""
+    reached: list[float] = []
+    for name, angle in sorted(edges.items(), key=lambda edge: edge[1]):
+        axes.upright(angle, MUTED, 0.6, "3 2")
+        right = float(axes.at([(angle, axes.y.high)])[0, 0]) - 3.0
+        left = right - text_width(name, 8.0)
+        row = next((n for n, end in enumerate(reached) if end + 5.0 < left), len(reached))
+        reached[row:] = [right, *reached[row + 1 :]]
+        axes.text((angle, axes.y.high), name, by=(-3.0, 8.0 + 9.0 * row), anchor="end")
 
 
 def outermost_deg(camera: CameraModel, points: Sequence[Array]) -> float | None:

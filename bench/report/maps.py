@@ -3,24 +3,16 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
-import matplotlib as mpl
 import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from bench.report.drawing import (
-    INK,
-    POSE_COLOURS,
-    SENSOR_PANEL,
-    STYLE,
-    sensor,
-    shade_unsupported,
-    strokes,
-    to_svg,
-)
+from bench.report.contours import Outline, outlines
+from bench.report.drawing import INK, POSE_COLOURS, shade
+from bench.report.scales import text_width
+from bench.report.sensor_plot import sensor_axes, shade_unsupported, supported_share
+from bench.report.svg_plot import Axes
 from calib.uncertainty.projection_uncertainty import CameraDifference
 
 Array = NDArray[np.float64]
@@ -28,6 +20,7 @@ Array = NDArray[np.float64]
 _MOST_LINES = 7
 _LARGE_RANGE = 6.0
 """From this ratio of the largest to the smallest value on, contours are at 1, 2 and 5 times powers of ten."""
+_CONTOUR, _HALO, _LABEL_SIZE = "#3b4b5b", "#ffffff", 8.0
 _MESH = 4
 """Distance between two arrows, in grid points of the map."""
 
@@ -53,7 +46,7 @@ def sensor_map(
     name
         Name and unit of the quantity: the title.
     identifier, label
-        As for `bench.report.drawing.to_svg`.
+        As for `bench.report.svg_plot.Picture`.
     stars
         (N, 2) float64, px: stars of all poses, to shade what they do not support; None to shade nothing.
     arrows
@@ -64,26 +57,67 @@ def sensor_map(
     str
         SVG.
     """
-    x, y, shown = grid_px[..., 0], grid_px[..., 1], _to_digits(values, 6)
+    x, y, shown = grid_px[0, :, 0], grid_px[:, 0, 1], _to_digits(values, 6)
     size = (int(x.max()) + 1, int(y.max()) + 1)
     lowest, worst, middle = (float(f(shown)) for f in (np.nanmin, np.nanmax, np.nanmedian))
     levels = round_levels(lowest, worst)
-    edges = [lowest - 1e-9 - 1e-6 * worst, *levels, worst + 1e-9 + 1e-6 * worst]
-    with mpl.rc_context(STYLE):
-        figure = Figure(figsize=SENSOR_PANEL, layout="constrained")
-        axes = figure.add_subplot()
-        shades = mpl.colormaps["Blues"](np.linspace(0.05, 0.6, len(edges) - 1))
-        axes.contourf(x, y, shown, levels=edges, colors=shades)
-        if levels:
-            lines = axes.contour(x, y, shown, levels=levels, colors=INK, linewidths=0.6)
-            axes.clabel(lines, fmt=lambda level: f"{level:g}", fontsize=8)
-        if stars is not None and len(stars):
-            shade_unsupported(axes, stars, size)
-        if arrows is not None:
-            _arrows(axes, arrows)
-        axes.set_title(f"{name}\nmedian {middle:.2g}, at most {worst:.2g}")
-        sensor(axes, size)
-        return to_svg(figure, identifier, label)
+    found = {level: outlines(x, y, shown, level) for level in levels}
+    numbers = f"median {middle:.2g}, at most {worst:.2g}"
+    about = f"{name}: {numbers}. Contours at {', '.join(f'{level:g}' for level in levels) or 'no level'}."
+    axes = sensor_axes(size, (name, numbers), identifier, label, about)
+    _fill(axes, outlines(x, y, shown, lowest), 0.0)
+    for number, level in enumerate(levels, 1):
+        _fill(axes, found[level], number / len(levels))
+    for level in levels:
+        for line in (line for one in found[level] for line in one.lines()):
+            axes.line(line, _CONTOUR, 0.6)
+    if stars is not None and len(stars):
+        shade_unsupported(axes, supported_share(stars, size)[0], size)
+    if arrows is not None:
+        _arrows(axes, arrows)
+    _label_contours(axes, found)
+    return axes.picture.svg()
+
+
+def _fill(axes: Axes, found: Sequence[Outline], share: float) -> None:
+    axes.shapes([one.points for one in found], shade(share))
+
+
+def _label_contours(axes: Axes, found: Mapping[float, Sequence[Outline]]) -> None:
+    """Write the level beside its longest contour, where there is room."""
+    taken: list[tuple[float, float, float]] = []
+    for level, parts in found.items():
+        text = f"{level:g}"
+        half = text_width(text, _LABEL_SIZE) / 2
+        lines = [axes.at(line) for one in parts for line in one.lines()]
+        for line in sorted(lines, key=_length, reverse=True):
+            if place := _free_place(axes, line, half, taken):
+                taken.append((*place, half))
+                x, y = place
+                halo = f'stroke="{_HALO}" stroke-width="2.2" stroke-opacity="0.8" stroke-linejoin="round"'
+                style = f'text-anchor="middle" font-size="{_LABEL_SIZE:g}" paint-order="stroke"'
+                axes.picture.add(f'<text x="{x:g}" y="{y + 2.8:g}" fill="{INK}" {halo} {style}>{text}</text>')
+                break
+
+
+def _free_place(
+    axes: Axes, line: Array, half: float, taken: Sequence[tuple[float, float, float]]
+) -> tuple[float, float] | None:
+    """Return the point of a line nearest to its middle where a label collides with nothing; None if there is none."""
+    middle = len(line) // 2
+    for number in sorted(range(len(line)), key=lambda n: abs(n - middle)):
+        x, y = line[number].tolist()
+        inside = (
+            axes.left + half + 2 <= x <= axes.left + axes.width - half - 2
+            and axes.top + 6 <= y <= axes.top + axes.height - 6
+        )
+        if inside and all(abs(x - a) > half + b + 3 or abs(y - c) > 9 for a, c, b in taken):
+            return x, y
+    return None
+
+
+def _length(line: Array) -> float:
+    return float(np.linalg.norm(np.diff(line, axis=0), axis=1).sum())
 
 
 def round_levels(lowest: float, largest: float) -> list[float]:
@@ -139,8 +173,8 @@ def _arrows(axes: Axes, difference: CameraDifference) -> None:
     begins, offsets = begins[seen], offsets[seen]
     mesh_px = _MESH * float(difference.grid_px[0, 1, 0])
     longest = max(float(np.linalg.norm(offsets, axis=1).max()), 1e-12)
-    strokes(axes, begins, begins, POSE_COLOURS[1], 2.4)
-    strokes(axes, begins, begins + mesh_px / longest * offsets, POSE_COLOURS[1], 1.0)
+    axes.dots(begins, POSE_COLOURS[1], 2.4)
+    axes.strokes(begins, begins + mesh_px / longest * offsets, POSE_COLOURS[1], 1.0)
 
 
 def _to_digits(values: Array, digits: int) -> Array:

@@ -1,8 +1,7 @@
 """Plots of residuals, coverage and deviations, as SVG that is the same for the same data.
 
 If there are many stars, a part of them is drawn (`thinned`); every number and line in a plot is computed from all of
-them. Depends on Matplotlib and arrays, on no results file. Text in a plot stays text, so that a reader can search it
-and it takes the page's typeface. The output depends neither on the date nor on Matplotlib's global state.
+them. Depends on arrays, on no results file.
 """
 
 from __future__ import annotations
@@ -10,27 +9,14 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from textwrap import shorten
 
-import matplotlib as mpl
 import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure
-from matplotlib.patches import Circle, Rectangle
 from numpy.typing import NDArray
 
-from bench.report.drawing import (
-    INK,
-    MUTED,
-    PANEL,
-    POSE_COLOURS,
-    SENSOR_PANEL,
-    STYLE,
-    WIDE,
-    hide_frame,
-    sensor,
-    shade_unsupported,
-    strokes,
-    to_svg,
-)
+from bench.report.drawing import INK, MUTED, PANEL, POSE_COLOURS, WIDE, shade
+from bench.report.plot_frame import axes_in
+from bench.report.scales import Scale
+from bench.report.sensor_plot import GROUND, sensor_axes, shade_unsupported, supported_share
+from bench.report.svg_plot import Axes, Key, Picture, Words, painted
 from bench.report.view_picture import ViewPicture, thinned
 
 Array = NDArray[np.float64]
@@ -56,16 +42,17 @@ def residual_vectors(views: Sequence[ViewPicture], image_size: tuple[int, int]) 
     """
     lengths = np.concatenate([np.linalg.norm(view.residuals, axis=1) for view in views])
     magnification = _round_down(image_size[0] / 28 / max(float(np.percentile(lengths, 95)), 1e-6))
-    with mpl.rc_context(STYLE):
-        figure = Figure(figsize=(WIDE, WIDE * image_size[1] / image_size[0] + 0.42), layout="constrained")
-        axes = figure.add_subplot()
-        for colour, detected, residuals in _by_colour(thinned(views)):
-            strokes(axes, detected, detected, colour, 2.6)
-            strokes(axes, detected, detected + magnification * residuals, colour, 1.0)
-        sensor(axes, image_size)
-        _legend(axes, views)
-        _scale_bar(axes, image_size, magnification)
-        return to_svg(figure, "vectors", "Residual vectors on the sensor")
+    about = (
+        f"{len(lengths)} stars; residuals of {np.percentile(lengths, 95):.2g} px or less for 95 % of them."
+    )
+    axes = sensor_axes(
+        image_size, (), "vectors", "Residual vectors on the sensor", about, width=WIDE, keys=_pose_keys(views)
+    )
+    for colour, detected, residuals in _by_colour(thinned(views)):
+        axes.dots(detected, colour, 2.6)
+        axes.strokes(detected, detected + magnification * residuals, colour, 1.0)
+    _scale_bar(axes, image_size, magnification)
+    return axes.picture.svg()
 
 
 def residual_cloud(views: Sequence[ViewPicture]) -> str:
@@ -82,20 +69,17 @@ def residual_cloud(views: Sequence[ViewPicture]) -> str:
         SVG.
     """
     lengths, limit = _lengths(views)
-    with mpl.rc_context(STYLE):
-        figure = Figure(figsize=PANEL, layout="constrained")
-        axes = figure.add_subplot()
-        for colour, _, shown in _by_colour(thinned(views)):
-            within = np.linalg.norm(shown, axis=1) <= limit
-            strokes(axes, shown[within], shown[within], colour, 2.2, alpha=0.6)
-        rms = float(np.sqrt(np.mean(lengths**2)))
-        axes.add_patch(Circle((0, 0), rms, fill=False, edgecolor=INK, linewidth=1.0))
-        axes.set(
-            xlim=(-limit, limit), ylim=(limit, -limit), aspect="equal", xlabel="column, px", ylabel="row, px"
-        )
-        axes.set_title("Residuals; the circle is their RMS length")
-        hide_frame(axes)
-        return to_svg(figure, "cloud", "Residuals around zero")
+    rms = float(np.sqrt(np.mean(lengths**2)))
+    words = Words(("Residuals; the circle is their RMS length",), "column, px", "row, px")
+    about = f"Root mean square of the length: {rms:.3g} px."
+    picture = Picture(*PANEL, "cloud", "Residuals around zero", about)
+    axes = axes_in(picture, Scale(-limit, limit), Scale(limit, -limit), words, equal="extend")
+    for colour, _, shown in _by_colour(thinned(views)):
+        within = np.linalg.norm(shown, axis=1) <= limit
+        axes.dots(shown[within], colour, 2.2, 0.6)
+    round_deg = np.radians(np.arange(0.0, 360.0, 5.0))
+    axes.line(rms * np.column_stack([np.cos(round_deg), np.sin(round_deg)])[[*range(72), 0]], INK)
+    return picture.svg()
 
 
 def residual_radial(views: Sequence[ViewPicture], principal_point: tuple[float, float]) -> str:
@@ -114,22 +98,23 @@ def residual_radial(views: Sequence[ViewPicture], principal_point: tuple[float, 
         SVG.
     """
     lengths, limit = _lengths(views)
-    with mpl.rc_context(STYLE):
-        figure = Figure(figsize=PANEL, layout="constrained")
-        axes = figure.add_subplot()
-        for colour, detected, shown in _by_colour(thinned(views)):
-            points = np.column_stack(
-                [np.linalg.norm(detected - principal_point, axis=1), np.linalg.norm(shown, axis=1)]
-            )
-            points = points[points[:, 1] <= limit]
-            strokes(axes, points, points, colour, 2.2, alpha=0.6)
-        radius = np.concatenate([np.linalg.norm(view.detected - principal_point, axis=1) for view in views])
-        _running_rms(axes, radius, lengths)
-        axes.set(xlim=(0, radius.max() * 1.03), ylim=(0, limit), ylabel="length, px")
-        axes.set_xlabel("distance from the principal point, px")
-        axes.set_title("Length of the residuals; the line is their RMS")
-        hide_frame(axes)
-        return to_svg(figure, "radial", "Residuals against the distance from the principal point")
+    radius = np.concatenate([np.linalg.norm(view.detected - principal_point, axis=1) for view in views])
+    running = _running_rms(radius, lengths)
+    words = Words(
+        ("Length of the residuals; the line is their RMS",),
+        "distance from the principal point, px",
+        "length, px",
+    )
+    about = f"The RMS length is {running[0, 1]:.2g} px in the middle and {running[-1, 1]:.2g} px at the rim."
+    picture = Picture(*PANEL, "radial", "Residuals against the distance from the principal point", about)
+    axes = axes_in(picture, Scale(0.0, 1.03 * float(radius.max())), Scale(0.0, limit), words)
+    for colour, detected, shown in _by_colour(thinned(views)):
+        points = np.column_stack(
+            [np.linalg.norm(detected - principal_point, axis=1), np.linalg.norm(shown, axis=1)]
+        )
+        axes.dots(points[points[:, 1] <= limit], colour, 2.2, 0.6)
+    axes.line(running, INK, 1.6)
+    return picture.svg()
 
 
 def _lengths(views: Sequence[ViewPicture]) -> tuple[Array, float]:
@@ -157,17 +142,21 @@ def coverage(
     str
         SVG.
     """
-    with mpl.rc_context(STYLE):
-        figure = Figure(figsize=SENSOR_PANEL, layout="constrained")
-        axes = figure.add_subplot()
-        axes.set_facecolor("#eef3f8")
-        for colour, detected, _ in _by_colour(thinned(views)):
-            strokes(axes, detected, detected, colour, 2.2)
-        share = shade_unsupported(axes, np.concatenate([view.detected for view in views]), image_size)
-        axes.plot(*principal_point, marker="+", markersize=13, markeredgewidth=1.6, color=INK)
-        axes.set_title(f"Stars; they support {100 * share:.0f} % of the sensor (blue)")
-        sensor(axes, image_size)
-        return to_svg(figure, "coverage", "Stars on the sensor, and the part that they support")
+    distance, share = supported_share(np.concatenate([view.detected for view in views]), image_size)
+    title = f"Stars; they support {100 * share:.0f} % of the sensor (blue)"
+    about = f"{sum(len(view.detected) for view in views)} stars support {100 * share:.0f} % of the sensor."
+    axes = sensor_axes(
+        image_size, (title,), "coverage", "Stars on the sensor, and the part that they support", about
+    )
+    axes.shapes([_whole(image_size)], GROUND)
+    for colour, detected, _ in _by_colour(thinned(views)):
+        axes.dots(detected, colour, 2.2)
+    shade_unsupported(axes, distance, image_size)
+    x, y = axes.at([principal_point])[0].tolist()
+    axes.picture.add(
+        f'<path d="M{x - 6.5:g} {y:g}h13M{x:g} {y - 6.5:g}v13" fill="none" stroke="{INK}" stroke-width="1.6"/>'
+    )
+    return axes.picture.svg()
 
 
 def regions(views: Sequence[ViewPicture], image_size: tuple[int, int]) -> str:
@@ -187,13 +176,15 @@ def regions(views: Sequence[ViewPicture], image_size: tuple[int, int]) -> str:
     """
     points = np.concatenate([view.detected for view in views])
     squares = np.sum(np.concatenate([view.residuals for view in views]) ** 2, axis=1)
-    with mpl.rc_context(STYLE):
-        figure = Figure(figsize=SENSOR_PANEL, layout="constrained")
-        axes = figure.add_subplot()
-        _region_map(axes, points, squares, image_size)
-        axes.set_title("RMS residual, px, and number of stars")
-        sensor(axes, image_size)
-        return to_svg(figure, "regions", "Residuals and number of stars by region")
+    about = (
+        f"{_REGIONS[0]} by {_REGIONS[1]} regions; RMS residual of all stars {np.sqrt(squares.mean()):.3g} px."
+    )
+    axes = sensor_axes(
+        image_size, ("RMS residual, px, and number of stars",), "regions",
+        "Residuals and number of stars by region", about,
+    )  # fmt: skip
+    _region_map(axes, points, squares, image_size)
+    return axes.picture.svg()
 
 
 def deviations_from_truth(names: Sequence[str], error_sigmas: Sequence[float]) -> str:
@@ -211,20 +202,25 @@ def deviations_from_truth(names: Sequence[str], error_sigmas: Sequence[float]) -
     str
         SVG.
     """
-    with mpl.rc_context(STYLE):
-        figure = Figure(figsize=(PANEL[0], 0.6 + 0.22 * len(names)), layout="constrained")
-        axes = figure.add_subplot()
-        for inner, colour in ((2.0, "#eef3f8"), (1.0, "#dbe6f0")):
-            axes.axvspan(-inner, inner, color=colour, linewidth=0)
-        axes.axvline(0, color=MUTED, linewidth=0.8)
-        rows = np.arange(len(names))
-        axes.plot(error_sigmas, rows, linestyle="none", marker="o", markersize=5, color=POSE_COLOURS[0])
-        reach = max(3.2, 1.15 * float(np.abs(error_sigmas).max()))
-        axes.set(xlim=(-reach, reach), ylim=(len(names) - 0.4, -0.6), yticks=rows, yticklabels=list(names))
-        axes.set_xlabel("(value \N{MINUS SIGN} truth) / u; shaded: within 1 and 2")
-        hide_frame(axes)
-        axes.tick_params(axis="y", length=0, labelcolor=INK)
-        return to_svg(figure, "truth", "Deviations from the truth in standard uncertainties")
+    reach = max(3.2, 1.15 * float(np.abs(error_sigmas).max()))
+    rows = Scale(len(names) - 0.4, -0.6, ticks=[(row, name) for row, name in enumerate(names)])
+    words = Words((), "(value \N{MINUS SIGN} truth) / u; shaded: within 1 and 2")
+    within = sum(abs(error) <= 2 for error in error_sigmas)
+    about = f"{within} of {len(names)} values lie within 2 standard uncertainties of the truth."
+    picture = Picture(
+        PANEL[0],
+        36.0 + 16.0 * len(names),
+        "truth",
+        "Deviations from the truth in standard uncertainties",
+        about,
+    )
+    axes = axes_in(picture, Scale(-reach, reach), rows, words)
+    for inner in (2.0, 1.0):
+        across = [(-inner, rows.low), (inner, rows.low), (inner, rows.high), (-inner, rows.high)]
+        axes.shapes([across], POSE_COLOURS[0], 0.08)
+    axes.upright(0.0, MUTED)
+    axes.dots(np.column_stack([error_sigmas, np.arange(len(names))]), POSE_COLOURS[0], 5.5)
+    return picture.svg()
 
 
 def _by_colour(views: Sequence[ViewPicture]) -> Iterator[tuple[str, Array, Array]]:
@@ -238,35 +234,37 @@ def _by_colour(views: Sequence[ViewPicture]) -> Iterator[tuple[str, Array, Array
             )
 
 
-def _legend(axes: Axes, views: Sequence[ViewPicture]) -> None:
+def _pose_keys(views: Sequence[ViewPicture]) -> list[Key]:
+    """Return the legend of the poses, if each has a colour of its own."""
     if len(views) > len(POSE_COLOURS):
-        return
-    for number, view in enumerate(views):
-        axes.plot(
-            [],
-            [],
-            color=POSE_COLOURS[number],
-            linewidth=2.5,
-            label=shorten(view.name, 28, placeholder="\N{HORIZONTAL ELLIPSIS}"),
-        )
-    axes.legend(loc="lower left", bbox_to_anchor=(0, 1.0), ncols=len(views), frameon=False, borderaxespad=0.2)
+        return []
+    names = (shorten(view.name, 28, placeholder="\N{HORIZONTAL ELLIPSIS}") for view in views)
+    return [Key(name, colour) for name, colour in zip(names, POSE_COLOURS, strict=False)]
 
 
 def _scale_bar(axes: Axes, image_size: tuple[int, int], magnification: float) -> None:
+    """Draw a residual of a round length below the plot, at its right end."""
     length_px = _round_down(image_size[0] / 14 / magnification)
-    right, above = image_size[0] - 0.5, -0.022 * image_size[1]
-    left = right - length_px * magnification
-    axes.plot([left, right], [above, above], color=INK, linewidth=1.6, clip_on=False, solid_capstyle="butt")
+    right, y = axes.left + axes.width, axes.picture.height - 5.0
+    left = right - axes.width * length_px * magnification / image_size[0]
+    axes.picture.add(
+        f'<path d="M{left:.2f} {y:g}H{right:g}" fill="none" {painted("stroke", INK)} stroke-width="1.6"/>'
+    )
     text = f"{length_px:g} px, magnified {magnification:g} times"
-    axes.text(left - 8, above, text, ha="right", va="center", fontsize=8.5)
+    axes.picture.text(left - 5.0, y + 3.0, text, colour=INK, anchor="end")
 
 
-def _running_rms(axes: Axes, radius: Array, lengths: Array) -> None:
+def _running_rms(radius: Array, lengths: Array) -> Array:
+    """Return mean radius and RMS length of groups of neighbours, as points of a line."""
     order = np.argsort(radius, kind="stable")
     groups = [group for group in np.array_split(order, max(1, min(14, len(order) // 12))) if len(group)]
-    middle = [float(radius[group].mean()) for group in groups]
-    rms = [float(np.sqrt(np.mean(lengths[group] ** 2))) for group in groups]
-    axes.plot(middle, rms, color=INK, linewidth=1.6)
+    return np.array([(radius[group].mean(), np.sqrt(np.mean(lengths[group] ** 2))) for group in groups])
+
+
+def _whole(size: Sequence[float]) -> Array:
+    """Return the corners of a sensor, or of a part of it at its upper left, with pixel centres at integers."""
+    right, bottom = size[0] - 0.5, size[1] - 0.5
+    return np.array([(-0.5, -0.5), (right, -0.5), (right, bottom), (-0.5, bottom)])
 
 
 def _region_map(axes: Axes, points: Array, squares: Array, image_size: tuple[int, int]) -> None:
@@ -275,18 +273,17 @@ def _region_map(axes: Axes, points: Array, squares: Array, image_size: tuple[int
     column = np.clip((points[:, 0] / width).astype(int), 0, columns - 1)
     row = np.clip((points[:, 1] / height).astype(int), 0, rows - 1)
     whole = float(np.sqrt(squares.mean()))
-    for i in range(columns):
-        for j in range(rows):
-            inside = squares[(column == i) & (row == j)]
-            rms = float(np.sqrt(inside.mean())) if len(inside) else 0.0
-            shade = mpl.colormaps["Blues"](min(0.65, 0.28 * rms / whole)) if len(inside) else "#ffffff"
-            axes.add_patch(
-                Rectangle(
-                    (i * width - 0.5, j * height - 0.5), width, height, facecolor=shade, edgecolor="white"
-                )
-            )
-            text = f"{rms:.3f}\n{len(inside)}" if len(inside) else "none"
-            axes.text((i + 0.5) * width, (j + 0.5) * height, text, ha="center", va="center", linespacing=1.5)
+    for i, j in np.ndindex(columns, rows):
+        inside = squares[(column == i) & (row == j)]
+        rms = float(np.sqrt(inside.mean())) if len(inside) else 0.0
+        colour = shade(0.43 * rms / max(whole, 1e-12)) if len(inside) else "#ffffff"
+        cell = _whole((width, height)) + np.array([i * width, j * height])
+        axes.shapes([cell], colour, edge="#ffffff")
+        words = (f"{rms:.3f}", f"{len(inside)}") if len(inside) else ("none",)
+        for line, text in enumerate(words):
+            down = 3.2 + 12.0 * (line - (len(words) - 1) / 2)
+            centre = ((i + 0.5) * width - 0.5, (j + 0.5) * height - 0.5)
+            axes.text(centre, text, by=(0.0, down), anchor="middle", size=9.0, themed=False)
 
 
 def _round_down(value: float) -> float:

@@ -2,21 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-import matplotlib as mpl
 import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
-from matplotlib.patches import PathPatch
-from matplotlib.path import Path as Outline
 from numpy.typing import NDArray
 
 from bench.report.camera_values import camera_of
-from bench.report.drawing import INK, MUTED, PANEL, POSE_COLOURS, STYLE, hide_frame, to_svg
+from bench.report.drawing import PANEL, POSE_COLOURS
+from bench.report.plot_frame import axes_in
+from bench.report.scales import Scale
+from bench.report.svg_plot import Axes, Key, Picture, Words
 
 Array = NDArray[np.float64]
 Json = Mapping[str, Any]
@@ -57,28 +54,17 @@ def pose_directions(results: Json) -> str:
     if not places:
         return ""
     width, height = results["calibration"]["image_size"]
-    with mpl.rc_context(STYLE):
-        figure = Figure(figsize=PANEL, layout="constrained")
-        axes = figure.add_subplot()
-        span = _limits(axes, places)
-        half = np.array([1.0, height / width]) * _FRAME_SHARE * span / 2
-        for how, colour in _COLOURS.items():
-            own = [place for place in places if place.use == how]
-            _frames(axes, own, half, colour, filled=how == _USED)
-        if len(places) <= _MOST_NUMBERS:
-            for place in places:
-                axes.annotate(
-                    f"{place.number}",
-                    (place.pan_deg, place.tilt_deg),
-                    ha="center",
-                    va="center",
-                    fontsize=8,
-                    color=INK,
-                )
-        axes.set(xlabel="pan, degrees", ylabel="tilt, degrees")
-        _legend(axes, places)
-        hide_frame(axes)
-        return to_svg(figure, "poses", "Pan, tilt and roll of the poses")
+    about = f"Pan {_range_text(p.pan_deg for p in places)}, tilt {_range_text(p.tilt_deg for p in places)} degrees."
+    picture = Picture(*PANEL, "poses", "Pan, tilt and roll of the poses", about)
+    words = Words((), "pan, degrees", "tilt, degrees", _legend(places))
+    axes = axes_in(picture, *_limits(places), words, equal="extend")
+    half = np.array([1.0, height / width]) * _FRAME_SHARE * abs(axes.x.high - axes.x.low) / 2
+    for how, colour in _COLOURS.items():
+        _frames(axes, [place for place in places if place.use == how], half, colour, filled=how == _USED)
+    if len(places) <= _MOST_NUMBERS:
+        for place in places:
+            axes.text((place.pan_deg, place.tilt_deg), f"{place.number}", by=(0.0, 2.8), anchor="middle")
+    return picture.svg()
 
 
 def pose_frames(calibration: Json) -> str:
@@ -99,23 +85,33 @@ def pose_frames(calibration: Json) -> str:
         return ""
     camera = camera_of(calibration["camera"], calibration["image_size"])
     rays = camera.rays(_outline(calibration["image_size"]))
-    with mpl.rc_context(STYLE):
-        figure = Figure(figsize=PANEL, layout="constrained")
-        axes = figure.add_subplot()
-        for number, view in enumerate(views[:: -(-len(views) // _MOST_FRAMES)]):
-            directions = rays @ np.array(view["rotation"])
-            centre = np.array(view["centre_mm"])
-            ahead = np.isfinite(directions).all(axis=1) & (directions[:, 2] > 1e-6)
-            at = centre[:2] - directions[ahead, :2] * (centre[2] / directions[ahead, 2:])
-            at = np.round(np.vstack([at, at[:1]]), 4)
-            colour = POSE_COLOURS[number % len(POSE_COLOURS)]
-            axes.plot(at[:, 0], at[:, 1], color=colour, linewidth=1.0)
-            axes.fill(at[:, 0], at[:, 1], color=colour, alpha=min(0.12, 1.0 / len(views)), linewidth=0)
-        axes.set(aspect="equal", xlabel="x on the target, mm", ylabel="y on the target, mm")
-        axes.invert_yaxis()
-        axes.set_title("Images of the poses on the target")
-        hide_frame(axes)
-        return to_svg(figure, "frames", "Outlines of the images on the target")
+    shown = views[:: -(-len(views) // _MOST_FRAMES)]
+    frames = [_on_target(rays, np.array(view["rotation"]), np.array(view["centre_mm"])) for view in shown]
+    every = np.concatenate(frames)
+    if not len(every):
+        return ""
+    (left, top), (right, bottom) = every.min(axis=0), every.max(axis=0)
+    wide, high = 0.05 * (right - left), 0.05 * (bottom - top)
+    words = Words(("Images of the poses on the target",), "x on the target, mm", "y on the target, mm")
+    about = f"x {left:.4g} to {right:.4g} mm, y {top:.4g} to {bottom:.4g} mm."
+    picture = Picture(*PANEL, "frames", "Outlines of the images on the target", about)
+    across, down = (
+        Scale(float(left - wide), float(right + wide)),
+        Scale(float(bottom + high), float(top - high)),
+    )
+    axes = axes_in(picture, across, down, words, equal="extend")
+    for number, frame in enumerate(frames):
+        colour = POSE_COLOURS[number % len(POSE_COLOURS)]
+        axes.shapes([frame], colour, min(0.12, 1.0 / len(views)), colour)
+    return picture.svg()
+
+
+def _on_target(rays: Array, rotation: Array, centre: Array) -> Array:
+    """Return where rays of an image meet the target, mm; rays that do not meet it are left out."""
+    directions = rays @ rotation
+    ahead = np.isfinite(directions).all(axis=1) & (directions[:, 2] > 1e-6)
+    met = centre[:2] - directions[ahead, :2] * (centre[2] / directions[ahead, 2:])
+    return np.asarray(np.round(met, 4))
 
 
 def _places(results: Json) -> list[_Place]:
@@ -141,53 +137,39 @@ def _places(results: Json) -> list[_Place]:
     return found
 
 
-def _limits(axes: Axes, places: Sequence[_Place]) -> float:
-    """Set equal scales and limits that show every pose; return the width of the plot, degrees."""
+def _limits(places: Sequence[_Place]) -> tuple[Scale, Scale]:
+    """Return limits that show every pose with its frame."""
     pan, tilt = (np.array([getattr(place, name) for place in places]) for name in ("pan_deg", "tilt_deg"))
     ratio = PANEL[0] / PANEL[1]
-    span = 1.35 * max(float(np.ptp(pan)), ratio * float(np.ptp(tilt)), 1.0)
-    for middle, half, setter in (
-        ((pan.min() + pan.max()) / 2, span / 2, axes.set_xlim),
-        ((tilt.min() + tilt.max()) / 2, span / ratio / 2, axes.set_ylim),
-    ):
-        setter(float(middle - half), float(middle + half))
-    axes.set_aspect("equal")
-    return span
+    half = 1.35 / 2 * max(float(np.ptp(pan)), ratio * float(np.ptp(tilt)), 1.0)
+    across, up = float(pan.min() + pan.max()) / 2, float(tilt.min() + tilt.max()) / 2
+    return Scale(across - half, across + half), Scale(up - half / ratio, up + half / ratio)
 
 
 def _frames(axes: Axes, places: Sequence[_Place], half: Array, colour: str, *, filled: bool) -> None:
-    """Draw the frames of some poses as one path; the line from the centre points to the right side of the image."""
+    """Draw the frames of some poses as one path, each turned by its roll."""
     if not places:
         return
     corners = half * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
-    vertices, codes = [], []
+    outlines = []
     for place in places:
         cos, sin = np.cos(np.radians(place.roll_deg)), np.sin(np.radians(place.roll_deg))
-        turned = corners @ np.array([[cos, -sin], [sin, cos]]) + [place.pan_deg, place.tilt_deg]
-        vertices.append(np.vstack([turned, turned[:1]]))
-        codes += [Outline.MOVETO, Outline.LINETO, Outline.LINETO, Outline.LINETO, Outline.CLOSEPOLY]
-    axes.add_patch(
-        PathPatch(
-            Outline(np.round(np.concatenate(vertices), 6), codes),
-            facecolor=(*mpl.colors.to_rgb(colour), 0.16 if filled else 0.0),
-            edgecolor=colour,
-            linewidth=1.1,
-            linestyle="-" if filled else "--",
-        )
-    )
+        outlines.append(corners @ np.array([[cos, -sin], [sin, cos]]) + [place.pan_deg, place.tilt_deg])
+    axes.shapes(outlines, colour, 0.16 if filled else 0.0, colour, 1.1, dash="" if filled else "4 2.5")
 
 
-def _legend(axes: Axes, places: Sequence[_Place]) -> None:
+def _legend(places: Sequence[_Place]) -> list[Key]:
     counts = {how: sum(place.use == how for place in places) for how in _COLOURS}
-    handles = [
-        Line2D([], [], color=_COLOURS[how], linestyle="-" if how == _USED else "--", label=f"{count} {how}")
+    return [
+        Key(f"{count} {how}", _COLOURS[how], "line" if how == _USED else "dashed")
         for how, count in counts.items()
         if count
     ]
-    axes.legend(
-        handles=handles, loc="lower left", bbox_to_anchor=(0, 1.0), ncols=len(handles), frameon=False,
-        borderaxespad=0.2, handlelength=1.4, columnspacing=1.2, labelcolor=MUTED,
-    )  # fmt: skip
+
+
+def _range_text(values: Iterable[float]) -> str:
+    found = list(values)
+    return f"{min(found):.3g} to {max(found):.3g}"
 
 
 def _outline(image_size: Sequence[int]) -> Array:

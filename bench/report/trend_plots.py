@@ -1,6 +1,6 @@
 """Plots of a batch: the time of each run, and each parameter over time and against temperature.
 
-Depends on Matplotlib and plain numbers; reads no file.
+Depends on plain numbers; reads no file.
 """
 
 from __future__ import annotations
@@ -8,22 +8,23 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from datetime import datetime, timedelta, tzinfo
+from textwrap import shorten
 from typing import Any, NamedTuple
 
-import matplotlib as mpl
 import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
-from matplotlib.patches import Patch
 from numpy.typing import NDArray
 
-from bench.report.drawing import INK, LINE, MUTED, POSE_COLOURS, STYLE, hide_frame, to_svg
+from bench.report.drawing import MUTED, POSE_COLOURS
+from bench.report.plot_frame import Place, axes_in, write_legend
+from bench.report.scales import Scale
+from bench.report.svg_plot import Axes, Key, Picture, Words
 from bench.report.text import unit_of
 
 _K = 2.0
-_WIDTH_IN, _ROW_IN = 11.6, 2.05
+_WIDTH, _ROW, _GAP = 835.0, 150.0, 14.0
+"""Width of a picture, height of a row of plots, and distance between plots, points."""
 _COLUMNS = 3
+_KEY_HEIGHT, _BAND_OPACITY = 24.0, 0.14
 _MOST_TICKS = 8
 _STEPS_H = (1 / 60, 1 / 30, 1 / 12, 1 / 6, 0.25, 0.5, 1, 2, 3, 6, 12, 24)
 _BEFORE = 0.02
@@ -88,34 +89,24 @@ def timeline(bars: Sequence[Bar], zone: tzinfo | None) -> str:
         SVG.
     """
     jobs = list(dict.fromkeys(bar.job for bar in bars))
-    with mpl.rc_context(STYLE):
-        figure = Figure(figsize=(_WIDTH_IN, 0.85 + 0.3 * len(jobs)), layout="constrained")
-        axes = figure.add_subplot()
-        first, last = min(bar.begun for bar in bars), max(bar.ended for bar in bars)
-        least_s = max((last - first).total_seconds() / 500.0, 1.0)
-        for bar in bars:
-            width_s = max((bar.ended - bar.begun).total_seconds(), least_s)
-            axes.barh(
-                jobs.index(bar.job), width_s / 3600.0,
-                left=_hours(bar.begun, first), height=0.62,
-                color=END_COLOURS.get(bar.how, MUTED),
-                edgecolor="white",
-                linewidth=0.3 if width_s > 3 * least_s else 0.0,
-            )  # fmt: skip
-        axes.set(ylim=(len(jobs) - 0.4, -0.6), yticks=range(len(jobs)), yticklabels=jobs)
-        axes.tick_params(axis="y", length=0, labelcolor=INK)
-        axes.grid(axis="x", color=LINE, linewidth=0.6)
-        axes.set_axisbelow(True)
-        _clock(axes, first.astimezone(zone), _hours(last, first))
-        shown = [how for how in END_COLOURS if any(bar.how == how for bar in bars)]
-        axes.legend(
-            handles=[Patch(color=END_COLOURS[how], label=how) for how in shown],
-            loc="lower left", bbox_to_anchor=(0, 1.0), ncols=len(shown), frameon=False, borderaxespad=0.2,
-            handlelength=1.0,
-        )  # fmt: skip
-        hide_frame(axes)
-        axes.spines["left"].set_visible(False)
-        return to_svg(figure, "timeline", "Time of each run")
+    first, last = min(bar.begun for bar in bars), max(bar.ended for bar in bars)
+    span_h = max(_hours(last, first), 1 / 3600)
+    shown = [how for how in END_COLOURS if any(bar.how == how for bar in bars)]
+    words = Words((), "", "", [Key(how, END_COLOURS[how], "box") for how in shown])
+    counts = [f"{sum(bar.how == how for bar in bars)} {how}" for how in shown]
+    picture = Picture(
+        _WIDTH, 46.0 + 20.0 * len(jobs), "timeline", "Time of each run", ", ".join(counts) + "."
+    )
+    across = Scale(-_BEFORE * span_h, (1 + _BEFORE) * span_h, ticks=_clock(first.astimezone(zone), span_h))
+    rows = Scale(len(jobs) - 0.4, -0.6, ticks=[(n, _shortened(job)) for n, job in enumerate(jobs)])
+    axes = axes_in(picture, across, rows, words, grid="x")
+    for bar in bars:
+        begin = _hours(bar.begun, first)
+        end = begin + max(_hours(bar.ended, bar.begun), span_h / 500)
+        row = jobs.index(bar.job)
+        outline = [(begin, row - 0.31), (end, row - 0.31), (end, row + 0.31), (begin, row + 0.31)]
+        axes.shapes([outline], END_COLOURS.get(bar.how, MUTED))
+    return picture.svg()
 
 
 def over_time(
@@ -168,81 +159,85 @@ def _panels(
 ) -> str:
     """Draw one panel for each parameter; ``x`` is in hours after ``begin`` if there is one."""
     rows = math.ceil(len(series) / _COLUMNS)
-    with mpl.rc_context(STYLE):
-        figure = Figure(figsize=(_WIDTH_IN, 0.45 + _ROW_IN * rows), layout="constrained")
-        grid = figure.subplots(rows, _COLUMNS, squeeze=False, sharex=True)
-        for axes, one in zip(grid.flat, series, strict=False):
-            _panel(axes, x, one)
-        for axes in list(grid.flat)[len(series) :]:
-            axes.set_visible(False)
-        for number, axes in enumerate(grid.flat):
-            last_in_column = number + _COLUMNS >= len(series)
-            axes.tick_params(axis="x", labelbottom=last_in_column)
-            if last_in_column and label:
-                axes.set_xlabel(label)
-        if begin is not None:
-            _clock(grid[0, 0], begin, float(x.max()))
-        _key(figure)
-        return to_svg(figure, identifier, "Parameters of the runs")
+    about = "; ".join(_about(one, "h" if begin is not None else "°C") for one in series) + "."
+    picture = Picture(_WIDTH, _KEY_HEIGHT + _ROW * rows, identifier, "Parameters of the runs", about)
+    low, high = float(x.min()), float(x.max())
+    beside = 0.03 * (high - low) or 0.5
+    marks = None if begin is None else _clock(begin, high)
+    across = Scale(low - beside, high + beside, ticks=marks)
+    width = _WIDTH / _COLUMNS
+    _key(picture)
+    for number, one in enumerate(series):
+        row, column = divmod(number, _COLUMNS)
+        place = (column * width, _KEY_HEIGHT + row * _ROW, width - _GAP, _ROW - _GAP / 2)
+        _panel(picture, place, across, x, one, label)
+    return picture.svg()
 
 
-def _panel(axes: Axes, x: NDArray[np.float64], one: Series) -> None:
+def _panel(
+    picture: Picture, place: Place, across: Scale, x: NDArray[np.float64], one: Series, label: str
+) -> None:
+    """Draw one parameter: its values with their bars, the weighted mean with its band, and a significant trend."""
     values, expanded = np.asarray(one.values), _K * np.asarray(one.sigmas)
     unit = "" if unit_of(one.name) == "1" else f", {unit_of(one.name)}"
-    axes.axhspan(one.mean - _K * one.sigma, one.mean + _K * one.sigma, color="#dbe6f0", linewidth=0)
-    axes.axhline(one.mean, color=MUTED, linewidth=0.8)
-    axes.errorbar(
-        x, values, expanded, linestyle="none", marker="o", markersize=3.2, color=_POINT, ecolor=_POINT,
-        elinewidth=0.9, alpha=0.85,
-    )  # fmt: skip
-    if one.slope is not None and one.slope[1]:
-        weights = 1.0 / np.asarray(one.sigmas) ** 2
-        middle = float(np.average(x, weights=weights))
-        ends = np.array([x.min(), x.max()])
-        axes.plot(ends, one.mean + one.slope[0] * (ends - middle), color=_LINE_COLOUR, linewidth=1.8)
-    axes.set_title(f"{one.name}{unit}", fontweight="bold")
     low, high = float((values - expanded).min()), float((values + expanded).max())
     margin = 0.06 * max(high - low, 1e-12)
-    axes.set_ylim(low - margin, high + margin)
-    axes.ticklabel_format(axis="y", useOffset=False, style="plain")
-    axes.grid(axis="y", color=LINE, linewidth=0.5)
-    axes.set_axisbelow(True)
-    hide_frame(axes)
+    up = Scale(low - margin, high + margin)
+    axes = axes_in(picture, across, up, Words((f"{one.name}{unit}",), label), place=place, grid="y")
+    _band(axes, one.mean - _K * one.sigma, one.mean + _K * one.sigma)
+    axes.level(one.mean, MUTED)
+    axes.strokes(
+        np.column_stack([x, values - expanded]), np.column_stack([x, values + expanded]), _POINT, 0.9, 0.7
+    )
+    axes.dots(np.column_stack([x, values]), _POINT, 3.4)
+    if one.slope is not None and one.slope[1]:
+        middle = float(np.average(x, weights=1.0 / np.asarray(one.sigmas) ** 2))
+        ends = np.array([x.min(), x.max()])
+        trend = one.mean + one.slope[0] * (ends - middle)
+        axes.line(np.column_stack([ends, trend]), _LINE_COLOUR, 1.8)
 
 
-def _key(figure: Figure) -> None:
-    handles = [
-        Line2D([], [], color=_POINT, marker="o", markersize=4, linewidth=0.9, label="one run, ± U (k = 2)"),
-        Line2D([], [], color=MUTED, linewidth=0.8, label="weighted mean"),
-        Patch(color="#dbe6f0", label="U of the mean"),
-        Line2D(
-            [],
-            [],
-            color=_LINE_COLOUR,
-            linewidth=1.8,
-            label="trend, if it exceeds 3.5 standard uncertainties",
-        ),
+def _band(axes: Axes, low: float, high: float) -> None:
+    left, right = axes.x.low, axes.x.high
+    axes.shapes([[(left, low), (right, low), (right, high), (left, high)]], _POINT, _BAND_OPACITY)
+
+
+def _key(picture: Picture) -> None:
+    """Write the legend of all plots of a picture."""
+    keys = [
+        Key("one run, ± U (k = 2)", _POINT, "dot"),
+        Key("weighted mean", MUTED),
+        Key("U of the mean", "#cfe2ee", "box"),
+        Key("trend, if it exceeds 3.5 standard uncertainties", _LINE_COLOUR),
     ]
-    figure.legend(handles=handles, loc="outside upper left", ncols=4, frameon=False)
+    write_legend(picture, keys, 0.0, 0.0, picture.width)
+
+
+def _about(one: Series, per: str) -> str:
+    """Return the mean of a parameter, and its trend if that is significant."""
+    found = f"{one.name}: mean {one.mean:.6g}"
+    return f"{found}, trend {one.slope[0]:.2g} per {per}" if one.slope is not None and one.slope[1] else found
+
+
+def _shortened(job: str) -> str:
+    return shorten(job, 34, placeholder="\N{HORIZONTAL ELLIPSIS}")
 
 
 def _hours(moment: datetime, begin: datetime) -> float:
     return (moment - begin).total_seconds() / 3600.0
 
 
-def _clock(axes: Axes, begin: datetime, last_h: float) -> None:
-    """Label an axis of hours after a local time with times of day."""
+def _clock(begin: datetime, last_h: float) -> list[tuple[float, str]]:
+    """Return the ticks of an axis of hours after a local time, labelled with times of day."""
     step_h = next((s for s in _STEPS_H if last_h / s <= _MOST_TICKS), 48.0)
     midnight = begin.replace(hour=0, minute=0, second=0, microsecond=0)
     since_h = _hours(begin, midnight)
     number = math.ceil((since_h - _BEFORE * last_h) / step_h)
-    ticks_h = []
+    found = []
     while number * step_h - since_h <= last_h + 1e-9:
-        ticks_h.append(number * step_h - since_h)
+        found.append(number * step_h - since_h)
         number += 1
-    axes.set_xticks(ticks_h or [0.0])
-    shown = [begin + timedelta(hours=h) for h in ticks_h or [0.0]]
-    axes.set_xticklabels([f"{moment + timedelta(seconds=30):%H:%M}" for moment in shown])
+    return [(h, f"{begin + timedelta(hours=h, seconds=30):%H:%M}") for h in found or [0.0]]
 
 
 def bars_of(items: Sequence[Mapping[str, Any]]) -> list[Bar]:

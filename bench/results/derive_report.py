@@ -1,7 +1,7 @@
 """Derives the report and the exports of a folder again from its results, and compares them byte by byte.
 
 A report is words and numbers (its text, markup and style) and graphics (plots and images). Each part is compared if
-this program makes it as the other did: the words if the form of the report is the same, the graphics if Matplotlib and
+this program makes it as the other did: the words if the form of the report is the same, the graphics if NumPy and
 OpenCV are the same too. What differs though it should not is a fault. What another program made otherwise is not
 compared, and that is said.
 """
@@ -30,7 +30,7 @@ UNREADABLE = (ValueError, LookupError, TypeError, AttributeError, ArithmeticErro
 """Exceptions raised by results that are not of the expected form."""
 EXPORTS = "exports"
 _WORDS_BY = ("starbench", "report_form")
-_GRAPHICS_BY = (*_WORDS_BY, "matplotlib", "numpy", "opencv-python-headless")
+_GRAPHICS_BY = (*_WORDS_BY, "numpy", "opencv-python-headless")
 _EXPORTS_BY = ("starbench", "export_form", "opencv-python-headless")
 _SVG = re.compile(r"<svg\b|</svg>")
 _LABEL = re.compile(r'aria-label="([^"]*)"')

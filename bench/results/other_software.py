@@ -21,7 +21,7 @@ def other_software(results: Mapping[str, Any], names: Sequence[str]) -> str:
     Returns
     -------
     str
-        ``matplotlib 3.9 (here 3.10)``, several with commas; empty if all are the same.
+        ``numpy 2.1 (here 2.2)``, several with commas; empty if all are the same.
     """
     used, here = results["run"].get("software") or {}, software()
     return ", ".join(

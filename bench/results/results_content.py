@@ -188,7 +188,7 @@ def software() -> dict[str, str]:
         Version by name, and the hashes of the program (`bench.results.forms`).
     """
     parts = {"starbench": __version__, "python": platform.python_version()}
-    for name in ("numpy", "scipy", "opencv-python-headless", "numba", "matplotlib", "h5py"):
+    for name in ("numpy", "scipy", "opencv-python-headless", "numba", "h5py"):
         parts[name] = version(name)
     return parts | forms()
 

@@ -9,8 +9,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
-
 from bench.plan.plan import load_documents, make_plan
 from bench.records.storage import storage_errors
 from bench.results.forecasts import expected_bench
@@ -19,8 +17,6 @@ from calib.calibration import CalibrationOptions
 from calib.studies.monte_carlo import MonteCarloStudy, Repetition, calibrate_once
 from calib.studies.predicted_views import ExpectedBench
 from sequences.reader import Located
-
-_BINS = np.linspace(-4, 4, 33)
 
 
 def sequence_poses_deg(sequence: str, station: str) -> tuple[list[dict[str, float]], Located[Station]]:
@@ -152,20 +148,8 @@ def write_study_plot(study: MonteCarloStudy, path: Path) -> None:
     StorageError
         When the file cannot be written.
     """
-    from matplotlib.backends.backend_svg import FigureCanvasSVG
-    from matplotlib.figure import Figure
+    from bench.report.study_plot import study_plot
 
-    figure = Figure(figsize=(9, 6), layout="constrained")
-    FigureCanvasSVG(figure)
-    z = (study.values - study.truth) / study.sigmas
-    normal = np.exp(-0.5 * _BINS**2) / np.sqrt(2 * np.pi)
-    across = 3
-    for at, name in enumerate(study.names):
-        axes = figure.add_subplot(-(-len(study.names) // across), across, at + 1)
-        axes.hist(np.clip(z[:, at], _BINS[0], _BINS[-1]), bins=list(_BINS), density=True, color="#9ecae1")
-        axes.plot(_BINS, normal, color="#08306b", linewidth=1)
-        axes.set_title(f"{name}: rms {study.z_rms[name]:.2f}", fontsize=10)
-        axes.set_yticks([])
-    figure.supxlabel("error / stated standard uncertainty; the line is the normal distribution")
+    svg = study_plot(study.names, (study.values - study.truth) / study.sigmas, study.z_rms)
     with storage_errors(path):
-        figure.savefig(path, format="svg", metadata={"Date": None})
+        path.write_text(svg + "\n", encoding="utf-8")

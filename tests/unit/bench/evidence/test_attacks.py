@@ -721,8 +721,8 @@ def test_another_program_does_not_excuse_what_both_state(forger, trusted):
     assert ("results", "results.json") in kinds(checked(forger.folder, trusted))
 
 
-def test_another_matplotlib_leaves_the_words_compared(forger, trusted, job):
-    by_another_program(forger, matplotlib="1.0")
+def test_another_opencv_leaves_the_words_compared(forger, trusted, job):
+    by_another_program(forger, **{"opencv-python-headless": "1.0"})
     forger.render(job)
     forger.replace("report.html", "</text>", "9</text>")
     forger.tell_of_files()

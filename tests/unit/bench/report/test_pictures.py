@@ -65,7 +65,7 @@ def test_residuals_are_drawn_from_the_star_in_their_direction():
     )
     assert "magnified 100 times" in svg
     drawn = [
-        path for path in re.findall(r'<path d="([^"]*)" [^>]*stroke: #0072b2', svg) if path.count("M") == 2
+        path for path in re.findall(r'<path d="([^"]*)" [^>]*stroke="#0072b2"', svg) if path.count("M") == 2
     ]
     dots, lines = drawn
     assert len(re.findall(r"M[\d.]+ [\d.]+h0", dots)) == 2

@@ -74,7 +74,7 @@ def test_another_line_of_the_journal_is_found(made, tmp_path):
     [
         ("starbench", "another", "report.html with results.json: it was made with starbench another (here "),
         ("report_form", "another", "report.html with results.json: it was made with report form another (here "),
-        ("matplotlib", "1.0", "plots and images of report.html with results.json: they were made with matplotlib 1.0 (here "),
+        ("numpy", "1.0", "plots and images of report.html with results.json: they were made with numpy 1.0 (here "),
     ],
 )  # fmt: skip
 def test_what_another_program_made_otherwise_is_not_compared_and_that_is_told(

@@ -1,4 +1,4 @@
-"""Axes of the control charts as SVG text: scales, ticks, lines and dots. Pure; no library draws.
+"""Axes of the control charts as SVG text: lines, bars and dots of many runs. Pure; no library draws.
 
 Positions are rounded to half a unit of the picture, and what falls on the same place is drawn once. So the size of a
 picture is bounded, also with thousands of runs.
@@ -6,79 +6,26 @@ picture is bounded, also with thousands of runs.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from html import escape
 
 from bench.report.drawing import INK, LINE, MUTED, POSE_COLOURS
+from bench.report.scales import tick_label, ticks
+from bench.report.svg_plot import painted
 
 WIDTH, HEIGHT = 460.0, 190.0
 LEFT, RIGHT, TOP, BOTTOM = 58.0, 62.0, 20.0, 24.0
-BLUE, RED, BAND = POSE_COLOURS[0], "#c0271d", "#e8eff6"
+BLUE, RED = POSE_COLOURS[0], "#c0271d"
 _MOST_DOTS_WITH_TEXT = 150
 MANY = 200
 """With more runs, bars are paler and the dots are not joined."""
-_BAR, _PALE_BAR = "#8fb3d1", "#d3e2ee"
-_STEPS = (1.0, 2.0, 5.0, 10.0)
-
-
-def ticks(low: float, high: float, most: int = 5) -> list[float]:
-    """Return round numbers in a range.
-
-    Parameters
-    ----------
-    low, high
-        The range.
-    most
-        Largest number of ticks, about.
-
-    Returns
-    -------
-    list of float
-        The ticks, in rising order; ``low`` alone if the range is empty.
-
-    Examples
-    --------
-    >>> ticks(0.0, 9.7)
-    [0.0, 2.0, 4.0, 6.0, 8.0]
-    """
-    if not high > low:
-        return [low]
-    rough = (high - low) / most
-    power = 10.0 ** math.floor(math.log10(rough))
-    step = next(s * power for s in _STEPS if s * power >= rough * (1 - 1e-9))
-    first = math.ceil(low / step - 1e-9)
-    return [(first + n) * step for n in range(int((high / step - first) + 1e-9) + 1)]
-
-
-def tick_label(value: float, span: float) -> str:
-    """Return the label of a tick.
-
-    Parameters
-    ----------
-    value
-        Its position.
-    span
-        Length of the axis, in the same unit; it decides on the decimals.
-
-    Returns
-    -------
-    str
-        The number with a true minus sign.
-
-    Examples
-    --------
-    >>> tick_label(3345.0, 4.0), tick_label(-0.05, 0.2)
-    ('3345.0', '−0.05')
-    """
-    decimals = max(0, 1 - math.floor(math.log10(span))) if span > 0 else 3
-    text = f"{value:.{min(decimals, 9)}f}"
-    return text.removeprefix("-") if float(text) == 0 else text.replace("-", "\N{MINUS SIGN}")
+_BAND, _BAR, _PALE_BAR = 0.09, 0.44, 0.18
+"""Opacities of the band between the limits, of bars, and of bars of many runs."""
 
 
 @dataclass
-class Axes:
+class ChartAxes:
     """A picture in work.
 
     Attributes
@@ -150,7 +97,7 @@ class Axes:
         there = _thinned([(self.x(x), self.y(v)) for x, v in zip(xs, high, strict=True)])
         back = _thinned([(self.x(x), self.y(v)) for x, v in zip(xs, low, strict=True)])
         outline = "L".join(f"{x:g} {y:g}" for x, y in [*there, *reversed(back)])
-        self.parts.append(f'<path d="M{outline}Z" fill="{BAND}"/>')
+        self.parts.append(f'<path d="M{outline}Z" fill="{BLUE}" fill-opacity="{_BAND:g}"/>')
 
     def line(
         self,
@@ -178,7 +125,7 @@ class Axes:
         dash = ' stroke-dasharray="5 3"' if dashed else ""
         outline = "L".join(f"{x:g} {y:g}" for x, y in points)
         self.parts.append(
-            f'<path d="M{outline}" fill="none" stroke="{colour}" stroke-width="{width:g}"{dash}/>'
+            f'<path d="M{outline}" fill="none" {painted("stroke", colour)} stroke-width="{width:g}"{dash}/>'
         )
 
     def bars(self, xs: Iterable[float], low: Iterable[float], high: Iterable[float]) -> None:
@@ -195,9 +142,10 @@ class Axes:
             known = columns.get(column, (bottom, top))
             columns[column] = (max(known[0], bottom), min(known[1], top))
         outline = "".join(f"M{x:g} {a:g}V{b:g}" for x, (a, b) in columns.items())
-        colour = _BAR if len(columns) <= MANY else _PALE_BAR
+        opacity = _BAR if len(columns) <= MANY else _PALE_BAR
         self.parts.append(
-            f'<path class="bars" d="{outline}" fill="none" stroke="{colour}" stroke-width="1.1"/>'
+            f'<path class="bars" d="{outline}" fill="none" stroke="{BLUE}" stroke-opacity="{opacity:g}"'
+            ' stroke-width="1.1"/>'
         )
 
     def dots(
@@ -255,7 +203,7 @@ class Axes:
             What to write.
         """
         self.parts.append(
-            f'<text x="{WIDTH - RIGHT + 4:g}" y="{self.y(value) + 4:g}" font-size="11" fill="{MUTED}">'
+            f'<text x="{WIDTH - RIGHT + 4:g}" y="{self.y(value) + 4:g}" font-size="11" {painted("fill", MUTED)}>'
             f"{escape(name)}</text>"
         )
 
@@ -271,8 +219,9 @@ class Axes:
         """
         x = self.x(value)
         self.parts.append(
-            f'<path d="M{x:g} {TOP:g}V{HEIGHT - BOTTOM:g}" stroke="{MUTED}" stroke-dasharray="2 3"/>'
-            f'<text x="{x - 4:g}" y="{TOP + 9:g}" font-size="10" text-anchor="end" fill="{MUTED}">{escape(name)}</text>'
+            f'<path d="M{x:g} {TOP:g}V{HEIGHT - BOTTOM:g}" {painted("stroke", MUTED)} stroke-dasharray="2 3"/>'
+            f'<text x="{x - 4:g}" y="{TOP + 9:g}" font-size="10" text-anchor="end"'
+            f" {painted('fill', MUTED)}>{escape(name)}</text>"
         )
 
     def svg(self, x_ticks: Sequence[tuple[float, str]]) -> str:
@@ -289,22 +238,25 @@ class Axes:
             The ``<svg>`` element.
         """
         frame = [
-            f'<text x="0" y="11" font-size="12" font-weight="650" fill="{INK}">{escape(self.title)}</text>'
+            f'<text x="0" y="11" font-size="12" font-weight="650" {painted("fill", INK)}>{escape(self.title)}</text>'
         ]
         for value in ticks(self.y_low, self.y_high, 4):
             y = self.y(value)
             frame.append(
-                f'<path d="M{LEFT:g} {y:g}H{WIDTH - RIGHT:g}" stroke="{LINE}" stroke-width="0.6"/>'
-                f'<text x="{LEFT - 5:g}" y="{y + 4:g}" font-size="11" text-anchor="end" fill="{MUTED}">'
+                f'<path d="M{LEFT:g} {y:g}H{WIDTH - RIGHT:g}" {painted("stroke", LINE)} stroke-width="0.6"/>'
+                f'<text x="{LEFT - 5:g}" y="{y + 4:g}" font-size="11" text-anchor="end" {painted("fill", MUTED)}>'
                 f"{tick_label(value, self.y_high - self.y_low)}</text>"
             )
         foot = HEIGHT - BOTTOM
-        frame.append(f'<path d="M{LEFT:g} {foot:g}H{WIDTH - RIGHT:g}" stroke="{MUTED}" stroke-width="0.8"/>')
+        frame.append(
+            f'<path d="M{LEFT:g} {foot:g}H{WIDTH - RIGHT:g}" {painted("stroke", MUTED)} stroke-width="0.8"/>'
+        )
         for value, label in x_ticks:
             x = self.x(value)
             frame.append(
-                f'<path d="M{x:g} {foot:g}v3" stroke="{MUTED}"/><text x="{x:g}" y="{foot + 15:g}" font-size="11"'
-                f' text-anchor="middle" fill="{MUTED}">{escape(label)}</text>'
+                f'<path d="M{x:g} {foot:g}v3" {painted("stroke", MUTED)}/>'
+                f'<text x="{x:g}" y="{foot + 15:g}" font-size="11"'
+                f' text-anchor="middle" {painted("fill", MUTED)}>{escape(label)}</text>'
             )
         return (
             f'<svg class="plot" role="img" aria-label="{escape(self.title)}" viewBox="0 0 {WIDTH:g} {HEIGHT:g}"'

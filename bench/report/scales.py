@@ -1,0 +1,239 @@
+"""Scales of plots: where a value stands along an axis, round numbers for ticks, and their labels. Pure."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+Array = NDArray[np.float64]
+
+_STEPS = (1.0, 2.0, 5.0, 10.0)
+_LABELLED = ((1, 2, 5), (1,))
+"""Digits of logarithmic ticks: the first that are few enough."""
+_NARROW, _WIDE_LETTERS = frozenset(" .,:;|!'()[]fijlrtI\N{PRIME}"), frozenset("mwMW@%\N{HORIZONTAL ELLIPSIS}")
+_EM = {"narrow": 0.37, "wide": 0.96, "capital": 0.7, "other": 0.63}
+
+
+@dataclass(frozen=True)
+class Scale:
+    """The range of an axis, and how its values are spread.
+
+    Attributes
+    ----------
+    low, high
+        Value at the left or lower end, and at the right or upper end; ``low`` may be the larger one.
+    kind
+        ``linear``; ``log``; or ``symlog``: linear within ``linear_within`` of zero, logarithmic beyond.
+    linear_within
+        Range of the linear part of ``symlog``, in the unit of the axis.
+    ticks
+        Positions of the ticks and their labels; None for round numbers.
+    """
+
+    low: float
+    high: float
+    kind: str = "linear"
+    linear_within: float = 1.0
+    ticks: Sequence[tuple[float, str]] | None = None
+
+    def share(self, values: ArrayLike) -> Array:
+        """Return where values stand.
+
+        Parameters
+        ----------
+        values
+            In the unit of the axis.
+
+        Returns
+        -------
+        Array
+            0 at ``low``, 1 at ``high``.
+        """
+        low, high = (float(self._spread(np.asarray(end, float))) for end in (self.low, self.high))
+        return np.asarray((self._spread(np.asarray(values, float)) - low) / (high - low))
+
+    def chosen_ticks(self, most: int) -> list[tuple[float, str]]:
+        """Return the ticks within the range, with their labels.
+
+        Parameters
+        ----------
+        most
+            Largest number of ticks, about.
+
+        Returns
+        -------
+        list of tuple
+            Position and label of each tick.
+        """
+        if self.ticks is not None:
+            return list(self.ticks)
+        low, high = sorted((self.low, self.high))
+        if self.kind == "log":
+            return [(value, plain(value)) for value in log_ticks(low, high, most)]
+        found = ticks(low, high, most)
+        return list(zip(found, tick_labels(found), strict=True))
+
+    def _spread(self, values: Array) -> Array:
+        if self.kind == "log":
+            return np.log10(values)
+        if self.kind == "symlog":
+            size = np.abs(values) / self.linear_within
+            return np.asarray(np.sign(values) * np.where(size <= 1, size, 1 + np.log10(np.maximum(size, 1))))
+        return values
+
+
+def ticks(low: float, high: float, most: int = 5) -> list[float]:
+    """Return round numbers in a range.
+
+    Parameters
+    ----------
+    low, high
+        The range.
+    most
+        Largest number of ticks, about.
+
+    Returns
+    -------
+    list of float
+        The ticks, in rising order; ``low`` alone if the range is empty.
+
+    Examples
+    --------
+    >>> ticks(0.0, 9.7)
+    [0.0, 2.0, 4.0, 6.0, 8.0]
+    """
+    if not high > low:
+        return [low]
+    rough = (high - low) / most
+    power = 10.0 ** math.floor(math.log10(rough))
+    step = next(s * power for s in _STEPS if s * power >= rough * (1 - 1e-9))
+    first = math.ceil(low / step - 1e-9)
+    return [(first + n) * step for n in range(int((high / step - first) + 1e-9) + 1)]
+
+
+def log_ticks(low: float, high: float, most: int = 5) -> list[float]:
+    """Return round numbers of a logarithmic axis.
+
+    Parameters
+    ----------
+    low, high
+        The range, above zero.
+    most
+        Largest number of ticks, about.
+
+    Returns
+    -------
+    list of float
+        1, 2 and 5 times powers of ten, or powers of ten if those are too many; round numbers of a linear axis if the
+        range has less than two of them.
+
+    Examples
+    --------
+    >>> log_ticks(0.3, 7.0)
+    [0.5, 1.0, 2.0, 5.0]
+    """
+    powers = range(math.floor(math.log10(low)), math.ceil(math.log10(high)) + 1)
+    found: list[float] = []
+    for digits in _LABELLED:
+        found = [v for p in powers for d in digits if low <= (v := float(f"{d}e{p}")) <= high]
+        if len(found) <= most + 1:
+            break
+    return found if len(found) > 1 else [value for value in ticks(low, high, most) if value > 0]
+
+
+def tick_label(value: float, span: float) -> str:
+    """Return the label of a tick.
+
+    Parameters
+    ----------
+    value
+        Its position.
+    span
+        Length of the axis, in the same unit; it decides on the decimals.
+
+    Returns
+    -------
+    str
+        The number with a true minus sign.
+
+    Examples
+    --------
+    >>> tick_label(3345.0, 4.0), tick_label(-0.05, 0.2)
+    ('3345.0', '−0.05')
+    """
+    return _decimal(value, max(0, 1 - math.floor(math.log10(span))) if span > 0 else 3)
+
+
+def tick_labels(values: Sequence[float]) -> list[str]:
+    """Return the labels of evenly spaced ticks, all with the decimals that their distance needs.
+
+    Parameters
+    ----------
+    values
+        Positions of the ticks, in rising order.
+
+    Returns
+    -------
+    list of str
+        The numbers with a true minus sign.
+
+    Examples
+    --------
+    >>> tick_labels([-0.5, 0.0, 0.5]), tick_labels([0.0, 200.0])
+    (['−0.5', '0.0', '0.5'], ['0', '200'])
+    """
+    if len(values) < 2:
+        return [plain(value) for value in values]
+    decimals = max(0, -math.floor(math.log10(values[1] - values[0]) + 1e-9))
+    return [_decimal(value, decimals) for value in values]
+
+
+def plain(value: float) -> str:
+    """Return a round number as text.
+
+    Parameters
+    ----------
+    value
+        The number.
+
+    Returns
+    -------
+    str
+        The number with a true minus sign and without zeros at its end.
+    """
+    return f"{value:.6g}".replace("-", "\N{MINUS SIGN}")
+
+
+def text_width(text: str, size: float) -> float:
+    """Estimate how wide a text is in a common sans-serif typeface.
+
+    Parameters
+    ----------
+    text
+        The text.
+    size
+        Size of the type.
+
+    Returns
+    -------
+    float
+        The width, in the unit of ``size``; that of DejaVu Sans, and most typefaces are narrower.
+    """
+    return size * sum(_EM[_kind(letter)] for letter in text)
+
+
+def _kind(letter: str) -> str:
+    if letter in _NARROW:
+        return "narrow"
+    if letter in _WIDE_LETTERS or ord(letter) > 0x2E80:  # ideographs are as wide as high
+        return "wide"
+    return "capital" if letter.isupper() else "other"
+
+
+def _decimal(value: float, decimals: int) -> str:
+    text = f"{value:.{min(decimals, 9)}f}"
+    return text.removeprefix("-") if float(text) == 0 else text.replace("-", "\N{MINUS SIGN}")
