@@ -7,6 +7,9 @@ and made safe. A worker whose supervisor was killed is supervised by the next on
 
 A worker that is ready to compute while other programs have the processors does not hang. This time is not counted as
 silence; after ``MOST_STARVED_S`` of it the worker is ended all the same, told as a computer that is too busy.
+
+A driver that computes without end uses the processors, if only little on a busy computer. It is known by its processor
+time (`bench.batch.endless_computing`).
 """
 
 from __future__ import annotations
@@ -24,6 +27,7 @@ from typing import Any, Protocol
 from bench.base.clock import Aborted, BenchClock
 from bench.base.device_ends import DeviceEnd, all_ends, lost_ends, unsafe_devices
 from bench.base.linux_process import out_of_memory_kills, waits_for_disk
+from bench.batch.endless_computing import EndlessComputing
 from bench.batch.starvation import Starvation
 from bench.records.folder_lock import is_locked
 from bench.records.run_folder import STATION_COPY
@@ -61,10 +65,13 @@ class Silence:
         Time without a sign of life, s; 0 if the worker ended by itself.
     starved_s
         Part of it in which the worker waited for nothing but a processor, s.
+    computed_s
+        Processor time that its work used without using its clock, s; 0 unless it was ended for this.
     """
 
     silent_s: float = 0.0
     starved_s: float = 0.0
+    computed_s: float = 0.0
 
     @property
     def is_starved(self) -> bool:
@@ -79,6 +86,8 @@ class Silence:
                 f"this computer is too busy: the process had no processor for {self.starved_s:.0f} of"
                 f" {self.silent_s:.0f} s. {REMEDY.split(';', maxsplit=1)[0]}"
             )
+        if self.computed_s:
+            return f"computed without progress for {self.silent_s:.1f} s"
         return f"gave no sign of life for {self.silent_s:.1f} s"
 
     def end(self, devices: Sequence[DeviceEnd] = ()) -> WorkerEnd:
@@ -356,16 +365,21 @@ def _watch(worker: _Worker, folder: Path, clock: BenchClock) -> Silence:
     if isinstance(worker, _Orphan):
         left_over = None
     since_s, lost_before_s, starvation = clock.monotonic(), _lost_s(clock), Starvation()
+    computing = EndlessComputing()
     while not worker.gone():
         clock.sleep(POLL_S)
         sign, now_s = read_heartbeat(folder), clock.monotonic()
         if sign != last:
             last, since_s, lost_before_s, starvation = sign, now_s, _lost_s(clock), Starvation()
         if not _is_due(sign, left_over):
+            computing.forget()
             if now_s - since_s > QUIET_S:
                 return Silence(now_s - since_s)
             continue
         assert sign is not None
+        computing.look(sign.pid, sign.work, now_s)
+        if computing.is_endless(SILENCE_S):
+            return Silence(computing.passed_s, computed_s=computing.computed_s)
         starved_s = starvation.look(sign.pid, (sign.pid, sign.thread), now_s)
         silence = Silence(now_s - since_s, starved_s)
         late_s = 0.0 if starvation.is_counted else min(LATE_S, _lost_s(clock) - lost_before_s)

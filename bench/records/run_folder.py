@@ -11,6 +11,7 @@ from __future__ import annotations
 import os
 import re
 import shutil
+from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path, PurePosixPath
 from typing import Self
@@ -207,13 +208,15 @@ class RunFolder:
             part.unlink()
         return part
 
-    def commit(self, name: str) -> Capture:
+    def commit(self, name: str, goes_on: Callable[[], object] = lambda: None) -> Capture:
         """Sync the file at ``part_path(name)``, compute its hash and give it its name.
 
         Parameters
         ----------
         name
             Path of the final file within the folder, with ``/``.
+        goes_on
+            As for `sha256_of`: a recording may have many gigabytes.
 
         Returns
         -------
@@ -236,7 +239,7 @@ class RunFolder:
                 remedy="Record the pose again as a further attempt.",
             )
         with storage_errors(part):
-            capture = Capture(name, part.stat().st_size, sha256_of(part))
+            capture = Capture(name, part.stat().st_size, sha256_of(part, goes_on))
         move_into_place(part, path)
         return capture
 
@@ -257,7 +260,13 @@ class RunFolder:
         """
         return self.part_path(capture_name(pose_index, attempt, ending))
 
-    def commit_capture(self, pose_index: int, attempt: int, ending: str = ".raw") -> Capture:
+    def commit_capture(
+        self,
+        pose_index: int,
+        attempt: int,
+        ending: str = ".raw",
+        goes_on: Callable[[], object] = lambda: None,
+    ) -> Capture:
         """Give a complete recording its name. After that the journal may name it.
 
         Parameters
@@ -266,6 +275,8 @@ class RunFolder:
             Numbers of the pose and of the attempt, from 1.
         ending
             Ending of the file's name.
+        goes_on
+            As for ``commit``.
 
         Returns
         -------
@@ -277,7 +288,7 @@ class RunFolder:
         RunFolderError, StorageError
             As ``commit``.
         """
-        return self.commit(capture_name(pose_index, attempt, ending))
+        return self.commit(capture_name(pose_index, attempt, ending), goes_on)
 
     def quarantine_part(self, pose_index: int, attempt: int, ending: str = ".raw") -> str | None:
         """Move an incomplete recording to ``quarantine/``.

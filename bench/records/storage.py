@@ -11,7 +11,7 @@ import errno
 import hashlib
 import os
 import shutil
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
@@ -263,13 +263,15 @@ def move_into_place(part: Path, path: Path) -> None:
         sync_folder(path.parent)
 
 
-def sha256_of(path: Path) -> str:
+def sha256_of(path: Path, goes_on: Callable[[], object] = lambda: None) -> str:
     """Return the SHA-256 of a file (FIPS 180-4). The file may be larger than the memory.
 
     Parameters
     ----------
     path
         The file.
+    goes_on
+        Called after each piece, so that a supervisor sees the work go on (`bench.base.clock.BenchClock.monotonic`).
 
     Returns
     -------
@@ -285,6 +287,7 @@ def sha256_of(path: Path) -> str:
     with path.open("rb") as stream:
         while chunk := stream.read(HASH_CHUNK_BYTES):
             digest.update(chunk)
+            goes_on()
     return digest.hexdigest()
 
 

@@ -17,6 +17,7 @@ from pathlib import Path
 
 from bench.base.clock import BenchClock
 from bench.base.linux_process import processor_times_s, start_ticks, thread_waits_for_disk
+from bench.base.work_moment import NOT_SHARED, WorkMoment
 from bench.records.storage import storage_errors
 
 CONTROL = "control"
@@ -31,7 +32,7 @@ MOST_STARVED_S = 30.0
 SLOW_STALL_LIMIT_S = 600.0
 """The same limit in states in which nothing moves, and while the process waits for the disk, s."""
 SLOW_STATES = frozenset(
-    {"idle", "preflight", "holding", "checking", "solving", "reporting", "recovering", "finished"}
+    {"idle", "preflight", "holding", "checking", "choosing", "solving", "reporting", "recovering", "finished"}
 )
 """States in which nothing moves: calculations do not use the clock, and devices may take long to start."""
 
@@ -48,12 +49,15 @@ class Heartbeat:
         Time at which its work last made progress, ns; comparable within one process only.
     thread
         Number of the thread that wrote it.
+    work
+        Where the process shares the moment at which its work last used the clock (`bench.base.work_moment`).
     """
 
     pid: int
     started: int
     moment_ns: int
     thread: int = 0
+    work: int = NOT_SHARED
 
 
 class HeartbeatWriter:
@@ -72,6 +76,8 @@ class HeartbeatWriter:
         self._clock = clock
         self._state = "idle"
         self._since_s = time.monotonic()
+        self._work = WorkMoment()
+        clock.share(self._work)
         self._own = os.getpid(), start_ticks(os.getpid())
         self._supervisor = _supervisor()
         self._looks = [(-math.inf, 0.0)] * 2
@@ -87,6 +93,8 @@ class HeartbeatWriter:
             Name of the state.
         """
         self._state, self._since_s = state, time.monotonic()
+        self._work.used(self._since_s)
+        self._work.entering(with_devices=state not in SLOW_STATES)
 
     def beat(self) -> None:
         """Write a heartbeat, unless the work has stalled.
@@ -100,7 +108,7 @@ class HeartbeatWriter:
         starved_s = self._starved_s(stalled_s)
         if stalled_s - starved_s > (SLOW_STALL_LIMIT_S if self._may_take_long() else STALL_LIMIT_S):
             return
-        text = f"{self._own[0]} {self._own[1]} {time.monotonic_ns()} {threading.get_native_id()}"
+        text = f"{self._own[0]} {self._own[1]} {time.monotonic_ns()} {threading.get_native_id()} {self._work.number}"
         with storage_errors(self._path), suppress(FileNotFoundError):
             self._path.write_bytes(text.encode())
 
@@ -164,10 +172,10 @@ def read_heartbeat(folder: Path) -> Heartbeat | None:
         None while no process accepts commands for the run.
     """
     try:
-        pid, started, moment_ns, thread = map(int, (folder / CONTROL / HEARTBEAT).read_bytes().split())
+        numbers = [int(number) for number in (folder / CONTROL / HEARTBEAT).read_bytes().split()]
     except (OSError, ValueError):
         return None
-    return Heartbeat(pid, started, moment_ns, thread)
+    return Heartbeat(*numbers) if 4 <= len(numbers) <= 5 else None  # four: of an earlier version
 
 
 def open_process(heartbeat: Heartbeat) -> int | None:

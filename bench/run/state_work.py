@@ -181,7 +181,7 @@ class StateWork:
         part = self._folder.capture_part_path(pose.index, attempt, kind.ending)
         facts = kind.record(devices.camera, part, step, self._job.frequency_hz(step))
         after = self._devices.position_deg()
-        capture = self._folder.commit_capture(pose.index, attempt, kind.ending)
+        capture = self._folder.commit_capture(pose.index, attempt, kind.ending, self._clock.monotonic)
         self._log.write(
             Event.CAPTURE_STORED,
             capture=capture.name,

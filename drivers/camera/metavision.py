@@ -306,7 +306,7 @@ class MetavisionEvk4:
     def _scan(self, path: Path) -> RecordingStatistics:
         """Read the new file once. Raises RecordingFailed."""
         try:
-            return RawFile.open(path).scan()
+            return RawFile.open(path).scan(self._clock.monotonic)
         except RecordingFileError as error:
             check_space(path)
             raise RecordingFailed(error.what, where=error.where, remedy="Record it again.") from error

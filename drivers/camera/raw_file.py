@@ -7,7 +7,7 @@ words raise ``RecordingCorrupt`` with their byte offset in the file.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -263,8 +263,13 @@ class RawFile:
             decoder.count(words, image)
         return image
 
-    def scan(self) -> RecordingStatistics:
+    def scan(self, goes_on: Callable[[], object] = lambda: None) -> RecordingStatistics:
         """Read all words once and sum them up.
+
+        Parameters
+        ----------
+        goes_on
+            Called after each piece, so that a supervisor sees a long scan go on (`drivers.clock.Clock.monotonic`).
 
         Returns
         -------
@@ -279,6 +284,7 @@ class RawFile:
         decoder = self._decoder()
         for words in self.words():
             decoder.tally(words)
+            goes_on()
         return RecordingStatistics(**vars(decoder.statistics()), bytes=self._size(), truncated=self.truncated)
 
     def _size(self) -> int:

@@ -1,8 +1,9 @@
 """How soon the supervisor of a batch notices a process that hangs, beside so many processes that compute without pause.
 
-    python tests/benchmarks/bench_hangs.py [--beside 1 5 15 44] [--kinds blocks stopped computes keeps-gil healthy]
+    python tests/benchmarks/bench_hangs.py [--beside 1 5 15 44] [--kinds blocks stopped computes keeps-gil healthy busy]
 
-The process is a real worker: journal, heartbeat, command inbox. A healthy one works for 15 s; it must not be ended.
+The process is a real worker: journal, heartbeat, command inbox. A healthy one works for 15 s; it must not be ended. A
+busy one is healthy as well: it computes all the time, in pieces ten times as long as the longest one of a real run.
 Prints seconds from the hang until it was noticed, and the load of the computer. Nothing computes for more than 60 s.
 """
 
@@ -49,8 +50,8 @@ with RunFolder.create(Path(sys.argv[1])) as folder:
                 re.match("(a+)+$", "a" * 60 + "b")
             end_s = clock.monotonic() + 15.0
             while clock.monotonic() < end_s:
-                clock.sleep(0.05)
-                busy_s = time.thread_time() + 0.03
+                clock.sleep(0.0 if kind == "busy" else 0.05)
+                busy_s = time.thread_time() + (0.1 if kind == "busy" else 0.03)
                 while time.thread_time() < busy_s: pass
 """
 
@@ -88,7 +89,7 @@ def main() -> None:
     parser = argparse.ArgumentParser()
     parser.add_argument("--beside", type=int, nargs="+", default=[1, 5, 15, 44])
     parser.add_argument(
-        "--kinds", nargs="+", default=["blocks", "stopped", "computes", "keeps-gil", "healthy"]
+        "--kinds", nargs="+", default=["blocks", "stopped", "computes", "keeps-gil", "healthy", "busy"]
     )
     parser.add_argument("--times", type=int, default=1)
     given = parser.parse_args()

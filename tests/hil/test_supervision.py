@@ -131,14 +131,25 @@ with RunFolder.create(Path(sys.argv[1])) as folder:
             heartbeat.entering("recording")
             clock.sleep(1.5)
             journal.append(Event.DEVIATION, what="hangs now")
-            os.read(os.pipe()[0], 1)  # a driver that never returns, while all threads go on
+            exec(sys.argv[2])
 """
+BLOCKS = "os.read(os.pipe()[0], 1)"
+"""A driver that never returns, while all threads go on."""
 
 
-def test_a_driver_that_never_returns_is_noticed_within_five_seconds(tmp_path):
+@pytest.mark.parametrize(
+    "hang",
+    [
+        BLOCKS,
+        pytest.param("while True: pass", marks=pytest.mark.slow),
+        pytest.param("import re; re.match('(a+)+$', 'a' * 60 + 'b')", marks=pytest.mark.slow),
+    ],
+    ids=["blocks", "computes", "keeps the interpreter's lock"],
+)
+def test_a_driver_that_never_returns_is_noticed_within_five_seconds(tmp_path, hang):
     folder = tmp_path / "run"
     end = supervise(
-        [sys.executable, "-c", WORKER, str(folder)], folder, tmp_path / "log", BenchClock(), print
+        [sys.executable, "-c", WORKER, str(folder), hang], folder, tmp_path / "log", BenchClock(), print
     )
     assert end.how == "hung", (tmp_path / "log").read_text()
     assert SILENCE_S < end.noticed_s < 5.0
@@ -147,7 +158,7 @@ def test_a_driver_that_never_returns_is_noticed_within_five_seconds(tmp_path):
 
 def test_a_driver_that_never_returns_is_noticed_though_its_supervisor_was_killed(tmp_path):
     folder = tmp_path / "run"
-    with subprocess.Popen([sys.executable, "-c", WORKER, str(folder)]) as worker:
+    with subprocess.Popen([sys.executable, "-c", WORKER, str(folder), BLOCKS]) as worker:
         while not any(line["event"] == "deviation" for line in journal(folder)):
             time.sleep(0.01)
             assert worker.poll() is None
@@ -161,7 +172,7 @@ def test_a_driver_that_never_returns_is_noticed_though_its_supervisor_was_killed
 
 def test_a_stop_asked_of_the_next_supervisor_reaches_the_worker_it_found(tmp_path):
     folder, clock = tmp_path / "run", BenchClock()
-    with subprocess.Popen([sys.executable, "-c", WORKER, str(folder)]) as worker:
+    with subprocess.Popen([sys.executable, "-c", WORKER, str(folder), BLOCKS]) as worker:
         while not (folder / "control" / ".heartbeat").exists():
             time.sleep(0.01)
             assert worker.poll() is None

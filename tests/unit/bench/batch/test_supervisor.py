@@ -6,8 +6,9 @@ import pytest
 
 from bench.base.clock import BenchClock, VirtualClock
 from bench.base.linux_process import processor_times_s, thread_is_ready, waits_for_disk
+from bench.batch.endless_computing import EndlessComputing
 from bench.batch.starvation import Starvation
-from bench.batch.supervisor import OUT_OF_MEMORY, QUIET_S, SILENCE_S, _watch, supervise
+from bench.batch.supervisor import OUT_OF_MEMORY, QUIET_S, SILENCE_S, Silence, _watch, supervise
 from bench.run.heartbeat import Heartbeat
 
 
@@ -116,6 +117,80 @@ def test_a_worker_that_waits_for_a_processor_only_does_not_hang(
     assert end.outside is silence.is_starved is (noticed_s > 30)
     assert ("too busy" in end.why) is end.outside
     assert ("gave no sign of life" in end.why) is not end.outside
+
+
+@pytest.mark.parametrize(
+    ("computed", "moves", "noticed_s"),
+    [
+        (1.0, True, 3.6),  # computes without end on an idle computer
+        (0.13, True, 3.6),  # the same beside 15 processes on two cores
+        (0.04, True, 10.4),  # the same beside 44
+        (0.003, True, 30.4),  # it gets no processor
+        (1.0, False, 30.4),  # it uses its clock: only the signs of life do not come
+    ],
+)
+def test_a_driver_that_computes_without_end_is_known_by_its_processor_time(
+    tmp_path, monkeypatch, computed, moves, noticed_s
+):
+    clock = VirtualClock(datetime(2026, 3, 1, tzinfo=UTC))
+    kernel = Kernel(clock, computed, 1.0)
+    monkeypatch.setattr(
+        "bench.batch.supervisor.Starvation", lambda: Starvation(kernel.times_s, kernel.is_ready)
+    )
+    monkeypatch.setattr(
+        "bench.batch.supervisor.EndlessComputing",
+        lambda: EndlessComputing(kernel.times_s, lambda *_: 1.0 if moves else clock.monotonic()),
+    )
+    monkeypatch.setattr("bench.batch.supervisor.waits_for_disk", lambda _pid: False)
+    signs = [Heartbeat(1, 1, 0, 1)]
+    monkeypatch.setattr("bench.batch.supervisor.read_heartbeat", lambda _folder: signs[-1])
+
+    class Silent:
+        def gone(self):
+            signs.append(Heartbeat(7, 1, 1, 8, 9))
+            return False
+
+    _watch(Silent(), tmp_path, clock)
+    assert clock.monotonic() == pytest.approx(noticed_s, abs=0.5)
+
+
+def test_the_end_of_a_driver_that_computes_without_end_says_so():
+    end = Silence(3.6, computed_s=0.5).end()
+    assert (end.how, end.why, end.outside) == ("hung", "computed without progress for 3.6 s", False)
+
+
+def test_a_pause_of_the_whole_computer_is_no_endless_computing():
+    times = iter([(1.0, 0.0), (9.0, 0.0), (9.001, 0.0)])
+    computing = EndlessComputing(lambda *_: next(times), lambda *_: 1.0)
+    for now_s in (0.0, 8.0, 8.2):
+        computing.look(7, 9, now_s)
+        assert not computing.is_endless(3.5)
+
+
+@pytest.mark.parametrize("told", [(None, (1.0, 0.0)), (1.0, None)])
+def test_computing_is_not_judged_where_nothing_can_be_read(told):
+    computing = EndlessComputing(lambda *_: told[1], lambda *_: told[0])
+    for look in range(100):
+        computing.look(7, 9, 0.2 * look)
+    assert not computing.is_endless(3.5)
+
+
+def test_a_thread_that_waits_for_the_disk_begins_the_count_anew(tmp_path, monkeypatch):
+    clock = VirtualClock(datetime(2026, 3, 1, tzinfo=UTC))
+    signs = [Heartbeat(1, 1, 0, 1)]
+    monkeypatch.setattr("bench.batch.supervisor.read_heartbeat", lambda _folder: signs[-1])
+    monkeypatch.setattr("bench.batch.supervisor.waits_for_disk", lambda _pid: clock.monotonic() % 3.0 < 0.2)
+    monkeypatch.setattr(
+        "bench.batch.supervisor.EndlessComputing",
+        lambda: EndlessComputing(lambda *_: (clock.monotonic(), 0.0), lambda *_: 1.0),
+    )
+
+    class Alive:
+        def gone(self):
+            signs.append(Heartbeat(7, 1, int(1e9 * clock.monotonic()), 8, 9))
+            return clock.monotonic() > 60.0
+
+    assert _watch(Alive(), tmp_path, clock) == Silence()
 
 
 def test_a_wait_is_counted_once(tmp_path):

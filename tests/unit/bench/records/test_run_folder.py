@@ -16,6 +16,7 @@ from bench.records.captures import CAPTURE_STORED, capture_name, stored_captures
 from bench.records.journal import Journal
 from bench.records.recovery import recover
 from bench.records.run_folder import RunFolder
+from bench.records.storage import HASH_CHUNK_BYTES
 
 HOLD = "import sys; from pathlib import Path; from bench.records.run_folder import RunFolder; RunFolder.open(Path(sys.argv[1]))"
 
@@ -349,3 +350,10 @@ def test_the_reserve_s_size_counts_as_needed(tmp_path, monkeypatch):
     monkeypatch.setattr(run_folder_module, "_RESERVE_BYTES", 10**15)
     with pytest.raises(StorageError, match="Make room"):
         RunFolder.create(tmp_path / "run")
+
+
+def test_work_is_seen_to_go_on_while_a_long_recording_is_hashed(run):
+    pieces = []
+    run.capture_part_path(1, 1).write_bytes(bytes(3 * HASH_CHUNK_BYTES + 1))
+    run.commit_capture(1, 1, goes_on=lambda: pieces.append(1))
+    assert len(pieces) == 4

@@ -10,16 +10,19 @@ import pytest
 
 from bench.base.clock import BenchClock
 from bench.base.linux_process import start_ticks, thread_waits_for_disk
+from bench.base.work_moment import NOT_SHARED, read_work_moment
 from bench.run import heartbeat
 from bench.run.heartbeat import (
     CONTROL,
     HEARTBEAT,
+    SLOW_STATES,
     SUPERVISOR,
     Heartbeat,
     HeartbeatWriter,
     open_process,
     read_heartbeat,
 )
+from bench.run.machine import STATES
 
 
 class StandingClock(BenchClock):
@@ -58,7 +61,7 @@ def test_no_heartbeat_is_written_for_a_driver_that_never_returns(pulse, tmp_path
     assert not moments(pulse, tmp_path)
 
 
-@pytest.mark.parametrize("state", ["checking", "solving", "reporting", "preflight", "holding"])
+@pytest.mark.parametrize("state", ["checking", "choosing", "solving", "reporting", "preflight", "holding"])
 def test_work_in_a_slow_state_may_take_long_but_not_for_ever(pulse, tmp_path, state):
     pulse._state, pulse._clock.quiet = state, 500.0
     assert moments(pulse, tmp_path)
@@ -145,11 +148,73 @@ def test_a_shielded_wait_reads_the_time_and_counts_as_activity():
     assert clock.inactive_s() < 100.0
 
 
-@pytest.mark.parametrize("text", [b"", b"1 2", b"1 2 3", b"1 2 x 4", b"1 2 3 4 5", b"\xff\xfe"])
+@pytest.mark.parametrize("text", [b"", b"1 2", b"1 2 3", b"1 2 x 4", b"1 2 3 4 5 6", b"\xff\xfe"])
 def test_a_truncated_heartbeat_is_none(tmp_path, text):
     (tmp_path / CONTROL).mkdir()
     (tmp_path / CONTROL / HEARTBEAT).write_bytes(text)
     assert read_heartbeat(tmp_path) is None
+
+
+def test_the_heartbeat_of_an_earlier_version_is_read(tmp_path):
+    (tmp_path / CONTROL).mkdir()
+    (tmp_path / CONTROL / HEARTBEAT).write_bytes(b"1 2 3 4")
+    assert read_heartbeat(tmp_path) == Heartbeat(1, 2, 3, 4, NOT_SHARED)
+
+
+def test_each_use_of_the_clock_can_be_read_by_another_process(tmp_path):
+    (tmp_path / CONTROL).mkdir()
+    clock = BenchClock()
+    pulse = HeartbeatWriter(tmp_path, clock)
+    pulse.entering("recording")
+    pulse.beat()
+    sign = read_heartbeat(tmp_path)
+    read = (
+        f"import sys; from bench.base.work_moment import *; print(read_work_moment({sign.pid}, {sign.work}))"
+    )
+    told = subprocess.run([sys.executable, "-c", read], capture_output=True, text=True, check=True).stdout
+    assert float(told) == read_work_moment(sign.pid, sign.work)
+    for use in (clock.monotonic, clock.check, lambda: clock.sleep(0.0)):
+        before = read_work_moment(sign.pid, sign.work)
+        use()
+        assert read_work_moment(sign.pid, sign.work) > before
+    pulse.entering("checking")
+    assert read_work_moment(sign.pid, sign.work) is None
+
+
+def test_a_number_that_stands_for_another_file_by_now_is_not_read():
+    readable, writable = os.pipe()
+    os.write(writable, bytes(16))
+    assert read_work_moment(os.getpid(), readable) is None
+    assert len(os.read(readable, 99)) == 16
+    os.close(readable)
+    os.close(writable)
+    assert read_work_moment(os.getpid(), readable) is None
+
+
+def test_a_system_without_files_in_memory_shares_nothing(tmp_path, monkeypatch):
+    monkeypatch.delattr(os, "memfd_create")
+    (tmp_path / CONTROL).mkdir()
+    pulse = HeartbeatWriter(tmp_path, BenchClock())
+    pulse.entering("recording")
+    pulse.beat()
+    assert read_heartbeat(tmp_path).work == NOT_SHARED
+    assert read_work_moment(os.getpid(), NOT_SHARED) is None
+
+
+def test_states_that_compute_for_long_are_slow_states():
+    """A new state must be put on one side: work with devices uses its clock, or it computes."""
+    with_devices = {
+        "homing",
+        "lighting",
+        "slewing",
+        "settling",
+        "recording",
+        "backing_off",
+        "waiting",
+        "parking",
+    }
+    ends = {"aborting", "aborted", "failed"}
+    assert set(STATES) - SLOW_STATES == with_devices | ends
 
 
 def test_only_the_process_that_wrote_the_heartbeat_is_opened():
