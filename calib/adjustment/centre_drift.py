@@ -23,6 +23,8 @@ BIASING_DRIFT = 2e-4
 #: Prior 1-sigma of a centre, as a share of r: wide enough for any real movement, and it limits that of noisy views.
 _DRIFT_SIGMA = 1e-2
 _ROUNDS = 2
+#: The movement is shown to hundredths of a per cent of r; this tolerance leaves it right to a hundredth of itself.
+_TOLERANCE = 1e-6
 
 
 def centre_drift(bundle: Bundle, parameters: AdjustmentParameters, loss: Loss) -> Array:
@@ -50,5 +52,5 @@ def centre_drift(bundle: Bundle, parameters: AdjustmentParameters, loss: Loss) -
     for _ in range(_ROUNDS):
         spread = float((freed.weighted_residuals(parameters) ** 2).mean())
         freed = replace(freed, noise_variance=spread)
-        parameters = refine(freed, parameters, loss, tolerance=1e-8).parameters
+        parameters = refine(freed, parameters, loss, tolerance=_TOLERANCE).parameters
     return np.asarray(np.sqrt((parameters.offsets**2).mean(axis=0)) / r)

@@ -31,6 +31,8 @@ _NARROW_DEG = 5.0
 def require_distinct_poses(parameters: AdjustmentParameters) -> None:
     """Refuse views that all show the same pose: only noise would determine the focal length.
 
+    The chord between two rotations turned by an angle t is |R - S| = sqrt(8) sin(t / 2), in the Frobenius norm.
+
     Parameters
     ----------
     parameters
@@ -41,7 +43,9 @@ def require_distinct_poses(parameters: AdjustmentParameters) -> None:
     DegenerateViews
         If no view is rotated from the first one by at least half a degree.
     """
-    if np.linalg.norm(relative_rotations_deg(parameters.rotations), axis=1).max(initial=0.0) < _SAME_POSE_DEG:
+    away = (parameters.rotations - parameters.rotations[0]).reshape(-1, 9)
+    chord = np.sqrt(8.0) * np.sin(np.deg2rad(_SAME_POSE_DEG) / 2.0)
+    if np.linalg.norm(away, axis=1).max() < chord:
         raise DegenerateViews(
             f"All {len(parameters.rotations)} views show the same pose.",
             remedy="Turn the camera by some degrees between views.",

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from typing import Any
 
-import numpy as np
 from numba import njit
 
 from calib.adjustment.star_kernels import LENS_AT
@@ -33,7 +32,7 @@ def add_pinhole(
     first, count
         The first of these stars in ``gradient``, and their number.
     normal, right
-        (4, 4) and (4,) or longer, float64 sums to add to.
+        (4, 4) and (4,) or longer, float64 sums to add to; of ``normal`` the lower half.
     """
     end = first + count
     xx, xy, yy = curvature[0, first:end], curvature[1, first:end], curvature[2, first:end]
@@ -48,7 +47,14 @@ def add_pinhole(
         f += v[k] * xy[k]
         g += v[k] * yy[k]
         h += xx[k]
-    sums = np.array([[a, b, d, e], [b, c, f, g], [d, f, h, 0.0], [e, g, 0.0, 0.0]])
+    normal[0, 0] += a
+    normal[1, 0] += b
+    normal[1, 1] += c
+    normal[2, 0] += d
+    normal[2, 1] += f
+    normal[2, 2] += h
+    normal[3, 0] += e
+    normal[3, 1] += g
     a, b, c, d, e, f = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     for k in range(count):
         a += xy[k]
@@ -57,9 +63,12 @@ def add_pinhole(
         d += v[k] * gy[k]
         e += gx[k]
         f += gy[k]
-    sums[2, 3], sums[3, 2], sums[3, 3] = a, a, b
-    normal += sums
-    right[:4] += np.array([c, d, e, f])
+    normal[3, 2] += a
+    normal[3, 3] += b
+    right[0] += c
+    right[1] += d
+    right[2] += e
+    right[3] += f
 
 
 @njit(cache=True, error_model="numpy", fastmath=_REORDERED)
@@ -163,7 +172,7 @@ def gather(
         right[g] = scores[places[g]]
         for h in range(len(places)):
             if 0 <= places[h] < LENS_AT:
-                normal[g, h] = pinhole[places[g], places[h]]
+                normal[g, h] = pinhole[max(places[g], places[h]), min(places[g], places[h])]
         for d in range(len(dense)):
             normal[g, dense[d]] = normal[dense[d], g] = by_pinhole[d, places[g]]
     for d in range(len(dense)):

@@ -197,8 +197,10 @@ def _lattice_pitch(views: Sequence[View]) -> float | None:
     if min(len(view) for view in views) < 4:
         return None
     x, y = np.concatenate([view.target_mm for view in views]).T
-    found = np.unique(x + 1j * y)
-    pitch = local_spacing(np.column_stack([found.real, found.imag]))
+    order = np.lexsort((y, x))
+    x, y = x[order], y[order]
+    other = np.concatenate([[True], (x[1:] != x[:-1]) | (y[1:] != y[:-1])])
+    pitch = local_spacing(np.column_stack([x, y])[other])
     for view in views:
         steps = (view.target_mm - views[0].target_mm[0]) / pitch
         if not np.abs(steps - np.round(steps)).max() < _ON_LATTICE:

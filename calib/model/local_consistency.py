@@ -106,7 +106,12 @@ def nearest_stars(target: Array) -> Nearest:
     Nearest
         The neighbours on the target.
     """
-    shape = (len(target), min(_NEIGHBOURS, len(target) - 1))
+    return _nearest(target, _NEIGHBOURS)
+
+
+def _nearest(target: Array, most: int) -> Nearest:
+    """Return at most so many neighbours of each star."""
+    shape = (len(target), min(most, len(target) - 1))
     which, distance = np.empty(shape, np.int64), np.empty(shape)
     target = np.ascontiguousarray(target, np.float64)
     neighbour_kernels.nearest(target, np.argsort(target[:, 0], kind="stable"), which, distance)
@@ -222,7 +227,7 @@ def local_spacing(target: Array) -> float:
     float
         Median distance, in the unit of the positions.
     """
-    return nearest_stars(target).spacing
+    return _nearest(target, 1).spacing
 
 
 def _plain_deviations(nearest: Nearest, off: Array, terms: int) -> Array:
