@@ -60,7 +60,7 @@ class Outline:
         points, at_edge = np.roll(self.points, -first, axis=0), np.roll(self.at_edge, -first)
         points, at_edge = np.vstack([points, points[:1]]), np.append(at_edge, at_edge[0])
         ends = np.flatnonzero(at_edge)
-        return [points[a : b + 1] for a, b in pairwise(ends.tolist()) if b > a + 1]
+        return [points[a + 1 : b] for a, b in pairwise(ends.tolist()) if b > a + 2]
 
 
 def outlines(x: Array, y: Array, values: Array, level: float) -> list[Outline]:

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from bench.report.drawing import MUTED, PANEL, POSE_COLOURS
+from bench.report.drawing import INK, MUTED, PANEL, POSE_COLOURS
 from bench.report.plot_frame import axes_in
 from bench.report.scales import Scale, text_width
 from bench.report.svg_plot import Axes, Picture, Words
@@ -64,16 +64,12 @@ def distortion_curve(camera: CameraModel, covariance: Array, k: float, outermost
     low, high = min(0.0, float(lower.min())), max(0.0, float(upper.max()))
     room = max(high - low, 1e-6)
     # Above the curve, the names of the edges have a row of their own.
-    axes = axes_in(picture, Scale(0.0, 1.02 * last), Scale(low - 0.05 * room, high + 0.16 * room), words)
+    axes = axes_in(picture, Scale(0.0, 1.02 * last), Scale(low - 0.05 * room, high + 0.22 * room), words)
     axes.level(0.0, MUTED, 0.7)
     band = np.vstack([np.column_stack([angles, upper]), np.column_stack([angles, lower])[::-1]])
     axes.shapes([band], POSE_COLOURS[0], 0.2)
     axes.line(np.column_stack([angles, shown]), POSE_COLOURS[0], 1.5)
-    _mark_edges(axes, edges)
-    if outermost_deg is not None:
-        axes.upright(outermost_deg, POSE_COLOURS[1], 1.0, "1 1.6")
-        at = (outermost_deg, axes.y.low)
-        axes.text(at, "outermost star", by=(-3.0, -4.0), colour=POSE_COLOURS[1], anchor="end")
+    _mark_angles(axes, edges, outermost_deg)
     return picture.svg()
 
 
@@ -165,16 +161,19 @@ def _radial(values: Mapping[str, float], angles_deg: Array) -> Array:
     return np.asarray(camera.project(rays)[:, 0] - focal * ideal)
 
 
-def _mark_edges(axes: Axes, edges: Mapping[str, float]) -> None:
-    """Mark the field angles of the sensor's edges, with their names in rows at the top where they do not collide."""
+def _mark_angles(axes: Axes, edges: Mapping[str, float], outermost: float | None) -> None:
+    """Mark the sensor's edges and the outermost star, with their names in rows at the top so that none collide."""
+    marks = [(angle, name, MUTED, INK) for name, angle in edges.items()]
+    if outermost is not None:
+        marks.append((outermost, "outermost star", POSE_COLOURS[1], POSE_COLOURS[1]))
     reached: list[float] = []
-    for name, angle in sorted(edges.items(), key=lambda edge: edge[1]):
-        axes.upright(angle, MUTED, 0.6, "3 2")
+    for angle, name, line, ink in sorted(marks):
+        axes.upright(angle, line, 0.8, "3 2" if line == MUTED else "1 1.6")
         right = float(axes.at([(angle, axes.y.high)])[0, 0]) - 3.0
         left = right - text_width(name, 8.0)
         row = next((n for n, end in enumerate(reached) if end + 5.0 < left), len(reached))
         reached[row:] = [right, *reached[row + 1 :]]
-        axes.text((angle, axes.y.high), name, by=(-3.0, 8.0 + 9.0 * row), anchor="end")
+        axes.text((angle, axes.y.high), name, by=(-3.0, 8.0 + 9.0 * row), colour=ink, anchor="end")
 
 
 def outermost_deg(camera: CameraModel, points: Sequence[Array]) -> float | None:

@@ -58,8 +58,11 @@ def axes_in(
     above = _heading(picture, words, left, top, width)
     below = (_LINE_HEIGHT if words.x else 0.0) + FONT + _TICK + 4.0
     room = height - above - below
-    labels = [label for _, label in y.chosen_ticks(_most_rows(room))]
-    beside = 4.0 + _TICK + (_LINE_HEIGHT if words.y else 0.0) + _widest(labels)
+    beside = _room_beside(y, room, words)
+    if equal == "extend":  # longer numbers may need more room, which a second step gives
+        beside = max(
+            beside, _room_beside(_same_unit(x, y, width - beside, room, extend=True)[1], room, words)
+        )
     across = width - beside - _RIGHT
     if equal:
         x, y, across, room = _same_unit(x, y, across, room, extend=equal == "extend")
@@ -148,6 +151,12 @@ def _sign(picture: Picture, key: Key, x: float, y: float) -> None:
         picture.add(
             f'<path d="M{x:g} {y:g}h{_SIGN_LENGTH:g}" {painted("stroke", key.colour)} stroke-width="2"{dash}/>'
         )
+
+
+def _room_beside(y: Scale, height: float, words: Words) -> float:
+    """Return the room that the labels of the y axis need."""
+    labels = [label for _, label in y.chosen_ticks(_most_rows(height))]
+    return 4.0 + _TICK + (_LINE_HEIGHT if words.y else 0.0) + _widest(labels)
 
 
 def _most_rows(height: float) -> int:

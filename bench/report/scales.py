@@ -51,7 +51,7 @@ class Scale:
         Returns
         -------
         Array
-            0 at ``low``, 1 at ``high``.
+            Of the shape of ``values``: 0 at ``low``, 1 at ``high``.
         """
         low, high = (float(self._spread(np.asarray(end, float))) for end in (self.low, self.high))
         return np.asarray((self._spread(np.asarray(values, float)) - low) / (high - low))
