@@ -9,13 +9,14 @@ from typing import Any
 
 import numpy as np
 
-from bench.report.drawing import INK, MUTED, POSE_COLOURS, WIDE
+from bench.report.drawing import INK, MUTED, POSE_COLOURS
 from bench.report.plot_frame import axes_in
 from bench.report.scales import Scale, plain
 from bench.report.svg_plot import Axes, Key, Picture, Words
 
 Row = Mapping[str, Any]
 
+_WIDTH = 760.0
 _ROW_HEIGHT = 19.5
 _MARGIN = 46.0
 _JITTER = 0.26
@@ -118,7 +119,7 @@ def images_plot(columns: Sequence[Mapping[str, Any]]) -> str:
     ]
     label = "Error of direction by the number of images, both on logarithmic scales"
     parts = (f"{name}: {points[0][1]:.3g} to {points[-1][1]:.3g} µrad" for name, points in series.items())
-    picture = Picture(WIDE, _LINES_HEIGHT + 13.0 * len(series) / 2, "images", label, "; ".join(parts) + ".")
+    picture = Picture(_WIDTH, _LINES_HEIGHT + 13.0 * len(series) / 2, "images", label, "; ".join(parts) + ".")
     low, high = _longer(counts[0], counts[-1])
     across = Scale(low, high, "log", ticks=[(count, plain(count)) for count in counts])
     low, high = _longer(min(every), max(every))
@@ -175,7 +176,7 @@ def _dots(
     across = _log_scale(smallest, largest) if logarithmic else _two_sided_scale(values, bands or [])
     counts = (f"{name}: {len(some)}" for name, some in zip(columns, values, strict=True))
     about = f"Repetitions: {', '.join(counts)}."
-    picture = Picture(WIDE, _ROW_HEIGHT * len(columns) + _MARGIN, identifier, label, about)
+    picture = Picture(_WIDTH, _ROW_HEIGHT * len(columns) + _MARGIN, identifier, label, about)
     axes = axes_in(picture, across, Scale(len(columns) - 0.4, -0.6, ticks=rows), Words((), axis), grid="x")
     if not logarithmic:
         axes.upright(0.0, MUTED)

@@ -10,7 +10,7 @@ PANEL = (281.0, 191.0)
 """Width and height of one of several plots beside each other, points."""
 WIDE = 605.0
 """Width of a plot alone, points."""
-_PALE, _DEEP = (244, 248, 252), (74, 144, 196)
+_PALE, _DEEP = (244, 248, 252), (106, 172, 214)
 
 
 def shade(share: float) -> str:

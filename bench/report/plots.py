@@ -276,7 +276,7 @@ def _region_map(axes: Axes, points: Array, squares: Array, image_size: tuple[int
     for i, j in np.ndindex(columns, rows):
         inside = squares[(column == i) & (row == j)]
         rms = float(np.sqrt(inside.mean())) if len(inside) else 0.0
-        colour = shade(0.43 * rms / max(whole, 1e-12)) if len(inside) else "#ffffff"
+        colour = shade(0.55 * rms / max(whole, 1e-12)) if len(inside) else "#ffffff"
         cell = _whole((width, height)) + np.array([i * width, j * height])
         axes.shapes([cell], colour, edge="#ffffff")
         words = (f"{rms:.3f}", f"{len(inside)}") if len(inside) else ("none",)
