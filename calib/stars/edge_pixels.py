@@ -28,27 +28,28 @@ EDGE_UNKNOWNS = 5
 
 
 class EdgePixels(NamedTuple):
-    """All pixels near an edge of N stars, one star after the other: star k has those from first[k] to first[k + 1].
+    """All pixels near an edge of N stars with E edges each: star by star, and in each star edge by edge.
 
     Attributes
     ----------
     first
-        (N + 1,) int64, number of the first pixel of each star.
+        (N E + 1,) int64: edge e of star k has the pixels from first[k E + e] to first[k E + e + 1].
     tau
         (M,) float32, px, signed distance from the nearest edge, computed from the first centres.
-    slope
-        (M, 5) float32, derivatives of tau with respect to the unknowns of the star: dimensionless for centre and
-        threshold, pitches for the slopes.
-    edge
-        (M,) uint8, number of the nearest edge.
+    along_x, along_y
+        (M,) float32, dimensionless, derivatives of tau with respect to the centre of the star.
+    u, v
+        (M,) float32, pitches, place in the star: derivatives of tau with respect to the slope of the threshold.
     level
         (M,) uint8, level of brightness.
     """
 
     first: NDArray[np.int64]
     tau: NDArray[np.float32]
-    slope: NDArray[np.float32]
-    edge: NDArray[np.uint8]
+    along_x: NDArray[np.float32]
+    along_y: NDArray[np.float32]
+    u: NDArray[np.float32]
+    v: NDArray[np.float32]
     level: NDArray[np.uint8]
 
 
@@ -175,22 +176,22 @@ def gather_edge_pixels(
     sides = 2.0 * SYMMETRY_REACH * np.abs(linear).sum(axis=(1, 2))
     room = np.abs(np.linalg.det(linear)) * (2.0 * SYMMETRY_REACH) ** 2 + 2.0 * sides + 16.0
     m = int(room.sum())
+    edges = int(edge_map.edge.max()) + 1
     found = EdgePixels(
-        np.zeros(len(centres) + 1, np.int64),
-        np.empty(m, np.float32),
-        np.empty((m, EDGE_UNKNOWNS), np.float32),
-        np.empty(m, np.uint8),
+        np.zeros(len(centres) * edges + 1, np.int64),
+        *np.empty((5, m), np.float32),
         np.empty(m, np.uint8),
     )
     reach = SYMMETRY_REACH * np.abs(linear).sum(axis=2)
     strip = edge_map.limit_px * OVERSAMPLING / edge_map.samples_per_pitch
     none = np.zeros((len(centres), 2), np.bool_)
     used_to = cell_reach(none if is_open is None else is_open, SYMMETRY_REACH, strip)
-    _gather(levels, centres, np.linalg.inv(linear), local_map.quadratic, edge_map, (reach, used_to), found)
+    most = int(room.max(initial=0.0)) + 1
+    spaces = np.empty((5, most), np.float32), np.empty((2, most), np.uint8)
+    inverse = np.linalg.inv(linear)
+    _gather(levels, centres, inverse, local_map.quadratic, edge_map, edges, (reach, used_to), spaces, found)
     used = int(found.first[-1])
-    return EdgePixels(
-        found.first, found.tau[:used], found.slope[:used], found.edge[:used], found.level[:used]
-    )
+    return EdgePixels(found.first, *(part[:used] for part in found[1:]))
 
 
 @njit(cache=True, error_model="numpy")
@@ -200,66 +201,110 @@ def _gather(
     inverse: Any,
     quadratic: Any,
     edge_map: EdgeMap,
+    edges: int,
     reaches: Any,
+    spaces: Any,
     found: EdgePixels,
 ) -> None:
     """Interpolate tau and its derivatives at each pixel of each star's cell, and store those near an edge.
 
     ``inverse`` is (N, 2, 2), pitches per px. ``reaches`` are half the sides of the cells' bounding boxes, (N, 2), px,
-    and of the part of each cell that is used, (N, 2), pitches. The interpolation is bilinear (Abramowitz and Stegun,
-    1972, section 25.2). Own derivatives: tau changes by -grad tau A^-1 with the centre, by 1 with the threshold, and by
-    s with its slope.
+    and of the part of each cell that is used, (N, 2), pitches. ``spaces`` hold the pixels of one star, (5, K) float64
+    and (2, K) uint8, until they are sorted by their edges. The interpolation is bilinear (Abramowitz and Stegun, 1972,
+    section 25.2). Own derivatives: tau changes by -grad tau A^-1 with the centre, by 1 with the threshold, and by s
+    with its slope.
     """
-    m = 0
-    scale = edge_map.samples_per_pitch
+    scale, half, limit = edge_map.samples_per_pitch, edge_map.half, edge_map.limit_px
+    taus, nearest = edge_map.tau, edge_map.edge
+    end = len(taus) - 1.000001
     reach, used_to = reaches
+    values, kinds = spaces
+    counts = np.empty(edges, np.int64)
     for k in range(len(centres)):
         x, y, to, bend = centres[k, 0], centres[k, 1], inverse[k], quadratic[k]
         low, high = int(max(0.0, y - reach[k, 1])), int(min(levels.shape[0] - 1.0, y + reach[k, 1] + 1.0))
         left, right = int(max(0.0, x - reach[k, 0])), int(min(levels.shape[1] - 1.0, x + reach[k, 0] + 1.0))
+        used_u, used_v = used_to[k]
+        # In variables of their own: the arrays could share memory with what is stored.
+        u_x, u_y, v_x, v_y = to[0, 0], to[0, 1], to[1, 0], to[1, 1]
+        x_uu, x_uv, x_vv, y_uu, y_uv, y_vv = (
+            bend[0, 0],
+            bend[0, 1],
+            bend[0, 2],
+            bend[1, 0],
+            bend[1, 1],
+            bend[1, 2],
+        )
+        counts[:] = 0
+        n = 0
         for r in range(low, high + 1):
-            for c in range(left, right + 1):
+            first, last = _columns(r - y, to, bend, used_to[k], left - x, right - x)
+            for c in range(int(np.floor(x + first)), min(int(np.ceil(x + last)), right) + 1):
+                if c < left:
+                    continue
                 dx, dy = c - x, r - y
-                u, v = to[0, 0] * dx + to[0, 1] * dy, to[1, 0] * dx + to[1, 1] * dy
-                dx -= bend[0, 0] * u * u + bend[0, 1] * u * v + bend[0, 2] * v * v
-                dy -= bend[1, 0] * u * u + bend[1, 1] * u * v + bend[1, 2] * v * v
-                u, v = to[0, 0] * dx + to[0, 1] * dy, to[1, 0] * dx + to[1, 1] * dy
-                if abs(u) > used_to[k, 0] or abs(v) > used_to[k, 1]:
-                    continue
-                i, j = int(v * scale + edge_map.half), int(u * scale + edge_map.half)
-                a, b = u * scale + edge_map.half - j, v * scale + edge_map.half - i
-                nw, ne = edge_map.tau[i, j], edge_map.tau[i, j + 1]
-                sw, se = edge_map.tau[i + 1, j], edge_map.tau[i + 1, j + 1]
+                u, v = u_x * dx + u_y * dy, v_x * dx + v_y * dy
+                dx -= x_uu * u * u + x_uv * u * v + x_vv * v * v
+                dy -= y_uu * u * u + y_uv * u * v + y_vv * v * v
+                u, v = u_x * dx + u_y * dy, v_x * dx + v_y * dy
+                at_u, at_v = min(max(u * scale + half, 0.0), end), min(max(v * scale + half, 0.0), end)
+                i, j = np.uint64(np.int64(at_v)), np.uint64(np.int64(at_u))
+                a, b = at_u - j, at_v - i
+                nw, ne = taus[i, j], taus[i, j + np.uint64(1)]
+                sw, se = taus[i + np.uint64(1), j], taus[i + np.uint64(1), j + np.uint64(1)]
                 tau = (1.0 - b) * ((1.0 - a) * nw + a * ne) + b * ((1.0 - a) * sw + a * se)
-                if abs(tau) >= edge_map.limit_px:
-                    continue
                 along_u = ((1.0 - b) * (ne - nw) + b * (se - sw)) * scale
                 along_v = ((1.0 - a) * (sw - nw) + a * (se - ne)) * scale
-                found.tau[m], found.edge[m], found.level[m] = tau, edge_map.edge[i, j], levels[r, c]
-                found.slope[m, 0] = -(to[0, 0] * along_u + to[1, 0] * along_v)
-                found.slope[m, 1] = -(to[0, 1] * along_u + to[1, 1] * along_v)
-                found.slope[m, 2], found.slope[m, 3], found.slope[m, 4] = 1.0, u, v
-                m += 1
-        found.first[k + 1] = m
+                e = nearest[i, j]
+                values[0, n], values[3, n], values[4, n] = tau, u, v
+                values[1, n] = -(u_x * along_u + v_x * along_v)
+                values[2, n] = -(u_y * along_u + v_y * along_v)
+                kinds[0, n], kinds[1, n] = levels[np.uint64(r), np.uint64(c)], e
+                # Added as 0 or 1: a branch would be foreseen wrongly too often.
+                near = np.int64((abs(tau) < limit) & (abs(u) <= used_u) & (abs(v) <= used_v))
+                counts[e] += near
+                n += near
+        _store_by_edge(values, kinds, n, counts, k * edges, found)
 
 
-@njit(cache=True, error_model="numpy", fastmath={"contract"})
-def _tau_bin(pixels: EdgePixels, m: int, unknowns: Any, limit_px: float) -> float:
-    """Return the bin of tau of a pixel, with its fraction, for the current unknowns of its star.
+@njit(cache=True, error_model="numpy")
+def _columns(dy: float, to: Any, bend: Any, used_to: Any, left: float, right: float) -> tuple[float, float]:
+    """Return the first and the last place in a row, px from the centre, that may lie in a star's cell.
 
-    Own linearisation: tau + slope . unknowns.
+    ``dy`` is the distance of the row, px. Own rule: the linear map gives the borders, and the largest bend in the cell
+    is added to them.
     """
-    tau = pixels.tau[m]
-    for p in range(EDGE_UNKNOWNS):
-        tau += pixels.slope[m, p] * unknowns[p]
-    return (tau + limit_px) * _BINS_PER_PX
+    bend_x, bend_y = np.abs(bend[0]).sum(), np.abs(bend[1]).sum()
+    for k in range(2):
+        # A cell reaches half a pitch, and a little more where the map bends; its bend is at most a quarter of the sum.
+        limit = used_to[k] + abs(to[k, 0]) * bend_x + abs(to[k, 1]) * bend_y
+        if abs(to[k, 0]) > 1e-9:
+            one, other = (-limit - to[k, 1] * dy) / to[k, 0], (limit - to[k, 1] * dy) / to[k, 0]
+            left, right = max(left, min(one, other)), min(right, max(one, other))
+    return left, right
+
+
+@njit(cache=True, error_model="numpy")
+def _store_by_edge(values: Any, kinds: Any, n: int, counts: Any, group: int, found: EdgePixels) -> None:
+    """Store the first ``n`` pixels of a star, sorted by their edges: a counting sort (Knuth, 1998)."""
+    first, tau, along_x, along_y, u, v, level = found
+    at = first[group]
+    for e in range(len(counts)):
+        counts[e], at = at, at + counts[e]
+        first[group + e + 1] = at
+    for i in range(n):
+        e = np.uint64(kinds[1, i])
+        m = np.uint64(counts[e])
+        counts[e] += 1
+        tau[m], along_x[m], along_y[m] = values[0, i], values[1, i], values[2, i]
+        u[m], v[m], level[m] = values[3, i], values[4, i], kinds[0, i]
 
 
 @njit(cache=True, error_model="numpy", fastmath={"contract"})
 def count_levels(pixels: EdgePixels, unknowns: Any, limit_px: float) -> Any:
     """Count the levels of all pixels over tau. Each pixel is shared between the two nearest bins.
 
-    This is linear binning (Wand, 1994).
+    This is linear binning (Wand, 1994). Own linearisation of tau: tau + slope . unknowns.
 
     Parameters
     ----------
@@ -275,19 +320,23 @@ def count_levels(pixels: EdgePixels, unknowns: Any, limit_px: float) -> Any:
     array
         (LEVELS, bins) float64, numbers of pixels.
     """
+    first, taus, along_x, along_y, us, vs, levels = pixels
     bins = int(2.0 * limit_px / TAU_BIN_PX)
     counts = np.zeros((LEVELS, bins))
+    edges = (len(first) - 1) // max(len(unknowns), 1)
     for k in range(len(unknowns)):
-        for m in range(pixels.first[k], pixels.first[k + 1]):
-            at = _tau_bin(pixels, m, unknowns[k], limit_px)
+        x, y, shift, slope_u, slope_v = unknowns[k]
+        for m in range(first[k * edges], first[(k + 1) * edges]):
+            tau = taus[m] + along_x[m] * x + along_y[m] * y + shift + us[m] * slope_u + vs[m] * slope_v
+            at = (tau + limit_px) * _BINS_PER_PX
             if 0.0 <= at < bins - 1:
-                i = int(at)
-                counts[pixels.level[m], i] += 1.0 - (at - i)
-                counts[pixels.level[m], i + 1] += at - i
+                i = np.uint64(at)
+                counts[levels[m], i] += 1.0 - (at - i)
+                counts[levels[m], i + np.uint64(1)] += at - i
     return counts
 
 
-@njit(cache=True, error_model="numpy", fastmath={"contract"})
+@njit(cache=True, error_model="numpy")
 def edge_scores(
     pixels: EdgePixels, unknowns: Any, tables: ScoreTables, limit_px: float, edges: int
 ) -> tuple[Any, Any]:
@@ -317,42 +366,74 @@ def edge_scores(
     """
     n = len(unknowns)
     score, fisher = np.zeros((n, edges, EDGE_UNKNOWNS)), np.zeros((n, edges, EDGE_UNKNOWNS, EDGE_UNKNOWNS))
+    scores = tables.score.ravel()
     for k in range(n):
-        for m in range(pixels.first[k], pixels.first[k + 1]):
-            at = _tau_bin(pixels, m, unknowns[k], limit_px)
-            if not 0.0 <= at < tables.fisher.size - 1:
-                continue
-            i = int(at)
-            a, level, e = at - i, pixels.level[m], pixels.edge[m]
-            gradient = (1.0 - a) * tables.score[level, i] + a * tables.score[level, i + 1]
-            information = (1.0 - a) * tables.fisher[i] + a * tables.fisher[i + 1]
-            # Written out: the unknowns of a star are few, and the loop over them takes longer than the sums.
-            row, s, f = pixels.slope[m], score[k, e], fisher[k, e]
-            d0, d1, d2, d3, d4 = row[0], row[1], row[2], row[3], row[4]
-            s[0] += gradient * d0
-            s[1] += gradient * d1
-            s[2] += gradient * d2
-            s[3] += gradient * d3
-            s[4] += gradient * d4
-            w0, w1, w2 = information * d0, information * d1, information * d2
-            w3, w4 = information * d3, information * d4
-            f[0, 0] += w0 * d0
-            f[1, 0] += w1 * d0
-            f[1, 1] += w1 * d1
-            f[2, 0] += w2 * d0
-            f[2, 1] += w2 * d1
-            f[2, 2] += w2 * d2
-            f[3, 0] += w3 * d0
-            f[3, 1] += w3 * d1
-            f[3, 2] += w3 * d2
-            f[3, 3] += w3 * d3
-            f[4, 0] += w4 * d0
-            f[4, 1] += w4 * d1
-            f[4, 2] += w4 * d2
-            f[4, 3] += w4 * d3
-            f[4, 4] += w4 * d4
         for e in range(edges):
-            for p in range(EDGE_UNKNOWNS):
-                for q in range(p):
-                    fisher[k, e, q, p] = fisher[k, e, p, q]
+            group = k * edges + e
+            _add_edge(
+                pixels,
+                pixels.first[group],
+                pixels.first[group + 1],
+                unknowns[k],
+                scores,
+                tables.fisher,
+                limit_px,
+                score[k, e],
+                fisher[k, e],
+            )
     return score, fisher
+
+
+@njit(cache=True, error_model="numpy", fastmath={"reassoc", "contract", "nsz", "nnan", "ninf"})
+def _add_edge(
+    pixels: EdgePixels,
+    begin: int,
+    end: int,
+    unknowns: Any,
+    scores: Any,
+    fishers: Any,
+    limit_px: float,
+    score: Any,
+    fisher: Any,
+) -> None:
+    """Sum score, (5,), and Fisher information, (5, 5), over the pixels of one edge of one star.
+
+    ``scores`` are the rows of `ScoreTables.score`, one after the other. Fisher scoring: Osborne (1992). Every sum is a
+    variable of its own, and there is no branch and no store in the loop, so that it runs over several pixels at once.
+    """
+    _, taus, along_x, along_y, us, vs, levels = pixels
+    x, y, shift, slope_u, slope_v = unknowns[0], unknowns[1], unknowns[2], unknowns[3], unknowns[4]
+    s0 = s1 = s2 = s3 = s4 = f00 = f10 = f11 = f20 = f21 = f22 = 0.0
+    f30 = f31 = f32 = f33 = f40 = f41 = f42 = f43 = f44 = 0.0
+    bins = fishers.size
+    for m in range(begin, end):
+        d0, d1, u, v = along_x[m], along_y[m], us[m], vs[m]
+        at = (taus[m] + d0 * x + d1 * y + shift + u * slope_u + v * slope_v + limit_px) * _BINS_PER_PX
+        known = 1.0 if at >= 0.0 and at < bins - 1 else 0.0
+        at *= known
+        i = np.int32(at)
+        b, row = at - i, np.int32(levels[m]) * np.int32(bins) + i
+        a = (1.0 - b) * known
+        b *= known
+        gradient = a * scores[np.uint64(row)] + b * scores[np.uint64(row + 1)]
+        weight = a * fishers[np.uint64(i)] + b * fishers[np.uint64(i + 1)]
+        w0, w1, w3, w4 = weight * d0, weight * d1, weight * u, weight * v
+        s0, s1, s2, s3, s4 = (
+            s0 + gradient * d0,
+            s1 + gradient * d1,
+            s2 + gradient,
+            s3 + gradient * u,
+            s4 + gradient * v,
+        )
+        f00, f10, f11 = f00 + w0 * d0, f10 + w1 * d0, f11 + w1 * d1
+        f20, f21, f22 = f20 + w0, f21 + w1, f22 + weight
+        f30, f31, f32, f33 = f30 + w3 * d0, f31 + w3 * d1, f32 + w3, f33 + w3 * u
+        f40, f41, f42, f43, f44 = f40 + w4 * d0, f41 + w4 * d1, f42 + w4, f43 + w4 * u, f44 + w4 * v
+    score[0], score[1], score[2], score[3], score[4] = s0, s1, s2, s3, s4
+    fisher[0, 0], fisher[1, 0], fisher[1, 1] = f00, f10, f11
+    fisher[2, 0], fisher[2, 1], fisher[2, 2] = f20, f21, f22
+    fisher[3, 0], fisher[3, 1], fisher[3, 2], fisher[3, 3] = f30, f31, f32, f33
+    fisher[4, 0], fisher[4, 1], fisher[4, 2], fisher[4, 3], fisher[4, 4] = f40, f41, f42, f43, f44
+    for p in range(EDGE_UNKNOWNS):
+        for q in range(p):
+            fisher[q, p] = fisher[p, q]

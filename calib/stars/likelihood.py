@@ -89,11 +89,12 @@ class LikelihoodFit:
     covariances: NDArray[np.float64]
     light_slope: NDArray[np.float64]
     _information: _InformationByBlur = field(repr=False)
+    _best_blur_px: float = field(repr=False)
 
     @cached_property
     def edge_width_px(self) -> float:
         """Width of the stars' edges, px, from `edge_width_px`; measured when it is asked for."""
-        return _most_informative_blur(self._information)
+        return _most_informative_blur(self._information, self._best_blur_px)
 
 
 def refine_by_likelihood(
@@ -128,7 +129,8 @@ def refine_by_likelihood(
     """
     pitch = typical_pitch_px(local_map)
     information = _InformationByBlur(levels, centres, local_map, _EdgeMaps(target, pitch))
-    edge_map = _best_edge_map(information)
+    best_blur = _best_blur(information)
+    edge_map = information.edge_map(best_blur)
     pixels = gather_edge_pixels(levels, centres, local_map, edge_map, is_open)
     unknowns = np.zeros((len(centres), EDGE_UNKNOWNS))
     overdispersion = np.ones(target.segments)
@@ -146,7 +148,7 @@ def refine_by_likelihood(
             overdispersion = _overdispersion(score, fisher)
     light_slope = np.linalg.norm(unknowns[:, 3:], axis=1)
     covariances = np.linalg.inv(normal)[:, :2, :2]
-    return LikelihoodFit(centres + unknowns[:, :2], covariances, light_slope, information)
+    return LikelihoodFit(centres + unknowns[:, :2], covariances, light_slope, information, best_blur)
 
 
 def edge_width_px(
@@ -214,7 +216,8 @@ def edge_widths_px(
     list of float
         Standard deviation of the blur of each group, px, between `EDGE_WIDTHS_PX`.
     """
-    maps = _kept_edge_maps(target, typical_pitch_px(local_map) if pitch_px is None else pitch_px)
+    pitch = typical_pitch_px(local_map) if pitch_px is None else pitch_px
+    maps = _kept_edge_maps(target, pitch)
     return [
         _most_informative_blur(
             _InformationByBlur(levels, centres[group], local_map.select(group), maps), start_px
@@ -258,6 +261,8 @@ class _EdgeMaps:
 
     def __init__(self, target: StarTarget, pitch: float) -> None:
         self.segments = target.segments
+        # Stars drawn at nearly the same pitch do not do: one part in a hundred moves centres by some thousandths of a
+        # pixel.
         self._sharp, self._pitch = render_star(target, pitch), pitch
         self._made: dict[float, EdgeMap] = {}
 
@@ -305,8 +310,8 @@ class _InformationByBlur:
         return self._known[blur_px]
 
 
-def _best_edge_map(information: _InformationByBlur) -> EdgeMap:
-    """Return the printed star with the blur of `BLURS_PX` that gives most information about some of the centres.
+def _best_blur(information: _InformationByBlur) -> float:
+    """Return the blur of `BLURS_PX` that gives most information about some of the centres.
 
     The information grows with the blur up to the best one and falls beyond it, so the search ends at the first fall.
     Own criterion: the trace of the Fisher information of the centres.
@@ -316,7 +321,7 @@ def _best_edge_map(information: _InformationByBlur) -> EdgeMap:
         if information.at(blur) < information.at(best):
             break
         best = blur
-    return information.edge_map(best)
+    return best
 
 
 def _most_informative_blur(information: _InformationByBlur, start_px: float | None = None) -> float:

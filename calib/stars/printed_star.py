@@ -62,7 +62,7 @@ def render_star(target: StarTarget, pitch_px: float) -> NDArray[np.float64]:
     Returns
     -------
     array
-        (S, S) float64, brightness, 0 or 1.
+        (S, S) float64, brightness, 0 to 1, point symmetric about the centre.
     """
     columns, rows = np.meshgrid(np.arange(1, target.columns - 1), np.arange(1, target.rows - 1))
     surrounded = np.ones(columns.shape, bool)
@@ -72,7 +72,9 @@ def render_star(target: StarTarget, pitch_px: float) -> NDArray[np.float64]:
     at = int(np.argmax(surrounded))
     u, v = _grid(pitch_px)
     x, y = (columns.ravel()[at] + u) * target.pitch_mm, (rows.ravel()[at] + v) * target.pitch_mm
-    return target.reflectance(x, y)
+    drawn = target.reflectance(x, y)
+    # By rounding, samples on an edge fall to either side of it. The mean with half a turn makes the star symmetric.
+    return (drawn + drawn[::-1, ::-1]) / 2.0
 
 
 def _grid(pitch_px: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -105,12 +107,14 @@ def blurred_edge_map(sharp: NDArray[np.float64], segments: int, pitch_px: float,
     EdgeMap
         Point symmetric about the centre, as the print is.
     """
-    blurred = cv2.GaussianBlur(sharp, (0, 0), blur_px * OVERSAMPLING)
-    # By rounding, samples on an edge fall to either side of it. The mean with half a turn makes the map symmetric.
-    upper = len(sharp) // 2 + 1
-    blurred = (blurred[:upper] + blurred[: -upper - 1 : -1, ::-1]) / 2.0
+    # Half of the star is blurred and computed; the other half is the same, turned.
+    half, sigma = len(sharp) // 2, blur_px * OVERSAMPLING
+    reach = 2 * round(4.0 * sigma) + 1
+    blurred = cv2.GaussianBlur(sharp[: half + 1 + reach], (2 * round(4.0 * sigma) + 1,) * 2, sigma)[
+        : half + 1
+    ]
     tau = blur_px * ndtri(np.clip(blurred, 1e-4, 1.0 - 1e-4))
-    tau = np.concatenate([tau, tau[len(sharp) - upper - 1 :: -1, ::-1]])
+    tau = np.concatenate([tau, tau[half - 1 :: -1, ::-1]])
     scale, limit_px = pitch_px * OVERSAMPLING, TAU_LIMIT_BLURS * blur_px
     edge = _nearest_edges(pitch_px, segments)
     return EdgeMap(tau.astype(np.float32), edge, len(sharp) // 2, scale, limit_px)
