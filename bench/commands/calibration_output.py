@@ -11,6 +11,7 @@ from bench.commands.output import STOPPED, error_object, print_json
 from bench.records.captures import CAPTURES
 
 if TYPE_CHECKING:
+    from bench.report.target_words import TargetWords
     from bench.results.offline import OfflineResult
     from bench.run.runner import RunEnd
     from calib.studies.reference_methods import MethodFailure, MethodResult
@@ -134,15 +135,22 @@ def print_calibration(
         return
     for line in result.skipped:
         click.echo(f"left out: {line}", err=True)
-    click.echo(calibration_text(result.calibration.to_dict()))
+    from bench.report.target_words import words_for
+
+    words = words_for(result.board)
+    click.echo(calibration_text(result.calibration.to_dict(), words))
     if baselines is not None:
         click.echo("\n" + comparison_text(baselines))
+        if words.is_board:
+            click.echo("The published recipe is left out: it needs a target at infinity, not a board.")
     elif result.planar is not None:
         click.echo("\n" + _planar_text(result.planar.to_dict()))
 
 
 def _run_text(results: Mapping[str, Any]) -> str:
-    lines = [calibration_text(results["calibration"])]
+    from bench.report.target_words import words_of
+
+    lines = [calibration_text(results["calibration"], words_of(results))]
     if results["comparison"]:
         lines += ["", "SIMULATED devices. Distance from the simulated truth:"]
         lines += [_distance_text(row) for row in results["comparison"]]
@@ -159,13 +167,15 @@ def _distance_text(row: Mapping[str, Any]) -> str:
     return f"  {row['name']:<3} {error:>12} {unit_text(row['name']):<3} = {sigmas:>5} sigma"
 
 
-def calibration_text(calibration: Mapping[str, Any]) -> str:
+def calibration_text(calibration: Mapping[str, Any], words: TargetWords) -> str:
     """Return a calibration as text: values with uncertainties first, reprojection error second.
 
     Parameters
     ----------
     calibration
         Calibration as `results.json` holds it.
+    words
+        What the stars are called.
 
     Returns
     -------
@@ -177,17 +187,17 @@ def calibration_text(calibration: Mapping[str, Any]) -> str:
 
     values = {**calibration["camera"], **(calibration["collimator"] or {})}
     views = calibration["views"]
-    stars = sum(view["n"] for view in views)
+    points = sum(view["n"] for view in views)
     k = coverage_factor(calibration)
     model = calibration["model"].capitalize()
     counted = f"{len(views)} view{'' if len(views) == 1 else 's'}"
-    lines = [f"{model} model, {counted}, {stars} stars; U with k = {exact(round(k, 2))}:"]
+    lines = [f"{model} model, {counted}, {points} {words.points}; U with k = {exact(round(k, 2))}:"]
     for name, sigma in calibration["sigma"].items():
         value, expanded = with_uncertainty(values[name], k * sigma)
         lines.append(f"  {name:<3} {value:>12} ± {expanded:<8} {unit_text(name)}".rstrip())
     lines.append(
         f"Reprojection error: rms {calibration['rms_px']:.4f} px, mean {calibration['mean_px']:.4f} px"
-        " (how well the model fits the stars; this is not the accuracy)."
+        f" (how well the model fits the {words.points}; this is not the accuracy)."
     )
     if not calibration["converged"]:
         lines.append("NOT CONVERGED: do not use these numbers.")

@@ -11,11 +11,13 @@ from dataclasses import dataclass
 from typing import Any
 
 from bench.report.calibration_tables import coverage_factor
+from bench.report.target_words import STARS, TargetWords
 from bench.report.text import NOTHING, number
 
 Json = Mapping[str, Any]
 
 _SHOWN = ("fx", "worst_corner")
+_OF_STARS = "stars"
 #: Relative values are printed in millionths.
 _MILLIONTH = "10\N{SUPERSCRIPT MINUS}\N{SUPERSCRIPT SIX}"
 _UNITS = {"1": _MILLIONTH, "urad": "\N{MICRO SIGN}rad"}
@@ -52,20 +54,22 @@ class PrintedBudgetRow:
     corner_share: float
 
 
-def budget_rows(calibration: Json) -> list[PrintedBudgetRow]:
+def budget_rows(calibration: Json, words: TargetWords = STARS) -> list[PrintedBudgetRow]:
     """Return the rows of the uncertainty budget.
 
     Parameters
     ----------
     calibration
         ``calibration`` of results.json.
+    words
+        What the stars are called.
 
     Returns
     -------
     list of PrintedBudgetRow
         A row for each source of uncertainty.
     """
-    return [_printed(row) for row in calibration.get("budget_rows") or []]
+    return [_printed(row, words) for row in calibration.get("budget_rows") or []]
 
 
 def combined(calibration: Json) -> tuple[tuple[str, str], tuple[str, str]] | None:
@@ -107,8 +111,9 @@ def not_included(calibration: Json) -> list[tuple[str, str]]:
     return [(name, effect) for name, _, effect in lines]
 
 
-def _printed(row: Json) -> PrintedBudgetRow:
+def _printed(row: Json, words: TargetWords) -> PrintedBudgetRow:
     """Return a row as printed."""
+    own = words.fitting if row["name"] == _OF_STARS else str  # other sources may be named by the station file
     scale = 1e6 if row["unit"] == "1" else 1.0
     base, _, where = str(row["unit"]).partition(" ")
     unit = _UNITS.get(base, base)
@@ -120,9 +125,9 @@ def _printed(row: Json) -> PrintedBudgetRow:
         distribution += f", \N{GREEK SMALL LETTER NU} = {row['degrees_of_freedom']:.0f}"
     contribution, share = row["contribution"], row["share"]
     return PrintedBudgetRow(
-        name=str(row["name"]),
+        name=own(str(row["name"])),
         type=str(row["type"]),
-        source=str(row["source"]),
+        source=own(str(row["source"])),
         value=NOTHING if value is None else _stated(scale * value, unit, where),
         distribution=distribution,
         sensitivity=f"{number(float(sensitivity['fx']) / scale, 3)} px / {unit}" if sensitivity else NOTHING,

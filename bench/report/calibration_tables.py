@@ -11,11 +11,14 @@ from dataclasses import dataclass
 from typing import Any
 
 from bench.report.bench_knowledge import parallax_rows
+from bench.report.target_words import STARS, TargetWords
 from bench.report.text import NOTHING, angle, fixed, meaning_of, number, unit_of, with_uncertainty
 
 Json = Mapping[str, Any]
 
 _USUAL_COVERAGE_FACTOR = 2.0
+_OF_STARS = "stars"
+"""Name of their noise in a budget, whatever the target is."""
 _VERDICTS = {
     "agrees": "Gimbal: readings and rotations agree",
     "slip": "Gimbal: an axis slipped",
@@ -95,13 +98,15 @@ def values(calibration: Json) -> list[ValueRow]:
     return rows
 
 
-def fit_statistics(calibration: Json) -> list[tuple[str, str, str]]:
+def fit_statistics(calibration: Json, words: TargetWords = STARS) -> list[tuple[str, str, str]]:
     """Return the statistics of the fit: residuals, numbers of stars and degrees of freedom, variance factors.
 
     Parameters
     ----------
     calibration
         ``calibration`` of results.json.
+    words
+        What the stars are called.
 
     Returns
     -------
@@ -113,21 +118,23 @@ def fit_statistics(calibration: Json) -> list[tuple[str, str, str]]:
         ("RMS reprojection error", number(calibration["rms_px"], 3), "px"),
         ("mean reprojection error", number(calibration["mean_px"], 3), "px"),
         ("RMS reprojection error of left-out poses", number(calibration.get("left_out_rms_px"), 3), "px"),
-        (f"stars in {len(calibration['views'])} poses", number(stars), ""),
+        (f"{words.points} in {len(calibration['views'])} poses", number(stars), ""),
         ("degrees of freedom", number(calibration.get("degrees_of_freedom")), ""),
-        ("variance factor of the stars", number(calibration.get("variance_factor"), 3), ""),
+        (f"variance factor of the {words.points}", number(calibration.get("variance_factor"), 3), ""),
         ("Birge ratio of the poses; 1 is agreement", number(calibration.get("disagreement"), 3), ""),
     ]
     return [row for row in rows if row[1] != NOTHING]
 
 
-def budget(calibration: Json) -> tuple[list[str], list[tuple[str, list[Cell]]]]:
+def budget(calibration: Json, words: TargetWords = STARS) -> tuple[list[str], list[tuple[str, list[Cell]]]]:
     """Return the uncertainty budget: for each source, its share of the variance of each parameter.
 
     Parameters
     ----------
     calibration
         ``calibration`` of results.json.
+    words
+        What the stars are called.
 
     Returns
     -------
@@ -143,7 +150,12 @@ def budget(calibration: Json) -> tuple[list[str], list[tuple[str, list[Cell]]]]:
         shares = [
             sigmas[name] ** 2 / whole if whole else 0.0 for name, whole in zip(names, wholes, strict=True)
         ]
-        rows.append((str(source), [Cell(f"{100 * share:.0f} %", round(share, 2)) for share in shares]))
+        rows.append(
+            (
+                words.points if source == _OF_STARS else str(source),
+                [Cell(f"{100 * share:.0f} %", round(share, 2)) for share in shares],
+            )
+        )
     return (names, rows) if rows else ([], [])
 
 

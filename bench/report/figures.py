@@ -22,6 +22,7 @@ from bench.report.plots import (
     residual_vectors,
 )
 from bench.report.pose_plot import pose_directions, pose_frames
+from bench.report.target_words import words_of
 from bench.report.view_picture import ViewPicture
 from calib.uncertainty.projection_uncertainty import ARCSEC, camera_difference, projection_uncertainty
 
@@ -54,6 +55,7 @@ def report_plots(results: Json, views: Sequence[ViewPicture]) -> dict[str, str]:
         plots["truth"] = deviations_from_truth(names, [row["error_sigmas"] for row in compared])
     if not views:
         return plots
+    words = words_of(results)
     seen = [view for view in views if len(view.detected)]
     plots |= _camera_plots(results, [view.detected for view in seen])
     plots["poses"], plots["frames"] = pose_directions(results), pose_frames(results["calibration"])
@@ -61,11 +63,11 @@ def report_plots(results: Json, views: Sequence[ViewPicture]) -> dict[str, str]:
         width, height = results["calibration"]["image_size"]
         camera = results["calibration"]["camera"]
         centre = (camera["cx"], camera["cy"])
-        plots["vectors"] = residual_vectors(views, (width, height))
+        plots["vectors"] = residual_vectors(views, (width, height), words)
         plots["cloud"] = residual_cloud(views)
         plots["radial"] = residual_radial(views, centre)
-        plots["coverage"] = coverage(views, (width, height), centre)
-        plots["regions"] = regions(views, (width, height))
+        plots["coverage"] = coverage(views, (width, height), centre, words)
+        plots["regions"] = regions(views, (width, height), words)
     return plots
 
 
@@ -85,7 +87,7 @@ def _camera_plots(results: Json, stars: Sequence[Array]) -> dict[str, str]:
             found.grid_px, k * found.sigma_px, "U of an image point, px", "uncertainty",
             "Uncertainty of an image point over the sensor", stars=points,
         ),
-        "distortion": distortion_curve(camera, covariance, k, outermost_deg(camera, stars)),
+        "distortion": distortion_curve(camera, covariance, k, outermost_deg(camera, stars), words_of(results)),
     }  # fmt: skip
     if max(field_angles_deg(camera).values()) > _WIDE_ANGLE_DEG:  # else it looks as that of the image points
         plots["direction"] = sensor_map(

@@ -21,6 +21,7 @@ from bench.report.bench_knowledge import source_rows
 from bench.report.change_rows import change
 from bench.report.choice import PLOTS, pictured_poses
 from bench.report.course import courses
+from bench.report.target_words import TargetWords, words_of
 from bench.report.verdict import verdict
 from bench.report.view_picture import ViewPicture, thinned
 from bench.report.walk import state_diagram
@@ -69,65 +70,85 @@ def render_report(data: ReportData, *, draw: bool = True) -> str:
     KeyError
         When the results lack ``run`` or ``calibration``.
     """
-    results = data.results
+    results, words = data.results, words_of(data.results)
+    parts = _result_parts(results, words) | _run_parts(results, words) | _graphics(data, words, draw=draw)
+    return (
+        environment()
+        .get_template("report.html.j2")
+        .render(
+            run=results["run"],
+            words=words,
+            takes_pictures=results["run"].get("camera") == "frame",
+            verdict=verdict(results),
+            journal_head=data.journal_head,
+            **parts,
+        )
+    )
+
+
+def _result_parts(results: Mapping[str, Any], words: TargetWords) -> dict[str, Any]:
+    """Return what the template prints about the calibration."""
     calibration = results["calibration"]
     k = calibration_tables.coverage_factor(calibration)
-    pictured = pictured_poses(results)
+    return {
+        "calibration": calibration,
+        "k": text.exact(round(k, 2)),
+        "passport": results.get("passport"),
+        "inputs": run_tables.inputs(results),
+        "change": change(results),
+        "values": calibration_tables.values(calibration),
+        "fit_statistics": calibration_tables.fit_statistics(calibration, words),
+        "correlation": calibration_tables.correlation(calibration),
+        "planar": calibration_tables.planar_comparison(calibration, results.get("planar")),
+        "candidates": calibration_tables.candidates(calibration),
+        "budget": calibration_tables.budget(calibration, words),
+        "budget_rows": budget_tables.budget_rows(calibration, words),
+        "combined": budget_tables.combined(calibration),
+        "not_included": budget_tables.not_included(calibration),
+        "checks": calibration_tables.checks(results),
+        "halves": bool((results.get("halves") or {}).get("cameras")),
+        "comparison": calibration_tables.comparison(results.get("comparison") or [], k),
+    }
+
+
+def _run_parts(results: Mapping[str, Any], words: TargetWords) -> dict[str, Any]:
+    """Return what the template prints about the run: its devices, poses, gates and files."""
+    devices, poses = results.get("devices") or {}, results.get("poses") or []
+    return {
+        "identification": run_tables.identification(results),
+        "software": run_tables.software(results),
+        "conditions": device_tables.conditions(results.get("conditions") or {}),
+        "devices": device_tables.devices(devices),
+        "connections": device_tables.connections(devices),
+        "devices_left": device_tables.left(results.get("devices_left") or []),
+        "poses": pose_tables.poses(poses),
+        "recordings": pose_tables.recordings(poses, words),
+        "gates": pose_tables.gates(results.get("gates") or [], words),
+        "deviations": run_tables.deviations(results),
+        "sources": source_rows(results.get("sources") or []),
+        "walk": _markup(state_diagram(results["states"])) if results.get("states") else "",
+    }
+
+
+def _graphics(data: ReportData, words: TargetWords, *, draw: bool) -> dict[str, Any]:
+    """Return the plots and images; without ``draw``, the same parts without them."""
+    pictured = pictured_poses(data.results)
     plots: dict[str, str] = dict.fromkeys(PLOTS, "")
     pictures: list[tuple[str, str]] = []
     if draw:
         from bench.report.figures import report_plots
         from bench.report.pictures import pose_pictures
 
-        plots = report_plots(results, data.views)
-        pictures = pose_pictures([view for view in data.views if view.name in pictured.names])
-    return (
-        environment()
-        .get_template("report.html.j2")
-        .render(
-            run=results["run"],
-            takes_pictures=results["run"].get("camera") == "frame",
-            verdict=verdict(results),
-            identification=run_tables.identification(results),
-            inputs=run_tables.inputs(results),
-            passport=results.get("passport"),
-            change=change(results),
-            software=run_tables.software(results),
-            journal_head=data.journal_head,
-            calibration=calibration,
-            values=calibration_tables.values(calibration),
-            fit_statistics=calibration_tables.fit_statistics(calibration),
-            correlation=calibration_tables.correlation(calibration),
-            planar=calibration_tables.planar_comparison(calibration, results.get("planar")),
-            candidates=calibration_tables.candidates(calibration),
-            budget=calibration_tables.budget(calibration),
-            budget_rows=budget_tables.budget_rows(calibration),
-            combined=budget_tables.combined(calibration),
-            not_included=budget_tables.not_included(calibration),
-            checks=calibration_tables.checks(results),
-            halves=bool((results.get("halves") or {}).get("cameras")),
-            comparison=calibration_tables.comparison(results.get("comparison") or [], k),
-            conditions=device_tables.conditions(results.get("conditions") or {}),
-            devices=device_tables.devices(results.get("devices") or {}),
-            connections=device_tables.connections(results.get("devices") or {}),
-            devices_left=device_tables.left(results.get("devices_left") or []),
-            poses=pose_tables.poses(results.get("poses") or []),
-            recordings=pose_tables.recordings(results.get("poses") or []),
-            gates=pose_tables.gates(results.get("gates") or []),
-            deviations=run_tables.deviations(results),
-            sources=source_rows(results.get("sources") or []),
-            walk=_markup(state_diagram(results["states"])) if results.get("states") else "",
-            plots={name: _markup(svg) for name, svg in plots.items()},
-            stars=_star_counts(data.views),
-            pictured=(text.number(pictured.shown), text.number(pictured.total)),
-            pictures=[(_markup(svg), name) for svg, name in pictures],
-            courses=[
-                replace(course, plot=_markup(course.plot))
-                for course in courses(results.get("untils") or [], draw=draw)
-            ],
-            k=text.exact(round(k, 2)),
-        )
-    )
+        plots = report_plots(data.results, data.views)
+        pictures = pose_pictures([view for view in data.views if view.name in pictured.names], words)
+    found = courses(data.results.get("untils") or [], draw=draw)
+    return {
+        "plots": {name: _markup(svg) for name, svg in plots.items()},
+        "stars": _star_counts(data.views),
+        "pictured": (text.number(pictured.shown), text.number(pictured.total)),
+        "pictures": [(_markup(svg), name) for svg, name in pictures],
+        "courses": [replace(course, plot=_markup(course.plot)) for course in found],
+    }
 
 
 def printed_text(html: str) -> list[str]:

@@ -11,6 +11,7 @@ from bench.report.drawing import INK, MUTED, PANEL, POSE_COLOURS
 from bench.report.plot_frame import axes_in
 from bench.report.scales import Scale, text_width
 from bench.report.svg_plot import Axes, Picture, Words
+from bench.report.target_words import STARS, TargetWords
 from calib.model.camera import CameraModel
 from calib.model.lens import is_fisheye
 
@@ -21,7 +22,13 @@ _TANGENTIAL = frozenset({"p1", "p2"})
 _STEP_SIGMAS = 1e-3
 
 
-def distortion_curve(camera: CameraModel, covariance: Array, k: float, outermost_deg: float | None) -> str:
+def distortion_curve(
+    camera: CameraModel,
+    covariance: Array,
+    k: float,
+    outermost_deg: float | None,
+    words: TargetWords = STARS,
+) -> str:
     """Draw the radial displacement by the lens against the field angle, with its expanded uncertainty.
 
     Parameters
@@ -34,6 +41,8 @@ def distortion_curve(camera: CameraModel, covariance: Array, k: float, outermost
         Coverage factor.
     outermost_deg
         Field angle of the outermost star, degrees; None if it is not known.
+    words
+        What the stars are called.
 
     Returns
     -------
@@ -51,7 +60,7 @@ def distortion_curve(camera: CameraModel, covariance: Array, k: float, outermost
         if is_fisheye(camera.distortion)
         else "f tan \N{GREEK SMALL LETTER THETA}"
     )
-    words = Words(
+    around = Words(
         (f"Radial displacement; band: U, k = {k:.3g}",),
         "field angle, degrees",
         f"displacement from {ideal}, px",
@@ -64,12 +73,15 @@ def distortion_curve(camera: CameraModel, covariance: Array, k: float, outermost
     low, high = min(0.0, float(lower.min())), max(0.0, float(upper.max()))
     room = max(high - low, 1e-6)
     # Above the curve, the names of the edges have a row of their own.
-    axes = axes_in(picture, Scale(0.0, 1.02 * last), Scale(low - 0.05 * room, high + 0.22 * room), words)
+    axes = axes_in(picture, Scale(0.0, 1.02 * last), Scale(low - 0.05 * room, high + 0.22 * room), around)
     axes.level(0.0, MUTED, 0.7)
     band = np.vstack([np.column_stack([angles, upper]), np.column_stack([angles, lower])[::-1]])
     axes.shapes([band], POSE_COLOURS[0], 0.2)
     axes.line(np.column_stack([angles, shown]), POSE_COLOURS[0], 1.5)
-    _mark_angles(axes, edges, outermost_deg)
+    marks = [(angle, name, MUTED, INK) for name, angle in edges.items()]
+    if outermost_deg is not None:
+        marks.append((outermost_deg, f"outermost {words.point}", POSE_COLOURS[1], POSE_COLOURS[1]))
+    _mark_angles(axes, marks)
     return picture.svg()
 
 
@@ -161,11 +173,8 @@ def _radial(values: Mapping[str, float], angles_deg: Array) -> Array:
     return np.asarray(camera.project(rays)[:, 0] - focal * ideal)
 
 
-def _mark_angles(axes: Axes, edges: Mapping[str, float], outermost: float | None) -> None:
-    """Mark the sensor's edges and the outermost star, with their names in rows at the top so that none collide."""
-    marks = [(angle, name, MUTED, INK) for name, angle in edges.items()]
-    if outermost is not None:
-        marks.append((outermost, "outermost star", POSE_COLOURS[1], POSE_COLOURS[1]))
+def _mark_angles(axes: Axes, marks: Sequence[tuple[float, str, str, str]]) -> None:
+    """Mark field angles, each with its name and its colours; the names stand in rows so that none collide."""
     reached: list[float] = []
     for angle, name, line, ink in sorted(marks):
         axes.upright(angle, line, 0.8, "3 2" if line == MUTED else "1 1.6")

@@ -14,6 +14,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from bench.report.target_words import STARS, TargetWords
 from bench.report.view_picture import ViewPicture
 
 _ALL_PICTURES_BYTES = 1_050_000
@@ -25,13 +26,15 @@ _RING_COLOUR, _CROSS_COLOUR = "#ff7a1a", "#00a3e0"
 _CLOSE_UP_PX = 36.0
 
 
-def pose_pictures(views: Sequence[ViewPicture]) -> list[tuple[str, str]]:
+def pose_pictures(views: Sequence[ViewPicture], words: TargetWords = STARS) -> list[tuple[str, str]]:
     """Draw each pose that has an image as SVG, with rings and crosses at the stars and two close-ups beside it.
 
     Parameters
     ----------
     views
         Poses of the report; those without an image are skipped.
+    words
+        What the stars are called.
 
     Returns
     -------
@@ -41,12 +44,14 @@ def pose_pictures(views: Sequence[ViewPicture]) -> list[tuple[str, str]]:
     images = [(view, view.image) for view in views if view.image is not None]
     limit = _ALL_PICTURES_BYTES // max(1, len(images))
     return [
-        (_pose_picture(view, image, f"pose{number}", limit), view.name)
+        (_pose_picture(view, image, f"pose{number}", limit, words), view.name)
         for number, (view, image) in enumerate(images, 1)
     ]
 
 
-def _pose_picture(view: ViewPicture, image: NDArray[np.uint8], identifier: str, limit_bytes: int) -> str:
+def _pose_picture(
+    view: ViewPicture, image: NDArray[np.uint8], identifier: str, limit_bytes: int, words: TargetWords
+) -> str:
     height, width = image.shape
     side = (height - 24) / 2
     close_ups = "".join(
@@ -54,7 +59,7 @@ def _pose_picture(view: ViewPicture, image: NDArray[np.uint8], identifier: str, 
         for row, centre in enumerate(_close_up_centres(view, (width, height)))
     )
     return (
-        f'<svg class="pose" role="img" aria-label="Image and stars of {escape(view.name)}" '
+        f'<svg class="pose" role="img" aria-label="Image and {words.points} of {escape(view.name)}" '
         f'viewBox="-0.5 -0.5 {width + 24 + side:g} {height}" xmlns="http://www.w3.org/2000/svg">'
         f'<g id="{identifier}">'
         f'<image x="-0.5" y="-0.5" width="{width}" height="{height}" '

@@ -17,6 +17,7 @@ from bench.report.plot_frame import axes_in
 from bench.report.scales import Scale
 from bench.report.sensor_plot import GROUND, sensor_axes, shade_unsupported, supported_share
 from bench.report.svg_plot import Axes, Key, Picture, Words, painted
+from bench.report.target_words import STARS, TargetWords
 from bench.report.view_picture import ViewPicture, thinned
 
 Array = NDArray[np.float64]
@@ -25,7 +26,9 @@ _REGIONS = (4, 3)
 _CLOUD_PERCENTILE = 99.5
 
 
-def residual_vectors(views: Sequence[ViewPicture], image_size: tuple[int, int]) -> str:
+def residual_vectors(
+    views: Sequence[ViewPicture], image_size: tuple[int, int], words: TargetWords = STARS
+) -> str:
     """Draw the residual vector of each star at its place on the sensor, magnified by the factor that the plot states.
 
     Parameters
@@ -34,6 +37,8 @@ def residual_vectors(views: Sequence[ViewPicture], image_size: tuple[int, int]) 
         Poses of the report, with at least one star.
     image_size
         Width and height, px.
+    words
+        What the points are called.
 
     Returns
     -------
@@ -42,9 +47,7 @@ def residual_vectors(views: Sequence[ViewPicture], image_size: tuple[int, int]) 
     """
     lengths = np.concatenate([np.linalg.norm(view.residuals, axis=1) for view in views])
     magnification = _round_down(image_size[0] / 28 / max(float(np.percentile(lengths, 95)), 1e-6))
-    about = (
-        f"{len(lengths)} stars; residuals of {np.percentile(lengths, 95):.2g} px or less for 95 % of them."
-    )
+    about = f"{len(lengths)} {words.points}; residuals of {np.percentile(lengths, 95):.2g} px or less for 95 % of them."
     axes = sensor_axes(
         image_size, (), "vectors", "Residual vectors on the sensor", about, width=WIDE, keys=_pose_keys(views)
     )
@@ -124,7 +127,10 @@ def _lengths(views: Sequence[ViewPicture]) -> tuple[Array, float]:
 
 
 def coverage(
-    views: Sequence[ViewPicture], image_size: tuple[int, int], principal_point: tuple[float, float]
+    views: Sequence[ViewPicture],
+    image_size: tuple[int, int],
+    principal_point: tuple[float, float],
+    words: TargetWords = STARS,
 ) -> str:
     """Draw the stars on the sensor, and the part of it that they support.
 
@@ -136,6 +142,8 @@ def coverage(
         Width and height, px.
     principal_point
         cx and cy, px.
+    words
+        What the points are called.
 
     Returns
     -------
@@ -143,10 +151,14 @@ def coverage(
         SVG.
     """
     distance, share = supported_share(np.concatenate([view.detected for view in views]), image_size)
-    title = f"Stars; they support {100 * share:.0f} % of the sensor (blue)"
-    about = f"{sum(len(view.detected) for view in views)} stars support {100 * share:.0f} % of the sensor."
+    title = f"{words.capital}; they support {100 * share:.0f} % of the sensor (blue)"
+    about = f"{sum(len(view.detected) for view in views)} {words.points} support {100 * share:.0f} % of the sensor."
     axes = sensor_axes(
-        image_size, (title,), "coverage", "Stars on the sensor, and the part that they support", about
+        image_size,
+        (title,),
+        "coverage",
+        f"{words.capital} on the sensor, and the part that they support",
+        about,
     )
     axes.shapes([_whole(image_size)], GROUND)
     for colour, detected, _ in _by_colour(thinned(views)):
@@ -159,7 +171,7 @@ def coverage(
     return axes.picture.svg()
 
 
-def regions(views: Sequence[ViewPicture], image_size: tuple[int, int]) -> str:
+def regions(views: Sequence[ViewPicture], image_size: tuple[int, int], words: TargetWords = STARS) -> str:
     """Draw the RMS residual and the number of stars for each region of the sensor.
 
     Parameters
@@ -168,6 +180,8 @@ def regions(views: Sequence[ViewPicture], image_size: tuple[int, int]) -> str:
         Poses of the report, with at least one star.
     image_size
         Width and height, px.
+    words
+        What the points are called.
 
     Returns
     -------
@@ -176,12 +190,11 @@ def regions(views: Sequence[ViewPicture], image_size: tuple[int, int]) -> str:
     """
     points = np.concatenate([view.detected for view in views])
     squares = np.sum(np.concatenate([view.residuals for view in views]) ** 2, axis=1)
-    about = (
-        f"{_REGIONS[0]} by {_REGIONS[1]} regions; RMS residual of all stars {np.sqrt(squares.mean()):.3g} px."
-    )
+    whole = f"RMS residual of all {words.points} {np.sqrt(squares.mean()):.3g} px"
+    about = f"{_REGIONS[0]} by {_REGIONS[1]} regions; {whole}."
     axes = sensor_axes(
-        image_size, ("RMS residual, px, and number of stars",), "regions",
-        "Residuals and number of stars by region", about,
+        image_size, (f"RMS residual, px, and number of {words.points}",), "regions",
+        f"Residuals and number of {words.points} by region", about,
     )  # fmt: skip
     _region_map(axes, points, squares, image_size)
     return axes.picture.svg()

@@ -11,6 +11,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from bench.report.target_words import STARS, TargetWords
 from bench.report.text import NOTHING, duration, fixed, number, value_text
 
 Json = Mapping[str, Any]
@@ -117,13 +118,15 @@ def _stars(pose: Json) -> str:
     )
 
 
-def recordings(found: Sequence[Json]) -> list[RecordingRow]:
+def recordings(found: Sequence[Json], words: TargetWords = STARS) -> list[RecordingRow]:
     """List every recording, including refused ones.
 
     Parameters
     ----------
     found
         ``poses`` of results.json.
+    words
+        What the stars are called.
 
     Returns
     -------
@@ -135,7 +138,7 @@ def recordings(found: Sequence[Json]) -> list[RecordingRow]:
             pose=str(pose["name"]),
             attempt=str(attempt["attempt"]),
             accepted=bool(attempt["accepted"]),
-            reasons="; ".join(attempt.get("reasons") or []),
+            reasons=words.fitting("; ".join(attempt.get("reasons") or [])),
             events=number(attempt.get("events")),
             rate=number(attempt.get("event_rate_mev_s"), 3),
             triggers=number(attempt.get("triggers")),
@@ -150,13 +153,15 @@ def recordings(found: Sequence[Json]) -> list[RecordingRow]:
     ]
 
 
-def gates(found: Sequence[Json]) -> list[GateRow]:
+def gates(found: Sequence[Json], words: TargetWords = STARS) -> list[GateRow]:
     """List each gate once, with the range of the values it judged and its worst verdict.
 
     Parameters
     ----------
     found
         ``gates`` of results.json.
+    words
+        What the stars are called.
 
     Returns
     -------
@@ -176,7 +181,13 @@ def gates(found: Sequence[Json]) -> list[GateRow]:
         worst = max((gate["verdict"] for gate in judged), key=_VERDICTS.index)
         passed = sum(gate["verdict"] != "fail" for gate in judged)
         rows.append(
-            GateRow(name, f"{limit} {unit}".strip(), values_text, f"{passed} of {len(judged)}", worst)
+            GateRow(
+                words.fitting(name),
+                f"{limit} {unit}".strip(),
+                values_text,
+                f"{passed} of {len(judged)}",
+                worst,
+            )
         )
     return rows
 

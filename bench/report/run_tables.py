@@ -11,6 +11,7 @@ from typing import Any
 
 from bench.report.bench_knowledge import passport_rows, readings_rows
 from bench.report.pose_tables import gates
+from bench.report.target_words import words_of
 from bench.report.text import NOTHING, moment, value_text
 
 Json = Mapping[str, Any]
@@ -66,9 +67,12 @@ def inputs(results: Json) -> list[tuple[str, str]]:
     list of tuple
         Name and value.
     """
+    readings = results.get("gimbal_readings")
+    if readings and words_of(results).is_board and not readings["entered"]:
+        readings = None  # the board was moved, not the camera
     return [
         *passport_rows(results.get("passport")),
-        *readings_rows(results.get("gimbal_readings"), results["calibration"].get("gimbal")),
+        *readings_rows(readings, results["calibration"].get("gimbal")),
     ]
 
 
@@ -138,7 +142,7 @@ def alerts(results: Json) -> list[str]:
     """
     details = [
         f"Gate {row.name}: {row.verdict} ({row.values}, limit {row.limit}; {row.count} passed)."
-        for row in gates(results.get("gates") or [])
+        for row in gates(results.get("gates") or [], words_of(results))
         if row.verdict != "pass"
     ]
     missed = [

@@ -12,6 +12,7 @@ from typing import Any
 from bench.report import budget_tables, pose_tables, run_tables
 from bench.report.calibration_tables import coverage_factor
 from bench.report.change_rows import change_sentence
+from bench.report.target_words import words_of
 from bench.report.text import exact, number, with_uncertainty
 
 Json = Mapping[str, Any]
@@ -112,7 +113,7 @@ def _support(results: Json) -> str:
     found = (results.get("projection") or {}).get("supported")
     if not found:
         return ""
-    share = f"Stars support {100 * found['share']:.0f} % of the sensor"
+    share = f"{words_of(results).capital} support {100 * found['share']:.0f} % of the sensor"
     if found["expanded_px"] is None or found["share"] >= 0.995:
         return f"{share}."
     k = _k(coverage_factor(results["calibration"]))

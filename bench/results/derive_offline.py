@@ -22,6 +22,7 @@ from bench.results.offline_folder import RECALCULATION
 from bench.results.other_software import other_program
 from bench.results.stored_calibration import stored_calibration
 from bench.views.views_file import VIEWS
+from calib.boards.board import Board
 from calib.target import StarTarget
 from drivers.errors import DriverError
 
@@ -106,6 +107,13 @@ def _check_sources(sources: Sequence[Mapping[str, Any]], found: Findings) -> Non
         found.remarks.append(f"{gone} of {len(sources)} source files are not there any more")
 
 
+def _shown_target(given: Mapping[str, Any] | None, board: str | None) -> StarTarget | Board | None:
+    """Return the printed target or the board; None if the views show several."""
+    if board is not None:
+        return Board.parse(board)
+    return None if given is None else StarTarget(**{**given, "tag_square": tuple(given["tag_square"])})
+
+
 def _check_derived(
     folder: Path, results: Mapping[str, Any], described: Mapping[str, Any], found: Findings
 ) -> None:
@@ -121,8 +129,7 @@ def _check_derived(
         return
     if stars == [len(stored.view) for stored in held.views]:  # else a guard band leaves some out
         check_views(folder, results, found)
-    given = described["target"]
-    target = None if given is None else StarTarget(**{**given, "tag_square": tuple(given["tag_square"])})
+    target = _shown_target(described["target"], results["run"].get("board"))
     names = sorted(path.name for path in (folder / EXPORTS).glob("*"))
     check_exports(folder, names, results, calibration, str(described["camera_name"]), target, found)
     check_report(folder, results, held.shown(results), "", found)

@@ -13,12 +13,14 @@ from typing import Any
 
 from bench.base.errors import BenchError, UsageError
 from bench.plan.passports import PassportInUse
+from bench.report.target_words import words_for
 from bench.results.comparison import planar_calibration
 from bench.results.offline_options import OfflineOptions
 from bench.results.solve_options import readings_result, require_enough_views
 from bench.results.view_sources import ViewSource, view_sources
 from bench.stations.station_collimator import CollimatorConfig
 from bench.views.kept_views import KeptViews
+from calib.boards.board import Board
 from calib.calibration import CalibrationOptions
 from calib.engine import Calibration, calibrate
 from calib.errors import CalibrationError, DegenerateViews
@@ -89,6 +91,11 @@ class OfflineResult:
         ]
         alike = bool(stated) and all(one == stated[0] for one in stated)
         return stated[0] if alike else CollimatorConfig()
+
+    @property
+    def board(self) -> Board | None:
+        """The board at finite distance that all views show; None if they show the star target, or not the same."""
+        return _common_board(self.sources, self.choices)
 
     def to_dict(self) -> dict[str, Any]:
         """Return the content as ``--json`` prints it.
@@ -196,13 +203,20 @@ def calibrate_sources(sources: Sequence[ViewSource], choices: OfflineOptions) ->
     options, passport, cautions = _engine_options(used, choices)
     require_enough_views(views, options)
     calibration = calibrate(views, options)
-    calibration = replace(calibration, notes=(*calibration.notes, *cautions))
+    words = words_for(_common_board(used, choices))
+    notes = tuple(words.fitting(note) for note in (*calibration.notes, *cautions))
+    calibration = replace(calibration, notes=notes)
     planar = planar_calibration(views, options) if calibration.model != "planar" else None
     targets = [source.job.target if source.job else choices.target for source in used]
     target = targets[0] if all(one == targets[0] for one in targets) else None
     return OfflineResult(
         calibration, planar, skipped, views, options, used, passport, target, choices=choices
     )
+
+
+def _common_board(sources: Sequence[ViewSource], choices: OfflineOptions) -> Board | None:
+    boards = {source.job.board if source.job else choices.board for source in sources}
+    return next(iter(boards)) if len(boards) == 1 else None
 
 
 def require_common_views(first: Path, second: Path, choices: OfflineOptions) -> None:
@@ -264,6 +278,8 @@ def _engine_options(
 def compare_methods(result: OfflineResult) -> list[MethodResult | MethodFailure]:
     """Compare a calibration with the published recipe and with OpenCV's planar method, on the same points.
 
+    The published recipe needs a target at infinity, so it is left out for a board.
+
     Parameters
     ----------
     result
@@ -276,7 +292,10 @@ def compare_methods(result: OfflineResult) -> list[MethodResult | MethodFailure]
     """
     lens = tuple(result.calibration.camera.distortion)
     options = replace(result.options, distortion=lens, gimbal=None)
-    return [starbench_result(result.calibration), *reference_results(result.views, options)]
+    return [
+        starbench_result(result.calibration),
+        *reference_results(result.views, options, at_infinity=result.board is None),
+    ]
 
 
 def _read_views(sources: Sequence[ViewSource]) -> tuple[list[View], list[ViewSource], list[str]]:

@@ -188,7 +188,7 @@ def offline_files(
     files = {SOURCES: _json_bytes(described), VIEWS: views_file(stars, result.calibration.residuals_px)}
     if result.passport is not None:
         files[PASSPORT_COPY] = result.passport.data
-    written = exports(result.calibration, camera_name=camera_name, target=result.target)
+    written = exports(result.calibration, camera_name=camera_name, target=result.board or result.target)
     files |= {f"{EXPORTS}/{export}": data for export, data in written.items()}
     files[REPORT] = render_report(ReportData(results, _pictures(result))).encode()
     files[RESULTS] = _json_bytes(results)
@@ -275,6 +275,7 @@ def _run_facts(result: OfflineResult, name: str, key: Sealer | None) -> dict[str
         "operator": started.get("operator"),
         "laboratory": job.laboratory if job else None,
         "collimator": collimator_data(job) if job else None,
+        **({"board": str(result.board)} if result.board is not None else {}),
         **({"target": stated} if job and (stated := target_data(job)) else {}),
         "simulated": any(one.simulated for one in jobs),
         "camera": "frame" if frames else "event",

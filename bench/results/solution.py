@@ -16,6 +16,7 @@ from bench.plan.job import Job
 from bench.plan.passports import PassportInUse
 from bench.records.events import Solved
 from bench.records.history import History
+from bench.report.target_words import TargetWords, words_for
 from bench.results.comparison import planar_calibration
 from bench.results.cross_checks import gimbal_check, split_half_check
 from bench.results.measure_again import measure_again
@@ -109,7 +110,8 @@ def solve_run(
     readings = [attempt.stored["measured_deg"] for _, attempt in accepted]
     options = solve_options(job, step, readings)
     require_enough_views(views, options)
-    calibration = _with_notes(calibrate(views, options), _notes(job, step, history, measurements))
+    notes = _notes(job, step, history, measurements)
+    calibration = _with_notes(calibrate(views, options), notes, words_for(job.board))
     check()
     planar = planar_calibration(views, options) if calibration.model != "planar" else None
     checks = {
@@ -169,8 +171,8 @@ def _notes(job: Job, step: SolveStep, history: History, measurements: Sequence[M
     return notes
 
 
-def _with_notes(calibration: Calibration, notes: Sequence[str]) -> Calibration:
-    return replace(calibration, notes=(*calibration.notes, *notes))
+def _with_notes(calibration: Calibration, notes: Sequence[str], words: TargetWords) -> Calibration:
+    return replace(calibration, notes=tuple(words.fitting(note) for note in (*calibration.notes, *notes)))
 
 
 def _alignment_note(aligned: int, total: int) -> str:

@@ -76,7 +76,7 @@ class MethodFailure:
 
 
 def reference_results(
-    views: Sequence[View], options: CalibrationOptions
+    views: Sequence[View], options: CalibrationOptions, *, at_infinity: bool = True
 ) -> list[MethodResult | MethodFailure]:
     """Calibrate the same points by every reference method; a method that fails gives its reason.
 
@@ -86,15 +86,17 @@ def reference_results(
         Views of one camera.
     options
         The distortion coefficients are used; the model and the loss are those of each method.
+    at_infinity
+        Whether a collimator puts the target at infinity. The published recipe needs this.
 
     Returns
     -------
     list of MethodResult or MethodFailure
-        The published recipe, then OpenCV.
+        The published recipe, if the target is at infinity; then OpenCV.
     """
     rows: list[MethodResult | MethodFailure] = []
     methods = ((_PUBLISHED, published_recipe), (_opencv_name(options), opencv_planar))
-    for name, method in methods:
+    for name, method in methods if at_infinity else methods[1:]:
         try:
             rows.append(method(views, options))
         except CalibrationError as error:
