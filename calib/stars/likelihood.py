@@ -89,12 +89,11 @@ class LikelihoodFit:
     covariances: NDArray[np.float64]
     light_slope: NDArray[np.float64]
     _information: _InformationByBlur = field(repr=False)
-    _best_blur_px: float = field(repr=False)
 
     @cached_property
     def edge_width_px(self) -> float:
         """Width of the stars' edges, px, from `edge_width_px`; measured when it is asked for."""
-        return _most_informative_blur(self._information, self._best_blur_px)
+        return _most_informative_blur(self._information)
 
 
 def refine_by_likelihood(
@@ -129,8 +128,7 @@ def refine_by_likelihood(
     """
     pitch = typical_pitch_px(local_map)
     information = _InformationByBlur(levels, centres, local_map, _EdgeMaps(target, pitch))
-    best_blur = _best_blur(information)
-    edge_map = information.edge_map(best_blur)
+    edge_map = information.edge_map(_best_blur(information))
     pixels = gather_edge_pixels(levels, centres, local_map, edge_map, is_open)
     unknowns = np.zeros((len(centres), EDGE_UNKNOWNS))
     overdispersion = np.ones(target.segments)
@@ -148,7 +146,7 @@ def refine_by_likelihood(
             overdispersion = _overdispersion(score, fisher)
     light_slope = np.linalg.norm(unknowns[:, 3:], axis=1)
     covariances = np.linalg.inv(normal)[:, :2, :2]
-    return LikelihoodFit(centres + unknowns[:, :2], covariances, light_slope, information, best_blur)
+    return LikelihoodFit(centres + unknowns[:, :2], covariances, light_slope, information)
 
 
 def edge_width_px(

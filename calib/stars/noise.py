@@ -58,16 +58,15 @@ def stencil_residuals(
     covariances : array
         (M, 2, 2) float64, px^2, covariances of e, up to the same factor.
     """
-    index = {(int(c), int(r)): i for i, (c, r) in enumerate(nodes)}
-    residuals, covariances = [], []
-    for (column, row), i in index.items():
-        around = [index.get((column + dc, row + dr), -1) for dc, dr in _STENCIL]
-        if min(around) < 0:
-            continue
-        weights = np.array(list(_STENCIL.values()))
-        residuals.append(points[i] + weights @ points[around])
-        covariances.append(nominal[i] + np.einsum("k,kij->ij", weights**2, nominal[around]))
-    return np.array(residuals).reshape(-1, 2), np.array(covariances).reshape(-1, 2, 2)
+    low = nodes.min(axis=0, initial=0) - 1
+    size = nodes.max(axis=0, initial=0) - low + 2
+    star_at = np.full(size, -1)
+    star_at[tuple((nodes - low).T)] = np.arange(len(nodes))
+    around = star_at[tuple(np.moveaxis((nodes - low)[:, None, :] + np.array(list(_STENCIL)), 2, 0))]
+    whole = (around >= 0).all(axis=1)
+    around, weights = around[whole], np.array(list(_STENCIL.values()))
+    residuals = points[whole] + weights @ points[around]
+    return residuals, nominal[whole] + np.einsum("k,mkij->mij", weights**2, nominal[around])
 
 
 def variance_factor(
