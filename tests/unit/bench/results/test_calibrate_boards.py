@@ -79,6 +79,19 @@ def test_photographs_of_a_checkerboard_give_the_camera_within_its_uncertainty(fo
     report = (out / "report.html").read_text()
     assert "calibrated with a flat target at finite distance" in report
     assert "wavefront" not in report
+    results = json.loads((out / "results.json").read_text())
+    assert results["run"]["board"] == "checkerboard:7x5:20mm"
+    assert "points support" in report.lower()
+    pattern = json.loads((out / "exports" / "metavision.json").read_text())["pattern"]
+    assert (pattern["n_cols"], pattern["n_rows"]) == (7, 5)
+
+
+def test_a_comparison_on_a_board_has_no_recipe_for_stars(folder, capsys):
+    said = say(capsys, "calibrate", folder, "--board", "checkerboard:7x5:20mm", "--compare")
+    assert "OpenCV, planar (Zhang)" in said.out
+    assert "no result" not in said.out
+    assert "The published recipe is left out: it needs a target at infinity, not a board." in said.out
+    assert "points; U with" in said.out
 
 
 @pytest.mark.parametrize(

@@ -76,3 +76,6 @@ def test_a_method_that_fails_says_why_and_the_others_have_results(bench):
     assert isinstance(opencv, MethodFailure)
     assert opencv.name == "OpenCV, planar (Zhang)"
     assert "same pose" in opencv.why
+    assert [
+        row.name for row in reference_results(bench.views()[:1], CalibrationOptions(), at_infinity=False)
+    ] == ["OpenCV, planar (Zhang)"]

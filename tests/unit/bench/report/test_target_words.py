@@ -1,0 +1,64 @@
+"""A report about a board speaks of points and of the board, never of stars."""
+
+import copy
+import re
+
+import pytest
+from report_sample import SMALL, sample
+
+from bench.report.html import ReportData, printed_text, render_report
+from bench.report.target_words import BOARD, STARS
+
+STAR = re.compile(r"(?<![\w-])[Ss]tars?\b")
+
+
+def of_board(**run):
+    data = sample(size=SMALL)
+    results = copy.deepcopy(dict(data.results))
+    results["run"] |= {"board": "checkerboard:11x7:20mm", "collimator": None, **run}
+    results["run"].pop("target", None)
+    results["calibration"] |= {"model": "planar", "collimator": None}
+    results["gates"] = [
+        {"name": "pose 1: stars", "value": 77.0, "unit": "", "limit": ">= 39", "verdict": "fail"}
+    ]
+    budget = results["calibration"]["budget"]
+    results["calibration"]["budget"] = {"stars": next(iter(budget.values()))}
+    results["planar"] = results["passport"] = None
+    results["deviations"] = []
+    return ReportData(results, data.views, data.journal_head)
+
+
+@pytest.mark.parametrize("camera", ["event", "frame"])
+def test_nothing_in_the_report_of_a_board_is_called_a_star(camera):
+    html = render_report(of_board(camera=camera))
+    shown = [
+        *re.findall(r'aria-label="([^"]*)"', html),
+        *re.findall(r">([^<]+)<", html.partition("</style>")[2]),
+    ]
+    assert [text for text in shown if STAR.search(text)] == []
+    words = " ".join(printed_text(html))
+    assert "residuals of the points" in words
+    assert "stars" not in words
+    assert "Gate points: fail" in words
+    assert "the board\N{RIGHT SINGLE QUOTATION MARK}s nominal dimensions" in words
+    assert "checkerboard:11x7:20mm" in words
+
+
+def test_a_pose_that_a_person_called_star_keeps_its_name():
+    data = of_board()
+    data.results["poses"][0]["name"] = "star 3"
+    assert "star 3" in printed_text(render_report(data))
+
+
+def test_readings_that_did_not_enter_are_not_told_where_the_camera_was_not_turned():
+    assert "Gimbal readings" not in printed_text(render_report(of_board()))
+
+
+def test_sentences_about_stars_fit_a_board_and_stay_as_they_are_for_stars():
+    note = (
+        "Views differ 3 times more than star noise explains, as a bow of the reticle. Starbench saw 3 stars."
+    )
+    assert STARS.fitting(note) == note
+    assert BOARD.fitting(note) == (
+        "Views differ 3 times more than point noise explains, as a bow of the board. Starbench saw 3 points."
+    )
