@@ -90,6 +90,7 @@ def whole_image(
     facts: MeasuredFacts,
     *,
     one_phase: bool = True,
+    compare_flicker: bool = True,
 ) -> WholeImage:
     """Make the event image of whole flicker periods.
 
@@ -107,6 +108,8 @@ def whole_image(
         Changed in place: numbers about flicker and image are added.
     one_phase
         Whether the light of all pixels changes at the same moment, as that of a lamp does.
+    compare_flicker
+        Whether to add what the events alone tell about the flicker to the facts.
 
     Returns
     -------
@@ -122,7 +125,8 @@ def whole_image(
     flicker = _flicker(triggers, (events.t, events.p), expected_hz)
     span_us = _span_us(events.t, triggers)
     facts.update(_flicker_facts(flicker, triggers, span_us))
-    facts.update(_compare_flicker(flicker, events))
+    if compare_flicker:
+        facts.update(_compare_flicker(flicker, events))
     images = make_images(*_event_arrays(events), size, flicker, window_us=span_us, periods=periods)
     chosen = _choose(images, image, one_phase=one_phase)
     facts.update(_image_facts(images, chosen, origin_us))

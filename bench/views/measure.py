@@ -66,7 +66,7 @@ class Measurement:
     view
         The stars; None if none were found, then ``fault`` states why.
     image
-        Event image in which the stars were detected; None if it could not be made.
+        Event image in which the stars were detected; None if it could not be made or was not asked for.
     facts
         Numbers for gates, journal and report: image kind and reason, window, periods, events per edge, ON
         share, hot pixels, flicker frequency and its source, triggers expected and found, motion, what
@@ -117,7 +117,8 @@ def measure(
         Predicts where the stars lie; used only if the tag does not label them.
     motion
         Whether to measure how far the stars moved from the first half of the recording to the second, which takes twice
-        as long as finding them. The view does not depend on it.
+        as long as finding them. Without it, what else only gates and report need is left out too: the image for people,
+        the flicker by the events, and the width of the stars' edges. The view depends on none of these.
 
     Returns
     -------
@@ -127,9 +128,10 @@ def measure(
     facts: MeasuredFacts = {}
     stored: StoredImage | None = None
     try:
-        whole = whole_image(read_events(path), image, periods, expected_hz, facts)
-        stored = StoredImage.from_image(whole.image)
-        view = downweight_vignetted(find_stars(whole.image, target, name, expected_grid, facts), target)
+        whole = whole_image(read_events(path), image, periods, expected_hz, facts, compare_flicker=motion)
+        stored = StoredImage.from_image(whole.image) if motion else None
+        found = find_stars(whole.image, target, name, expected_grid, facts, edge_width=motion)
+        view = downweight_vignetted(found, target)
         if motion:
             facts["motion_px"] = motion_px(whole.halves(), target, facts)
     except (CalibrationError, RecordingFileError) as error:
@@ -143,6 +145,8 @@ def find_stars(
     name: str,
     expected_grid: ExpectedGrid | None,
     facts: MeasuredFacts,
+    *,
+    edge_width: bool = True,
 ) -> View:
     """Detect and label the stars of an image, and find the rim of the beam in it.
 
@@ -164,6 +168,8 @@ def find_stars(
         Predicts where the stars lie; None if no prediction is available.
     facts
         Changed in place.
+    edge_width
+        Whether to measure the width of the stars' edges.
 
     Returns
     -------
@@ -191,7 +197,8 @@ def find_stars(
     grid = fit_homography(target.node_of(detection.view.ids).astype(float), detection.view.points_px)
     facts["named_by"] = "gimbal" if detection.named_by == "expected pose" else detection.named_by
     facts["grid"] = grid.tolist()
-    facts["edge_width_px"] = detection.edge_width_px
+    if edge_width:
+        facts["edge_width_px"] = detection.edge_width_px
     return replace(detection.view, rim=find_rim(image, detection.view, target))
 
 
