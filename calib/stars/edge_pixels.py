@@ -93,10 +93,12 @@ def quantise(image: NDArray[Any]) -> NDArray[np.uint8]:
     >>> quantise(np.array([[0.0, 0.5], [1.0, 0.5]])).tolist()
     [[0, 1], [2, 1]]
     """
-    sample = image.ravel()[:: max(1, image.size // 200_000)]
-    values = np.unique(sample)
+    sample = np.sort(image.ravel()[:: max(1, image.size // 200_000)])
+    values = sample[np.concatenate([[True], sample[1:] != sample[:-1]])]
     if values.size > LEVELS:
-        borders = np.unique(np.quantile(sample, np.linspace(0.0, 1.0, LEVELS + 1)[1:-1]))
+        # NumPy's quantiles would sort again: linear interpolation between the values next to each place.
+        place = np.linspace(0.0, 1.0, LEVELS + 1)[1:-1] * (sample.size - 1)
+        borders = np.unique(np.interp(place, np.arange(sample.size), sample))
     else:
         borders = (values[1:].astype(float) + values[:-1].astype(float)) / 2.0
     if image.dtype.kind == "u" and image.dtype.itemsize <= 2:
