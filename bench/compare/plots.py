@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 
 from bench.report.drawing import INK, MUTED, POSE_COLOURS
-from bench.report.plot_frame import axes_in
+from bench.report.plot_frame import Key, Words, axes_in
 from bench.report.scales import Scale, plain
-from bench.report.svg_plot import Axes, Key, Picture, Words
+from bench.report.svg_plot import Axes, Picture
 
 Row = Mapping[str, Any]
 

@@ -6,9 +6,9 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from bench.report.drawing import INK, MUTED, WIDE
-from bench.report.plot_frame import axes_in
+from bench.report.plot_frame import Words, axes_in
 from bench.report.scales import Scale
-from bench.report.svg_plot import Axes, Picture, Words
+from bench.report.svg_plot import Axes, Picture
 from bench.report.until_text import meaning_of_goal
 
 _COLOURS = ("#0072b2", "#d55e00")

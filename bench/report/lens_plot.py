@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bench.report.drawing import INK, MUTED, PANEL, POSE_COLOURS
-from bench.report.plot_frame import axes_in
+from bench.report.plot_frame import Words, axes_in
 from bench.report.scales import Scale, text_width
-from bench.report.svg_plot import Axes, Picture, Words
+from bench.report.svg_plot import Axes, Picture
 from bench.report.target_words import STARS, TargetWords
 from calib.model.camera import CameraModel
 from calib.model.lens import is_fisheye

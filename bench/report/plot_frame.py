@@ -3,17 +3,46 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 from bench.report.drawing import INK, LINE, MUTED
 from bench.report.scales import Scale, text_width
-from bench.report.svg_plot import FONT, TITLE, Axes, Key, Picture, Words, painted
+from bench.report.svg_plot import FONT, TITLE, Axes, Picture, painted
 
 _LINE_HEIGHT, _TICK, _SIGN_LENGTH = 12.0, 3.0, 14.0
 _BETWEEN_LABELS, _BETWEEN_ROWS = 16.0, 24.0
 _RIGHT = 7.0
 
 Place = tuple[float, float, float, float]
+
+
+class Key(NamedTuple):
+    """An entry of a legend: its text, its colour, and its sign (``line``, ``dashed``, ``box`` or ``dot``)."""
+
+    text: str
+    colour: str
+    sign: str = "line"
+
+
+@dataclass(frozen=True)
+class Words:
+    """The words around a plot.
+
+    Attributes
+    ----------
+    title
+        Lines above it.
+    x, y
+        Quantity and unit of the axes.
+    keys
+        The legend.
+    """
+
+    title: Sequence[str] = ()
+    x: str = ""
+    y: str = ""
+    keys: Sequence[Key] = ()
 
 
 def axes_in(

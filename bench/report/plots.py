@@ -13,10 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bench.report.drawing import INK, MUTED, PANEL, POSE_COLOURS, WIDE, shade
-from bench.report.plot_frame import axes_in
+from bench.report.plot_frame import Key, Words, axes_in
 from bench.report.scales import Scale
 from bench.report.sensor_plot import GROUND, sensor_axes, shade_unsupported, supported_share
-from bench.report.svg_plot import Axes, Key, Picture, Words, painted
+from bench.report.svg_plot import Axes, Picture, painted
 from bench.report.target_words import STARS, TargetWords
 from bench.report.view_picture import ViewPicture, thinned
 

@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 
 from bench.report.camera_values import camera_of
 from bench.report.drawing import PANEL, POSE_COLOURS
-from bench.report.plot_frame import axes_in
+from bench.report.plot_frame import Key, Words, axes_in
 from bench.report.scales import Scale
-from bench.report.svg_plot import Axes, Key, Picture, Words
+from bench.report.svg_plot import Axes, Picture
 
 Array = NDArray[np.float64]
 Json = Mapping[str, Any]

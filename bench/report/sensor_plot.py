@@ -9,10 +9,10 @@ from numpy.typing import NDArray
 
 from bench.report.contours import outlines
 from bench.report.drawing import PANEL
-from bench.report.plot_frame import axes_in, height_for
+from bench.report.plot_frame import Key, Words, axes_in, height_for
 from bench.report.scales import Scale
 from bench.report.support import reach_px, star_distance
-from bench.report.svg_plot import Axes, Key, Picture, Words
+from bench.report.svg_plot import Axes, Picture
 
 Array = NDArray[np.float64]
 

@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bench.report.drawing import INK, POSE_COLOURS
-from bench.report.plot_frame import axes_in
+from bench.report.plot_frame import Words, axes_in
 from bench.report.scales import Scale
-from bench.report.svg_plot import Picture, Words
+from bench.report.svg_plot import Picture
 
 Array = NDArray[np.float64]
 

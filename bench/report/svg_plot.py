@@ -7,10 +7,8 @@ alone suffice where there is no page, as in a certificate. The same data give th
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable
 from html import escape
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -24,34 +22,6 @@ FONT, TITLE = 9.0, 9.5
 """Sizes of type: labels, and titles."""
 _FAMILY = "DejaVu Sans, Verdana, sans-serif"
 _CLASSES = {INK: "ink", MUTED: "muted", LINE: "faint"}
-
-
-class Key(NamedTuple):
-    """An entry of a legend: its text, its colour, and its sign (``line``, ``dashed``, ``box`` or ``dot``)."""
-
-    text: str
-    colour: str
-    sign: str = "line"
-
-
-@dataclass(frozen=True)
-class Words:
-    """The words around a plot.
-
-    Attributes
-    ----------
-    title
-        Lines above it.
-    x, y
-        Quantity and unit of the axes.
-    keys
-        The legend.
-    """
-
-    title: Sequence[str] = ()
-    x: str = ""
-    y: str = ""
-    keys: Sequence[Key] = ()
 
 
 class Picture:

@@ -15,9 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bench.report.drawing import MUTED, POSE_COLOURS
-from bench.report.plot_frame import Place, axes_in, write_legend
+from bench.report.plot_frame import Key, Place, Words, axes_in, write_legend
 from bench.report.scales import Scale
-from bench.report.svg_plot import Axes, Key, Picture, Words
+from bench.report.svg_plot import Axes, Picture
 from bench.report.text import unit_of
 
 _K = 2.0

@@ -7,10 +7,10 @@ import sys
 import numpy as np
 import pytest
 
-from bench.report.plot_frame import axes_in
+from bench.report.plot_frame import Key, Words, axes_in
 from bench.report.plots import regions, residual_vectors
 from bench.report.scales import Scale
-from bench.report.svg_plot import Key, Picture, Words
+from bench.report.svg_plot import Picture
 from bench.report.view_picture import ViewPicture
 from tests.unit.bench.report.structure import Structure
 
