@@ -26,6 +26,10 @@ cgutils: Any = untyped_cgutils
 BLOCK: Final = 32
 """Pixels of a block: one vector triple of the EVT3 format."""
 
+FEWEST_BITS: Final = 8
+MOST_BITS: Final = 64
+"""Fewest and most numbers that are compared at once."""
+
 _BIT: Final = ir.IntType(1)
 _INT: Final = ir.IntType(32)
 _FLOAT: Final = ir.FloatType()
@@ -122,6 +126,97 @@ def smallest(values: Any) -> Any:
     for k in range(1, values.size):
         found = min(found, values[k])
     return found
+
+
+def _comparison(operator: str) -> Any:
+    """Return a function that compares eight float32 from an index on with a number, a bit each."""
+
+    @intrinsic
+    def compare(_typing: Any, values: Any, _i: Any, _wanted: Any) -> Any:
+        def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+            vector = ir.VectorType(_FLOAT, _LANES)
+            place = _address(context, builder, signature.args[0], args[0], args[1], vector)
+            found = builder.fcmp_ordered(
+                operator, builder.load(place, align=4), _splat(builder, args[2], _LANES)
+            )
+            return builder.zext(builder.bitcast(found, ir.IntType(8)), ir.IntType(64))
+
+        return types.uint64(values, types.int64, types.float32), generate
+
+    return compare
+
+
+_equal = _comparison("==")
+_at_most = _comparison("<=")
+
+
+@njit(forceinline=True, **JIT)
+def bits_at_most(values: Any, limit: Any) -> Any:
+    """Return which of some numbers are at most as large as a limit, a bit each.
+
+    Parameters
+    ----------
+    values
+        (N,) float32; N from 8 to 64.
+    limit
+        Limit, float32.
+
+    Returns
+    -------
+    uint64
+        The lowest bit is that of the first number.
+    """
+    last = values.size - _LANES
+    bits = _at_most(values, last, limit) << np.uint64(last)
+    for k in range(0, last, _LANES):
+        bits |= _at_most(values, k, limit) << np.uint64(k)
+    return bits
+
+
+@njit(forceinline=True, **JIT)
+def first_equal(values: Any, wanted: Any) -> Any:
+    """Return the index of the first number that equals the wanted one; 0 if none does.
+
+    Parameters
+    ----------
+    values
+        (N,) float32.
+    wanted
+        Number, float32.
+
+    Returns
+    -------
+    int64
+        Index.
+    """
+    if FEWEST_BITS <= values.size <= MOST_BITS:
+        last = values.size - _LANES
+        bits = _equal(values, last, wanted) << np.uint64(last)
+        for k in range(0, last, _LANES):
+            bits |= _equal(values, k, wanted) << np.uint64(k)
+        return lowest_bit(bits) if bits else np.int64(0)
+    for i in range(values.size):
+        if values[i] == wanted:
+            return np.int64(i)
+    return np.int64(0)
+
+
+@njit(forceinline=True, **JIT)
+def lowest_bit(bits: Any) -> Any:
+    """Return the place of the lowest bit that is set.
+
+    Parameters
+    ----------
+    bits
+        Unsigned integer, not 0.
+
+    Returns
+    -------
+    int64
+        Place, 0 for the lowest.
+    """
+    wide = np.uint64(bits)
+    return np.int64(count_bits(~wide & (wide - np.uint64(1))))
 
 
 @intrinsic

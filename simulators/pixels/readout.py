@@ -16,14 +16,23 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from simulators.pixels import photoreceptor as pr
-from simulators.pixels import square_tail as tail
 from simulators.pixels.drive import SQUARE, Drive
 from simulators.pixels.fast_math import JIT
-from simulators.pixels.lanes import BLOCK, count_bits, list_bits, prefetch, smallest, waiting
-from simulators.pixels.photoreceptor import fill_crossings, fill_levels, fill_steady_states, period_start
-from simulators.pixels.pixel_noise import draw_arrivals, uniform
-from simulators.pixels.pixel_reset import cross_exactly, firing_levels, reset_at_once, reset_pixel, reset_row
+from simulators.pixels.lanes import (
+    BLOCK,
+    FEWEST_BITS,
+    MOST_BITS,
+    bits_at_most,
+    count_bits,
+    list_bits,
+    lowest_bit,
+    prefetch,
+    smallest,
+    waiting,
+)
+from simulators.pixels.photoreceptor import period_start
+from simulators.pixels.pixel_noise import draw_arrivals
+from simulators.pixels.pixel_reset import reset_at_once, reset_pixel, reset_row
 from simulators.pixels.sensor_state import (
     AHEAD,
     EPOCH,
@@ -31,20 +40,16 @@ from simulators.pixels.sensor_state import (
     FIFO_T,
     FREE,
     FULL,
-    GAINS,
     GROUP,
+    N_CELL,
     NOISE,
     QUEUE,
     STALL,
-    STORED_LIGHT,
     T_LIVE,
-    U_REF,
     Pixels,
     Readout,
     retime,
     row_at,
-    update_minima,
-    update_row,
 )
 
 VECTOR_FROM: Final = 5
@@ -55,16 +60,19 @@ LONE_WORDS: Final = 3
 LONGEST_ROW_WORDS: Final = 512
 """Free words that the link must have before a row is read."""
 
+SHORT: Final = 8
+"""Rows of no more events are written in one go."""
+
 EventArrays = tuple[NDArray[np.int64], NDArray[np.uint16], NDArray[np.uint16], NDArray[np.uint8]]
 """t in us, x, y and p of events."""
 
 
 @njit(**JIT)
-def draw_noise(px: Pixels, ro: Readout, width: int, after: float, random: NDArray[np.uint64]) -> Any:
+def draw_noise(px: Pixels, ro: Readout, width: int, after: float, random: NDArray[np.uint64]) -> None:
     """Draw the next background and hot-pixel events.
 
-    Many are drawn at a time, and their pixels are read from memory at once: this is faster than one after the other,
-    and the pixels are in the cache when their events come.
+    Many are drawn at a time, and the memory of their pixels and blocks is asked for at once: it is in the cache when
+    the events come.
 
     Parameters
     ----------
@@ -78,33 +86,37 @@ def draw_noise(px: Pixels, ro: Readout, width: int, after: float, random: NDArra
         Time of the last event drawn, us after the epoch.
     random
         (2,) uint64, generator; its counter advances.
-
-    Returns
-    -------
-    float32
-        A number without meaning, which keeps the compiler from removing the memory reads.
     """
     draw_arrivals(ro.alias, ro.noise_rate_us, after, random, px.noise_t, px.noise_at)
-    touched = np.float32(0.0)
+    columns = px.t_next.shape[1]
     for k in range(AHEAD):
         r, c = (px.noise_at[k] >> 1) // width, (px.noise_at[k] >> 1) % width
-        touched += px.cell[r, c, T_LIVE] + px.t_next[r, c]
-    return touched
+        prefetch(px.cell, (r * columns + c) * N_CELL)
+        _prefetch_block(px, r * columns + c // BLOCK * BLOCK)
 
 
 @njit(forceinline=True, **JIT)
-def _place_noise(px: Pixels, at: int, width: int, t: float) -> None:
-    """Let a pixel request a read at t, unless it is in its dead time or waits already."""
+def _prefetch_block(px: Pixels, first: int) -> None:
+    """Ask for the memory of the requests of a block, which begins at pixel ``first`` of the sensor."""
+    prefetch(px.t_next, first)
+    prefetch(px.t_next, first + BLOCK // 2)
+    prefetch(px.is_on, first)
+
+
+@njit(forceinline=True, **JIT)
+def _place_noise(px: Pixels, at: int, width: int, t: float) -> Any:
+    """Let a pixel request a read at t, unless it is in its dead time or waits already; return its time, else inf."""
     r, c = (at >> 1) // width, (at >> 1) % width
     if t < px.cell[r, c, T_LIVE] or px.t_next[r, c] <= t:
-        return
-    px.t_next[r, c] = t
+        return np.float32(np.inf)
+    t32 = np.float32(t)
+    px.t_next[r, c] = t32
     px.is_on[r, c] = at & 1
     b = c // BLOCK
-    t32 = px.t_next[r, c]
     px.block_min[r, b] = min(px.block_min[r, b], t32)
     px.row_min[r] = min(px.row_min[r], t32)
     px.group_min[r // GROUP] = min(px.group_min[r // GROUP], t32)
+    return t32
 
 
 @njit(inline="always", **JIT)
@@ -115,17 +127,28 @@ def _block_words(n: int) -> int:
 
 @njit(forceinline=True, **JIT)
 def _find_blocks(px: Pixels, r: int, t32: Any) -> int:
-    """List the blocks of a row in which pixels wait in ``px.asked``, and ask for their memory; return their number."""
-    n = 0
-    for b in range(px.block_min.shape[1]):
-        px.asked[n] = b
-        n += px.block_min[r, b] <= t32
-    start = r * px.t_next.shape[1]
+    """List the blocks of a row in which pixels wait in ``px.asked``, and ask for their memory; return their number.
+
+    The earliest requests of these blocks, of the row and of its group become infinite: `_update_blocks` sets them
+    again. Set so early, they do not delay the search for the earliest ones.
+    """
+    n, blocks = 0, px.block_min[r]
+    if FEWEST_BITS <= blocks.size <= MOST_BITS:
+        bits = bits_at_most(blocks, t32)
+        while bits:
+            px.asked[n] = lowest_bit(bits)
+            bits &= bits - np.uint64(1)
+            n += 1
+    else:
+        for b in range(blocks.size):
+            px.asked[n] = b
+            n += blocks[b] <= t32
     for k in range(n):
-        first = start + np.int64(px.asked[k]) * BLOCK
-        prefetch(px.t_next, first)
-        prefetch(px.t_next, first + BLOCK // 2)
-        prefetch(px.is_on, first)
+        b = np.int64(px.asked[k])
+        _prefetch_block(px, r * px.t_next.shape[1] + b * BLOCK)
+        blocks[b] = np.inf
+    px.row_min[r] = np.inf
+    px.group_min[r // GROUP] = np.inf
     return n
 
 
@@ -140,11 +163,14 @@ def _gather_row(px: Pixels, r: int, t32: Any, blocks: int, xs: NDArray[np.uint16
     for k in range(blocks):
         first = np.int64(px.asked[k]) * BLOCK
         asking, on = waiting(t_next[first : first + BLOCK], is_on[first : first + BLOCK], t32)
-        off = asking & ~on
         here, on_here = np.int64(count_bits(asking)), np.int64(count_bits(on))
-        list_bits(asking, np.uint64(first), px.column, np.uint64(n))
-        list_bits(on, np.uint64(first), xs, np.uint64(n_on))
-        list_bits(off, np.uint64(first), px.off_column, np.uint64(n - n_on))
+        if here == 1:
+            px.column[n] = xs[n_on] = px.off_column[n - n_on] = first + lowest_bit(asking)
+        else:
+            off = asking & ~on
+            list_bits(asking, np.uint64(first), px.column, np.uint64(n))
+            list_bits(on, np.uint64(first), xs, np.uint64(n_on))
+            list_bits(off, np.uint64(first), px.off_column, np.uint64(n - n_on))
         n += here
         n_on += on_here
         words += _block_words(on_here) + _block_words(here - on_here)
@@ -155,6 +181,17 @@ def _gather_row(px: Pixels, r: int, t32: Any, blocks: int, xs: NDArray[np.uint16
 def _emit_row(px: Pixels, r: int, n: int, n_on: int, stamp: int, out: EventArrays) -> None:
     """Write a row's events, whose ON columns are written: ON first, then OFF, each from left to right."""
     ts, xs, ys, ps = out
+    if n <= SHORT:
+        # All that short rows could need is written, in few instructions; what is too much is overwritten later.
+        for k in range(SHORT):
+            xs[n_on + k] = px.off_column[k]
+        for k in range(SHORT):
+            ts[k] = stamp
+        for k in range(SHORT):
+            ys[k] = r
+        for k in range(SHORT):
+            ps[k] = k < n_on
+        return
     off = xs[n_on:n]
     for k in range(off.size):
         off[k] = px.off_column[k]
@@ -167,12 +204,23 @@ def _emit_row(px: Pixels, r: int, n: int, n_on: int, stamp: int, out: EventArray
 
 
 @njit(forceinline=True, **JIT)
-def _update_blocks(px: Pixels, r: int, blocks: int) -> None:
-    """Update the earliest requests of the listed blocks of a row, and of the row."""
+def _update_blocks(px: Pixels, r: int, blocks: int) -> Any:
+    """Set the earliest requests of the listed blocks of a row, of the row and of its group; return that of all.
+
+    The earliest of the others are found first: numbers just written one by one cannot be read at once as a vector.
+    """
+    g = r // GROUP
+    row, group = smallest(px.block_min[r]), smallest(px.row_min[g * GROUP : (g + 1) * GROUP])
+    oldest = smallest(px.group_min)
     for k in range(blocks):
         b = np.int64(px.asked[k])
-        px.block_min[r, b] = smallest(px.t_next[r, b * BLOCK : (b + 1) * BLOCK])
-    update_row(px, r)
+        least = smallest(px.t_next[r, b * BLOCK : (b + 1) * BLOCK])
+        px.block_min[r, b] = least
+        row = min(row, least)
+    group = min(group, row)
+    px.row_min[r] = row
+    px.group_min[g] = group
+    return min(oldest, group)
 
 
 @njit(forceinline=True, **JIT)
@@ -267,8 +315,9 @@ def read_rows(
     start = period_start(drive, state[EPOCH], state[FREE])
     n = 0
     state[FULL] = 0.0
+    oldest32 = smallest(px.group_min)
     while True:
-        oldest = np.float64(smallest(px.group_min))
+        oldest = np.float64(oldest32)
         # The link drains while the arbiter waits for room for the longest row.
         t_link = state[FIFO_T] + (state[FIFO] + LONGEST_ROW_WORDS - ro.fifo_words) / ro.link_words_us
         t = max(oldest, state[FREE], t_link)
@@ -283,11 +332,12 @@ def read_rows(
             at = px.noise_at[int(state[QUEUE])]
             if state[NOISE] < oldest and max(state[FREE], t_link) <= state[NOISE]:
                 n += _read_alone(px, drive, ro, at, width, state, start, random, out, n)
+                oldest32 = smallest(px.group_min)
             else:
-                _place_noise(px, at, width, state[NOISE])
+                oldest32 = min(oldest32, _place_noise(px, at, width, state[NOISE]))
             _next_noise(px, ro, width, state, random)
             continue
-        r = row_at(px, smallest(px.group_min))
+        r = row_at(px, oldest32)
         blocks = _find_blocks(px, r, np.float32(t))
         ts, xs, ys, ps = out
         here = ts[n:], xs[n:], ys[n:], ps[n:]
@@ -297,120 +347,8 @@ def read_rows(
             reset_at_once(px, drive, ro, r, n_row, t, start, random)
         else:
             reset_row(px, drive, ro, r, n_row, t, start, random)
-        _update_blocks(px, r, blocks)
+        oldest32 = _update_blocks(px, r, blocks)
         n += n_row
         state[STALL] += max(0.0, t_link - max(oldest, state[FREE]))
         _account(state, ro, t, n_row, words)
     return n
-
-
-# ---------------------------------------------------------------- start and changes
-
-
-@njit(**JIT)
-def set_picture(px: Pixels, drive: Drive, picture: NDArray[np.float32]) -> None:
-    """Store a picture as the light of the pixels.
-
-    Parameters
-    ----------
-    px
-        Pixels, changed in place.
-    drive
-        Light.
-    picture
-        (rows, width) float32, share of the light's drive that reaches each pixel.
-    """
-    for r in range(picture.shape[0]):
-        for c in range(picture.shape[1]):
-            px.cell[r, c, STORED_LIGHT] = pr.stored_light(drive, picture[r, c])
-
-
-@njit(**JIT)
-def start_pixels(
-    px: Pixels, drive: Drive, ro: Readout, width: int, state: NDArray[np.float64], random: NDArray[np.uint64]
-) -> None:
-    """Reset every pixel as if its dead time ended now, at ``state[FREE]``.
-
-    Parameters
-    ----------
-    px
-        Pixels, changed in place.
-    drive
-        Light.
-    ro
-        Readout, for dead time and noise of the reset.
-    width
-        Columns of the sensor.
-    state
-        (N_STATE,) float64, state of the loop.
-    random
-        (2,) uint64, generator; its counter advances.
-    """
-    t = state[FREE] - ro.dead_us
-    start = period_start(drive, state[EPOCH], t)
-    for r in range(px.t_next.shape[0]):
-        for c in range(width):
-            px.column[c] = c
-        reset_row(px, drive, ro, r, width, t, start, random)
-    update_minima(px)
-
-
-@njit(**JIT)
-def apply_change(
-    px: Pixels,
-    drive: Drive,
-    width: int,
-    t: float,
-    step_us: float,
-    state: NDArray[np.float64],
-    random: NDArray[np.uint64],
-) -> None:
-    """Apply a new light or a new picture at t: references stay, and next crossings are computed again.
-
-    A pixel that the change itself carries beyond its threshold requests at a random time within the step.
-
-    Parameters
-    ----------
-    px
-        Pixels, changed in place.
-    drive
-        New light.
-    width
-        Columns of the sensor.
-    t
-        Time of the change, us after the epoch.
-    step_us
-        Time over which the change is spread.
-    state
-        (N_STATE,) float64, state of the loop.
-    random
-        (2,) uint64, generator; its counter advances.
-    """
-    batch = px.batch
-    start = period_start(drive, state[EPOCH], t)
-    for r in range(px.t_next.shape[0]):
-        for c in range(width):
-            batch[pr.LIGHT, c] = px.cell[r, c, STORED_LIGHT]
-            aims = firing_levels(px.cell[r, c, U_REF], px.gains[r, c, GAINS])
-            batch[pr.ON_AT, c], batch[pr.OFF_AT, c] = aims
-        fill_steady_states(drive, batch, width)
-        fill_levels(drive, batch, width, t - start)
-        fill_crossings(drive, batch, width, t - start)
-        tail.fill_limit_distance(drive, batch, width)
-        for c in range(width):
-            if px.t_next[r, c] <= t:
-                continue  # it already waits
-            cross, on = start + batch[pr.T, c], batch[pr.IS_ON, c]
-            u = batch[pr.U, c]
-            if u <= batch[pr.ON_AT, c] or u >= batch[pr.OFF_AT, c]:
-                cross, on = t + step_us * uniform(random), np.float32(u <= batch[pr.ON_AT, c])
-            px.t_next[r, c] = max(np.float64(px.cell[r, c, T_LIVE]), cross)
-            lower = px.is_on[r, c] & np.uint8(0xFE)
-            px.is_on[r, c] = lower | np.uint8(on)
-            if (
-                batch[pr.LIMIT_DISTANCE, c] < tail.tail_width(drive)
-                and batch[pr.ON_AT, c] < u < batch[pr.OFF_AT, c]
-            ):
-                u_ref = tail.join_digits(px.cell[r, c, U_REF], lower)
-                cross_exactly(px, drive, r, c, u_ref, t - start, start)
-    update_minima(px)

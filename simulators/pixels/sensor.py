@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from scipy.special import ndtri
 
 from simulators.errors import SimulationMisuse
-from simulators.pixels import readout, sensor_state
+from simulators.pixels import light_changes, readout, sensor_state
 from simulators.pixels.biases import PixelSettings
 from simulators.pixels.drive import Drive, make_drive
 from simulators.pixels.fixed_pattern import GAIN_ONE, draw_noise_rates, make_pixels
@@ -196,7 +196,7 @@ class Sensor:
             )
             state[sensor_state.NOISE] = self._pixels.noise_t[0]
         self._set_picture(picture)
-        readout.start_pixels(self._pixels, self._drive, self._readout, self.width, state, self._random)
+        light_changes.start_pixels(self._pixels, self._drive, self._readout, self.width, state, self._random)
         self._now_us = begin_us
         self._advance(at_us, _Output(FIRST_ROOM, keep=False))
         state[sensor_state.STALL] = 0.0
@@ -225,7 +225,9 @@ class Sensor:
         self._drive = make_drive(light, self._now_us - phase * light.period_us, self.settings)
         self._set_picture(picture)
         t = self._now_us - self._state[sensor_state.EPOCH]
-        readout.apply_change(self._pixels, self._drive, self.width, t, step_us, self._state, self._random)
+        light_changes.apply_change(
+            self._pixels, self._drive, self.width, t, step_us, self._state, self._random
+        )
 
     def _set_picture(self, picture: NDArray[np.float32] | None) -> None:
         """Store the picture in the pixels; None: the present one."""
@@ -235,7 +237,7 @@ class Sensor:
                     f"The picture has shape {picture.shape}; the sensor has {self.height} rows of {self.width} pixels."
                 )
             self._picture = np.ascontiguousarray(picture, np.float32)
-        readout.set_picture(self._pixels, self._drive, self._picture)
+        light_changes.set_picture(self._pixels, self._drive, self._picture)
 
     def run(self, until_us: float) -> Events:
         """Return the events from the end of the last call to a time.

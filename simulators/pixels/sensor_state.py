@@ -14,7 +14,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from simulators.pixels.fast_math import JIT
-from simulators.pixels.lanes import BLOCK, smallest
+from simulators.pixels.lanes import BLOCK, first_equal, smallest
 
 GROUP: Final = 24
 """Rows of a group; groups speed up the search for the oldest request."""
@@ -187,15 +187,6 @@ def update_minima(px: Pixels) -> None:
 
 
 @njit(forceinline=True, **JIT)
-def _first_equal(values: NDArray[np.float32], wanted: float) -> int:
-    """Return the index of the first number that equals the wanted one."""
-    for i in range(values.size):
-        if values[i] == wanted:
-            return i
-    return 0
-
-
-@njit(forceinline=True, **JIT)
 def row_at(px: Pixels, oldest: float) -> int:
     """Return the first row whose earliest request is the earliest of all.
 
@@ -211,8 +202,8 @@ def row_at(px: Pixels, oldest: float) -> int:
     int
         Row.
     """
-    g = _first_equal(px.group_min, oldest)
-    return g * GROUP + _first_equal(px.row_min[g * GROUP : (g + 1) * GROUP], oldest)
+    g = first_equal(px.group_min, oldest)
+    return g * GROUP + first_equal(px.row_min[g * GROUP : (g + 1) * GROUP], oldest)
 
 
 @njit(**JIT)
