@@ -6,18 +6,28 @@ of the centres per axis; the z-score of the centres by their covariances; comple
 wrong by more than half a pixel; CPU seconds of one core for detection (median view).
 
     python tests/benchmarks/bench_stars.py [--poses 10] [--r 280] [--half-angle 16] [--pictures FOLDER]
+    python tests/benchmarks/bench_stars.py --old CHECKOUT [--poses 2] [--recordings FILE ...]
 
 With a collimator of 280 mm, stars are 48 px apart, and 318 or more of them are complete in each view if the disc is wide
 enough. ``--pictures`` draws, for the first pose of each row, the event image with its stars and, next to it, their
 errors, enlarged 500 times (red: more than 0.04 px).
+
+``--old`` compares with an older checkout instead: CPU seconds from the events in memory to stars with names and
+covariances, as `calibrate` finds them, and how far the results differ. Each view is timed in a process for each
+checkout in turn, so that both meet the same load; the best of some repetitions counts. ``--recordings`` adds RAW files.
 """
 
 from __future__ import annotations
 
 import argparse
+import inspect
 import math
+import os
+import subprocess
+import sys
 import time
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import cv2
@@ -34,22 +44,29 @@ from simulators.pixels.sensor import simulate
 from simulators.world.truth import NOISE_LEVELS, CollimatorTruth, Truth
 from simulators.world.world import LightState
 
+HERE = Path(__file__).parents[2]
 WINDOW_US = 33_000.0
+REPETITIONS = 4
 IMAGES = ("best", "last-polarity")
 SCALE, FAR_PX = 500, 0.04
 """Enlargement of drawn errors, and error from which they are red, px."""
 
 
-def record(truth: Truth, noise: str, waveform: Any, rotation: Any, seed: int) -> EventImages:
-    """Return the event images of a simulated recording."""
+def simulated(truth: Truth, noise: str, waveform: Any, rotation: Any, seed: int) -> tuple[Any, float, float]:
+    """Return the events of a simulated recording, the period of the light, and the time of its first edge, us."""
     light = LightState(waveform=waveform, output=True, sync=True)
     phase = float(np.random.default_rng(seed).random())
     picture = render(truth, rotation)
     events = simulate(
         picture, light, WINDOW_US, phase=phase, noise=NOISE_LEVELS[noise], camera_seed=7, seed=seed
     )
-    first_edge = -phase * light.period_us % light.period_us
-    flicker = Flicker(light.period_us, first_edge, 0.5, 0.0, 2, 0, 0, "triggers")
+    return events, light.period_us, -phase * light.period_us % light.period_us
+
+
+def record(truth: Truth, noise: str, waveform: Any, rotation: Any, seed: int) -> EventImages:
+    """Return the event images of a simulated recording."""
+    events, period_us, first_edge = simulated(truth, noise, waveform, rotation, seed)
+    flicker = Flicker(period_us, first_edge, 0.5, 0.0, 2, 0, 0, "triggers")
     size = (truth.camera.width, truth.camera.height)
     return make_images(events.t, events.x, events.y, events.p, size, flicker, window_us=(0.0, WINDOW_US))
 
@@ -107,24 +124,135 @@ def draw(path: Path, image: Any, view: View, errors: Any) -> None:
     cv2.imwrite(str(path), np.hstack([seen, shown]))
 
 
+def solve(recording: Path, found: Path) -> None:
+    """Find the stars of a recording some times; write the CPU seconds and the view. Runs in a process of its own."""
+    from bench.views.event_window import EventData, read_events, whole_image
+    from bench.views.measure import find_stars
+    from calib.stars.vignetting import downweight_vignetted
+    from drivers.camera.event_arrays import Events, Triggers
+
+    def known(function: Any, **wanted: Any) -> dict[str, Any]:
+        """Return the options that this checkout has."""
+        return {
+            name: value for name, value in wanted.items() if name in inspect.signature(function).parameters
+        }
+
+    cv2.setNumThreads(1)
+    hz = None
+    if recording.suffix == ".npz":
+        with np.load(recording) as kept:
+            events = Events(*(kept[name] for name in "txyp"))
+            edges = kept["edges"]
+            triggers = Triggers(
+                edges, (np.arange(len(edges)) % 2 == 0).astype(np.uint8), np.zeros(len(edges), np.uint8)
+            )
+            data, hz = EventData(events, triggers, tuple(kept["size"].tolist()), 0), float(kept["hz"])
+    else:
+        data = read_events(recording)
+    seconds = []
+    for _ in range(REPETITIONS):
+        begin = time.process_time()
+        facts: dict[str, Any] = {}
+        whole = whole_image(data, "auto", None, hz, facts, **known(whole_image, compare_flicker=False))
+        middle = time.process_time()
+        view = find_stars(whole.image, TARGET, "view", None, facts, **known(find_stars, edge_width=False))
+        view = downweight_vignetted(view, TARGET)
+        seconds.append((middle - begin, time.process_time() - middle))
+    np.savez(
+        found,
+        seconds=min(seconds, key=sum),
+        ids=view.ids,
+        points=view.points_px,
+        covariances=view.covariances_px2,
+    )
+
+
+def compare(old: Path, recordings: list[tuple[str, Path]], folder: Path) -> list[tuple[float, float]]:
+    """Print a row for each recording; return the CPU seconds of both checkouts, the old one first."""
+    rows = []
+    for name, recording in recordings:
+        found = []
+        for side, checkout in enumerate((old, HERE)):
+            environment = os.environ | {
+                "OPENBLAS_NUM_THREADS": "1",
+                "OMP_NUM_THREADS": "1",
+                "PYTHONPATH": str(checkout),
+            }
+            words = [
+                sys.executable,
+                str(Path(__file__)),
+                "--solve",
+                str(recording),
+                str(folder / f"{side}.npz"),
+            ]
+            subprocess.run(words, cwd=checkout, env=environment, check=True)
+            with np.load(folder / f"{side}.npz") as kept:
+                found.append(dict(kept))
+        (before, after), ids = found, np.intersect1d(found[0]["ids"], found[1]["ids"])
+        a, b = (np.searchsorted(one["ids"], ids) for one in found)
+        apart_px = np.linalg.norm(before["points"][a] - after["points"][b], axis=1).max()
+        traces = [
+            np.trace(one["covariances"][at], axis1=1, axis2=2) for one, at in zip(found, (a, b), strict=True)
+        ]
+        times = [one["seconds"] for one in found]
+        rows.append((times[0].sum(), times[1].sum()))
+        print(
+            f"{name:24s} {len(ids):5d} {len(before['ids']) + len(after['ids']) - 2 * len(ids):6d} {apart_px:9.1e} "
+            f"{abs(traces[1] / traces[0] - 1.0).max():9.1e}   {times[0][0]:.3f} + {times[0][1]:.3f}   "
+            f"{times[1][0]:.3f} + {times[1][1]:.3f}   {rows[-1][0] / rows[-1][1]:4.2f}",
+            flush=True,
+        )
+    return rows
+
+
+def compare_checkouts(old: Path, truth: Truth, poses: list[Any], given: list[Path]) -> None:
+    """Print the table of ``--old``."""
+    print(
+        "recording                stars  names     px off  cov. off   old image+stars   new image+stars   ratio"
+    )
+    with TemporaryDirectory() as folder:
+        rows = compare(old, [(path.stem[:24], path) for path in given], Path(folder))
+        for number, (waveform, noise) in enumerate((w, n) for w in ("square", "sine") for n in NOISE_LEVELS):
+            for pose, rotation in enumerate(poses):
+                seed = 1 + number * len(poses) + pose
+                events, period_us, first_us = simulated(truth, noise, waveform, rotation, seed)
+                edges = np.arange(first_us, WINDOW_US, period_us / 2.0).astype(np.int64)
+                size = (truth.camera.width, truth.camera.height)
+                arrays = {"t": events.t, "x": events.x, "y": events.y, "p": events.p}
+                np.savez(Path(folder) / "r.npz", **arrays, edges=edges, size=size, hz=1e6 / period_us)
+                rows += compare(old, [(f"{waveform} {noise} {pose}", Path(folder) / "r.npz")], Path(folder))
+    before, after = np.mean(rows, axis=0)
+    print(f"mean of {len(rows)}: old {before:.3f} s, new {after:.3f} s, ratio {before / after:.2f}")
+
+
 def main() -> None:
     """Print the table."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("--poses", type=int, default=10)
+    parser.add_argument("--poses", type=int, help="default: 10, with --old 2")
     parser.add_argument("--r", type=float, default=280.0, help="mm, as r of the collimator")
     parser.add_argument("--half-angle", type=float, default=16.0, help="degrees, of the disc")
     parser.add_argument("--pictures", type=Path)
+    parser.add_argument("--old", type=Path, help="an older checkout to compare with")
+    parser.add_argument("--recordings", type=Path, nargs="*", default=[], help="RAW files, with --old")
+    parser.add_argument("--solve", type=Path, nargs=2, help=argparse.SUPPRESS)
     options = parser.parse_args()
+    if options.solve:
+        solve(*options.solve)
+        return
     truth = Truth(collimator=CollimatorTruth(r=options.r, half_angle_deg=options.half_angle))
     rng = np.random.default_rng(2)
     poses = [
         pose_rotation(
             {"pan": rng.uniform(-6, 6), "tilt": rng.uniform(-3, 3), "roll": rng.uniform(0, 360)}, truth.optics
         )
-        for _ in range(options.poses)
+        for _ in range(options.poses or (2 if options.old else 10))
     ]
+    if options.old:
+        given = [path.resolve() for path in options.recordings]
+        compare_checkouts(options.old.resolve(), truth, poses, given)
+        return
     wholly = [len(whole_stars(truth, rotation)) for rotation in poses]
     print(f"stars wholly in view: {min(wholly)} to {max(wholly)}")
     print("drive   noise    image           rms px    z  missed/whole  wrong  stars  detection CPU s")
