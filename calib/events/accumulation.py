@@ -183,3 +183,89 @@ def _add_events(
                     is_first = off_seen[at] != off_burst
                     off_seen[at] = off_burst
                     off_fired[at] += np.uint16(is_first)
+
+
+class LitPixels(NamedTuple):
+    """Pixels that the flicker reaches, and what they tell about a slice.
+
+    Attributes
+    ----------
+    at
+        (K,) int64, numbers of the lit pixels, row by row.
+    on, off
+        Numbers of their events of each polarity.
+    all_on
+        Number of ON events of all pixels.
+    silent_rows
+        Number of rows without any event between rows with lit pixels.
+    """
+
+    at: NDArray[np.int64]
+    on: int
+    off: int
+    all_on: int
+    silent_rows: int
+
+
+@njit(cache=True, error_model="numpy")
+def lit_pixels(sums: PixelSums, hot: Any, least: float) -> LitPixels:
+    """Find the pixels that fire in enough bursts of both polarities, in one pass.
+
+    Parameters
+    ----------
+    sums
+        Sums over the events of each pixel.
+    hot
+        (H, W) bool, pixels that do not count.
+    least
+        Least number of bursts of each polarity.
+
+    Returns
+    -------
+    LitPixels
+        The pixels and their sums.
+    """
+    on_count, off_count, on_fired, off_fired = sums.on_count, sums.off_count, sums.on_fired, sums.off_fired
+    height, width = hot.shape
+    at = np.empty(height * width, np.int64)
+    n = on = off = all_on = silent = silent_so_far = 0
+    for r in range(height):
+        fired, begin = False, n
+        for c in range(width):
+            all_on += on_count[r, c]
+            fired |= on_count[r, c] + off_count[r, c] > 0
+            lit = on_fired[r, c] >= least and off_fired[r, c] >= least and not hot[r, c]
+            at[n] = r * width + c
+            on += on_count[r, c] * lit
+            off += off_count[r, c] * lit
+            n += lit
+        silent_so_far += not fired and begin > 0
+        if n > begin:
+            silent = silent_so_far
+    return LitPixels(at[:n].copy(), on, off, all_on, silent)
+
+
+@njit(cache=True, error_model="numpy")
+def above_surroundings(count: Any, around: Any, allowed: int) -> Any:
+    """Return where a count exceeds 2.5 times that of its surroundings by more than ``allowed``.
+
+    Parameters
+    ----------
+    count
+        (H, W) uint32.
+    around
+        (H, W) uint16, typical count of the surroundings.
+    allowed
+        Number of events.
+
+    Returns
+    -------
+    array
+        (H, W) bool.
+    """
+    result = np.empty(count.shape, np.bool_)
+    for r in range(count.shape[0]):
+        for c in range(count.shape[1]):
+            # In whole numbers, doubled.
+            result[r, c] = 2 * np.int64(count[r, c]) > 5 * np.int64(around[r, c]) + 2 * allowed
+    return result

@@ -31,7 +31,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.errors import InputMismatch, TooFewEvents
-from calib.events.accumulation import PixelSums, accumulate
+from calib.events.accumulation import PixelSums, above_surroundings, accumulate, lit_pixels
 from calib.events.bursts import BurstWindow, whole_period_window
 from calib.events.flicker import Flicker
 
@@ -299,9 +299,8 @@ def _hot_pixels(count: NDArray[np.uint32], edges: int) -> NDArray[np.bool_]:
 
     Own rule: more than 2.5 m + 4 + 2 E events, with the median m of the 5 x 5 pixels around and E edges.
     """
-    around = cv2.medianBlur(np.minimum(count, 65535).astype(np.uint16), 5).astype(np.uint32)
-    # In whole numbers, doubled: floats would take several times as long.
-    return np.asarray(count + count > 5 * around + np.uint32(8 + 4 * edges))
+    around = cv2.medianBlur(np.minimum(count, 65535).astype(np.uint16), 5)
+    return np.asarray(above_surroundings(count, around, 4 + 2 * edges))
 
 
 def _without_hot_pixels(image: NDArray[np.float32], hot: NDArray[np.bool_]) -> NDArray[np.float32]:
@@ -324,27 +323,24 @@ def _facts(
     the windows of the ON and the OFF burst. Own definitions, those of `SliceFacts`.
     """
     start, end, periods = window
-    lit = (sums.on_fired >= LIT_SHARE * periods) & (sums.off_fired >= LIT_SHARE * periods) & ~hot
-    at = np.flatnonzero(lit)
-    number = len(at)
-    on, off = (float(c.take(at).mean()) / periods if number else 0.0 for c in (sums.on_count, sums.off_count))
-    latency = sums.on_latency.take(at) / np.maximum(sums.on_fired.take(at), 1)
-    rows = np.flatnonzero(lit.any(axis=1))
-    between = sums.last_polarity[rows[0] : rows[-1] + 1] if rows.size else sums.last_polarity[:0]
+    lit = lit_pixels(sums, hot, LIT_SHARE * periods)
+    number = len(lit.at)
+    on, off = (float(count) / number / periods if number else 0.0 for count in (lit.on, lit.off))
+    latency = sums.on_latency.take(lit.at) / np.maximum(sums.on_fired.take(lit.at), 1)
     return SliceFacts(
         start_us=start,
         end_us=end,
         periods=periods,
         events=events[0],
         events_outside=events[1],
-        on_share=float(sums.on_count.sum(dtype=np.int64)) / events[0],
+        on_share=float(lit.all_on) / events[0],
         lit_pixels=number,
         events_per_edge=(on + off) / 2.0,
         events_per_edge_on=on,
         events_per_edge_off=off,
         first_on_spread_us=float(latency.std()) if number else float("nan"),
         hot_pixels=int(np.count_nonzero(hot)),
-        silent_rows=int(np.count_nonzero(~between.any(axis=1))),
+        silent_rows=lit.silent_rows,
         on_window=bursts[0],
         off_window=bursts[1],
     )

@@ -178,9 +178,9 @@ def fit_grid_map(
     scale = float(max(np.abs(grid - centre).max(), 1.0))
     degree = max((d for d, n in STARS_FOR_DEGREE.items() if len(grid) >= n), default=0)
     kept = np.ones(len(grid), bool)
+    design = _monomials((grid - centre) / scale, degree)
     for _ in range(4):
         h = fit_homography(grid[kept], points[kept])
-        design = _monomials((grid - centre) / scale, degree)
         off = points - apply_homography(h, grid)
         coefficients = np.zeros((1, 2))
         if degree:
@@ -201,5 +201,12 @@ def fit_grid_map(
 def _monomials(at: NDArray[np.float64], degree: int) -> NDArray[np.float64]:
     """Return all products x^i y^j up to a degree along a new last axis: 1, x, y, x^2, x y, y^2, ..."""
     x, y = at[..., 0], at[..., 1]
-    terms = [x ** (total - j) * y**j for total in range(degree + 1) for j in range(total + 1)]
-    return np.stack(terms, axis=-1)
+    terms = np.empty((*x.shape, (degree + 1) * (degree + 2) // 2))
+    terms[..., 0] = 1.0
+    last, end = 0, 1
+    for total in range(1, degree + 1):
+        # Each term is one of the degree below times x; the last one is times y.
+        terms[..., end : end + total] = terms[..., last:end] * x[..., None]
+        terms[..., end + total] = terms[..., end - 1] * y
+        last, end = end, end + total + 1
+    return terms
