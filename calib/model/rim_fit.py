@@ -53,6 +53,8 @@ _SHAPE_SCATTERS = (0.0004, 0.0015, 0.005, 0.015, 0.04)
 #: Prior weight of a scatter: its power of this exponent. A few arcs cannot exclude large scatters, and sigmas would be
 #: too small on benches whose rims differ from view to view; where the rims are alike, the data decide.
 _SCATTER_POWER = 1.0
+#: So many matrices, one for each view and scatter, are handled at once.
+_MOST_MATRICES = 4000
 #: Power of the likelihood of the scatters. Views that look in neighbouring directions look through the same glass, so
 #: the nine views of a bench are about five independent ones.
 _LIKELIHOOD_POWER = 0.5
@@ -115,7 +117,7 @@ class DiscMotion:
 
 
 class _Posterior(NamedTuple):
-    """Means and covariances of all unknowns, and the log marginal likelihood.
+    """Means and covariances of all unknowns, and the log marginal likelihood; each with an axis more for many.
 
     Attributes
     ----------
@@ -124,14 +126,14 @@ class _Posterior(NamedTuple):
     shared, shared_covariance
         (Q,) and (Q, Q), of the common values.
     log_likelihood
-        Logarithm of the marginal likelihood, without a constant.
+        (), logarithm of the marginal likelihood, without a constant.
     """
 
     mean: Array
     covariance: Array
     shared: Array
     shared_covariance: Array
-    log_likelihood: float
+    log_likelihood: Array
 
 
 class _Common(NamedTuple):
@@ -276,29 +278,46 @@ def _scatters(reach_mm: float, centre: float, radius: float, shape: float) -> Ar
     return reach_mm * np.array([centre, centre, radius, *[shape] * (UNKNOWNS - 3)])
 
 
-def _posterior(evidence: Evidence, scatters: Array, common: _Common) -> _Posterior:
-    """Return the posterior of all unknowns for given scatters, averaged over the common values.
+def _posteriors(evidence: Evidence, scatters: Array, common: _Common) -> _Posterior:
+    """Return the posteriors of all unknowns for (G, P) scatters, averaged over the common values.
 
-    Linear Gaussian model of Lindley and Smith (1972): with information J, product z, scatter S and A = J + S^-1, the
-    information about the mean of a view's unknowns is S^-1 - S^-1 A^-1 S^-1.
+    Every array has an axis for the scatters first. Linear Gaussian model of Lindley and Smith (1972): with information
+    J, product z, scatter S and A = J + S^-1, the information about the mean of a view's unknowns is
+    S^-1 - S^-1 A^-1 S^-1. It is calculated as J A^-1 S^-1, which is the same without a difference of large numbers.
     """
-    loose = scatters**-2.0
-    inverse = np.linalg.inv(evidence.information + np.diag(loose))
-    gain = inverse * loose[None, None, :]
-    about = np.diag(loose) - loose[None, :, None] * gain
-    toward = loose * np.einsum("vij,vj->vi", inverse, evidence.product)
-    d = common.designs
-    h = np.einsum("vpq,vpr,vrs->qs", d, about, d) + np.diag(common.sigmas**-2.0)
-    g = np.einsum("vpq,vp->q", d, toward) + common.mean * common.sigmas**-2.0
-    covariance = np.linalg.inv(h)
-    shared = covariance @ g
-    mean = np.einsum("vij,vj->vi", inverse, evidence.product) + np.einsum("vij,vjq,q->vi", gain, d, shared)
-    spread = np.einsum("vij,vjq->viq", gain, d)
-    whole = inverse + spread @ covariance @ spread.transpose(0, 2, 1)
-    log_det = np.linalg.slogdet(inverse)[1].sum() - 2.0 * len(d) * np.log(scatters).sum()
-    fit = np.einsum("vi,vij,vj->", evidence.product, inverse, evidence.product)
-    likelihood = 0.5 * (log_det + fit + g @ shared - np.linalg.slogdet(h)[1])
-    return _Posterior(mean, whole, shared, covariance, float(likelihood))
+    loose, designs = scatters**-2.0, common.designs
+    views, unknowns, shared_count = designs.shape
+    flat = designs.reshape(views * unknowns, shared_count)
+    diagonal = loose[:, None, :, None] * np.eye(unknowns)
+    inverse = np.linalg.inv(evidence.information + diagonal)
+    gain = inverse * loose[:, None, None, :]
+    spread = gain @ designs
+    about_designs = evidence.information @ spread
+    own = (inverse @ evidence.product[:, :, None])[..., 0]
+    toward = (loose[:, None, :] * own).reshape(len(scatters), -1)
+    h = flat.T @ about_designs.reshape(len(scatters), *flat.shape) + np.diag(common.sigmas**-2.0)
+    g = toward @ flat + common.mean * common.sigmas**-2.0
+    covariance = np.asarray(np.linalg.inv(h), np.float64)
+    shared = (covariance @ g[:, :, None])[..., 0]
+    mean = own + (spread @ shared[:, None, :, None])[..., 0]
+    whole = inverse + spread @ covariance[:, None] @ spread.swapaxes(2, 3)
+    log_det = np.linalg.slogdet(inverse)[1].sum(axis=1) - 2.0 * views * np.log(scatters).sum(axis=1)
+    fit = np.einsum("vi,gvi->g", evidence.product, own)
+    likelihood = 0.5 * (log_det + fit + np.sum(g * shared, axis=1) - np.linalg.slogdet(h)[1])
+    return _Posterior(mean, whole, shared, covariance, likelihood)
+
+
+def _posterior(evidence: Evidence, scatters: Array, common: _Common) -> _Posterior:
+    """Return the posterior for one set of (P,) scatters."""
+    found = _posteriors(evidence, scatters[None], common)
+    return _Posterior(*(part[0] for part in found))
+
+
+def _in_pieces(evidence: Evidence, scatters: Array, common: _Common) -> _Posterior:
+    """Return `_posteriors`, calculated in pieces that bound the memory for many views."""
+    size = max(1, _MOST_MATRICES // len(evidence.product))
+    pieces = [_posteriors(evidence, scatters[at : at + size], common) for at in range(0, len(scatters), size)]
+    return _Posterior(*(np.concatenate(parts) for parts in zip(*pieces, strict=True)))
 
 
 def _averaged(
@@ -309,31 +328,28 @@ def _averaged(
     Return also the (V,) sigmas of the views' own centres, mm, and the scatters that are not excluded. The likelihood
     enters by a power below 1 (SafeBayes; Grünwald and van Ommen, 2017), because views are not independent.
     """
-    every = [_posterior(evidence, scatters, common) for scatters in grid]
-    preference = [_SCATTER_POWER * float(np.log(s[[0, 2, 3]]).sum()) for s in grid]
-    logs = _LIKELIHOOD_POWER * np.array([one.log_likelihood for one in every]) + preference
+    scatters = np.array(grid)
+    every = _in_pieces(evidence, scatters, common)
+    preference = _SCATTER_POWER * np.log(scatters[:, [0, 2, 3]]).sum(axis=1)
+    logs = _LIKELIHOOD_POWER * every.log_likelihood + preference
     weights = np.exp(logs - logs.max())
     weights /= weights.sum()
     kept = weights > 1e-4
     share = weights[kept] / weights[kept].sum()
-    likely = [one for one, keep in zip(every, kept, strict=True) if keep]
-    mean, covariance = _mixed(share, [one.mean for one in likely], [one.covariance for one in likely])
-    shared, shared_covariance = _mixed(
-        share, [one.shared for one in likely], [one.shared_covariance for one in likely]
-    )
+    mean, covariance = _mixed(share, every.mean[kept], every.covariance[kept])
+    shared, shared_covariance = _mixed(share, every.shared[kept], every.shared_covariance[kept])
     own = np.zeros(len(mean))
-    for w, scatters in zip(share, [s for s, keep in zip(grid, kept, strict=True) if keep], strict=True):
-        own += w * _own_variance(points_only, scatters, reach_mm)
-    found = _Posterior(mean, covariance, shared, shared_covariance, float(logs.max()))
+    for w, one in zip(share, scatters[kept], strict=True):
+        own += w * _own_variance(points_only, one, reach_mm)
+    found = _Posterior(mean, covariance, shared, shared_covariance, logs.max())
     return found, np.sqrt(own), [s for s, w in zip(grid, weights, strict=True) if w > _LEAST_WEIGHT]
 
 
-def _mixed(weights: Array, means: Sequence[Array], covariances: Sequence[Array]) -> tuple[Array, Array]:
-    """Return (..., P) means and (..., P, P) covariances of a mixture, from those of its parts."""
-    every = np.array(means)
-    mean = np.tensordot(weights, every, axes=1)
-    off = every - mean
-    within = np.tensordot(weights, np.array(covariances), axes=1)
+def _mixed(weights: Array, means: Array, covariances: Array) -> tuple[Array, Array]:
+    """Return (..., P) means and (..., P, P) covariances of a mixture, from those of its parts, by their first axis."""
+    mean = np.tensordot(weights, means, axes=1)
+    off = means - mean
+    within = np.tensordot(weights, covariances, axes=1)
     return mean, within + np.einsum("w,w...i,w...j->...ij", weights, off, off)
 
 
