@@ -29,9 +29,9 @@ MOST_BYTES = 200_000
 
 
 def save(picture: Image.Image, name: str) -> None:
-    """Write a picture with few colours; refuse one that is too large."""
+    """Write a picture with 256 colours; refuse one that is too large."""
     path = PICTURES / name
-    picture.quantize(96, dither=Image.Dither.NONE).save(path, optimize=True)
+    picture.quantize(256, dither=Image.Dither.NONE).save(path, optimize=True)
     size = path.stat().st_size
     print(f"{path.name}: {picture.size[0]} x {picture.size[1]} px, {size} bytes")
     if size > MOST_BYTES:
