@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 from bench.certificate.certificate_data import Certificate
 from bench.report.calibration_tables import coverage_factor
+from bench.report.target_words import words_of
 
 if TYPE_CHECKING:
     import numpy as np
@@ -143,7 +144,7 @@ def _camera_plots(results: Mapping[str, Any], stars: Sequence[Array]) -> dict[st
         "uncertainty": sensor_map(
             found.grid_px, k * found.sigma_px, "U of an image point, px", "uncertainty", "", stars=points
         ),
-        "distortion": distortion_curve(camera, covariance, k, outermost),
+        "distortion": distortion_curve(camera, covariance, k, outermost, words_of(results)),
     }
     if max(field_angles_deg(camera).values()) > _WIDE_ANGLE_DEG:  # else it looks as that of the image points
         plots["direction"] = sensor_map(
@@ -164,12 +165,12 @@ def _star_plots(results: Mapping[str, Any], seen: Sequence[ViewPicture]) -> dict
 
     width, height = results["calibration"]["image_size"]
     camera = results["calibration"]["camera"]
-    centre = (camera["cx"], camera["cy"])
+    centre, words = (camera["cx"], camera["cy"]), words_of(results)
     return {
-        "coverage": coverage(seen, (width, height), centre),
-        "vectors": residual_vectors(seen, (width, height)),
+        "coverage": coverage(seen, (width, height), centre, words),
+        "vectors": residual_vectors(seen, (width, height), words),
         "radial": residual_radial(seen, centre),
-        "regions": regions(seen, (width, height)),
+        "regions": regions(seen, (width, height), words),
     }
 
 

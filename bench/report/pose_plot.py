@@ -48,10 +48,10 @@ def pose_directions(results: Json) -> str:
     Returns
     -------
     str
-        SVG; empty if no pose has angles.
+        SVG; empty if no pose has angles, or if all have the same ones, as where a board was moved.
     """
     places = _places(results)
-    if not places:
+    if not places or len({(place.pan_deg, place.tilt_deg) for place in places}) < min(2, len(places)):
         return ""
     width, height = results["calibration"]["image_size"]
     about = f"Pan {_range_text(p.pan_deg for p in places)}, tilt {_range_text(p.tilt_deg for p in places)} degrees."

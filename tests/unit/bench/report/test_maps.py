@@ -110,6 +110,8 @@ def test_poses_are_drawn_as_used_left_out_or_refused(data):
         "1 no recording accepted",
     ]
     assert pose_directions({**results, "poses": [{"index": 1, "name": "a", "commanded_deg": None}]}) == ""
+    assert pose_directions({**results, "poses": [used]}) != ""
+    assert pose_directions({**results, "poses": [used, {**used, "index": 2}]}) == ""
 
 
 def test_a_thousand_poses_are_one_small_drawing(data):
