@@ -17,13 +17,14 @@ from bench.base.errors import EvidenceError
 from bench.certificate.result_data import Budget, BudgetRow
 from bench.certificate.rounding import with_unit
 from calib.uncertainty.budget_parts import PASSPORT, PRIORS, READINGS, STARS
+from calib.uncertainty.common_errors import COMMON_ERRORS
 from calib.uncertainty.covariance import INCONSISTENCY, coverage_factor
 
 Json = Mapping[str, Any]
 
 _CERTAIN = (PASSPORT, PRIORS)
 """Sources of the adjustment whose variance is known: their degrees of freedom are infinite."""
-_TYPE_A = (STARS, INCONSISTENCY)
+_TYPE_A = (STARS, INCONSISTENCY, COMMON_ERRORS)
 _SAME = 1e-3
 """Largest relative difference between the combined rows and the stated uncertainty: below its last printed digit."""
 _OVERLAP = (
@@ -263,6 +264,7 @@ def _stated_value(row: Json, source: RowSource) -> tuple[float | None, float | N
 _SOURCES = {
     STARS: "residuals of the stars, with the gimbal's readings if there are any",
     INCONSISTENCY: "differences between the views",
+    COMMON_ERRORS: "residuals that all views share",
     PRIORS: "station, and expected sizes",
 }
 

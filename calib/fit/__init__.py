@@ -37,6 +37,7 @@ from calib.model.beam import Disc, inside_guard_band, visible_discs
 from calib.model.camera import PINHOLE
 from calib.model.collimator import CENTRE, Collimator
 from calib.model.homography import view_homography
+from calib.uncertainty.common_errors import add_common_errors, common_errors
 from calib.uncertainty.consistency import check_passport
 from calib.uncertainty.covariance import (
     Uncertainty,
@@ -370,4 +371,6 @@ def with_uncertainty(fitted: Fit, options: CalibrationOptions) -> Fit:
             estimate = add_certificate(bundle, parameters, estimate, passport)
         why = "The passport does not constrain it either."
         require_constrained(parameters, estimate.names, estimate.covariance, why)
+    if passport is None or passport.is_certificate:
+        estimate = add_common_errors(estimate, bundle, partial(common_errors, bundle, parameters, loss))
     return replace(fitted, uncertainty=estimate)

@@ -16,6 +16,7 @@ from calib.adjustment.levenberg_marquardt import Loss
 from calib.adjustment.parameters import AdjustmentParameters
 from calib.model.aberrations import PARALLAX
 from calib.model.gimbal import MOUNTING, NON_ORTHOGONALITY, SCALES, STANDING
+from calib.uncertainty.common_errors import COMMON_ERRORS
 from calib.uncertainty.covariance import Uncertainty, inverse_information
 
 Array = NDArray[np.float64]
@@ -64,15 +65,21 @@ def covariance_parts(
     """
     names = list(estimate.names)
     held = [i for i, name in enumerate(names) if name not in bundle.names]
-    by_passport = _by_held(estimate.covariance, held)
-    own = estimate.covariance - by_passport
+    common = np.zeros_like(estimate.covariance) if estimate.common is None else estimate.common
+    by_passport = _by_held(estimate.covariance - common, held)
+    own = estimate.covariance - common - by_passport
     priors = _by_priors(bundle, own, names)
     stars = {STARS: own - sum(priors.values(), start=np.zeros_like(own))}
     if bundle.gimbal is not None and parameters.gimbal is not None:
         readings = _by_readings(bundle, parameters, loss, estimate)
         stars = {STARS: stars[STARS] - readings, READINGS: readings}
     by_passport = by_passport + priors.pop(PASSPORT, 0.0)
-    shapes = {STARS: stars, PRIORS: priors, PASSPORT: {PASSPORT: by_passport}}
+    shapes = {
+        STARS: stars,
+        PRIORS: priors,
+        PASSPORT: {PASSPORT: by_passport},
+        COMMON_ERRORS: {COMMON_ERRORS: common},
+    }
     parts: dict[str, Array] = {}
     for source, variances in estimate.budget.items():
         parts |= _scaled(shapes.get(source, {source: own}), np.asarray(variances))

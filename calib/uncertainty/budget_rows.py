@@ -25,6 +25,7 @@ from calib.uncertainty.budget_parts import (
     STARS,
     covariance_parts,
 )
+from calib.uncertainty.common_errors import COMMON_ERRORS
 from calib.uncertainty.covariance import INCONSISTENCY, Uncertainty
 from calib.uncertainty.passport_propagation import UNBOUNDED_PARALLAX
 from calib.uncertainty.projection_uncertainty import projection_derivatives
@@ -37,6 +38,7 @@ Array = NDArray[np.float64]
 _OWN_SOURCES: Mapping[str, tuple[Literal["A", "B"], str]] = {
     STARS: ("A", "residuals of the stars"),
     INCONSISTENCY: ("A", "differences between the views"),
+    COMMON_ERRORS: ("A", "residuals that all views share"),
     PRIORS: ("B", "expected size of the collimator's aberrations"),
     PASSPORT: ("B", "passport or certificate of the collimator"),
     READINGS: ("B", "station: reading_sigma_deg"),

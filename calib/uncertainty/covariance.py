@@ -32,7 +32,7 @@ _DETERMINED = 1e-6
 #: Probability that consistent views are reported as inconsistent.
 _FALSE_ALARMS = 1e-3
 #: From this number of views on, the scores of the views determine the sigmas.
-_SCORE_VIEWS = 5
+SCORE_VIEWS = 5
 #: From this number of views on, the working covariance matters little, and variance components take long.
 _MANY_VIEWS = 16
 #: Source of the budget that holds what the inconsistency of the views adds.
@@ -63,6 +63,9 @@ class Uncertainty:
         Degrees of freedom of the covariance: those of the stars if the views are consistent, else those of the views.
     budget
         (G,) float64 variances of the parameters by source; the sources add up to the diagonal of the covariance.
+    common
+        (G, G) float64 part of the covariance from errors that all views share (`calib.uncertainty.common_errors`); None
+        if there are none.
     """
 
     names: tuple[str, ...]
@@ -73,6 +76,7 @@ class Uncertainty:
     inconsistent: bool = False
     effective_degrees_of_freedom: float = float("inf")
     budget: Mapping[str, Array] = field(default_factory=dict)
+    common: Array | None = None
 
     @property
     def coverage_factor(self) -> float:
@@ -262,7 +266,7 @@ def inflate(
     shaped = _from_variance_components(nominal, shared)
     return (
         shaped
-        if views < _SCORE_VIEWS
+        if views < SCORE_VIEWS
         else _from_scores(shaped, bundle, parameters, loss, shared.score_covariances)
     )
 

@@ -15,7 +15,7 @@ views, the variance components give the working covariance of `calib.uncertainty
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 from calib.adjustment.bundle import Bundle
 from calib.adjustment.levenberg_marquardt import Loss
 from calib.adjustment.parameters import AdjustmentParameters
+from calib.uncertainty.field_equations import FieldEquations, estimate_variances, monomials
 from calib.uncertainty.repeats import noise_growth, views_of_poses
 
 Array = NDArray[np.float64]
@@ -34,9 +35,6 @@ _RIM_POWERS = (4, 10)
 _DETERMINED = 1e-7
 #: Smallest noise variance, as a share of the mean square residual; needed if stars are hardly more than coefficients.
 _MIN_NOISE_SHARE = 1e-3
-_ROUNDS = 100
-#: The iteration ends when no standard deviation changes by more than this share.
-_CONVERGED = 5e-3
 
 
 @dataclass(frozen=True)
@@ -70,7 +68,7 @@ class VarianceComponents:
 
 
 @dataclass(frozen=True)
-class _FieldEquations:
+class _ComponentEquations:
     """Reduced normal equations of the field coefficients of all views.
 
     Attributes
@@ -123,7 +121,7 @@ def variance_components(bundle: Bundle, parameters: AdjustmentParameters, loss: 
     VarianceComponents
         The components, and the covariance of the shared parameters.
     """
-    equations = _field_equations(bundle, parameters, loss)
+    equations = _component_equations(bundle, parameters, loss)
     eigenvalues, vectors = np.linalg.eigh(equations.normal)
     determined = eigenvalues > _DETERMINED * eigenvalues[-1]
     roots = np.sqrt(eigenvalues[determined])
@@ -132,12 +130,14 @@ def variance_components(bundle: Bundle, parameters: AdjustmentParameters, loss: 
     by_coefficient = roots[:, None] * vectors[:, determined].T
     kinds = range(int(equations.group.max()) + 1)
     parts = [by_coefficient[:, equations.group == kind] for kind in kinds]
-    variances, fisher = _estimate_variances(z, [part @ part.T for part in parts], equations.noise)
+    variances, fisher = estimate_variances(
+        z, [part @ part.T for part in parts], equations.noise * np.eye(len(z))
+    )
     return _propagate(bundle, equations, variances, fisher)
 
 
 def _propagate(
-    bundle: Bundle, equations: _FieldEquations, variances: Array, fisher: Array
+    bundle: Bundle, equations: _ComponentEquations, variances: Array, fisher: Array
 ) -> VarianceComponents:
     """Propagate the variance components to the shared parameters.
 
@@ -171,7 +171,7 @@ def _propagate(
     )
 
 
-def _score_covariances(equations: _FieldEquations, variances: Array) -> Array:
+def _score_covariances(equations: _ComponentEquations, variances: Array) -> Array:
     """Return (n, G, G) the covariance of each view's score.
 
     Own derivation: noise A + S D S^T, with the information A of the view.
@@ -185,72 +185,31 @@ def _score_covariances(equations: _FieldEquations, variances: Array) -> Array:
     return np.asarray(scores)
 
 
-def _estimate_variances(z: Array, parts: Sequence[Array], noise: float) -> tuple[Array, Array]:
-    """Return the maximum likelihood variances of z ~ N(0, sum_k v_k parts_k + noise), and their information.
-
-    Each iteration multiplies a variance by the square root of the observed over the expected quadratic form; the
-    likelihood grows in every iteration (Zhou, Hu, Zhou and Lange, 2019). The information is that on the logarithms of
-    the variances.
-    """
-    own, flat = noise * np.eye(len(z)), np.array(parts).reshape(len(parts), -1)
-    variances = np.array([z @ z / np.trace(part) / len(parts) for part in parts])
-    for _ in range(_ROUNDS):
-        inverse = np.linalg.inv((variances @ flat).reshape(own.shape) + own)
-        scaled = inverse @ z
-        factors = np.sqrt((flat @ np.outer(scaled, scaled).reshape(-1)) / (flat @ inverse.reshape(-1)))
-        variances = variances * factors
-        if (np.abs(np.sqrt(factors) - 1.0) * (variances > 1e-3 * variances / factors)).max() < _CONVERGED:
-            break
-    by_log_variance = np.array([v * inverse @ part for v, part in zip(variances, parts, strict=True)])
-    swapped = np.swapaxes(by_log_variance, 1, 2).reshape(len(parts), -1)
-    return variances, 0.5 * by_log_variance.reshape(len(parts), -1) @ swapped.T
-
-
-def _field_equations(bundle: Bundle, parameters: AdjustmentParameters, loss: Loss) -> _FieldEquations:
+def _component_equations(bundle: Bundle, parameters: AdjustmentParameters, loss: Loss) -> _ComponentEquations:
     """Set up the equations of the field coefficients, with local and shared parameters eliminated.
 
     Own derivation. Local parameters are eliminated by the Schur complement (Triggs et al., 2000, section 6.1), shared
     ones in the same way.
     """
-    residuals = bundle.weighted_residuals(parameters)
-    weights = loss.weights(np.linalg.norm(residuals, axis=1))
-    count = len(bundle.names)
-    # A displacement of the target moves the image as a shift of the centre does, with the opposite sign.
-    moving = replace(bundle, names=("x", "y", *bundle.names))
-    derivatives = [(whole[2:], whole[:2]) for whole in moving.jacobians(parameters)]
-    readings = bundle.reading_equations(parameters)
+    at_optimum = FieldEquations(bundle, parameters, loss)
+    residuals, count = at_optimum.residuals, len(bundle.names)
     rims = _rim_shapes(bundle, parameters)
     information, normals, couplings, scores, groups, squares = [], [], [], [], [], 0.0
     read = []
     for views in views_of_poses(bundle):
         fields, group = basis_fields(bundle, views, rims)
-        reduced = np.zeros((count + len(group), count + len(group)))
-        score, by_readings = np.zeros(len(group)), np.zeros((count, count))
-        for i, own_fields in zip(views, fields, strict=True):
-            columns, weighted = _weighted_columns(bundle, residuals, weights, i, *derivatives[i], own_fields)
-            normal = columns @ columns.T
-            known = count + (6 if bundle.free_centres else 3)
-            if readings is not None:
-                normal[:known, :known] += readings[0][i]
-            normal[count:known, count:known] += bundle.local_prior_information
-            local, rest = slice(count, known), [*range(count), *range(known, len(columns))]
-            answer = np.linalg.solve(normal[local, local], normal[local, rest])
-            reduced += normal[np.ix_(rest, rest)] - normal[rest, local] @ answer
-            if readings is not None:
-                # The readings' part of the score: its local parameters are eliminated as those of the whole.
-                turn = np.hstack([np.eye(count), -answer[:, :count].T])
-                by_readings += turn @ readings[0][i] @ turn.T
-            score += columns[known:] @ weighted
-            squares += float(weighted @ weighted)
+        each = [at_optimum.of_view(i, own) for i, own in zip(views, fields, strict=True)]
+        reduced = np.sum([view.normal for view in each], axis=0)
         information.append(reduced[:count, :count])
-        read.append(by_readings)
+        read.append(np.sum([view.by_readings for view in each], axis=0))
         normals.append(reduced[count:, count:])
         couplings.append(reduced[:count, count:])
-        scores.append(score)
+        scores.append(np.sum([view.score for view in each], axis=0))
         groups.append(group)
+        squares += sum(view.squares for view in each)
     inverse = np.asarray(np.linalg.inv(sum(information, start=bundle.prior_information)))
     coupling, score = np.hstack(couplings), np.concatenate(scores)
-    freedom = 2 * len(residuals) - count - len(derivatives) * (6 if bundle.free_centres else 3)
+    freedom = at_optimum.degrees_of_freedom
     explained = sum(
         float(own @ np.linalg.pinv(block, rcond=_DETERMINED, hermitian=True) @ own)
         for own, block in zip(scores, normals, strict=True)
@@ -263,7 +222,7 @@ def _field_equations(bundle: Bundle, parameters: AdjustmentParameters, loss: Los
     view = np.repeat(np.arange(len(groups)), [len(own) for own in groups])
     symmetric = 0.5 * (together + together.T)
     grown = noise_growth(bundle, residuals)
-    return _FieldEquations(
+    return _ComponentEquations(
         score,
         symmetric,
         coupling,
@@ -283,29 +242,6 @@ def _score_noise(bundle: Bundle, information: Array, read: Array, noise: float, 
     Repeated views enlarge the stars' part.
     """
     return np.asarray(growth[:, None, None] * noise * (information - read) + bundle.noise_variance * read)
-
-
-def _weighted_columns(
-    bundle: Bundle,
-    residuals: Array,
-    weights: Array,
-    view: int,
-    jacobian: Array,
-    moves: Array,
-    fields: Array,
-) -> tuple[Array, Array]:
-    """Return (G + L + F, 2 m) weighted derivatives of a view's stars and their (2 m,) weighted residuals.
-
-    The derivatives are by the shared parameters, the local ones and the coefficients of the fields.
-    """
-    rows = bundle.observations.slices[view]
-    root = np.sqrt(weights[rows])
-    a, b, c = root * bundle.observations.factors[:, rows]
-    along_x, along_y = np.ascontiguousarray(fields.transpose(1, 2, 0))
-    u, v = (-(moves[0, axis] * along_x + moves[1, axis] * along_y) for axis in (0, 1))
-    by_x, by_y = np.concatenate([jacobian[:, 0], u]), np.concatenate([jacobian[:, 1], v])
-    columns = np.concatenate([a * by_x, b * by_x + c * by_y], axis=1)
-    return columns, (root[:, None] * residuals[rows]).T.reshape(-1)
 
 
 def basis_fields(
@@ -336,9 +272,8 @@ def basis_fields(
     target_mm = np.concatenate([bundle.observations.target[rows, :2] for rows in slices])
     away = target_mm - target_mm.mean(axis=0)
     away /= np.linalg.norm(away, axis=1).max()
-    powers = [(k - j, j) for k in range(_DEGREES + 1) for j in range(k + 1)][: len(away)]
-    monomials = np.column_stack([away[:, 0] ** i * away[:, 1] ** j for i, j in powers])
-    smooth = np.linalg.qr(monomials)[0] * np.sqrt(len(away))
+    values, degree = (each[..., : len(away)] for each in monomials(away, _DEGREES))
+    smooth = np.linalg.qr(values)[0] * np.sqrt(len(away))
     if rims is None:
         radius = np.linalg.norm(away, axis=1)[:, None]
         shapes = np.stack([radius**power * away for power in _RIM_POWERS], axis=2)
@@ -353,7 +288,7 @@ def basis_fields(
         ],
         axis=2,
     )
-    bent = [1 + i + j for i, j in powers[1:]]
+    bent = (1 + degree[1:]).tolist()
     group = np.array([0, *bent, 1, *bent, *[_DEGREES + 2] * shapes.shape[2]])
     return np.split(fields, np.cumsum([rows.stop - rows.start for rows in slices])[:-1]), group
 

@@ -1,0 +1,182 @@
+"""Normal equations of smooth displacements of the target, beside the parameters of an adjustment at its optimum.
+
+`calib.uncertainty.variance_components` asks for displacements that differ from view to view, and
+`calib.uncertainty.common_errors` for those that all views share. This module decides nothing about either.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calib.adjustment.bundle import Bundle
+from calib.adjustment.levenberg_marquardt import Loss
+from calib.adjustment.parameters import AdjustmentParameters
+
+Array = NDArray[np.float64]
+
+_ROUNDS = 100
+#: The iteration ends when no standard deviation changes by more than this share.
+_CONVERGED = 5e-3
+
+
+@dataclass(frozen=True)
+class ReducedView:
+    """Equations of one view, with its own rotation (and centre) eliminated.
+
+    Attributes
+    ----------
+    normal
+        (G + F, G + F) float64 normal matrix of the shared parameters and of the coefficients of the fields.
+    score
+        (F,) float64 score of each coefficient.
+    squares
+        Sum of the squares of the weighted residuals.
+    by_readings
+        (G, G) float64 part of the normal matrix that comes from the gimbal's readings.
+    """
+
+    normal: Array
+    score: Array
+    squares: float
+    by_readings: Array
+
+
+class FieldEquations:
+    """Residuals and derivatives at the optimum, from which the equations of fields are set up.
+
+    Parameters
+    ----------
+    bundle
+        Bundle that was adjusted.
+    parameters
+        Its optimum.
+    loss
+        Loss with the limit that the adjustment ended with.
+    """
+
+    def __init__(self, bundle: Bundle, parameters: AdjustmentParameters, loss: Loss) -> None:
+        self.bundle = bundle
+        self.residuals = bundle.weighted_residuals(parameters)
+        self._weights = loss.weights(np.linalg.norm(self.residuals, axis=1))
+        # A displacement of the target moves the image as a shift of the centre does, with the opposite sign.
+        moving = replace(bundle, names=("x", "y", *bundle.names))
+        self._derivatives = [(whole[2:], whole[:2]) for whole in moving.jacobians(parameters)]
+        self._readings = bundle.reading_equations(parameters)
+
+    @property
+    def local_count(self) -> int:
+        """Number of parameters that each view has of its own: 3, or 6 with a centre of its own."""
+        return 6 if self.bundle.free_centres else 3
+
+    @property
+    def degrees_of_freedom(self) -> int:
+        """Number of residuals minus number of parameters, without fields."""
+        own = len(self._derivatives) * self.local_count
+        return 2 * len(self.residuals) - len(self.bundle.names) - own
+
+    def of_view(self, view: int, fields: Array) -> ReducedView:
+        """Return the equations of a view, with its local parameters eliminated.
+
+        Own derivation. Local parameters are eliminated by the Schur complement (Triggs et al., 2000, section 6.1).
+
+        Parameters
+        ----------
+        view
+            Index of the view.
+        fields
+            (m, 2, F) float64 displacements of its m stars by a unit of each coefficient, mm.
+
+        Returns
+        -------
+        ReducedView
+            The equations.
+        """
+        bundle, count = self.bundle, len(self.bundle.names)
+        columns, weighted = self._weighted_columns(view, fields)
+        normal = columns @ columns.T
+        known = count + self.local_count
+        by_readings = np.zeros((count, count))
+        if self._readings is not None:
+            normal[:known, :known] += self._readings[0][view]
+        normal[count:known, count:known] += bundle.local_prior_information
+        local, rest = slice(count, known), [*range(count), *range(known, len(columns))]
+        answer = np.linalg.solve(normal[local, local], normal[local, rest])
+        if self._readings is not None:
+            # The readings' part of the score: its local parameters are eliminated as those of the whole.
+            turn = np.hstack([np.eye(count), -answer[:, :count].T])
+            by_readings = turn @ self._readings[0][view] @ turn.T
+        reduced = normal[np.ix_(rest, rest)] - normal[rest, local] @ answer
+        return ReducedView(reduced, columns[known:] @ weighted, float(weighted @ weighted), by_readings)
+
+    def _weighted_columns(self, view: int, fields: Array) -> tuple[Array, Array]:
+        """Return (G + L + F, 2 m) weighted derivatives of a view's stars and their (2 m,) weighted residuals.
+
+        The derivatives are by the shared parameters, the local ones and the coefficients of the fields.
+        """
+        jacobian, moves = self._derivatives[view]
+        rows = self.bundle.observations.slices[view]
+        root = np.sqrt(self._weights[rows])
+        a, b, c = root * self.bundle.observations.factors[:, rows]
+        along_x, along_y = np.ascontiguousarray(fields.transpose(1, 2, 0))
+        u, v = (-(moves[0, axis] * along_x + moves[1, axis] * along_y) for axis in (0, 1))
+        by_x, by_y = np.concatenate([jacobian[:, 0], u]), np.concatenate([jacobian[:, 1], v])
+        columns = np.concatenate([a * by_x, b * by_x + c * by_y], axis=1)
+        return columns, (root[:, None] * self.residuals[rows]).T.reshape(-1)
+
+
+def estimate_variances(z: Array, parts: Sequence[Array], noise: Array) -> tuple[Array, Array]:
+    """Return the maximum likelihood variances of z ~ N(0, sum_k v_k parts_k + noise), and their information.
+
+    Each iteration multiplies a variance by the square root of the observed over the expected quadratic form; the
+    likelihood grows in every iteration (Zhou, Hu, Zhou and Lange, 2019).
+
+    Parameters
+    ----------
+    z
+        (C,) float64 whitened scores.
+    parts
+        For each of K components the (C, C) float64 covariance of z for a unit variance.
+    noise
+        (C, C) float64 covariance of z from all other causes.
+
+    Returns
+    -------
+    tuple of Array
+        (K,) float64 variances, and the (K, K) information on their logarithms.
+    """
+    flat = np.array(parts).reshape(len(parts), -1)
+    variances = np.array([z @ z / np.trace(part) / len(parts) for part in parts])
+    for _ in range(_ROUNDS):
+        inverse = np.linalg.inv((variances @ flat).reshape(noise.shape) + noise)
+        scaled = inverse @ z
+        factors = np.sqrt((flat @ np.outer(scaled, scaled).reshape(-1)) / (flat @ inverse.reshape(-1)))
+        variances = variances * factors
+        if (np.abs(np.sqrt(factors) - 1.0) * (variances > 1e-3 * variances / factors)).max() < _CONVERGED:
+            break
+    by_log_variance = np.array([v * inverse @ part for v, part in zip(variances, parts, strict=True)])
+    swapped = np.swapaxes(by_log_variance, 1, 2).reshape(len(parts), -1)
+    return variances, 0.5 * by_log_variance.reshape(len(parts), -1) @ swapped.T
+
+
+def monomials(points: Array, degree: int) -> tuple[Array, NDArray[np.int64]]:
+    """Return all monomials of points in the plane up to a degree.
+
+    Parameters
+    ----------
+    points
+        (N, 2) float64.
+    degree
+        Largest degree.
+
+    Returns
+    -------
+    tuple
+        (N, M) float64 values, and the (M,) int64 degree of each.
+    """
+    powers = [(k - j, j) for k in range(degree + 1) for j in range(k + 1)]
+    values = np.column_stack([points[:, 0] ** i * points[:, 1] ** j for i, j in powers])
+    return values, np.array([i + j for i, j in powers])
