@@ -61,7 +61,8 @@ class PixelSums(NamedTuple):
         PixelSums
             All 0.
         """
-        pixels, parts, start = size[0] * size[1], [], 0
+        pixels, start = size[0] * size[1], 0
+        parts: list[Any] = []
         # One block: the system gives a large one in few pages. The thousands of pages of many small ones take longer
         # than the loop over the events.
         block = np.zeros(pixels * sum(np.dtype(kind).itemsize for kind in _KINDS), np.uint8)
@@ -128,7 +129,8 @@ def accumulate(
     wave = np.exp(2j * np.pi * (np.arange(FOLD_BINS) + 0.5) / FOLD_BINS)
     response_us = start_us + float(np.angle((on_rate - off_rate) @ wave)) / (2 * np.pi) * period_us
     sums = PixelSums.empty(size)
-    flat = PixelSums(*(of_pixels.ravel() for of_pixels in sums))
+    parts: tuple[Any, ...] = sums
+    flat = PixelSums(*(part.ravel() for part in parts))
     _add_events(times, x, y, p, size[0], period_us, response_us, on_window, off_window, flat)
     return sums, on_window, off_window
 
@@ -190,8 +192,8 @@ class LitPixels(NamedTuple):
 
     Attributes
     ----------
-    at
-        (K,) int64, numbers of the lit pixels, row by row.
+    latency_us
+        (K,) float32, us, mean latency of the first ON event of a burst of each lit pixel, row by row.
     on, off
         Numbers of their events of each polarity.
     all_on
@@ -200,7 +202,7 @@ class LitPixels(NamedTuple):
         Number of rows without any event between rows with lit pixels.
     """
 
-    at: NDArray[np.int64]
+    latency_us: NDArray[np.float32]
     on: int
     off: int
     all_on: int
@@ -227,7 +229,7 @@ def lit_pixels(sums: PixelSums, hot: Any, least: float) -> LitPixels:
     """
     on_count, off_count, on_fired, off_fired = sums.on_count, sums.off_count, sums.on_fired, sums.off_fired
     height, width = hot.shape
-    at = np.empty(height * width, np.int64)
+    on_latency, latency_us = sums.on_latency, np.empty(hot.size, np.float32)
     n = on = off = all_on = silent = silent_so_far = 0
     for r in range(height):
         fired, begin = False, n
@@ -235,14 +237,14 @@ def lit_pixels(sums: PixelSums, hot: Any, least: float) -> LitPixels:
             all_on += on_count[r, c]
             fired |= on_count[r, c] + off_count[r, c] > 0
             lit = on_fired[r, c] >= least and off_fired[r, c] >= least and not hot[r, c]
-            at[n] = r * width + c
+            latency_us[n] = on_latency[r, c] / np.float32(max(on_fired[r, c], 1))
             on += on_count[r, c] * lit
             off += off_count[r, c] * lit
             n += lit
         silent_so_far += not fired and begin > 0
         if n > begin:
             silent = silent_so_far
-    return LitPixels(at[:n].copy(), on, off, all_on, silent)
+    return LitPixels(latency_us[:n], on, off, all_on, silent)
 
 
 @njit(cache=True, error_model="numpy")

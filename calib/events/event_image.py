@@ -324,9 +324,8 @@ def _facts(
     """
     start, end, periods = window
     lit = lit_pixels(sums, hot, LIT_SHARE * periods)
-    number = len(lit.at)
+    number = len(lit.latency_us)
     on, off = (float(count) / number / periods if number else 0.0 for count in (lit.on, lit.off))
-    latency = sums.on_latency.take(lit.at) / np.maximum(sums.on_fired.take(lit.at), 1)
     return SliceFacts(
         start_us=start,
         end_us=end,
@@ -338,7 +337,7 @@ def _facts(
         events_per_edge=(on + off) / 2.0,
         events_per_edge_on=on,
         events_per_edge_off=off,
-        first_on_spread_us=float(latency.std()) if number else float("nan"),
+        first_on_spread_us=float(lit.latency_us.std()) if number else float("nan"),
         hot_pixels=int(np.count_nonzero(hot)),
         silent_rows=lit.silent_rows,
         on_window=bursts[0],

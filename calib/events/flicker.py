@@ -216,7 +216,7 @@ def flicker_from_events(
     times = event_times(t_us, np.asarray(p))
     counts = (times.on, times.off)
     start, span = float(times.t[0]), float(times.t[-1] - times.t[0])
-    late = times.t - start
+    late = times.t.astype(np.float64) - start
     bin_us = max(RATE_BIN_US, span / RATE_BINS)
     bins, at = int(span / bin_us) + 1, (late / bin_us).astype(np.int64)
     rates = np.array([np.bincount(at, count, bins) for count in counts])
@@ -384,7 +384,7 @@ def _folded(t_us: NDArray[np.float64], count: NDArray[np.int64], period_us: floa
     """
     turns = t_us / period_us
     at = ((turns - np.floor(turns)) * ONSET_BINS).astype(np.int64)
-    return np.bincount(np.minimum(at, ONSET_BINS - 1), count, ONSET_BINS)
+    return np.bincount(np.minimum(at, ONSET_BINS - 1), count, ONSET_BINS).astype(float)
 
 
 def _onset(folded: NDArray[np.float64]) -> float:

@@ -68,7 +68,7 @@ def _clipped_ends(values: Any, share: float) -> tuple[float, float]:
         return 0.0, 0.0
     low, high = _quantile(keys, counts, n, share), _quantile(keys, counts, n, 1.0 - share)
     if high <= low:
-        return float(_nth(keys, counts, 0)), float(_nth(keys, counts, n - 1))
+        return float(_nth_and_next(keys, counts, 0)[0]), float(_nth_and_next(keys, counts, n - 1)[0])
     return low, high
 
 
@@ -78,7 +78,7 @@ def _quantile(keys: Any, counts: Any, n: int, share: float) -> float:
     place = share * (n - 1)
     below = int(np.floor(place))
     part = place - below
-    one, other = _nth(keys, counts, below), _nth(keys, counts, min(below + 1, n - 1))
+    one, other = _nth_and_next(keys, counts, below)
     apart = np.float64(other - one)
     return other - apart * (1.0 - part) if part >= 0.5 else one + apart * part
 
@@ -90,28 +90,34 @@ def _ordered(key: Any) -> Any:
 
 
 @njit(cache=True, error_model="numpy")
-def _nth(keys: Any, counts: Any, n: int) -> Any:
-    """Return the n-th smallest value, from 0: a radix selection of two steps of 16 bits (Knuth, 1998).
+def _nth_and_next(keys: Any, counts: Any, n: int) -> tuple[Any, Any]:
+    """Return the n-th smallest value, from 0, and the next one: radix selection in two steps of 16 bits (Knuth, 1998).
 
-    ``counts`` are the numbers of finite values by their upper 16 bits.
+    ``counts`` are the numbers of finite values by their upper 16 bits. The largest value has itself as the next one.
     """
-    upper = 0
-    while n >= counts[upper]:
-        n -= counts[upper]
-        upper += 1
-    lower = np.zeros(65536, np.int64)
-    for i in range(keys.size):
-        key = _ordered(keys[i])
-        if key >> np.uint32(16) == upper:
-            lower[key & np.uint32(0xFFFF)] += 1
-    last = 0
-    while n >= lower[last]:
-        n -= lower[last]
-        last += 1
-    key = np.uint32(upper << 16 | last)
-    bits = np.empty(1, np.uint32)
-    bits[0] = key & np.uint32(0x7FFFFFFF) if key >> np.uint32(31) else ~key
-    return bits.view(np.float32)[0]
+    found = np.empty(2, np.uint32)
+    lower = np.empty(65536, np.int64)
+    seen = -1
+    last = counts.sum() - 1
+    for k in range(2):
+        upper, rest = 0, min(n + k, last)
+        while rest >= counts[upper]:
+            rest -= counts[upper]
+            upper += 1
+        if upper != seen:
+            seen = upper
+            lower[:] = 0
+            for i in range(keys.size):
+                key = _ordered(keys[i])
+                lower[key & np.uint32(0xFFFF)] += key >> np.uint32(16) == upper
+        low = 0
+        while rest >= lower[low]:
+            rest -= lower[low]
+            low += 1
+        key = np.uint32(upper << 16 | low)
+        found[k] = key & np.uint32(0x7FFFFFFF) if key >> np.uint32(31) else ~key
+    values = found.view(np.float32)
+    return values[0], values[1]
 
 
 @njit(cache=True, error_model="numpy")

@@ -32,7 +32,7 @@ from calib.stars.symmetry_kernels import SYMMETRY_UNKNOWNS, normal_equations
 #: Half the side of the square in which symmetry is measured, pitches: the star's own cell and no more, so that
 #: neighbours share no pixels.
 SYMMETRY_REACH = 0.49
-#: Length of the last step, px, if nothing else is asked for.
+#: A step that is shorter is the last one, px. Each step is about a hundredth of the one before.
 LAST_STEP_PX = 1e-3
 _MAX_STEPS = 12
 
@@ -51,7 +51,7 @@ class SymmetryFit(NamedTuple):
     light_slope
         (N,) float64, 1/pitch, length of g: relative slope of the light across the star.
     converged
-        (N,) bool, whether the last step was short enough.
+        (N,) bool, whether the last step was shorter than `LAST_STEP_PX`.
     """
 
     centres: NDArray[np.float64]
@@ -173,7 +173,6 @@ def refine_by_symmetry(
     samples: Any,
     used_to: Any,
     reach_px: float,
-    last_step_px: float = LAST_STEP_PX,
 ) -> SymmetryFit:
     """Find the centre of each star by symmetry, with Gauss-Newton steps.
 
@@ -194,8 +193,6 @@ def refine_by_symmetry(
         (N, 2) float64, pitches, how far from its centre each star's cell is used, along the columns and along the rows.
     reach_px
         A centre that moves further than this from its guess is given up, px.
-    last_step_px
-        A step that is shorter is the last one, px. Each step is about a hundredth of the one before.
 
     Returns
     -------
@@ -236,7 +233,7 @@ def refine_by_symmetry(
             slopes -= shorter * step[2:]
             if np.hypot(x - guesses[k, 0], y - guesses[k, 1]) > reach_px:
                 break
-            if length < last_step_px:
+            if length < LAST_STEP_PX:
                 converged[k] = True
                 centres[k, 0], centres[k, 1] = x, y
                 mean_square[k], light_slope[k] = squares, np.hypot(slopes[0], slopes[1])

@@ -17,14 +17,7 @@ from numpy.typing import NDArray
 
 from calib.errors import InputMismatch, TooFewStars
 from calib.stars.candidates import MIN_STARS, Candidates, NamedBy, find_candidates
-from calib.stars.centring import (
-    LAST_STEP_PX,
-    SYMMETRY_REACH,
-    SymmetryFit,
-    refine_by_symmetry,
-    smooth,
-    symmetry_samples,
-)
+from calib.stars.centring import SYMMETRY_REACH, SymmetryFit, refine_by_symmetry, smooth, symmetry_samples
 from calib.stars.edge_pixels import quantise
 from calib.stars.grid_map import fit_grid_map
 from calib.stars.likelihood import edge_width_px, refine_by_likelihood
@@ -52,9 +45,6 @@ OUTLIER_SIGMAS = 7.0
 OUTLIER_PX = 0.05
 #: Distance of the samples in the first and in the second refinement, px.
 COARSE_STEP_PX, FINE_STEP_PX = 1.6, 1.0
-#: A step of a centre that is shorter than this is its last one in the second refinement, px. The step after it would be
-#: a hundredth of it.
-FINE_LAST_STEP_PX = 0.005
 #: Largest move of a centre in a refinement, pitches.
 MAX_MOVE_PITCHES = 0.06
 #: Least number of stars from which the statistics of pixels near edges are learnt.
@@ -176,11 +166,9 @@ def detect_stars(
     smoothed = smooth(np.nan_to_num(np.asarray(image, np.float32)), BLUR_PX)
     candidates, sign, named_by = find_candidates(image, smoothed, target, expected, name=name)
     blurred = False
-    for step_px, last_step_px in ((COARSE_STEP_PX, LAST_STEP_PX), (FINE_STEP_PX, FINE_LAST_STEP_PX)):
+    for step_px in (COARSE_STEP_PX, FINE_STEP_PX):
         _require_enough(len(candidates.nodes), name, blurred=blurred)
-        candidates, fit, local_map, blurred = refine_candidates(
-            smoothed, candidates, target, sign, step_px, last_step_px
-        )
+        candidates, fit, local_map, blurred = refine_candidates(smoothed, candidates, target, sign, step_px)
     _require_enough(len(candidates.nodes), name, blurred=blurred)
     points, covariances, measure_width = _best_centres(image, candidates, fit, local_map, target)
     kept = np.isfinite(points).all(axis=1)
@@ -247,12 +235,7 @@ def _typical_variance(covariances: NDArray[np.float64]) -> float:
 
 
 def refine_candidates(
-    image: NDArray[np.float32],
-    candidates: Candidates,
-    target: StarTarget,
-    sign: float,
-    step_px: float,
-    last_step_px: float = LAST_STEP_PX,
+    image: NDArray[np.float32], candidates: Candidates, target: StarTarget, sign: float, step_px: float
 ) -> tuple[Candidates, SymmetryFit, LocalMap, bool]:
     """Refine all centres by symmetry with the smooth map of the view, and leave out the stars that fail a test.
 
@@ -268,8 +251,6 @@ def refine_candidates(
         +1 if white is bright in the image, -1 if it is dark.
     step_px
         Distance of the samples, px.
-    last_step_px
-        A step of a centre that is shorter is its last one, px.
 
     Returns
     -------
@@ -288,9 +269,7 @@ def refine_candidates(
     pitch = float(np.sqrt(np.median(np.abs(np.linalg.det(local_map.linear)))))
     samples = symmetry_samples(pitch / step_px)
     used_to = cell_reach(open_sides(target, candidates.nodes), SYMMETRY_REACH, OPEN_STRIP_PX / pitch)
-    fit = refine_by_symmetry(
-        image, candidates.points, local_map, samples, used_to, MAX_MOVE_PITCHES * pitch, last_step_px
-    )
+    fit = refine_by_symmetry(image, candidates.points, local_map, samples, used_to, MAX_MOVE_PITCHES * pitch)
     score, contrast, blurred = _scores(image, fit, local_map.linear, target, sign)
     middle = np.median(contrast, axis=1)
     good = fit.converged & (score >= MIN_CORRELATION) & (contrast.min(axis=1) >= MIN_OCTANT * middle)

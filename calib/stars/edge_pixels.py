@@ -179,11 +179,10 @@ def gather_edge_pixels(
     room = np.abs(np.linalg.det(linear)) * (2.0 * SYMMETRY_REACH) ** 2 + 2.0 * sides + 16.0
     m = int(room.sum())
     edges = int(edge_map.edge.max()) + 1
-    found = EdgePixels(
-        np.zeros(len(centres) * edges + 1, np.int64),
-        *np.empty((5, m), np.float32),
-        np.empty(m, np.uint8),
-    )
+    first, level = np.zeros(len(centres) * edges + 1, np.int64), np.empty(m, np.uint8)
+    # One block, since the system gives a large one in few pages.
+    tau, along_x, along_y, u, v = np.empty((5, m), np.float32)
+    found = EdgePixels(first, tau, along_x, along_y, u, v, level)
     reach = SYMMETRY_REACH * np.abs(linear).sum(axis=2)
     strip = edge_map.limit_px * OVERSAMPLING / edge_map.samples_per_pitch
     none = np.zeros((len(centres), 2), np.bool_)
@@ -192,8 +191,8 @@ def gather_edge_pixels(
     spaces = np.empty((5, most), np.float32), np.empty((2, most), np.uint8)
     inverse = np.linalg.inv(linear)
     _gather(levels, centres, inverse, local_map.quadratic, edge_map, edges, (reach, used_to), spaces, found)
-    used = int(found.first[-1])
-    return EdgePixels(found.first, *(part[:used] for part in found[1:]))
+    used = slice(int(first[-1]))
+    return EdgePixels(first, tau[used], along_x[used], along_y[used], u[used], v[used], level[used])
 
 
 @njit(cache=True, error_model="numpy")
@@ -229,18 +228,18 @@ def _gather(
         used_u, used_v = used_to[k]
         # In variables of their own: the arrays could share memory with what is stored.
         u_x, u_y, v_x, v_y = to[0, 0], to[0, 1], to[1, 0], to[1, 1]
-        x_uu, x_uv, x_vv, y_uu, y_uv, y_vv = (
-            bend[0, 0],
-            bend[0, 1],
-            bend[0, 2],
-            bend[1, 0],
-            bend[1, 1],
-            bend[1, 2],
+        x_uu, x_uv, x_vv = bend[0, 0], bend[0, 1], bend[0, 2]
+        y_uu, y_uv, y_vv = bend[1, 0], bend[1, 1], bend[1, 2]
+        # A cell reaches half a pitch, and a little more where the map bends; its bend is at most a quarter of the sum.
+        bend_x, bend_y = abs(x_uu) + abs(x_uv) + abs(x_vv), abs(y_uu) + abs(y_uv) + abs(y_vv)
+        limits = (
+            used_u + abs(u_x) * bend_x + abs(u_y) * bend_y,
+            used_v + abs(v_x) * bend_x + abs(v_y) * bend_y,
         )
         counts[:] = 0
         n = 0
         for r in range(low, high + 1):
-            first, last = _columns(r - y, to, bend, used_to[k], left - x, right - x)
+            first, last = _columns(r - y, to, limits, left - x, right - x)
             for c in range(int(np.floor(x + first)), min(int(np.ceil(x + last)), right) + 1):
                 if c < left:
                     continue
@@ -263,25 +262,21 @@ def _gather(
                 values[2, n] = -(u_y * along_u + v_y * along_v)
                 kinds[0, n], kinds[1, n] = levels[np.uint64(r), np.uint64(c)], e
                 # Added as 0 or 1: a branch would be foreseen wrongly too often.
-                near = np.int64((abs(tau) < limit) & (abs(u) <= used_u) & (abs(v) <= used_v))
+                near = int((abs(tau) < limit) & (abs(u) <= used_u) & (abs(v) <= used_v))
                 counts[e] += near
                 n += near
         _store_by_edge(values, kinds, n, counts, k * edges, found)
 
 
 @njit(cache=True, error_model="numpy")
-def _columns(dy: float, to: Any, bend: Any, used_to: Any, left: float, right: float) -> tuple[float, float]:
-    """Return the first and the last place in a row, px from the centre, that may lie in a star's cell.
+def _columns(dy: float, to: Any, limits: Any, left: float, right: float) -> tuple[float, float]:
+    """Return the first and the last place in a row, px from the centre, at which the linear map is within limits.
 
-    ``dy`` is the distance of the row, px. Own rule: the linear map gives the borders, and the largest bend in the cell
-    is added to them.
+    ``dy`` is the distance of the row, px; ``limits`` are along the columns and along the rows, pitches. Own rule.
     """
-    bend_x, bend_y = np.abs(bend[0]).sum(), np.abs(bend[1]).sum()
     for k in range(2):
-        # A cell reaches half a pitch, and a little more where the map bends; its bend is at most a quarter of the sum.
-        limit = used_to[k] + abs(to[k, 0]) * bend_x + abs(to[k, 1]) * bend_y
         if abs(to[k, 0]) > 1e-9:
-            one, other = (-limit - to[k, 1] * dy) / to[k, 0], (limit - to[k, 1] * dy) / to[k, 0]
+            one, other = (-limits[k] - to[k, 1] * dy) / to[k, 0], (limits[k] - to[k, 1] * dy) / to[k, 0]
             left, right = max(left, min(one, other)), min(right, max(one, other))
     return left, right
 
@@ -295,9 +290,9 @@ def _store_by_edge(values: Any, kinds: Any, n: int, counts: Any, group: int, fou
         counts[e], at = at, at + counts[e]
         first[group + e + 1] = at
     for i in range(n):
-        e = np.uint64(kinds[1, i])
-        m = np.uint64(counts[e])
-        counts[e] += 1
+        edge = np.uint64(kinds[1, i])
+        m = np.uint64(counts[edge])
+        counts[edge] += 1
         tau[m], along_x[m], along_y[m] = values[0, i], values[1, i], values[2, i]
         u[m], v[m], level[m] = values[3, i], values[4, i], kinds[0, i]
 

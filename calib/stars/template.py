@@ -208,25 +208,36 @@ def _sample(image: Any, x: float, y: float) -> float:
 
 
 @njit(cache=True, error_model="numpy")
-def _correlation(image: Any, x: float, y: float, linear: Any, template: StarTemplate) -> float:
-    """Return the correlation coefficient of the image with a star at (x, y); nan if too much of it lies outside.
+def _seen(image: Any, x: float, y: float, linear: Any, template: StarTemplate) -> Any:
+    """Return the (S,) bilinear values of the image at the samples of a star at (x, y); nan outside."""
+    offsets = template.offsets
+    seen = np.empty(len(offsets))
+    for i in range(len(offsets)):
+        u, v = offsets[i, 0], offsets[i, 1]
+        seen[i] = _sample(
+            image, x + linear[0, 0] * u + linear[0, 1] * v, y + linear[1, 0] * u + linear[1, 1] * v
+        )
+    return seen
+
+
+@njit(cache=True, error_model="numpy")
+def _correlation(seen: Any, template: StarTemplate) -> float:
+    """Return the correlation coefficient of what was seen with a star; nan if too much of it lies outside.
 
     Normalised cross-correlation (Lewis, 1995); the variance of the template is taken as 1.
     """
+    expected = template.expected
     total = squares = product = balance = 0.0
     n = 0
-    for i in range(template.values.size):
-        u, v = template.offsets[i, 0], template.offsets[i, 1]
-        value = _sample(
-            image, x + linear[0, 0] * u + linear[0, 1] * v, y + linear[1, 0] * u + linear[1, 1] * v
-        )
+    for i in range(seen.size):
+        value = seen[i]
         if not np.isnan(value):
             n += 1
             total += value
             squares += value * value
-            product += value * template.expected[i]
-            balance += template.expected[i]
-    if n < MIN_COVERED * template.values.size:
+            product += value * expected[i]
+            balance += expected[i]
+    if n < MIN_COVERED * seen.size:
         return np.nan
     mean = total / n
     variance = squares / n - mean * mean
@@ -313,7 +324,9 @@ def search_stars(
                 if i * i + j * j > reach_px[k] ** 2 + 0.5:
                     continue
                 x, y = guesses[k, 0] + j, guesses[k, 1] + i
-                found = row[j + steps] if whole else _correlation(image, x, y, linear[k], template)
+                found = row[j + steps]
+                if not whole:
+                    found = _correlation(_seen(image, x, y, linear[k], template), template)
                 found *= sign
                 if not found <= score[k] and not np.isnan(found):
                     score[k], best[k, 0], best[k, 1] = found, x, y
@@ -353,18 +366,14 @@ def star_contrasts(
     score, contrast = np.full(n, np.nan), np.full((n, OCTANTS), np.nan)
     for k in range(n):
         x, y = centres[k, 0], centres[k, 1]
-        score[k] = sign * _correlation(image, x, y, linear[k], template)
+        seen = _seen(image, x, y, linear[k], template)
+        score[k] = sign * _correlation(seen, template)
         sums, counts, excess = np.zeros(OCTANTS), np.zeros(OCTANTS), np.zeros(OCTANTS)
         shades, shade_counts = np.zeros(2), np.zeros(2)
         for i in range(template.values.size):
             if template.outer[i]:
                 excess[template.octants[i]] += template.values[i]
-                u, v = template.offsets[i, 0], template.offsets[i, 1]
-                value = _sample(
-                    image,
-                    x + linear[k, 0, 0] * u + linear[k, 0, 1] * v,
-                    y + linear[k, 1, 0] * u + linear[k, 1, 1] * v,
-                )
+                value = seen[i]
                 if not np.isnan(value):
                     sums[template.octants[i]] += sign * value * template.values[i]
                     counts[template.octants[i]] += 0.5
