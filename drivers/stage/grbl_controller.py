@@ -30,8 +30,10 @@ _LONGEST_REPLY = 100
 """Most lines of one reply."""
 _HALTING_ALARMS = frozenset({1, 2})
 """Alarms of a limit: after them the firmware waits in a loop that serves nothing but a reset."""
-_WAKE_SILENCES = 30
+_WAKE_SILENCES = 8
 """How often the line may be silent for ``_QUIET_S`` after a reset until the welcome message."""
+_WAKE_RESETS = 4
+"""The firmware pauses for 0.5 s after an alarm, and then forgets a reset that came meanwhile; so it is sent again."""
 
 T = TypeVar("T")
 
@@ -174,12 +176,15 @@ class GrblController:
         """
         restarts = self.restarts
         with self._link.lock:
-            self._link.send(grbl_protocol.RESET)
-            silences = 0
-            while self.restarts == restarts and silences < _WAKE_SILENCES:
-                silences += not self._link.receive(_QUIET_S)
-                while self._next_line() is not None:
-                    silences += 1  # a board that babbles is no board that has restarted
+            for _ in range(_WAKE_RESETS):
+                self._link.send(grbl_protocol.RESET)
+                silences = 0
+                while self.restarts == restarts and silences < _WAKE_SILENCES:
+                    silences += not self._link.receive(_QUIET_S)
+                    while self._next_line() is not None:
+                        silences += 1  # a board that babbles is no board that has restarted
+                if self.restarts != restarts:
+                    break
             self._link.mark_out_of_step()
         if self.restarts == restarts:
             raise ReplyTimeout(

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 from typing import Final
 
 _NUMBER: Final = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)")
-_COMMENT: Final = re.compile(r"\([^)]*\)|;.*")
+_COMMENT: Final = re.compile(r"\([^)]*(?:\)|$)|;.*")
 
 #: Accepted codes without effect here: plane, work offset, units per minute, spindle and coolant off.
 _WITHOUT_EFFECT: Final = {"G17", "G21", "G40", "G49", "G54", "G61", "G80", "G94", "M5", "M9"}
@@ -65,6 +65,27 @@ class Block:
     targets: dict[str, float] = field(default_factory=dict)
 
 
+def strip_line(line: str) -> str:
+    """Return a line as the firmware keeps it: without blanks, comments and ``/``, in capitals.
+
+    Parameters
+    ----------
+    line
+        The line as it was sent.
+
+    Returns
+    -------
+    str
+        What is left.
+
+    Examples
+    --------
+    >>> strip_line("g0 (fast) x-1 ; and back"), strip_line("$ i"), strip_line("G1 (not closed")
+    ('G0X-1', '$I', 'G1')
+    """
+    return re.sub(r"[\s/]", "", _COMMENT.sub("", line)).upper()
+
+
 def parse_block(line: str, axes: str = "XYZ") -> Block:
     """Parse a block.
 
@@ -93,7 +114,7 @@ def parse_block(line: str, axes: str = "XYZ") -> Block:
     """
     codes: dict[str, str] = {}
     values: dict[str, float] = {}
-    for letter, value in _words(_COMMENT.sub("", line).replace(" ", "").replace("\t", "").upper()):
+    for letter, value in _words(strip_line(line)):
         if letter in "GM":
             _take_code(letter, value, codes)
         elif letter not in axes and letter not in "FPNST":

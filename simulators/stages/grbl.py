@@ -10,37 +10,52 @@ compared line by line with the firmware compiled for a PC. Homing was written fr
 
 from __future__ import annotations
 
-import re
 from collections import deque
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Final, Literal
+from typing import Final, NamedTuple
 
 from simulators.stages.axis_motion import Axis
-from simulators.stages.gcode import Block, GcodeError, parse_block
+from simulators.stages.gcode import Block, GcodeError, parse_block, strip_line
+from simulators.stages.grbl_commands import HOMING_ENABLED, SOFT_LIMITS, Answered, State, SystemCommands
 from simulators.stages.grbl_planner import (
     GrblAxisModel,
     Motion,
     Planner,
-    must_be_positive,
 )
-from simulators.stages.grbl_settings import factory_settings, format_setting
+from simulators.stages.grbl_settings import factory_settings
 from simulators.world.load import LoadTrajectory
-
-State = Literal["Idle", "Run", "Jog", "Home", "Alarm"]
 
 _RESET_BYTE: Final = 0x18
 _WELCOME: Final = "\r\nGrbl 1.1h ['$' for help]\r\n"
 _LOCKED: Final = "[MSG:'$H'|'$X' to unlock]\r\n"
-_MAX_LINE: Final = 80
-_SETTING: Final = re.compile(r"(\d+)=([+-]?(?:\d+\.?\d*|\.\d+))")
-_SOFT_LIMITS, _HOMING_ENABLED = 20, 22
+_MAX_LINE: Final = 79
+_PAUSE_S: Final = 0.5
+"""After it has told an alarm, the firmware waits for this time, s. What it receives meanwhile is lost."""
 
 #: Fields that only some status reports contain, by the number of the report modulo ten.
 _EXTRA_FIELDS: Final = {0: "|WCO:0.000,0.000,0.000", 1: "|Ov:100,100,100"}
 
 
-class GrblController:
+class _Pause(NamedTuple):
+    """The wait after an alarm.
+
+    Attributes
+    ----------
+    until_s
+        Its end, s.
+    then
+        What the board sends then.
+    restarts
+        Whether it restarts then; otherwise it waits for a reset.
+    """
+
+    until_s: float
+    then: str
+    restarts: bool
+
+
+class GrblController(SystemCommands):
     """The controller, as a dialect of a serial line.
 
     Parameters
@@ -78,7 +93,7 @@ class GrblController:
         self._in_reset = False
         self._reports = 0
         self._output = ""
-        self._reset_state("Alarm" if self.settings[_HOMING_ENABLED] else "Idle")
+        self._reset_state("Alarm" if self.settings[HOMING_ENABLED] else "Idle")
         self._real_time: Mapping[int, Callable[[], None]] = {
             ord("?"): self._report,
             ord("!"): self._hold,
@@ -103,7 +118,8 @@ class GrblController:
         self._pending_lines: deque[str] = deque()
         self._planner.forget()
         self._state: State = state
-        self._must_reset = False
+        self._must_reset = self._owes_ok = False
+        self._pause: _Pause | None = None
         self._dwell_s: float | None = None
         self._dwell_until_s: float | None = None
         self._motion, self._distance, self._feed = "G0", "G90", 0.0
@@ -113,7 +129,7 @@ class GrblController:
     def receive(self, data: bytes) -> bytes:
         """See `Dialect.receive`. Real-time bytes act at once, lines in their order."""
         self._advance()
-        for byte in data if not self._in_reset else b"":
+        for byte in data if not (self._in_reset or self._pause) else b"":
             if byte in self._real_time:
                 # After ALARM:1 or 2 the firmware waits in a loop that serves nothing but a reset, not even ?.
                 if not self._must_reset or byte == _RESET_BYTE:
@@ -138,9 +154,11 @@ class GrblController:
     def _take_lines(self) -> None:
         """Execute lines in order until one has to wait; none is executed while a reset is due."""
         while self._pending_lines and not self._waiting() and not self._must_reset:
-            line = self._pending_lines.popleft().strip()
+            line = strip_line(self._pending_lines.popleft())
             try:
                 self._execute(line)
+            except Answered:
+                continue
             except GcodeError as error:
                 self._output += f"{error}\r\n"
             else:
@@ -148,16 +166,16 @@ class GrblController:
                     self._output += "ok\r\n"
 
     def _waiting(self) -> bool:
-        return self._state == "Home" or self._dwell_s is not None
+        return self._state in {"Home", "Sleep"} or self._dwell_s is not None or self._pause is not None
 
     # ------------------------------------------------------------------ lines
     def _execute(self, line: str) -> None:
         if len(line) > _MAX_LINE:
-            raise GcodeError(14)
+            raise GcodeError(11)
         if not line:
             return
-        if line.startswith("$J="):
-            self._jog(parse_block(line[3:], self._letters))
+        if line.startswith("$J"):
+            self._jog(line[2:])
         elif line.startswith("$"):
             self._system(line[1:])
         elif self._state in {"Alarm", "Jog"}:
@@ -165,88 +183,47 @@ class GrblController:
         else:
             self._block(parse_block(line, self._letters))
 
-    def _system(self, command: str) -> None:
-        if command == "I":
-            self._require_idle_or_alarm()
-            self._output += f"[VER:1.1h.20190830:{self.name}]\r\n[OPT:V,15,128]\r\n"
-        elif command.startswith("I="):
-            self._require_idle_or_alarm()
-            self.name = command[2:].replace(" ", "").upper()
-        elif command == "G":
-            self._output += (
-                f"[GC:{self._motion} G54 G17 G21 {self._distance} G94 M5 M9 T0 F{self._feed:g} S0]\r\n"
-            )
-        elif command == "$":
-            if self._state != "Jog":
-                self._require_idle_or_alarm()
-            self._output += "".join(
-                f"${number}={format_setting(number, value)}\r\n" for number, value in self.settings.items()
-            )
-        elif command == "X":
-            if self._state == "Alarm":
-                self._state = "Idle"
-                self._output += "[MSG:Caution: Unlocked]\r\n"
-        elif command == "H":
-            self._home()
-        elif command[:1] in {"I", "G", "$", "X", "H"}:
-            raise GcodeError(3)
-        else:
-            self._set(command)
-
-    def _require_idle_or_alarm(self) -> None:
-        if self._state not in {"Idle", "Alarm"}:
-            raise GcodeError(8)
-
-    def _set(self, command: str) -> None:
-        setting = _SETTING.fullmatch(command)
-        if setting is None:
-            raise GcodeError(3 if command[:1].isdigit() and "=" not in command else 2)
-        self._require_idle_or_alarm()
-        number, value = int(setting[1]), float(setting[2])
-        # The firmware accepts a scale, speed or acceleration of zero, and is unusable afterwards.
-        if value < 0.0 or (value == 0.0 and must_be_positive(number)):
-            raise GcodeError(4)
-        if number not in self.settings:
-            raise GcodeError(3)
-        if number == _SOFT_LIMITS and value and not self.settings[_HOMING_ENABLED]:
-            raise GcodeError(10)
-        self.settings[number] = value
-
     def _home(self) -> None:
-        if not self.settings[_HOMING_ENABLED]:
+        if not self.settings[HOMING_ENABLED]:
             raise GcodeError(5)
-        self._require_idle_or_alarm()
         self._state = "Home"
         self._planner.home(self._clock())
 
     def _block(self, block: Block) -> None:
-        self._motion = block.motion or self._motion
+        motion, feed = block.motion or self._motion, self._feed if block.feed is None else block.feed
+        if motion == "G1" and not feed and block.targets and block.dwell_s is None:
+            raise GcodeError(22)
+        self._motion, self._feed = motion, feed
         self._distance = block.distance or self._distance
-        self._feed = self._feed if block.feed is None else block.feed
+        if self._state == "Check":
+            return
         if block.dwell_s is not None:
             self._dwell_s = block.dwell_s
         elif block.targets:
-            if self._motion == "G1" and not self._feed:
-                raise GcodeError(22)
             relative = self._distance == "G91" and not block.machine_coordinates
             targets = self._targets(block, relative=relative)
-            if self.settings[_SOFT_LIMITS] and not self._planner.inside(targets):
+            if self.settings[SOFT_LIMITS] and not self._planner.inside(targets):
                 self._alarm(2)
+                self._owes_ok = True
                 return
             self._planner.add(Motion(targets, self._feed if self._motion == "G1" else None), self._clock())
             self._state = "Run"
 
-    def _jog(self, block: Block) -> None:
+    def _jog(self, command: str) -> None:
         if self._state not in {"Idle", "Jog"}:
             raise GcodeError(8)
+        if not command.startswith("="):
+            raise GcodeError(3)
+        block = parse_block(command[1:], self._letters)
         if block.motion or block.dwell_s is not None:
             raise GcodeError(16)
         if not block.feed:
             raise GcodeError(22)
-        if not block.targets:
-            return
-        targets = self._targets(block, relative=(block.distance or self._distance) == "G91")
-        if self.settings[_SOFT_LIMITS] and not self._planner.inside(targets):
+        if block.targets:
+            targets = self._targets(block, relative=(block.distance or self._distance) == "G91")
+        else:  # the firmware takes missing axes of a jog as zeros if all are missing
+            targets = dict.fromkeys(self._letters, 0.0)
+        if self.settings[SOFT_LIMITS] and not self._planner.inside(targets):
             raise GcodeError(15)
         self._planner.add(Motion(targets, block.feed), self._clock())
         self._state = "Jog"
@@ -262,6 +239,11 @@ class GrblController:
     def _advance(self) -> None:
         """Process everything that has happened since the last call."""
         now = self._clock()
+        if self._pause is not None and now >= self._pause.until_s:
+            self._output += self._pause.then
+            restarts, self._pause = self._pause.restarts, None
+            if restarts:
+                self._reset_state("Alarm")
         for axis in self.axes.values():
             event = axis.take_event(now)
             if event is not None and event.kind == "restart":
@@ -282,7 +264,8 @@ class GrblController:
             self._state = "Idle"
             self._output += "ok\r\n"
         else:
-            self._alarm(9, must_reset=False)
+            self._planner.forget()
+            self._restart_after_alarm(9, "ok\r\n")
 
     def _finish_dwell(self, now: float) -> None:
         """Answer a dwell at its end; it begins when all earlier motions have ended."""
@@ -294,11 +277,18 @@ class GrblController:
             self._dwell_s = self._dwell_until_s = None
             self._output += "ok\r\n"
 
-    def _alarm(self, number: int, *, must_reset: bool = True) -> None:
+    def _alarm(self, number: int) -> None:
+        """Tell an alarm of a limit; the board then waits for a reset."""
         self._planner.forget()
+        self._state, self._must_reset = "Alarm", True
+        self._output += f"ALARM:{number}\r\n"
+        self._pause = _Pause(self._clock() + _PAUSE_S, "[MSG:Reset to continue]\r\n", restarts=False)
+
+    def _restart_after_alarm(self, number: int, then: str) -> None:
+        """Tell any other alarm. A homing that failed is answered by ``ok`` all the same."""
         self._state = "Alarm"
-        self._must_reset = must_reset
-        self._output += f"ALARM:{number}\r\n" + ("[MSG:Reset to continue]\r\n" if must_reset else "")
+        self._output += f"ALARM:{number}\r\n"
+        self._pause = _Pause(self._clock() + _PAUSE_S, then, restarts=True)
 
     # ------------------------------------------------------------------ real-time bytes
     def _report(self) -> None:
@@ -330,10 +320,13 @@ class GrblController:
         """Execute a soft reset: harmless at rest; in motion, steps and therefore the position are lost."""
         now = self._clock()
         if self._planner.moving(now):
-            self._output += f"ALARM:{6 if self._state == 'Home' else 3}\r\n"
+            homing = self._state == "Home"
             self._planner.halt(now)
-            self._state = "Alarm"
-        self._reset_state("Alarm" if self._state == "Alarm" else "Idle")
+            self._restart_after_alarm(6 if homing else 3, "ok\r\n" if homing else "")
+            return
+        if self._dwell_s is not None or self._owes_ok:
+            self._output += "ok\r\n"
+        self._reset_state("Alarm" if self._state in {"Alarm", "Sleep"} else "Idle")
 
     # ------------------------------------------------------------------ events outside the protocol
     def restart(self, t_s: float) -> None:
@@ -346,7 +339,7 @@ class GrblController:
         """
         for axis in self.axes.values():
             axis.restart(t_s)
-        self._reset_state("Alarm" if self.settings[_HOMING_ENABLED] else "Idle")
+        self._reset_state("Alarm" if self.settings[HOMING_ENABLED] else "Idle")
 
     def exchange(self, name: str, t_s: float) -> None:
         """Replace the board by another one with factory settings.

@@ -5,11 +5,14 @@ Numbers and formats are those of GRBL 1.1 (wiki page "Configuration").
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from typing import Final
 
+from simulators.stages.gcode import GcodeError
 from simulators.stages.grbl_planner import ACCELERATION, MAX_RATE, MAX_TRAVEL, STEPS, GrblAxisModel
 
+_NUMBER: Final = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)")
 #: Settings with decimals, apart from those of the axes.
 _WITH_DECIMALS: Final = {11, 12, 24, 25, 27}
 
@@ -70,3 +73,39 @@ def format_setting(number: int, value: float) -> str:
         The printed value.
     """
     return f"{value:.3f}" if number in _WITH_DECIMALS or number >= STEPS else f"{value:.0f}"
+
+
+def parse_setting(command: str) -> tuple[int, float]:
+    """Parse the change of a setting.
+
+    Parameters
+    ----------
+    command
+        The line after its ``$``, without blanks.
+
+    Returns
+    -------
+    tuple of int and float
+        Number and value of the setting.
+
+    Raises
+    ------
+    GcodeError
+        2 bad number, 3 not a setting.
+
+    Examples
+    --------
+    >>> parse_setting("110=2400.5")
+    (110, 2400.5)
+    """
+    number = _NUMBER.match(command)
+    if number is None:
+        raise GcodeError(2)
+    if command[number.end() : number.end() + 1] != "=":
+        raise GcodeError(3)
+    value = _NUMBER.match(command, number.end() + 1)
+    if value is None:
+        raise GcodeError(2)
+    if value.end() < len(command) or float(number[0]) > 255:
+        raise GcodeError(3)
+    return int(float(number[0])), float(value[0])

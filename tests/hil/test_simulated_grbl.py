@@ -158,8 +158,8 @@ def test_a_hold_brakes_and_a_start_goes_on(homed: Board):
 def test_a_reset_in_motion_is_an_alarm_and_loses_steps(homed: Board):
     homed.say("G0 X-21")
     homed.wait(0.4)
-    assert homed.press(b"\x18") == "ALARM:3\r\n" + BANNER + LOCKED
-    homed.wait()
+    assert homed.press(b"\x18") == "ALARM:3\r\n"
+    assert homed.wait() == BANNER + LOCKED
     state, x, _ = homed.report()
     assert state == "Alarm"
     assert homed.angle("X") != pytest.approx(x + 16.0, abs=0.01)
@@ -209,8 +209,14 @@ def test_a_jog_is_cancelled_without_an_alarm(homed: Board):
         ("$J=X-100 F100", "error:15"),
         ("$J=X-5", "error:22"),
         ("$J=G1 X-5 F100", "error:16"),
-        ("G0" + "X" * 90, "error:14"),
-        ("$J=F100", "ok"),
+        ("G0" + "X" * 78, "error:11"),
+        ("(" + "x" * 90 + ")", "ok"),
+        ("$J", "error:3"),
+        ("$10=1X", "error:3"),
+        ("$300=1", "error:3"),
+        ("$HX", "error:3"),
+        ("$SLPX", "error:3"),
+        ("$RST=x", "error:3"),
         ("$J=G4 P1 F100", "error:16"),
         ("F100", "ok"),
         ("(a comment) ; and more", "ok"),
@@ -223,9 +229,10 @@ def test_an_invalid_line_is_refused_by_number(homed: Board, line: str, answer: s
 
 
 def test_a_target_beyond_the_travel_is_an_alarm_that_only_a_reset_ends(homed: Board):
-    assert homed.say("G0 X-33") == "ALARM:2\r\n[MSG:Reset to continue]\r\n"
+    assert homed.say("G0 X-33") == "ALARM:2\r\n"
+    assert homed.wait(1.0) == "[MSG:Reset to continue]\r\n"
     assert homed.say("$X") == ""
-    assert homed.press(b"\x18") == BANNER + LOCKED
+    assert homed.press(b"\x18") == "ok\r\n" + BANNER + LOCKED
     assert homed.say("$X") == "[MSG:Caution: Unlocked]\r\nok\r\n"
     assert homed.report() == ("Idle", -1.0, -1.0)
 
@@ -243,6 +250,56 @@ def test_settings_wait_for_rest(homed: Board):
     assert homed.say("$130=5") == "error:8\r\n"
 
 
+def test_blanks_comments_and_small_letters_do_not_matter(homed: Board):
+    for line in ("$ i", "$I", "$i (the name)", "$I ; the name"):
+        assert homed.say(line) == "[VER:1.1h.20190830:]\r\n[OPT:V,15,128]\r\nok\r\n"
+    assert homed.say("/g0(fast)x-6 (not closed") == "ok\r\n"
+    homed.wait()
+    assert homed.report() == ("Idle", -6.0, -1.0)
+
+
+def test_a_jog_without_any_axis_goes_to_zero(homed: Board):
+    assert homed.say("$J=F600") == "ok\r\n"
+    homed.wait()
+    assert homed.report() == ("Idle", 0.0, 0.0)
+
+
+def test_a_block_that_is_refused_changes_no_mode(homed: Board):
+    homed.say("G1 X-2 F600")
+    homed.wait()
+    assert [homed.say("G0 X-1 G1"), homed.say("G91 G1 X-1 F0")] == ["error:24\r\n", "error:22\r\n"]
+    assert homed.say("$G") == "[GC:G1 G54 G17 G21 G90 G94 M5 M9 T0 F600 S0]\r\nok\r\n"
+
+
+def test_soft_limits_end_with_homing(homed: Board):
+    assert homed.say("$22=0", "$20=1") == "ok\r\nerror:10\r\n"
+    assert "$20=0\r\n" in homed.say("$$")
+
+
+def test_check_mode_moves_nothing_and_ends_by_a_restart(homed: Board):
+    assert homed.say("$C") == "[MSG:Enabled]\r\nok\r\n"
+    assert homed.say("G0 X-5", "G0 Q", "$J=X-5F100", "$H") == "ok\r\nerror:2\r\nerror:8\r\nerror:8\r\n"
+    assert homed.report() == ("Check", -1.0, -1.0)
+    assert homed.say("$C") == "[MSG:Disabled]\r\nok\r\n" + BANNER
+    assert homed.report() == ("Idle", -1.0, -1.0)
+
+
+def test_a_sleeping_board_serves_status_reports_until_a_reset(homed: Board):
+    assert homed.say("$SLP") == "ok\r\n[MSG:Sleeping]\r\n"
+    assert homed.say("$I", "G0 X-5") == ""
+    assert homed.report()[0] == "Sleep"
+    assert homed.press(b"\x18") == BANNER + LOCKED
+
+
+def test_lists_of_what_the_board_has_not(homed: Board):
+    assert homed.say("$N") == "$N0=\r\n$N1=\r\nok\r\n"
+    assert homed.say("$#").startswith("[G54:0.000,0.000,0.000]\r\n")
+    assert homed.say("$").startswith("[HLP:$$ $#")
+    homed.say("$130=5")
+    assert homed.say("$RST=$") == "[MSG:Restoring defaults]\r\nok\r\n" + BANNER
+    assert "$130=32.000\r\n" in homed.say("$$")
+
+
 @given(st.text(alphabet="GXYFMP$J=-.0123456789 ();", max_size=30))
 def test_any_block_is_taken_or_refused_by_number(line: str):
     with suppress(GcodeError):
@@ -253,7 +310,7 @@ def test_any_block_is_taken_or_refused_by_number(line: str):
 def test_a_limit_switch_is_an_alarm(homed: Board):
     homed.device.axes["X"].arm(MotionFault("limit"))
     homed.say("G0 X-21")
-    assert "ALARM:1\r\n[MSG:Reset to continue]\r\n" in homed.wait()
+    assert homed.wait() == "ALARM:1\r\n[MSG:Reset to continue]\r\n"
     assert homed.press(b"?") == ""  # the firmware's loop serves nothing but a reset
     assert homed.say("$X", "$$") == homed.press(b"!") == homed.press(b"\x85") == ""
     assert homed.press(b"\x18") == BANNER + LOCKED
@@ -261,6 +318,32 @@ def test_a_limit_switch_is_an_alarm(homed: Board):
     homed.say("$H")
     assert homed.wait() == "ok\r\n"
     assert homed.report()[0] == "Idle"
+
+
+def test_a_reset_within_half_a_second_of_an_alarm_is_lost(homed: Board):
+    assert homed.say("G0 X-33") == "ALARM:2\r\n"
+    assert homed.press(b"\x18") == homed.press(b"?") == ""
+    assert homed.wait(1.0) == "[MSG:Reset to continue]\r\n"
+    assert homed.press(b"?") == ""
+    assert homed.press(b"\x18") == "ok\r\n" + BANNER + LOCKED
+
+
+def test_homing_that_finds_no_switch_is_an_alarm_an_ok_and_a_restart(homed: Board, monkeypatch):
+    homed.say("G0 X-21")
+    homed.wait()
+    monkeypatch.setattr(homed.device._planner, "homed", lambda _now: False)
+    homed.say("$H")
+    assert homed.wait() == "ALARM:9\r\nok\r\n" + BANNER + LOCKED
+    assert homed.report()[0] == "Alarm"
+
+
+def test_a_reset_while_homing_is_an_alarm_an_ok_and_a_restart(homed: Board):
+    homed.say("G0 X-21")
+    homed.wait()
+    homed.say("$H")
+    homed.wait(0.1)
+    assert homed.press(b"\x18") == "ALARM:6\r\n"
+    assert homed.wait(1.0) == "ok\r\n" + BANNER + LOCKED
 
 
 def test_a_stall_is_not_detected(homed: Board):

@@ -40,6 +40,7 @@ class GrblPeer(PeerPort):
         self.homed_at_s = math.inf
         self.homes = True
         self.pending = b""
+        self.lost_resets = 0  # for 0.5 s after an alarm the firmware forgets a reset
         self.mute = False  # after a limit the firmware waits in a loop that serves a reset only
 
     # ------------------------------------------------------------ physics
@@ -99,6 +100,9 @@ class GrblPeer(PeerPort):
 
     def realtime(self, byte: bytes) -> None:
         if self.mute and byte != b"\x18":
+            return
+        if self.mute and self.lost_resets:
+            self.lost_resets -= 1
             return
         self.mute = False
         if byte == b"?" and self.homed_at_s == math.inf:

@@ -246,6 +246,15 @@ def test_a_board_that_waits_for_a_reset_at_a_limit_is_named_at_once_and_homing_r
     homed.move_to({"pan": -9.0, "tilt": -9.0})
 
 
+def test_a_reset_that_the_board_forgets_is_sent_again(homed, peer) -> None:
+    peer.alarm(1)
+    peer.lost_resets = 1
+    assert "ALARM:1" in homed.faults()[0]
+    homed.home()
+    assert peer.sent.count(b"\x18") == 2
+    homed.move_to({"pan": -9.0, "tilt": -9.0})
+
+
 def test_a_board_that_is_mute_at_opening_is_reset(peer, clock) -> None:
     peer.mute = True
     stage = GrblStage(peer, axes(), clock=clock)

@@ -1,0 +1,297 @@
+"""The unchanged GRBL 1.1 firmware, compiled for this computer: our driver moves it, and our simulated board equals it.
+
+The firmware is not part of Starbench (GPL). Name its folder to run these tests:
+
+    git clone https://github.com/gnea/grbl; export STARBENCH_GRBL_SOURCE=$PWD/grbl/grbl
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+import threading
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from drivers.clock import SystemClock
+from drivers.errors import DriverError, MoveFailed, NotHomed, OutsideLimits
+from drivers.stage import AxisLimits
+from drivers.stage.grbl import GrblAxis, GrblStage
+from simulators.stages.grbl import GrblController
+from simulators.stages.grbl_planner import GrblAxisModel
+from simulators.stages.mechanics import Mechanics
+from tests.hil.grbl_firmware.board import FACTORY, SOURCE, STEPS_PER_DEG, NativeBoard, compile_board
+
+pytestmark = [
+    pytest.mark.skipif(SOURCE not in os.environ, reason=f"{SOURCE} names no firmware"),
+    pytest.mark.skipif(shutil.which("gcc") is None, reason="there is no gcc on this computer"),
+]
+HIGHEST_DEG = {"pan": 15.0, "tilt": 10.0}
+START_BELOW_DEG = (12.6, 11.7, 10.0)
+SETTINGS = FACTORY | {1: 255, 20: 1, 21: 1}
+
+
+@pytest.fixture(scope="module")
+def program(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return compile_board(tmp_path_factory.mktemp("grbl"))
+
+
+@pytest.fixture
+def board(program: Path, tmp_path: Path) -> Iterator[NativeBoard]:
+    board = NativeBoard(program, tmp_path / "eeprom", START_BELOW_DEG)
+    board.set_up(SETTINGS)
+    yield board
+    board.close()
+
+
+# ------------------------------------------------------------ the driver on the firmware
+def open_stage(board: NativeBoard) -> GrblStage:
+    axes = [
+        GrblAxis(
+            name=name,
+            letter=letter,
+            steps_per_deg=STEPS_PER_DEG,
+            limits=AxisLimits(-highest, highest, 40.0, 200.0),
+            zero_deg=highest + 1.0,
+        )
+        for letter, (name, highest) in zip("XY", HIGHEST_DEG.items(), strict=True)
+    ]
+    return GrblStage.open(board.port, axes, serial="gimbal", clock=SystemClock())
+
+
+@pytest.fixture
+def stage(board: NativeBoard) -> Iterator[GrblStage]:
+    board.say("$I=gimbal\n")
+    stage = open_stage(board)
+    yield stage
+    stage.close()
+
+
+def after(seconds: float, what) -> threading.Timer:
+    timer = threading.Timer(seconds, what)
+    timer.start()
+    return timer
+
+
+def test_identity_homing_moves_and_limits(board: NativeBoard, stage: GrblStage):
+    assert [(one.serial, one.firmware) for one in stage.identify()] == [("GIMBAL", "1.1h.20190830")] * 2
+    with pytest.raises(NotHomed):
+        stage.move_to({"pan": 0.0})
+    stage.home()
+    assert stage.faults() == []
+    before = board.angles_below()
+    stage.move_to({"pan": -6.0, "tilt": 2.0})
+    assert stage.position_deg() == pytest.approx({"pan": -6.0, "tilt": 2.0}, abs=0.002)
+    moved = [b - a for a, b in zip(before, board.angles_below(), strict=True)]
+    assert moved == pytest.approx([-21.0, -8.0, 0.0], abs=0.002)
+    with pytest.raises(OutsideLimits):
+        stage.move_to({"pan": 16.0})
+
+
+def test_a_stopped_move_keeps_its_position(stage: GrblStage):
+    stage.home()
+    after(0.2, stage.stop)
+    with pytest.raises(MoveFailed, match="stopped on request"):
+        stage.move_to({"pan": -15.0})
+    assert -15.0 < stage.position_deg()["pan"] < 15.0
+    stage.move_to({"pan": 3.0})
+    assert stage.position_deg()["pan"] == pytest.approx(3.0, abs=0.002)
+
+
+def test_a_limit_switch_is_named_and_homing_at_once_works(board: NativeBoard, stage: GrblStage):
+    """The firmware forgets a reset for half a second after an alarm; a driver that sends it once would fail here."""
+    stage.home()
+    after(0.15, lambda: board.wire("press", "X"))
+    began_s = time.monotonic()
+    with pytest.raises(MoveFailed, match=r"limit switch hit; position lost \(ALARM:1\)"):
+        stage.move_to({"pan": -15.0})
+    assert time.monotonic() - began_s < 3.0
+    assert "ALARM:1" in stage.faults()[0]
+    board.wire("release", "X")
+    stage.home()
+    stage.move_to({"pan": 3.0, "tilt": 1.0})
+    assert board.angles_below()[:2] == pytest.approx([-13.0, -10.0], abs=0.02)
+
+
+def test_a_mute_board_is_woken_when_it_is_opened(board: NativeBoard, stage: GrblStage):
+    stage.home()
+    after(0.15, lambda: board.wire("press", "Y"))
+    with pytest.raises(MoveFailed):
+        stage.move_to({"pan": -15.0})
+    stage.close()
+    board.wire("release", "Y")
+    again = open_stage(board)
+    assert "board: no reference" in again.faults()
+    again.home()
+    again.close()
+
+
+@pytest.mark.parametrize(
+    ("wire", "alarm"),
+    [
+        ("cut", "homing did not find the limit switch (ALARM:9)"),
+        ("press", "could not leave the limit switch (ALARM:8)"),
+    ],
+)
+def test_a_homing_that_fails_is_named_though_the_board_answers_ok(
+    board: NativeBoard, stage: GrblStage, wire, alarm
+):
+    board.wire(wire, "X")
+    with pytest.raises(MoveFailed, match=re.escape(alarm)):
+        stage.home()
+    assert "board: no reference" in stage.faults()
+
+
+def test_a_stopped_homing_is_homed_again(stage: GrblStage):
+    stage.home()
+    stage.move_to({"pan": -15.0})
+    after(0.4, stage.stop)
+    with pytest.raises(MoveFailed, match="stopped on request"):
+        stage.home()
+    assert "ALARM:6" in stage.faults()[0]
+    stage.home()
+    assert stage.position_deg() == pytest.approx(HIGHEST_DEG, abs=0.002)
+
+
+def test_a_power_cut_undoes_the_reference(board: NativeBoard, stage: GrblStage):
+    stage.home()
+    board.power_off()
+    with pytest.raises(DriverError):
+        stage.position_deg()
+    board.power_on()
+    time.sleep(0.5)
+    with pytest.raises(NotHomed):
+        stage.move_to({"pan": 0.0})
+    stage.home()
+    stage.move_to({"pan": 0.0})
+
+
+# ------------------------------------------------------------ our simulated board and the firmware
+class SimulatedBoard:
+    """The simulated board on a virtual clock, set up as the other one."""
+
+    def __init__(self) -> None:
+        self.now_s = 0.0
+        limits = {"X": (15.0, 2.4), "Y": (10.0, -1.7), "Z": (10.0, 0.0)}
+        models = {
+            letter: GrblAxisModel(
+                Mechanics(
+                    STEPS_PER_DEG, -high - 2, high + 2, home_deg=high, start_deg=start, stall_detection=False
+                ),
+                2 * high + 2,
+            )
+            for letter, (high, start) in limits.items()
+        }
+        self.device = GrblController(models, lambda: self.now_s)
+        for number, value in SETTINGS.items():
+            self.device.receive(f"${number}={value:g}\n".encode())
+        self.device.restart(0.0)
+        self.device.unsolicited()
+
+    def say(self, data: bytes | str, quiet_s: float) -> str:
+        said = self.device.receive(data.encode("latin-1") if isinstance(data, str) else data)
+        for _ in range(round(quiet_s / 0.02)):
+            self.now_s += 0.02
+            said += self.device.unsolicited()
+        return said.decode()
+
+
+PLAIN, LONG_S = 0.3, 5.0
+CONVERSATIONS: dict[str, list[str | tuple[str, float]]] = {
+    "lists": ["?", "$$", "$I", "$G", "$X", "?", "$I=x7", "$I", "$", "$#", "$N"],
+    "writing": [
+        *(
+            "$ i",
+            "$Z",
+            "$100",
+            "$100=-1",
+            "$100=q",
+            "$10=1X",
+            "$300=1",
+            "$999=1",
+            "$=5",
+            "$22=0",
+            "$$",
+            "$20=1",
+        ),
+        *("$22=1", "$110=2400.5", "$RST=x", "$J", "$J=", "$X1", "$#1", "$SLPX", "$I1", "$N0", "$Q"),
+    ],
+    "locked": ["G0X-1", "$J=X-1F100", "$C", "!", "~", "\x85", "?", ("\x18", PLAIN), "?", "$N0="],
+    "lines": [
+        *("$X", "", "  ", "(c)", "; c", "G0 X-1(not closed", "g90 G0 x -1 . 0", "/G0X-2", "X" * 79, "X" * 80),
+        *(
+            "G0 X",
+            "G0 XA",
+            "G",
+            "G99",
+            "N5 G0",
+            "G0 Q1",
+            "G90 G91",
+            "G0 G1 X1",
+            "G4",
+            "G4 P-1",
+            "5",
+            "G1.5 X1",
+        ),
+    ],
+    "modes": [
+        "$X",
+        ("G1X-2F600", 0.8),
+        "G91G1X-1F0",
+        "$G",
+        "G91",
+        ("G0X-1", 0.6),
+        "?",
+        "$G",
+        "G90",
+        "$G",
+        ("$J=F600", 1.5),
+        "?",
+    ],
+    "soft limit": ["$X", ("G0X5", 1.0), "?", "$X", ("\x18", 0.6), "?", "$X", "?"],
+    "homing": [
+        ("$H", LONG_S),
+        "?",
+        ("$J=G53X-5Y-3F600", 1.2),
+        "?",
+        "$J=G53X1F600",
+        "$J=X-40F600",
+    ],
+    "check": ["$X", "$C", "?", "G0X-5", "G0Q", "?", "$J=X-5F100", "$H", "$I", "$C", "?"],
+    "sleep": [("$SLP", 1.0), "?", "$I", ("\x18", 2.0), "?"],
+    "reset in motion": ["$X", ("G0X-20F600", 0.15), ("\x18", 1.2), "$J=X-3F600"],
+    "reset in homing": [("$H", LONG_S), ("$J=G53X-20F2400", 1.5), ("$H", 0.2), ("\x18", 1.2)],
+    "busy": [
+        ("$H", LONG_S),
+        ("G1X-20F300", 0.05),
+        "$I",
+        "$$",
+        "$#",
+        "$H",
+        "$N",
+        "$C",
+        "$SLP",
+        "$J=X-1F100",
+        "$",
+    ],
+    "dwell": ["$X", ("G4P0.3", 0.7), ("G4P5", 0.1), ("\x18", PLAIN), "?"],
+}
+
+
+def comparable(said: str) -> str:
+    """Leave out what our board does not show, and the place where a motion was when it was stopped."""
+    said = re.sub(r"\|(WCO|Ov|Pn|Bf):[^|>]*", "", said)
+    return said.replace("[MSG:Check Limits]\r\n", "")
+
+
+@pytest.mark.parametrize("name", CONVERSATIONS)
+def test_the_simulated_board_answers_as_the_firmware(board: NativeBoard, name: str):
+    ours = SimulatedBoard()
+    for said in CONVERSATIONS[name]:
+        text, quiet_s = said if isinstance(said, tuple) else (said, PLAIN)
+        sent = text if text in {"?", "!", "~", "\x85", "\x18"} else f"{text}\n"
+        assert comparable(ours.say(sent, quiet_s)) == comparable(board.say(sent, quiet_s)), text
