@@ -199,7 +199,8 @@ class Evt3Decoder:
     def _run(self, words: Words, start: int, mode: Mode, out: Events, image: NDArray[np.uint16]) -> int:
         """Take words, see ``evt3_kernel.run``; return the index of the next word."""
         state, gaps, edges, scratch = self._state, self._gaps, self._edges, self._scratch
-        return int(run(words, start, mode, state, gaps, out, image, edges, scratch))
+        # Numbers and plain tuples: other types cost Numba 17 us a call.
+        return int(run(words, start, int(mode), state, gaps, tuple(out), image, edges, scratch))
 
     def _copied_triggers(self) -> Triggers:
         """Return a copy of the trigger edges of the last run."""

@@ -6,21 +6,29 @@ words raise ``RecordingCorrupt`` with their byte offset in the file.
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.camera.event_arrays import Events, Triggers, copy_events, empty_events, join_triggers
+from drivers.camera.event_arrays import Events, Triggers, join_triggers
 from drivers.camera.evt3 import Evt3Decoder, StreamStatistics, Words
 from drivers.camera.evt3_kernel import max_event_count
 from drivers.camera.evt3_threads import BLOCK_WORDS, decode_blocks, threads_for
+from drivers.camera.evt3_vectors import MARGIN
+from drivers.camera.growing_events import GrowingEvents
 from drivers.camera.raw_header import MAX_HEADER_BYTES, RawHeader, parse_header
 from drivers.camera.whole_file import require_regular, require_whole
 from drivers.errors import NotARecording, RecordingFileError
+
+SAMPLES: Final = 16
+SAMPLE_WORDS: Final = 1 << 15
+"""Number of parts of a file, and of words of each, from which the number of its events is estimated."""
+SPARE: Final = 1 << 12
+"""Events for which arrays have room beyond the estimate."""
 
 
 @dataclass(frozen=True)
@@ -213,20 +221,48 @@ class RawFile:
         RecordingCorrupt, RecordingFileError
             As ``pieces``.
         """
-        counts = [max_event_count(words) for words in self.words(piece_words=BLOCK_WORDS)]
-        bounds = np.concatenate(([0], np.cumsum(counts, dtype=np.int64)))
-        events = empty_events(int(bounds[-1]))
+        size = self._size()
+        threads, events = threads_for(size), GrowingEvents(self._expected_events(size))
+        edges = self._read_in_threads(events, threads) if threads > 1 else self._read_in_one(events)
+        return events.finished(), join_triggers(edges)
 
-        rooms = (events.part(int(a), int(b)) for a, b in itertools.pairwise(bounds))
-        blocks = zip(
-            self.words(piece_words=BLOCK_WORDS), rooms, strict=False
-        )  # the file may have changed since it was counted
-        triggers = []
-        done = 0
-        for part, edges in decode_blocks(self._decoder(), blocks, threads_for(self._size())):
+    def _read_in_one(self, events: GrowingEvents) -> list[Triggers]:
+        """Decode all events in one thread."""
+        decoder, triggers = self._decoder(), []
+        for words in self.words(piece_words=BLOCK_WORDS):
+            room = events.room(max_event_count(words) + 2 * MARGIN)
+            n, edges = decoder.decode_into(words, room, 0)
+            events.add(room.part(0, n))
+            events.close_gap()
             triggers.append(edges)
-            done = _close_up(events, done, part)
-        return events.part(0, done), join_triggers(triggers)
+        return triggers
+
+    def _read_in_threads(self, events: GrowingEvents, threads: int) -> list[Triggers]:
+        """Decode all events in several threads."""
+        triggers = []
+        blocks = (
+            (words, events.room(max_event_count(words))) for words in self.words(piece_words=BLOCK_WORDS)
+        )
+        for part, edges in decode_blocks(self._decoder(), blocks, threads):
+            events.add(part)
+            triggers.append(edges)
+        return triggers
+
+    def _expected_events(self, size_bytes: int) -> int:
+        """Estimate the number of events from parts of the file; somewhat more, so that arrays seldom grow."""
+        first, words = self.raw_header.size_bytes, (size_bytes - self.raw_header.size_bytes) // 2
+        parts = range(0, words, max(words // SAMPLES, SAMPLE_WORDS))
+        counted = looked_at = 0
+        try:
+            with self.path.open("rb", buffering=0) as file:
+                for begin in parts:
+                    file.seek(first + 2 * begin)
+                    some = file.read(2 * SAMPLE_WORDS)
+                    counted += max_event_count(np.frombuffer(some, "<u2", count=len(some) // 2))
+                    looked_at += len(some) // 2
+        except OSError as error:
+            raise _unreadable(self.path, error) from error
+        return SPARE + int(1.02 * counted * words / max(looked_at, 1))
 
     def triggers(self) -> Triggers:
         """Decode all trigger edges.
@@ -296,15 +332,6 @@ class RawFile:
     def _decoder(self) -> Evt3Decoder:
         first_byte = self.raw_header.size_bytes
         return Evt3Decoder(self.width, self.height, first_byte=first_byte, where=str(self.path))
-
-
-def _close_up(events: Events, end: int, part: Events) -> int:
-    """Move a part of the events to ``end``, unless it is there already; return the new end."""
-    new_end = end + len(part.t)
-    place = events.part(end, new_end)
-    if len(part.t) and place.t.ctypes.data != part.t.ctypes.data:
-        copy_events(part, place)
-    return new_end
 
 
 def _unreadable(path: Path, error: OSError) -> RecordingFileError:
