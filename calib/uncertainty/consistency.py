@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 from scipy import special
@@ -20,6 +21,7 @@ from calib.model.collimator import CENTRE
 from calib.model.passport import Passport
 from calib.model.prior import joined
 from calib.model.type_b_terms import TypeBTerm
+from calib.uncertainty.common_errors import add_common_errors, common_errors
 from calib.uncertainty.covariance import covariance_at_optimum
 from calib.uncertainty.target_response import target_response
 from calib.uncertainty.type_b import radius_difference_variance
@@ -43,7 +45,8 @@ def check_passport(
     A single view, or views that do not determine the centre, cannot contradict it. Let d be the centre found minus the
     passport's, with independent covariances V and P. Then d^T (V + P)^-1 d has a chi-square distribution if the errors
     are normal (Rao, 1973). Views that are inconsistent may hold a parallax, which changes r and the focal length by one
-    share and leaves no residuals. Against a certificate, V therefore includes it.
+    share and leaves no residuals. Errors that all views share may move r far, because few directions of the stars
+    determine it. Against a certificate, V therefore includes both.
 
     Parameters
     ----------
@@ -88,6 +91,9 @@ def check_passport(
         together = together + radius_difference_variance(response, terms)
         if estimate.inconsistent:
             together = together + (parallax_sigma * stated[0]) ** 2
+            errors = partial(common_errors, free, refined.parameters, loss)
+            common = add_common_errors(estimate, free, errors).common
+            together = together if common is None else together + common[np.ix_(at, at)]
     chi_square = float(off @ np.linalg.solve(together, off))
     if chi_square > special.chdtri(len(asked), _FALSE_ALARMS):
         worst = int(np.argmax(np.abs(off) / np.sqrt(np.diag(together))))

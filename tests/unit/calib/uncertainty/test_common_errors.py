@@ -7,9 +7,11 @@ import pytest
 
 from bench.compare.scenes import star_poses
 from calib.engine import CalibrationOptions, calibrate
+from calib.errors import PassportContradicted
 from calib.fit import fit_model
 from calib.model.passport import Passport
 from calib.uncertainty.common_errors import COMMON_ERRORS, common_errors
+from simulators.world.truth import COLLIMATORS
 from tests.support.drawn_benches import NINE, THREE, draw_bench
 
 CERTIFIED = CalibrationOptions(model="radial", passport=Passport.of_radius(255.0, 0.05))
@@ -106,3 +108,16 @@ def test_the_budget_still_adds_up():
     assert sum(row.contribution.get("fx", 0.0) ** 2 for row in result.budget_rows) == pytest.approx(
         result.covariance[at, at], rel=0.02
     )
+
+
+def test_many_views_before_imperfect_glass_do_not_contradict_a_right_certificate():
+    glass = replace(COLLIMATORS["like-bench"], rim_roll_mm=0.0, rim_irregularity_mm=0.0)
+    bench = draw_bench(glass, poses(50), 1)
+    result = calibrate(bench.views, CERTIFIED)
+    assert abs(result.camera.fx - bench.truth.camera.fx) < result.coverage_factor * result.sigma["fx"]
+
+
+def test_many_views_before_good_glass_contradict_a_wrong_certificate():
+    wrong = replace(CERTIFIED, passport=Passport.of_radius(257.0, 0.05))
+    with pytest.raises(PassportContradicted, match=r"The passport gives r = 257\.00"):
+        calibrate(draw_bench("ideal", poses(25), 1).views, wrong)
