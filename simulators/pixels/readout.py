@@ -132,7 +132,8 @@ def _find_blocks(px: Pixels, r: int, t32: Any) -> int:
     The earliest requests of these blocks, of the row and of its group become infinite: `_update_blocks` sets them
     again. Set so early, they do not delay the search for the earliest ones.
     """
-    n, blocks = 0, px.block_min[r]
+    n: Any = 0
+    blocks = px.block_min[r]
     if FEWEST_BITS <= blocks.size <= MOST_BITS:
         bits = bits_at_most(blocks, t32)
         while bits:
