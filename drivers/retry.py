@@ -92,6 +92,7 @@ def resynchronise(
     clear_device: Callable[[], object] = do_nothing,
     inspect_old: Callable[[bytes], object] = do_nothing,
     silence_after: bool = True,
+    once_if_silent: bool = False,
 ) -> bool:
     """Bring a line back into step: throw away what is old, then prove that nothing old is left.
 
@@ -114,6 +115,9 @@ def resynchronise(
         Gets the old bytes before they are lost, for unsolicited messages in them.
     silence_after
         Whether nothing may follow the marker's answer.
+    once_if_silent
+        Whether a marker without an answer ends the attempts, unless the computer is too busy. For a caller that repeats
+        the request, and with it this, by itself: a device without power is then told sooner.
 
     Returns
     -------
@@ -130,8 +134,9 @@ def resynchronise(
         clear_device()
         try:
             expected = exchange_marker()
-        except ReplyError:
-            if not tries_left:
+        except ReplyError as error:
+            silent = isinstance(error, ReplyTimeout) and not error.late_s
+            if not tries_left or (silent and once_if_silent):
                 raise
             continue
         followed = silence_after and link.drain(quiet_s, limit_s)

@@ -386,6 +386,7 @@ class DescribedLine:
             limit_s=_LONGEST_DRAIN_S,
             clear_device=self._clear_device,
             inspect_old=self._take_from,
+            once_if_silent=True,
         ):
             raise self.garbled_reply(
                 f"no clear answer to '{self._description.identity.send.text}', though the device answered it before."

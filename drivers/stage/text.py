@@ -16,13 +16,16 @@ from drivers.clock import Clock
 from drivers.described.description import AxisSetting, Exchange, StageDescription
 from drivers.described.line import DescribedLine
 from drivers.described.template import Value
-from drivers.errors import DeviceRefused, NotHomed, OutsideLimits, ReplyError
+from drivers.errors import DeviceRefused, NotHomed, OutsideLimits, ReplyError, ReplyTimeout
 from drivers.readings import read_until_agreed
+from drivers.retry import TRIES
 from drivers.serial_port import Port, SerialPort
 from drivers.stage import AxisIdentity, AxisLimits, motion
 from drivers.stage.watched import AxisState, StopCheck, WatchedStage
 from drivers.wire_log import WireLog
 
+_STOPS_IN_SILENCE = 2
+"""How often a stop is sent at once while no reply comes."""
 _SCALE_SLACK = 2e-4
 """Largest relative difference between the scale of the station file and the controller's: it prints few digits."""
 
@@ -326,15 +329,25 @@ class TextStage(WatchedStage[TextAxis]):
         self._homed = True
 
     def _send_stop(self) -> None:
-        """Stop at once; when the reply is bad, or another one was awaited, once more on a clean line."""
+        """Stop at once, twice if no reply comes; when the reply is bad or late, once more on a clean line.
+
+        On a line without any reply, the clean line is tried only once. A stage without power is then told sooner.
+        """
         if self._awaited:
             self._awaited = []
             self._homed = False
             self._line.give_up_waiting()
-        try:
-            self._line.query_urgent(self._description.stop)
-        except ReplyError:
-            self._line.query(self._description.stop)
+        tries = 1
+        for _ in range(_STOPS_IN_SILENCE):
+            try:
+                self._line.query_urgent(self._description.stop)
+            except ReplyError as error:
+                if isinstance(error, ReplyTimeout) and not error.late_s:
+                    continue
+                tries = TRIES
+                break
+            return
+        self._line.query(self._description.stop, tries=tries)
 
     def _listen(self, duration_s: float) -> None:
         self._line.listen(duration_s)

@@ -88,6 +88,30 @@ def test_a_stop_while_homing_reaches_the_axis_and_leaves_no_reference(rig, clock
     assert rig.true_deg() == pytest.approx(5.0, abs=0.002)
 
 
+def test_a_silent_stage_gets_the_stop_twice_and_is_told_within_three_seconds(rig, clock) -> None:
+    rig.line.device.inject(LineFault("lost", count=None))
+    sent, began_s = spied(rig), clock.now_s
+    with pytest.raises(ReplyTimeout):
+        rig.stage.stop()
+    assert sent.count(b"H ") == 2
+    assert clock.now_s - began_s < 3.0
+
+
+def test_one_lost_reply_to_a_stop_is_no_error(rig, clock) -> None:
+    rig.line.device.inject(LineFault("lost", count=1))
+    sent = spied(rig)
+    rig.stage.stop()
+    assert sent.count(b"H ") == 2
+
+
+def test_a_silent_stage_is_told_within_four_seconds_of_a_question(rig, clock) -> None:
+    rig.line.device.inject(LineFault("lost", count=None))
+    began_s = clock.now_s
+    with pytest.raises(ReplyTimeout):
+        rig.stage.position_deg()
+    assert clock.now_s - began_s < 4.0
+
+
 def test_a_homing_whose_end_is_never_told_ends_in_an_error(rig, clock) -> None:
     rig.line.device.inject(LineFault("lost", count=None))
     began_s = clock.now_s

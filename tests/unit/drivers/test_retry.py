@@ -105,6 +105,17 @@ def test_a_marker_without_answer_is_sent_again_and_then_an_error() -> None:
     assert line.events == ["drain", "marker"] * 2
 
 
+@pytest.mark.parametrize(
+    ("first", "markers"),
+    [(ReplyTimeout("late"), 1), (ReplyTimeout("late", late_s=2.0), 2), (ReplyGarbled("cut"), 2)],
+)
+def test_a_silent_line_is_not_asked_twice_where_the_caller_repeats(first, markers) -> None:
+    line = Line()
+    with pytest.raises(ReplyTimeout):
+        bring_into_step(line, first, ReplyTimeout("again"), once_if_silent=True)
+    assert line.events.count("marker") == markers
+
+
 def test_with_message_ids_nothing_waits_for_silence_after_the_marker() -> None:
     line = Line()
     assert bring_into_step(line, True, silence_after=False)
