@@ -2,9 +2,10 @@
 
 The place at which a block begins is guessed from the words before it, so that no block waits for another. In the end
 it is compared with the place that the block before it has reached. If they differ, which only a damaged stream brings
-about, the block is decoded again. This pays where all events go into the same arrays. It does not pay for events in
-small pieces: one thread keeps these in its caches. Memory is bounded: no more blocks are in work than there are
-threads, and two.
+about, the block is decoded again. The thread that reads the file decodes, too, while the others have enough to do: so
+there are no more threads at work than processors. This pays where all events go into the same arrays. It does not pay
+for events in small pieces: one thread keeps these in its caches. Memory is bounded: the number of blocks in work is
+limited.
 """
 
 from __future__ import annotations
@@ -30,7 +31,10 @@ LEAST_BYTES: Final = 1 << 22
 BLOCK_WORDS: Final = 1 << 19
 """Largest number of words of a block: to hand a block to a thread costs as much as some 50,000 words."""
 
-_AHEAD: Final = 2
+_QUEUED: Final = 2
+"""Number of blocks that wait for each further thread; the thread that reads decodes the others."""
+_AHEAD: Final = 4
+"""Number of blocks in work beyond those that wait."""
 
 Words = NDArray[np.uint16]
 
@@ -77,7 +81,7 @@ def decode_blocks(
     blocks
         The words of the stream, (N,) uint16 each, and arrays that have room for their events.
     threads
-        Number of threads.
+        Number of threads, that of the caller included.
 
     Yields
     ------
@@ -92,22 +96,36 @@ def decode_blocks(
     at, first_byte = decoder.place, decoder.next_byte
     place: Place | None = at
     waiting: deque[_Block] = deque()
-    with ThreadPoolExecutor(threads, thread_name_prefix="evt3") as pool:
+    queued = (threads - 1) * _QUEUED
+    with ThreadPoolExecutor(max(threads - 1, 1), thread_name_prefix="evt3") as pool:
         try:
             for words, room in blocks:
-                while waiting and (place is None or len(waiting) >= threads + _AHEAD):
+                while waiting and (place is None or len(waiting) >= queued + _AHEAD):
                     at = yield from _finish(decoder, waiting.popleft(), at)
                 began = at if place is None else place
                 fork = decoder.at(began, first_byte)
-                result = pool.submit(fork.decode_into, words, room, 0)
+                busy = sum(not block.result.done() for block in waiting) >= queued
+                result: Future[tuple[int, Triggers]] = (
+                    Future() if busy else pool.submit(fork.decode_into, words, room, 0)
+                )
                 waiting.append(_Block(words, room, began, first_byte, fork, result))
                 first_byte += 2 * len(words)
                 place = guess_place(words, began)
+                if busy:
+                    _decode_here(waiting[-1])
             while waiting:
                 at = yield from _finish(decoder, waiting.popleft(), at)
         finally:
             for block in waiting:
                 block.result.cancel()
+
+
+def _decode_here(block: _Block) -> None:
+    """Decode a block in this thread."""
+    try:
+        block.result.set_result(block.decoder.decode_into(block.words, block.room, 0))
+    except RecordingCorrupt as error:
+        block.result.set_exception(error)
 
 
 def _finish(

@@ -4,7 +4,9 @@ Three recordings of 4 million events each, as an IMX636 sends them: sparse (sing
 flicker (about 1.8 bytes an event, as in the published comparisons) and dense (vectors nearly full). Works are
 interleaved round by round, the first round is not counted (it compiles), and each number is the best round: on a busy
 machine compare ratios, not absolute speeds. One core means one thread; the last table reads a longer recording with one
-thread and with two, by the clock, which says something on an idle machine only.
+thread and with two, by the clock, which says something on an idle machine only: the same table therefore has a plain
+copy of memory with one thread and with two. If the copy is not twice as fast with two, the machine has no second core
+to give, or its memory is the limit. CPU time of both threads together tells what the second one costs.
 
     python tests/benchmarks/bench_evt3.py [--old FOLDER]
 
@@ -18,6 +20,7 @@ import os
 import subprocess
 import sys
 import tempfile
+import threading
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -103,6 +106,9 @@ def works(path: Path) -> dict[str, Callable[[], object]]:
     return found
 
 
+COPIED, COPY = np.ones(1 << 27, np.uint8), np.zeros(1 << 27, np.uint8)
+
+
 def one_thread(_size_bytes: int) -> int:
     return 1
 
@@ -111,9 +117,24 @@ def two_threads(_size_bytes: int) -> int:
     return 2
 
 
+def copy_in(threads: int) -> None:
+    """Copy memory in so many threads."""
+    size = len(COPIED) // threads
+    parts = [
+        threading.Thread(target=np.copyto, args=(COPY[k * size :][:size], COPIED[k * size :][:size]))
+        for k in range(threads)
+    ]
+    for part in parts:
+        part.start()
+    for part in parts:
+        part.join()
+
+
 def measure_threads(folder: Path) -> None:
-    """Print how long a recording ten times as long takes with one thread and with two."""
-    print("\nms by the clock for all events of recordings ten times as long, one thread and two")
+    """Print how long a recording ten times as long takes with one thread and with two, and a copy of memory."""
+    print("\nall events of recordings ten times as long, and a plain copy: one thread and two, ms")
+    print("            by the clock             CPU time")
+    found: dict[str, Callable[[], object]] = {}
     for name in SCENES:
         path = folder / f"{name}-long.raw"
         with path.open("wb") as file:
@@ -124,12 +145,19 @@ def measure_threads(folder: Path) -> None:
             for k in range(10):
                 words[high] = 0x8000 | (ticks + k * (int(ticks.max()) + 1)) & 0xFFF  # the clock runs on
                 words.tofile(file)
-        recording = RawFile.open(path)
-        taken = []
-        for threads in (one_thread, two_threads):
-            raw_file.threads_for = threads
-            taken.append(1000 * best_s({"": recording.read}, time.perf_counter)[""])
-        print(f"  {name:8s} {taken[0]:7.0f} {taken[1]:7.0f}   {taken[0] / taken[1]:.2f} times")
+        found[name] = RawFile.open(path).read
+    for name in (*found, "a copy"):
+        taken: dict[int, list[tuple[float, float]]] = {1: [], 2: []}
+        for _ in range(ROUNDS + 1):
+            for threads, of_size in ((1, one_thread), (2, two_threads)):
+                raw_file.threads_for = of_size
+                began, cpu = time.perf_counter(), time.process_time()
+                found[name]() if name in found else copy_in(threads)
+                taken[threads].append((time.perf_counter() - began, time.process_time() - cpu))
+        (one, one_cpu), (two, two_cpu) = (
+            [1000 * min(t[1:]) for t in zip(*taken[k], strict=True)] for k in (1, 2)
+        )
+        print(f"  {name:8s} {one:6.0f} {two:6.0f} {one / two:6.2f} times {one_cpu:7.0f} {two_cpu:6.0f}")
 
 
 def main() -> None:
