@@ -1,4 +1,4 @@
-"""Contract tests for drivers of other packages: `StageContract`, `LightContract` and `CameraContract`.
+"""Contract tests for drivers of other packages: of stages, lights, event cameras and frame cameras.
 
 Import one into a test module, and derive from it. The suite opens the driver by its section of a station file, as a run
 does; a simulated stage or light is on a pseudo-terminal behind a line of faults. It needs pytest, and Linux or macOS.
@@ -6,12 +6,14 @@ docs/plugins.md explains it. No run uses this package.
 """
 
 from bench.plugin_tests.cameras import CameraContract, SimulatedCamera
+from bench.plugin_tests.frame_cameras import FrameCameraContract
 from bench.plugin_tests.lights import LightContract
 from bench.plugin_tests.rig import SimulatedLight, SimulatedStage
 from bench.plugin_tests.stages import StageContract
 
 __all__ = [
     "CameraContract",
+    "FrameCameraContract",
     "LightContract",
     "SimulatedCamera",
     "SimulatedLight",

@@ -42,7 +42,7 @@ class Interrupted(Exception):
     """What the clock of a run raises if the run is to end."""
 
 
-class _InterruptingClock(ContractClock):
+class InterruptingClock(ContractClock):
     """A clock that interrupts every wait from some time on."""
 
     def __init__(self) -> None:
@@ -102,12 +102,12 @@ class CameraContract:
             yield camera
 
     @pytest.fixture
-    def clock(self) -> _InterruptingClock:
+    def clock(self) -> InterruptingClock:
         """A clock that can interrupt waits."""
-        return _InterruptingClock()
+        return InterruptingClock()
 
     @pytest.fixture
-    def camera(self, simulated: SimulatedCamera, clock: _InterruptingClock) -> Iterator[EventCamera]:
+    def camera(self, simulated: SimulatedCamera, clock: InterruptingClock) -> Iterator[EventCamera]:
         """The open camera."""
         with closing(_opened(self._station(simulated), clock)) as camera:
             yield camera
@@ -193,7 +193,7 @@ class CameraContract:
         assert camera.record(tmp_path / "two.raw", 0.05).complete
 
     def test_an_interrupted_recording_leaves_a_file_that_can_be_read(
-        self, camera: EventCamera, clock: _InterruptingClock, tmp_path: Path
+        self, camera: EventCamera, clock: InterruptingClock, tmp_path: Path
     ) -> None:
         """An interrupted recording leaves a file that can be read, and the camera works."""
         camera.apply(CameraSettings())

@@ -19,7 +19,14 @@ from drivers.camera.camera_lock import CameraLock
 from drivers.camera.frames import Frame, FrameFacts, FrameSettings, capture_frames, to_grey
 from drivers.camera.video_devices import SYSTEM, device_path, usb_serial
 from drivers.clock import Clock
-from drivers.errors import CameraLost, CameraNotFound, CameraSettingRefused, RecordingFailed, WrongDevice
+from drivers.errors import (
+    CameraError,
+    CameraLost,
+    CameraNotFound,
+    CameraSettingRefused,
+    RecordingFailed,
+    WrongDevice,
+)
 
 STALE_FRAMES: Final = 5
 """Number of old frames that a video device may hand out: four in its buffers, and the one that is being exposed."""
@@ -129,6 +136,7 @@ class OpenCvFrameCamera:
         WrongDevice
             If it is another camera by now.
         """
+        self._require_open()
         serial = self._check_serial()
         width = int(self._source.get(cv2.CAP_PROP_FRAME_WIDTH))
         height = int(self._source.get(cv2.CAP_PROP_FRAME_HEIGHT))
@@ -152,6 +160,7 @@ class OpenCvFrameCamera:
         CameraSettingRefused
             If a setting reads back otherwise, or the autofocus stays on.
         """
+        self._require_open()
         if self._device is not None:
             self._source.set(cv2.CAP_PROP_AUTOFOCUS, 0.0)
             if self._source.get(cv2.CAP_PROP_AUTOFOCUS) > 0:
@@ -191,6 +200,7 @@ class OpenCvFrameCamera:
             If the camera sends no frame.
         """
         self._stop_asked.clear()
+        self._require_open()
         if self._network:
             # Any number of frames may be buffered on the way from a network camera: a new connection has none of them.
             self._source.release()
@@ -222,10 +232,17 @@ class OpenCvFrameCamera:
         """See `FrameCamera.close`."""
         if self._source is not None:
             self._source.release()
+            self._source = None
         if self._lock is not None:
             self._lock.release()
 
     # ------------------------------------------------------------- internals
+
+    def _require_open(self) -> None:
+        if self._source is None:
+            raise CameraError(
+                "The camera is closed.", where=self._where, remedy="Open it again; then resume the run."
+            )
 
     @property
     def _is_live(self) -> bool:

@@ -7,9 +7,10 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor, wait
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, Final, Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +21,10 @@ from drivers.camera.raw_writer import check_new, check_space, sync_file
 from drivers.clock import Clock
 from drivers.errors import NotARecording, RecordingFailed, RecordingFileError
 
+_PAUSE_S: Final = 0.1
+"""Pause between two uses of the clock while frames are written, s."""
+
+T = TypeVar("T")
 Frame = NDArray[np.uint8] | NDArray[np.uint16]
 """Grey values of one frame, (height, width) uint8 or uint16."""
 
@@ -233,7 +238,7 @@ def capture_frames(
             where=str(path),
             remedy="Request at least one frame, from a camera whose format does not change.",
         )
-    highest = np.iinfo(taken[0].dtype).max
+    written, saturated_share = _beside(clock, lambda: (write_frames(path, taken), _saturated_share(taken)))
     return FrameFacts(
         serial=camera.serial,
         model=camera.model,
@@ -241,10 +246,25 @@ def capture_frames(
         height=camera.height,
         bits=8 * taken[0].dtype.itemsize,
         frames=len(taken),
-        bytes=write_frames(path, taken),
-        saturated_share=float(np.mean([(one == highest).mean() for one in taken])),
+        bytes=written,
+        saturated_share=saturated_share,
         complete=len(taken) == frames,
     )
+
+
+def _saturated_share(frames: Sequence[Frame]) -> float:
+    highest = np.iinfo(frames[0].dtype).max
+    return float(np.mean([(one == highest).mean() for one in frames]))
+
+
+def _beside(clock: Clock, work: Callable[[], T]) -> T:
+    """Do work that may take seconds in a thread, and use the clock meanwhile: a supervisor sees that it goes on."""
+    with ThreadPoolExecutor(1, thread_name_prefix="frames") as worker:
+        doing = worker.submit(work)
+        while not doing.done():
+            clock.monotonic()
+            wait([doing], timeout=_PAUSE_S)
+        return doing.result()
 
 
 def write_frames(path: Path, frames: Sequence[Frame]) -> int:

@@ -9,18 +9,20 @@ from typing import Any, ClassVar
 
 import pytest
 
-from bench.plugin_tests import CameraContract, LightContract, StageContract
+from bench.plugin_tests import CameraContract, FrameCameraContract, LightContract, StageContract
 from simulators.cameras.evk4 import SimulatedEvk4
+from simulators.cameras.frame_camera import SimulatedFrameCamera
 from simulators.lights.microcontroller import MicrocontrollerLight
 from simulators.stages.dynamixel import DynamixelBus
 from simulators.stages.dynamixel_servo import ServoModel
 from simulators.stages.flir_ptu import PtuAxisModel, PtuController
 from simulators.stages.mechanics import Mechanics
 from simulators.stages.thorlabs_apt import AptController, AptModel
-from simulators.world.world import World
+from simulators.world.world import LightState, World
 from tests.hil.direct_stages import K10CR1_COUNTS_PER_DEG
 from tests.hil.evk4_host import FLICKER, SMALL
 
+STEADY = LightState(low_v=5.0, high_v=5.0, output=True)
 AXIS = {"counts_per_deg": 800, "limits_deg": [-15, 15], "speed_deg_s": 40, "acceleration_deg_s2": 200}
 
 
@@ -49,6 +51,11 @@ class Servos(DynamixelBus):
 class Lamp(MicrocontrollerLight):
     def is_lit(self) -> bool:
         return self._light.output and self._light.high > 0
+
+
+class FrameCamera(SimulatedFrameCamera):
+    def unplug(self) -> None:
+        self.inject_fault("unplug")
 
 
 @pytest.mark.slow
@@ -147,6 +154,26 @@ class TestSimulatedEvk4(CameraContract):
         world = World(SMALL, seed=1)
         world.set_light(FLICKER)
         camera = SimulatedEvk4(world, paced=True)
+        camera.start()
+        try:
+            yield camera
+        finally:
+            camera.close()
+
+
+@pytest.mark.slow
+class TestSimulatedFrameCamera(FrameCameraContract):
+    """A network camera: it has no serial number, and sets neither exposure nor gain."""
+
+    section: ClassVar[Mapping[str, Any]] = {"driver": "opencv", "source": "PORT"}
+    other_serial = "8"
+    impossible_settings: ClassVar[Mapping[str, float]] = {"exposure": 0.01}
+
+    @contextmanager
+    def connected(self) -> Iterator[FrameCamera]:
+        world = World(SMALL, seed=1)
+        world.set_light(STEADY)
+        camera = FrameCamera(world)
         camera.start()
         try:
             yield camera

@@ -1,16 +1,20 @@
 """Frame cameras and their files."""
 
+import time
+
 import cv2
 import numpy as np
 import pytest
 
 from drivers.camera import frame_cameras
+from drivers.camera import frames as frames_module
 from drivers.camera.frame_cameras import STALE_FRAMES, OpenCvFrameCamera
 from drivers.camera.frames import FrameSettings, mean_frame, read_frames, to_grey, write_frames
 from drivers.camera.image_folder import FolderFrameCamera
 from drivers.clock import SystemClock
 from drivers.errors import (
     CameraBusy,
+    CameraError,
     CameraLost,
     CameraNotFound,
     CameraSettingRefused,
@@ -338,3 +342,38 @@ def test_pictures_of_files_may_repeat_themselves(tmp_path):
 def test_pictures_of_a_folder_cannot_be_exposed_again(folder):
     with pytest.raises(CameraSettingRefused, match="cannot be changed after"):
         FolderFrameCamera.open(folder, clock=SystemClock()).apply(FrameSettings(gain=2.0))
+
+
+def test_a_closed_camera_opens_nothing_again(monkeypatch, tmp_path):
+    lives = [Live(10 * n) for n in range(3)]
+    camera = network_camera(monkeypatch, lives)
+    camera.close()
+    for act in (
+        camera.identify,
+        lambda: camera.apply(FrameSettings()),
+        lambda: camera.capture(tmp_path / "a.tiff", 1),
+    ):
+        with pytest.raises(CameraError, match="is closed"):
+            act()
+    assert not (tmp_path / "a.tiff").exists()
+
+
+def test_the_clock_is_used_while_frames_are_written(folder, tmp_path, monkeypatch):
+    class Counting(SystemClock):
+        uses = 0
+
+        def monotonic(self):
+            self.uses += 1
+            return super().monotonic()
+
+    clock = Counting()
+
+    def write_slowly(path, taken):
+        time.sleep(0.35)
+        return write_frames(path, taken)
+
+    monkeypatch.setattr(frames_module, "write_frames", write_slowly)
+    camera = FolderFrameCamera.open(folder, clock=clock)
+    clock.uses = 0
+    assert camera.capture(tmp_path / "a.tiff", 2).complete
+    assert clock.uses >= 3
