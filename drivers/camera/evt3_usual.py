@@ -17,6 +17,7 @@ from numba import njit
 
 from drivers.camera.word_vectors import (
     BLOCK_WORDS,
+    COMPRESSES,
     JIT,
     copy_single_events,
     count_ones,
@@ -26,6 +27,7 @@ from drivers.camera.word_vectors import (
     word_masks,
     write_columns,
     write_in_force,
+    write_singles,
 )
 
 
@@ -76,6 +78,9 @@ def _take_mixed(
     """Take the single events at the bits of ``found``, each with the row and the TIME_LOW in force before it."""
     t_out, x_out, y_out, p_out = events
     rows, lows = scratch
+    if COMPRESSES and mode == Mode.STORE:
+        write_singles(words, i, found, t, y, t_out, x_out, y_out, p_out, n)
+        return
     write_in_force(words, i, y, t & 0xFFF, rows, lows)
     upper = t & -4096
     while found:

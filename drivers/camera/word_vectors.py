@@ -14,11 +14,13 @@ from __future__ import annotations
 from typing import Any, Final
 
 import numpy as np
-from llvmlite import ir  # type: ignore[import-untyped]
+from llvmlite import binding, ir  # type: ignore[import-untyped]
 from numba import njit, types
+from numba.core import cgutils as untyped_cgutils
 from numba.extending import intrinsic as untyped_intrinsic
 
 intrinsic: Any = untyped_intrinsic
+cgutils: Any = untyped_cgutils
 
 JIT: Final[dict[str, Any]] = {"cache": True, "nogil": True, "_nrt": False}
 """How the decoder's loops are compiled: without reference counts of arrays (``_nrt``). The loops allocate no arrays,
@@ -26,6 +28,9 @@ and counting references took most of the time of the rarer words.
 """
 BLOCK_WORDS: Final = 32
 """Number of words that are looked at together."""
+
+COMPRESSES: Final = bool(binding.get_host_cpu_features().get("avx512vbmi2"))
+"""Whether the processor can move chosen words of a vector together in one instruction."""
 
 _STEPS: Final = (1, 2, 4, 8, 16)
 """Distances between the words that are compared, in the steps of a prefix maximum."""
@@ -193,6 +198,19 @@ def word_masks(_typing: Any, words: Any, _i: Any, _width: Any, _height: Any, _hi
     return masks(types.uint64, 5)(words, types.uint64, *[number] * 4), generate
 
 
+def _in_force(builder: Any, words: Any, row_now: Any, low_now: Any) -> tuple[Any, Any]:
+    """Return row and TIME_LOW in force before each of the words; see `write_in_force`."""
+    kind = builder.and_(words, _many(0xF000))
+    low = builder.select(
+        builder.icmp_unsigned("==", kind, _many(0x6000)), builder.and_(words, _many(0xFFF)), _many(0)
+    )
+    after = ir.Constant(words.type, [(k + 1) % BLOCK_WORDS << 11 for k in range(BLOCK_WORDS)])
+    placed = builder.or_(builder.and_(words, _many(0x7FF)), after)
+    row = builder.select(builder.icmp_unsigned("==", kind, _many(0)), placed, _many(0))
+    rows = builder.and_(_greatest_before(builder, row, builder.trunc(row_now, _WORD)), _many(0x7FF))
+    return rows, _greatest_before(builder, low, builder.trunc(low_now, _WORD))
+
+
 @intrinsic
 def write_in_force(
     _typing: Any, words: Any, _i: Any, _row: Any, _low: Any, rows_out: Any, lows_out: Any
@@ -221,19 +239,9 @@ def write_in_force(
     """
 
     def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
-        vector = ir.VectorType(_WORD, BLOCK_WORDS)
-        kinds = signature.args
+        vector, kinds = ir.VectorType(_WORD, BLOCK_WORDS), signature.args
         words = builder.load(_address(context, builder, kinds[0], args[0], args[1], vector), align=1)
-        kind = builder.and_(words, _many(0xF000))
-        low = builder.select(
-            builder.icmp_unsigned("==", kind, _many(0x6000)), builder.and_(words, _many(0xFFF)), _many(0)
-        )
-        after = ir.Constant(vector, [(k + 1) % BLOCK_WORDS << 11 for k in range(BLOCK_WORDS)])
-        placed = builder.or_(builder.and_(words, _many(0x7FF)), after)
-        row = builder.select(builder.icmp_unsigned("==", kind, _many(0)), placed, _many(0))
-        row_now, low_now = builder.trunc(args[2], _WORD), builder.trunc(args[3], _WORD)
-        rows = builder.and_(_greatest_before(builder, row, row_now), _many(0x7FF))
-        lows = _greatest_before(builder, low, low_now)
+        rows, lows = _in_force(builder, words, args[2], args[3])
         zero = ir.Constant(_LONG, 0)
         builder.store(rows, _address(context, builder, kinds[4], args[4], zero, vector), align=1)
         builder.store(lows, _address(context, builder, kinds[5], args[5], zero, vector), align=1)
@@ -241,6 +249,67 @@ def write_in_force(
 
     number = types.int64
     return types.none(words, types.uint64, number, number, rows_out, lows_out), generate
+
+
+@intrinsic
+def write_singles(
+    _typing: Any, words: Any, _i: Any, _found: Any, _t: Any, _row: Any, t_out: Any, x_out: Any, y_out: Any,
+    p_out: Any, _n: Any
+) -> Any:  # fmt: skip
+    """Write the single events among BLOCK_WORDS words, each with the row and the TIME_LOW in force before it.
+
+    Only for processors that have `COMPRESSES`. 32 places of the arrays are touched.
+
+    Parameters
+    ----------
+    words
+        (N,) uint16, EVT3 words.
+    _i
+        Index of the first word, uint64.
+    _found
+        Which of the words are events to write, a bit each, uint64.
+    _t
+        Clock before the first word, us, int64.
+    _row
+        Row before the first word, px, int64.
+    t_out, x_out, y_out, p_out
+        (M,) int64, uint16, uint16 and uint8, filled in: times (us), columns and rows (px), and polarities.
+    _n
+        Index of the first event to write, uint64.
+
+    Returns
+    -------
+    none
+        The arrays are filled in.
+    """
+
+    def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+        vector, kinds = ir.VectorType(_WORD, BLOCK_WORDS), signature.args
+        mask = ir.VectorType(_BIT, BLOCK_WORDS)
+        words = builder.load(_address(context, builder, kinds[0], args[0], args[1], vector), align=1)
+        found = builder.bitcast(builder.trunc(args[2], ir.IntType(BLOCK_WORDS)), mask)
+        low_now = builder.and_(args[3], ir.Constant(_LONG, 0xFFF))
+        upper = builder.and_(args[3], ir.Constant(_LONG, -4096))
+        rows, lows = _in_force(builder, words, args[4], low_now)
+        kind = ir.FunctionType(vector, [vector, vector, mask])
+        compress = cgutils.get_or_insert_function(
+            builder.module, kind, "llvm.x86.avx512.mask.compress.v32i16"
+        )
+        events, rows, lows = (builder.call(compress, [one, _many(0), found]) for one in (words, rows, lows))
+        columns = builder.and_(events, _many(0x7FF))
+        polarities = builder.and_(builder.lshr(events, _many(11)), _many(1))
+        times = builder.zext(lows, ir.VectorType(_LONG, BLOCK_WORDS))
+        times = builder.or_(times, _splat(builder, upper, BLOCK_WORDS))
+        polarities = builder.trunc(polarities, ir.VectorType(_BYTE, BLOCK_WORDS))
+        for k, values in enumerate((times, columns, rows, polarities)):
+            place = _address(context, builder, kinds[5 + k], args[5 + k], args[9], values.type)
+            builder.store(values, place, align=1)
+        return context.get_dummy_value()
+
+    number = types.int64
+    return types.none(
+        words, types.uint64, types.uint64, number, number, t_out, x_out, y_out, p_out, types.uint64
+    ), generate
 
 
 @intrinsic
