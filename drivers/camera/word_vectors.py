@@ -251,6 +251,13 @@ def write_in_force(
     return types.none(words, types.uint64, number, number, rows_out, lows_out), generate
 
 
+def _moved_together(builder: Any, words: Any, chosen: Any) -> Any:
+    """Return the chosen words of a vector, one beside the other; only for processors that have `COMPRESSES`."""
+    kind = ir.FunctionType(words.type, [words.type, words.type, chosen.type])
+    name = "llvm.x86.avx512.mask.compress.v32i16"
+    return builder.call(cgutils.get_or_insert_function(builder.module, kind, name), [words, _many(0), chosen])
+
+
 @intrinsic
 def write_singles(
     _typing: Any, words: Any, _i: Any, _found: Any, _t: Any, _row: Any, t_out: Any, x_out: Any, y_out: Any,
@@ -291,11 +298,7 @@ def write_singles(
         low_now = builder.and_(args[3], ir.Constant(_LONG, 0xFFF))
         upper = builder.and_(args[3], ir.Constant(_LONG, -4096))
         rows, lows = _in_force(builder, words, args[4], low_now)
-        kind = ir.FunctionType(vector, [vector, vector, mask])
-        compress = cgutils.get_or_insert_function(
-            builder.module, kind, "llvm.x86.avx512.mask.compress.v32i16"
-        )
-        events, rows, lows = (builder.call(compress, [one, _many(0), found]) for one in (words, rows, lows))
+        events, rows, lows = (_moved_together(builder, one, found) for one in (words, rows, lows))
         columns = builder.and_(events, _many(0x7FF))
         polarities = builder.and_(builder.lshr(events, _many(11)), _many(1))
         times = builder.zext(lows, ir.VectorType(_LONG, BLOCK_WORDS))
@@ -386,6 +389,23 @@ def _write_columns(_typing: Any, table: Any, _byte: Any, _x: Any, x_out: Any, _n
     return types.none(table, types.uint64, types.int64, x_out, types.uint64), generate
 
 
+@intrinsic
+def _write_columns_at_once(_typing: Any, _bits: Any, _x: Any, x_out: Any, _n: Any) -> Any:
+    """Write the columns of up to 32 bits, counted from column x, from index n on."""
+
+    def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+        vector = ir.VectorType(_WORD, BLOCK_WORDS)
+        bits = builder.trunc(args[0], ir.IntType(BLOCK_WORDS))
+        chosen = builder.bitcast(bits, ir.VectorType(_BIT, BLOCK_WORDS))
+        places = _moved_together(builder, ir.Constant(vector, [*range(BLOCK_WORDS)]), chosen)
+        columns = builder.add(places, _splat(builder, builder.trunc(args[1], _WORD), BLOCK_WORDS))
+        place = _address(context, builder, signature.args[2], args[2], args[3], vector)
+        builder.store(columns, place, align=1)
+        return context.get_dummy_value()
+
+    return types.none(types.uint64, types.int64, x_out, types.uint64), generate
+
+
 @njit(**JIT, forceinline=True)
 def write_columns(x_out: Any, n: Any, x: Any, bits: Any) -> None:
     """Write the columns of the bits that are set, lowest first; 32 places are touched.
@@ -401,6 +421,9 @@ def write_columns(x_out: Any, n: Any, x: Any, bits: Any) -> None:
     bits
         One bit a column, uint64 below 2^32.
     """
+    if COMPRESSES:
+        _write_columns_at_once(bits, x, x_out, n)
+        return
     for k in range(4):
         byte = (bits >> np.uint64(8 * k)) & np.uint64(0xFF)
         _write_columns(_COLUMNS, byte, x + 8 * k, x_out, n)
