@@ -131,6 +131,9 @@ class ScpiGenerator(GeneratorLine):
         )
         self._register_value(f"{source}:VOLTage:HIGH", "high", _VOLTS, lambda: generator.settings.high_v)
         self._register_value(f"{source}:VOLTage:LOW", "low", _VOLTS, lambda: generator.settings.low_v)
+        tree.add(  # Vrms and dBm are not simulated
+            f"{source}:VOLTage:UNIT", lambda words: choice(only_argument(words), ["VPP"]), lambda _: "VPP"
+        )
         tree.add(
             f"{output}[:STATe]",
             lambda words: generator.switch(output=boolean(only_argument(words))),

@@ -102,6 +102,7 @@ def test_an_independent_client_sets_and_reads(tmp_path):
         ("FREQ 1.5 kHz", "FREQUENCY?", "+1.5000000000000E+03"),
         ("SOUR:FREQ 6E1", "FREQ?", "+6.0000000000000E+01"),
         ("FUNC:SQU:DCYC 35.5", "func:squ:dcyc?", "+3.5500000000000E+01"),
+        ("VOLT:UNIT VPP", "VOLT:UNIT?", "VPP"),
         ("VOLT:HIGH 3;LOW -1", "VOLT?;VOLT:OFFS?", "+4.0000000000000E+00;+1.0000000000000E+00"),
         ("VOLT 2;VOLT:OFFS 1.5", "VOLT:HIGH?;LOW?", "+2.5000000000000E+00;+5.0000000000000E-01"),
         ("OUTPUT:STATE 1", "OUTP?", "1"),
