@@ -66,6 +66,7 @@ def test_a_generator_is_set_and_read(tmp_path):
     with plugged(tmp_path, ScpiGenerator(GeneratorModel(), world.now_s, world.set_light)) as device:
         one = agilent.Agilent33220a.open_serial(device.address, baud=9600, timeout=3)
         assert "SG0042" in one.query("*IDN?")
+        one.load_resistance = one.LoadResistance.high_impedance
         one.sendcmd("FUNC SQU")  # this version sends FUNC:SQU, which no generator knows
         one.frequency = 60.0
         one.amplitude = (4.0, one.VoltageMode.peak_to_peak)
