@@ -132,8 +132,7 @@ def _find_blocks(px: Pixels, r: int, t32: Any) -> int:
     The earliest requests of these blocks, of the row and of its group become infinite: `_update_blocks` sets them
     again. Set so early, they do not delay the search for the earliest ones.
     """
-    n: Any = 0
-    blocks = px.block_min[r]
+    n, blocks = 0, px.block_min[r]
     if FEWEST_BITS <= blocks.size <= MOST_BITS:
         bits = bits_at_most(blocks, t32)
         while bits:
@@ -141,9 +140,9 @@ def _find_blocks(px: Pixels, r: int, t32: Any) -> int:
             bits &= bits - np.uint64(1)
             n += 1
     else:
-        for b in range(blocks.size):
-            px.asked[n] = b
-            n += blocks[b] <= t32
+        for k in range(blocks.size):
+            px.asked[n] = k
+            n += blocks[k] <= t32
     for k in range(n):
         b = np.int64(px.asked[k])
         _prefetch_block(px, r * px.t_next.shape[1] + b * BLOCK)
