@@ -347,7 +347,9 @@ class DynamixelBus:
             self._exchange(self._asked, protocol.PING, b"", 3, deadline_s=_MARKER_S, urgent=True)
             return True
 
-        if not resynchronise(self._link, exchange_marker, quiet_s=_QUIET_S, limit_s=_LONGEST_DRAIN_S):
+        if not resynchronise(
+            self._link, exchange_marker, quiet_s=_QUIET_S, limit_s=_LONGEST_DRAIN_S, once_if_silent=True
+        ):
             raise ReplyGarbled(
                 "more bytes come than were asked for.",
                 where=self.name,

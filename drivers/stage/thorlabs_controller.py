@@ -336,7 +336,12 @@ class ThorlabsController:
             return True
 
         if not resynchronise(
-            self._link, exchange_marker, quiet_s=_QUIET_S, limit_s=_LONGEST_DRAIN_S, clear_device=clear_device
+            self._link,
+            exchange_marker,
+            quiet_s=_QUIET_S,
+            limit_s=_LONGEST_DRAIN_S,
+            clear_device=clear_device,
+            once_if_silent=True,
         ):
             raise ReplyGarbled(
                 "more bytes come than were asked for.",
