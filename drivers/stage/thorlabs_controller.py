@@ -22,7 +22,7 @@ from drivers.stage.thorlabs_protocol import Information, Status
 from drivers.wire_log import WireLog
 
 _REPLY_S: Final = 0.5
-_MARKER_S: Final = 0.3
+_MARKER_S: Final = 0.45
 _QUIET_S: Final = 0.05
 _LONGEST_DRAIN_S: Final = 1.0
 _STOP_POLL_S: Final = 0.02
