@@ -131,9 +131,7 @@ class ScpiGenerator(GeneratorLine):
         )
         self._register_value(f"{source}:VOLTage:HIGH", "high", _VOLTS, lambda: generator.settings.high_v)
         self._register_value(f"{source}:VOLTage:LOW", "low", _VOLTS, lambda: generator.settings.low_v)
-        tree.add(  # Vrms and dBm are not simulated
-            f"{source}:VOLTage:UNIT", lambda words: choice(only_argument(words), ["VPP"]), lambda _: "VPP"
-        )
+        tree.add(f"{source}:VOLTage:UNIT", self._set_unit, lambda _: "VPP")
         tree.add(
             f"{output}[:STATe]",
             lambda words: generator.switch(output=boolean(only_argument(words))),
@@ -187,6 +185,10 @@ class ScpiGenerator(GeneratorLine):
     def _reset(self, arguments: list[str]) -> None:
         expect_no_arguments(arguments)
         self._generator.reset()
+
+    def _set_unit(self, arguments: list[str]) -> None:
+        """Take the unit of the amplitude; Vrms and dBm are not simulated."""
+        choice(only_argument(arguments), ["VPP"])
 
     def _set_shape(self, arguments: list[str]) -> None:
         word = choice(only_argument(arguments), list(_SHAPES))
