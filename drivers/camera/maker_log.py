@@ -24,31 +24,33 @@ _old: set[str] = set()
 
 
 @contextmanager
-def listening() -> Iterator[None]:
+def listening() -> Iterator[list[str]]:
     """Listen to standard error during the block; `cameras_with_old_firmware` then knows what was said.
 
     Yields
     ------
-    None
-        While listening. If standard error is closed, nothing is heard.
+    list of str
+        What was said; it is there when the block has ended. If standard error is closed, nothing is heard.
     """
+    words: list[str] = []
     with _LISTENING, tempfile.TemporaryFile() as heard:
         with suppress(OSError, ValueError, AttributeError):
             sys.stderr.flush()
         try:
             kept = os.dup(_STDERR)
         except OSError:
-            yield
+            yield words
             return
         os.dup2(heard.fileno(), _STDERR)
         try:
-            yield
+            yield words
         finally:
             os.dup2(kept, _STDERR)
             os.close(kept)
             heard.seek(0)
             said = heard.read()
-            _old.update(_OLD_FIRMWARE.findall(said.decode(errors="replace")))
+            words.append(said.decode(errors="replace"))
+            _old.update(_OLD_FIRMWARE.findall(words[0]))
             with suppress(OSError):
                 os.write(_STDERR, said)
 

@@ -24,6 +24,7 @@ from drivers.camera.metavision_discovery import (
     stated,
     vendor_software,
 )
+from drivers.camera.metavision_release import lets_go
 from drivers.camera.metavision_settings import apply_settings, read_biases, read_filters, read_monitoring
 from drivers.camera.raw_file import RawFile, RecordingStatistics
 from drivers.camera.raw_writer import check_new, check_space, sync_file
@@ -78,6 +79,7 @@ class MetavisionEvk4:
         self._stop_asked = threading.Event()
 
     @classmethod
+    @lets_go()
     def open(cls, *, serial: str | None = None, clock: Clock) -> MetavisionEvk4:
         """Open a camera in the format EVT3.
 
@@ -137,6 +139,7 @@ class MetavisionEvk4:
             raise not_opened(serial, reason)
         return device
 
+    @lets_go()
     def identify(self) -> CameraIdentity:
         """Read the camera's identity.
 
@@ -178,10 +181,12 @@ class MetavisionEvk4:
             )
         return identity
 
+    @lets_go()
     def apply(self, settings: CameraSettings) -> CameraSettings:
         """See `EventCamera.apply`."""
         return apply_settings(self._device, self._hal, settings, where=self._where)
 
+    @lets_go()
     def filters(self) -> Mapping[str, bool]:
         """See `EventCamera.filters`."""
         return read_filters(self._device, self._hal, where=self._where)
@@ -190,6 +195,7 @@ class MetavisionEvk4:
         """See `EventCamera.temperature_c`."""
         return read_monitoring(self._device, "get_temperature")
 
+    @lets_go()
     def record(self, path: Path, duration_s: float) -> RecordingFacts:
         """Record into a new RAW file; see `EventCamera.record`.
 

@@ -12,11 +12,22 @@ from typing import Any, Final
 
 from drivers.camera import FoundCamera
 from drivers.camera.maker_log import cameras_with_old_firmware, listening
-from drivers.camera.usb_permission import unreadable_cameras
+from drivers.camera.usb_permission import connected_cameras, unreadable_cameras
 from drivers.errors import CameraError, CameraNotFound, CameraSoftwareMissing
 
 OLDEST_FIRMWARE: Final = "3.8"
 """The maker's software refuses an EVK4 with an older firmware."""
+_DENIED: Final = "LIBUSB_ERROR_ACCESS"
+"""Word of the software on standard error for a camera that this user may not use."""
+_ENDED: Final = re.compile(r"Error (\w+): LibUSB connection error: \*\*UNKNOWN\*\*")
+_ENDINGS: Final[Mapping[str, str]] = {
+    "1": "error",
+    "2": "timed out",
+    "4": "stalled",
+    "5": "the device is gone",
+    "6": "the device sent too much",
+}
+"""States in which libusb ends a transfer; OpenEB tells them as errors without a name."""
 _UPDATE: Final = "Update the camera's firmware with the maker's updater (support.prophesee.ai)"
 
 
@@ -35,9 +46,14 @@ def discover() -> tuple[FoundCamera, ...]:
     CameraError
         If it cannot list cameras.
     """
+    return _look()[0]
+
+
+def _look() -> tuple[tuple[FoundCamera, ...], bool]:
+    """List the cameras; return whether the software was denied one, too. Raises as `discover`."""
     hal = vendor_software()
     try:
-        with listening():
+        with listening() as heard:
             listed = list(hal.DeviceDiscovery.list_available_sources())
     except RuntimeError as error:
         raise CameraError(
@@ -53,10 +69,14 @@ def discover() -> tuple[FoundCamera, ...]:
         )
         for found in listed
     ]
-    refused = sorted(cameras_with_old_firmware() - {camera.serial for camera in cameras})
+    on_usb = connected_cameras()
+    missing = on_usb is None or len(on_usb) > len(
+        cameras
+    )  # an old one may have been unplugged since it was refused
+    refused = sorted(cameras_with_old_firmware() - {camera.serial for camera in cameras}) if missing else []
     trouble = f"its firmware is older than {OLDEST_FIRMWARE}. {_UPDATE}."
     cameras += [FoundCamera("metavision", serial, "Prophesee", trouble) for serial in refused]
-    return tuple(cameras)
+    return tuple(cameras), any(_DENIED in words for words in heard)
 
 
 def not_opened(serial: str | None, reason: str) -> CameraNotFound:
@@ -75,7 +95,7 @@ def not_opened(serial: str | None, reason: str) -> CameraNotFound:
         The error.
     """
     camera = f"camera {serial}" if serial else "any camera"
-    found = discover()
+    found, denied = _look()
     refused = [one for one in found if one.trouble and serial in {None, one.serial}]
     if refused:
         return CameraNotFound(
@@ -87,12 +107,21 @@ def not_opened(serial: str | None, reason: str) -> CameraNotFound:
         seen = ", ".join(one.serial for one in found)
         hints: list[str] = []
     else:
-        seen, hints = "none", unreadable_cameras()
+        seen, hints = "none", unreadable_cameras() or _hints(denied=denied)
     return CameraNotFound(
-        f"Cannot open {camera}{reason}; connected cameras: {seen}.{''.join(f' {hint}' for hint in hints)}",
+        f"Cannot open {camera}{reason}; the maker's software finds these cameras: {seen}."
+        f"{''.join(f' {hint}' for hint in hints)}",
         remedy="Check the camera's cable and power, the serial number in the station file, the udev rules, and that no"
         " other program uses the camera.",
     )
+
+
+def _hints(*, denied: bool) -> list[str]:
+    """Return why the software may find no camera."""
+    if denied:
+        text = f"A Prophesee camera is connected, but this user may not use it ({_DENIED}): install the udev rules"
+        return [f"{text} of its maker (in OpenEB: hal_psee_plugins/resources/rules), then plug it in again."]
+    return [f"A {name} is connected; perhaps another program uses it." for name in connected_cameras() or ()]
 
 
 def stated(about: Mapping[str, Any], ending: str) -> str:
@@ -167,6 +196,8 @@ def reason_of(error: Exception) -> str:
         The line.
     """
     lines = [line.strip() for line in str(error).splitlines() if any(c.isalpha() for c in line)]
-    return next(
+    reason = next(
         (line for line in lines if line.startswith("Error")), lines[0] if lines else "no reason given"
     )
+    ended = _ENDED.fullmatch(reason)
+    return f"the USB transfer ended: {_ENDINGS.get(ended[1], reason)}" if ended else reason

@@ -11,10 +11,14 @@ from contextlib import contextmanager
 from typing import Any, Final
 
 from drivers.camera import CameraSettings
+from drivers.camera.metavision_discovery import reason_of
 from drivers.errors import CameraLost, CameraSettingRefused
 
 BIASES: Final = ("bias_diff_on", "bias_diff_off", "bias_fo", "bias_hpf", "bias_refr")
 """The biases that CameraSettings may name. ``bias_diff`` is the reference of two of them and is never changed."""
+
+_NOT_MEASURED: Final = -1.0
+"""OpenEB 5.1.1, ``imx636_tz_device.cpp``: temperature and illumination if the sensor does not end the measurement."""
 
 _CONNECTION: Final = re.compile(
     r"libusb|\busb\b|connection|disconnected|no such device|i/o error", re.IGNORECASE
@@ -103,15 +107,16 @@ def read_monitoring(device: Any, call: str) -> float | None:
     Returns
     -------
     float or None
-        In the unit of that method; None if the camera does not measure it.
+        In the unit of that method; None if the camera does not measure it, or has failed to.
     """
     monitoring = device.get_i_monitoring() if device is not None else None
     if monitoring is None:
         return None
     try:
-        return float(getattr(monitoring, call)())
+        value = float(getattr(monitoring, call)())
     except RuntimeError:  # the HAL's sign of "not implemented by this camera"
         return None
+    return None if value == _NOT_MEASURED else value
 
 
 def apply_settings(device: Any, hal: Any, settings: CameraSettings, *, where: str) -> CameraSettings:
@@ -259,8 +264,8 @@ def _refusal(doing: str, where: str) -> Iterator[None]:
     try:
         yield
     except RuntimeError as error:
-        reason = " ".join(str(error).split())
-        if _CONNECTION.search(reason):
+        reason = reason_of(error)
+        if _CONNECTION.search(str(error)):
             raise CameraLost(
                 f"The connection to the camera is lost ({reason}); it could not {doing}.",
                 where=where,

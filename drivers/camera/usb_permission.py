@@ -56,6 +56,22 @@ def unreadable_cameras(devices: Path = USB_DEVICES, nodes: Path = USB_NODES) -> 
     return found
 
 
+def connected_cameras(devices: Path = USB_DEVICES) -> list[str] | None:
+    """Return the kinds of the known event cameras on USB.
+
+    Parameters
+    ----------
+    devices
+        Folder in which Linux lists the devices on USB.
+
+    Returns
+    -------
+    list of str or None
+        One entry for each camera; None if the system has no such list.
+    """
+    return [name for _, name in _cameras(devices)] if devices.is_dir() else None
+
+
 def slow_cameras(devices: Path = USB_DEVICES) -> list[str]:
     """Return a sentence for each known event camera that is not connected by USB 3.
 

@@ -4,7 +4,12 @@ import os
 
 import pytest
 
-from drivers.camera.usb_permission import only_camera_mbit_s, slow_cameras, unreadable_cameras
+from drivers.camera.usb_permission import (
+    connected_cameras,
+    only_camera_mbit_s,
+    slow_cameras,
+    unreadable_cameras,
+)
 
 
 def plug(tmp_path, vendor="04b4", product="00f5", mode=0o666, speed="5000", port="1-2"):
@@ -60,3 +65,8 @@ def test_of_two_cameras_the_speed_belongs_to_none(tmp_path):
     devices, _ = plug(tmp_path, port="1-3", speed="480")
     assert only_camera_mbit_s(devices) is None
     assert len(slow_cameras(devices)) == 1
+
+
+def test_connected_cameras_are_counted_where_the_system_lists_them(tmp_path):
+    assert connected_cameras(plug(tmp_path)[0]) == ["Prophesee camera (EVK4)"]
+    assert connected_cameras(tmp_path / "none") is None

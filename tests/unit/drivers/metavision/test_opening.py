@@ -7,7 +7,7 @@ from types import ModuleType
 
 import pytest
 
-from drivers.camera import FoundCamera, maker_log
+from drivers.camera import FoundCamera, maker_log, metavision_discovery
 from drivers.camera import metavision as metavision_driver
 from drivers.camera.metavision import MetavisionEvk4
 from drivers.camera.metavision_discovery import discover
@@ -38,13 +38,16 @@ def test_connected_cameras_are_listed(devices):
 
 @pytest.mark.usefixtures("devices")
 def test_a_camera_that_is_not_there_is_told_with_those_that_are(clock):
-    with pytest.raises(CameraNotFound, match=f"Cannot open camera 00099999; connected cameras: {SERIAL}"):
+    with pytest.raises(
+        CameraNotFound,
+        match=f"Cannot open camera 00099999; the maker.s software finds these cameras: {SERIAL}",
+    ):
         MetavisionEvk4.open(serial="00099999", clock=clock)
 
 
 def test_no_camera_at_all_is_told(devices, clock):
     devices.clear()
-    with pytest.raises(CameraNotFound, match="connected cameras: none"):
+    with pytest.raises(CameraNotFound, match="software finds these cameras: none"):
         MetavisionEvk4.open(clock=clock)
 
 
@@ -158,7 +161,10 @@ def test_a_firmware_that_is_too_old_is_named_at_each_opening(clock, capfd):
             MetavisionEvk4.open(serial=serial, clock=clock)
         assert "Update the camera's firmware" in caught.value.remedy
     assert capfd.readouterr().err.encode() == OLD  # the maker's words are not lost
-    with pytest.raises(CameraNotFound, match="Cannot open camera 00099999; connected cameras: 00051234"):
+    with pytest.raises(
+        CameraNotFound,
+        match="software finds these cameras: 00051234",
+    ):
         MetavisionEvk4.open(serial="00099999", clock=clock)
 
 
@@ -172,6 +178,15 @@ def test_a_camera_with_an_old_firmware_is_listed_with_its_trouble(capfd):
     assert capfd.readouterr().err.encode() == OLD
 
 
+@pytest.mark.usefixtures("old_firmware")
+@pytest.mark.parametrize(("on_usb", "listed"), [(None, 1), (["Prophesee camera (EVK4)"], 1), ([], 0)])
+def test_an_old_camera_that_was_unplugged_is_not_listed(monkeypatch, on_usb, listed):
+    """The maker's software says once in a process that a firmware is too old."""
+    assert len(discover()) == 1
+    monkeypatch.setattr(metavision_discovery, "connected_cameras", lambda: on_usb)
+    assert len(discover()) == listed
+
+
 def test_a_closed_standard_error_hides_the_cause_only(devices, clock, monkeypatch):
     def closed(_number):
         raise OSError(9, "Bad file descriptor")
@@ -181,6 +196,26 @@ def test_a_closed_standard_error_hides_the_cause_only(devices, clock, monkeypatc
     assert devices
 
 
+def test_a_camera_that_another_program_may_use_is_named(devices, clock, monkeypatch):
+    """The maker's software leaves it out without a word: "connected cameras: none" was wrong."""
+    devices.clear()
+    monkeypatch.setattr(metavision_discovery, "connected_cameras", lambda: ["Prophesee camera (EVK4)"])
+    with pytest.raises(CameraNotFound, match=r"\(EVK4\) is connected; perhaps another program uses it\."):
+        MetavisionEvk4.open(clock=clock)
+
+
+@pytest.mark.usefixtures("capfd")
+def test_a_denial_that_only_standard_error_tells_is_named(devices, clock, monkeypatch):
+    devices.clear()
+    said = b"[HAL][WARNING] Unable to open device:\nError fffffffd: LibUSB connection error: LIBUSB_ERROR_ACCESS\n"
+    discovery = sys.modules["metavision_hal"].DeviceDiscovery
+    monkeypatch.setattr(discovery, "list_available_sources", staticmethod(lambda: os.write(2, said) and []))
+    with pytest.raises(
+        CameraNotFound, match=r"this user may not use it \(LIBUSB_ERROR_ACCESS\): install the udev"
+    ):
+        MetavisionEvk4.open(clock=clock)
+
+
 def test_a_camera_that_this_user_may_not_use_is_named(devices, clock, monkeypatch):
     devices.clear()
     monkeypatch.setattr(
@@ -188,6 +223,6 @@ def test_a_camera_that_this_user_may_not_use_is_named(devices, clock, monkeypatc
         lambda: ["A Prophesee camera is connected, but."],
     )
     with pytest.raises(
-        CameraNotFound, match=r"connected cameras: none\. A Prophesee camera is connected, but"
+        CameraNotFound, match=r"finds these cameras: none\. A Prophesee camera is connected, but"
     ):
         MetavisionEvk4.open(clock=clock)

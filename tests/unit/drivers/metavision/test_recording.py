@@ -1,12 +1,16 @@
 """Recordings of a camera behind the Metavision HAL: whole, or the reason told."""
 
+import gc
+import weakref
+
 import pytest
 
 from drivers.camera import CameraSettings
 from drivers.camera import metavision as metavision_driver
+from drivers.camera.metavision import MetavisionEvk4
 from drivers.camera.raw_file import RawFile
 from drivers.errors import CameraLost, RecordingFailed
-from tests.unit.drivers.metavision.fake_hal import HEADER, SERIAL, words_of
+from tests.unit.drivers.metavision.fake_hal import HEADER, SERIAL, Device, words_of
 
 
 def test_a_camera_without_optional_facilities_works(device, camera, tmp_path):
@@ -164,3 +168,29 @@ def test_work_is_seen_to_go_on_while_a_long_recording_is_scanned(camera, tmp_pat
     monkeypatch.setattr(camera._clock, "monotonic", lambda: asked.append(1) or monotonic())
     camera._scan(path)
     assert len(asked) == len(list(RawFile.open(path).words())) > 3
+
+
+@pytest.mark.parametrize("facility", ["hw_identification", "antiflicker_module", "events_stream"])
+def test_an_error_that_is_kept_does_not_keep_the_camera(devices, clock, monkeypatch, tmp_path, facility):
+    """A hold keeps its cause. The maker's objects in it kept the camera claimed, and it could not be opened again."""
+
+    def gone(*_):
+        raise RuntimeError("Error 5: LibUSB connection error: **UNKNOWN**")
+
+    devices[SERIAL] = Device()
+    camera = MetavisionEvk4.open(serial=SERIAL, clock=clock)
+    objects = devices.pop(SERIAL).facilities
+    calls = {
+        "hw_identification": "get_serial",
+        "antiflicker_module": "is_enabled",
+        "events_stream": "poll_buffer",
+    }
+    monkeypatch.setattr(type(objects[facility]), calls[facility], gone)
+    alive = weakref.WeakSet(objects.values())
+    del objects
+    with pytest.raises(CameraLost, match="the USB transfer ended: the device is gone") as kept:
+        camera.record(tmp_path / "pose.raw", 0.01)
+    camera.close()
+    gc.collect()
+    assert kept.value.__traceback__ is not None
+    assert list(alive) == []

@@ -106,8 +106,14 @@ def test_biases_that_are_missing_are_told_when_needed(device, camera):
         camera.apply(CameraSettings({"bias_fo": 3}, trigger_in=False))
 
 
+FRAMED = "\n{0}\nLibUSB\n\nError fffffffc: LibUSB connection error: LIBUSB_ERROR_NO_DEVICE\n{0}\n".format(
+    "-" * 48
+)
+"""As OpenEB 5.1.1 says it."""
+
+
 def gone(*_):
-    raise RuntimeError("------\nMetavision HAL exception\n\nLibUSB error: LIBUSB_ERROR_NO_DEVICE (-4)\n")
+    raise RuntimeError(FRAMED)
 
 
 @pytest.mark.parametrize("method", ["set", "get", "get_all_biases"])
@@ -117,9 +123,19 @@ def test_a_camera_that_has_gone_is_lost_not_a_refused_setting(device, camera, mo
     with pytest.raises(CameraLost, match="LIBUSB_ERROR_NO_DEVICE") as caught:
         camera.apply(CameraSettings({"bias_diff_on": 0}))
     assert "cable" in caught.value.remedy
+    assert "--" not in str(caught.value)  # the frame around the maker's words
 
 
 def test_filters_of_a_camera_that_has_gone_are_a_loss_too(device, camera, monkeypatch):
     monkeypatch.setattr(device.facilities["antiflicker_module"], "is_enabled", gone)
     with pytest.raises(CameraLost, match="read its filters"):
         camera.filters()
+
+
+def test_a_measurement_that_the_sensor_does_not_end_is_no_temperature(device, camera, monkeypatch, tmp_path):
+    """OpenEB returns -1 then; it was kept as a temperature of -1 degree."""
+    for call in ("get_temperature", "get_illumination"):
+        monkeypatch.setattr(device.facilities["monitoring"], call, lambda: -1, raising=False)
+    assert camera.temperature_c() is None
+    facts = camera.record(tmp_path / "pose.raw", 0.01)
+    assert (facts.temperature_c, facts.illumination_lux) == (None, None)

@@ -1,0 +1,43 @@
+"""Let go of the objects of the Metavision HAL when a call fails.
+
+The HAL gives a camera back when the last of its objects goes, and has no call for it. An error that is kept, as the
+cause of a hold, keeps the variables of all functions that it passed, and with them such objects. The same program
+could then not open the camera again. No device is touched here.
+"""
+
+from __future__ import annotations
+
+import sys
+import traceback
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+
+@contextmanager
+def lets_go() -> Iterator[None]:
+    """Empty the variables of the functions that an error has passed on its way out of the block.
+
+    Yields
+    ------
+    None
+        During the block.
+    """
+    outside = sys.exception()
+    try:
+        yield
+    except BaseException as error:
+        _clear(error, outside)
+        raise
+
+
+def _clear(error: BaseException | None, outside: BaseException | None) -> None:
+    """Empty the variables behind an error and its causes, up to the error that the caller was handling already."""
+    cleared: set[int] = set()
+    waiting = [error]
+    while waiting:
+        one = waiting.pop()
+        if one is None or one is outside or id(one) in cleared:
+            continue
+        cleared.add(id(one))
+        traceback.clear_frames(one.__traceback__)
+        waiting += [one.__cause__, one.__context__]
