@@ -35,13 +35,14 @@ def require_libraries() -> None:
     """
     try:
         import lxml.etree
+        import matplotlib as mpl
         import typst
     except ImportError as error:
         raise UsageError(
             f"The package {error.name} is missing; PDF and DCC need it.",
             remedy="Install it: pip install 'starbench[certificate]'",
         ) from error
-    del lxml, typst
+    del lxml, mpl, typst
 
 
 def certificate_files(

@@ -9,6 +9,7 @@ planar model, which is there for comparison, may differ by a hundredth.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +23,7 @@ from bench.records.run_folder import JOURNAL, RESULTS
 from bench.results.compare_json import Number, Tolerance, differences
 from bench.results.derive_again import RunEvidence, read_evidence
 from bench.results.derive_report import UNREADABLE
+from bench.results.other_engine import described, is_excused, same_stars
 from bench.results.other_software import other_program
 from bench.results.results_content import results_content
 from bench.results.solution import Solution, solve_run
@@ -43,6 +45,25 @@ that are moved by 1e-11 px change its standard uncertainties by up to 0.6 %."""
 _COUNTED = ("iterations",)
 """Numbers of work, not of results: rounding may change them by a few."""
 _MOST_SHOWN = 12
+
+
+@dataclass(frozen=True)
+class SeenView:
+    """How a stored view differs from the one found again.
+
+    Attributes
+    ----------
+    name
+        Name of the view.
+    seen
+        What differs: ``other star ids``.
+    excused
+        Whether another program found it, and its stars are the same (`bench.results.other_engine.same_stars`).
+    """
+
+    name: str
+    seen: Sequence[str]
+    excused: bool
 
 
 def check_recordings(folder: Path) -> Findings:
@@ -84,7 +105,7 @@ def check_recordings(folder: Path) -> Findings:
     except UNREADABLE as error:
         found.fault("results", RESULTS, f"the results have no calibration to compare ({error!r})")
         return found
-    _check_views(folder, solution, found)
+    _check_views(folder, solution, found, other=bool(other_program(used)))
     return found
 
 
@@ -106,8 +127,8 @@ def _check_attempts(evidence: RunEvidence, found: Findings) -> dict[int, Measure
         had = {name: attempt.checked.get(name) for name in due}
         where = f"pose {attempt.pose_index} attempt {attempt.attempt}"
         seen = list(differences(had, due, _tolerance({}, {}), where))
-        if other and all(one.kind != "value" for one in seen):
-            seen = []
+        if other and had["accepted"] == due["accepted"]:
+            seen = [one for one in seen if not (is_excused(one, {}) or ".reasons[" in one.where)]
         for one in seen[:_MOST_SHOWN]:
             found.fault("journal", JOURNAL, f"the recordings do not give what it states: {one}")
     return kept
@@ -159,19 +180,20 @@ def check_numbers(stored: Mapping[str, Any], again: Mapping[str, Any], found: Fi
     planar = again.get("planar") or {"sigma": {}}
     every = list(differences(had, again, _tolerance(again["calibration"]["sigma"], planar["sigma"])))
     other = other_program(stored["run"]["software"])
-    # Another program may write other notes, and more or fewer parts; its numbers must be the same.
-    excused = [one for one in every if other and (one.kind != "value" or ".notes[" in one.where)]
+    sigma = again["calibration"]["sigma"]
+    excused = [one for one in every if other and is_excused(one, sigma)]
     seen = [one for one in every if one not in excused]
-    if unknown := [one.where for one in excused]:
-        places = ", ".join(unknown[:_MOST_SHOWN])
+    if excused:
+        places = described(excused, sigma, _MOST_SHOWN)
         found.not_compared.append(f"{places} of {RESULTS} with the recordings: another program calculated it")
-    made = f" (the results were made with {other})" if other else ""
     for one in seen[:_MOST_SHOWN]:
-        found.fault("results", RESULTS, f"the recordings do not give it: {one}{made}")
+        found.fault("results", RESULTS, f"the recordings do not give it: {one}")
     if len(seen) > _MOST_SHOWN:
-        found.fault("results", RESULTS, f"{len(seen) - _MOST_SHOWN} further values differ{made}")
+        found.fault("results", RESULTS, f"{len(seen) - _MOST_SHOWN} further values differ")
+    if seen and other:
+        found.remarks.append(f"the results were made with {other}; they differ by more than that explains")
     rounded = [one for one in rounded if one.kind == "value" and not isinstance(one.stored, str)]
-    if not seen and rounded:
+    if not seen and not excused and rounded:
         found.remarks.append(
             f"calculated again from the recordings: {len(rounded)} numbers differ, by rounding only: {rounded[0]}"
         )
@@ -200,27 +222,48 @@ def _tolerance(sigma: Mapping[str, float], planar_sigma: Mapping[str, float]) ->
     return equal
 
 
-def _check_views(folder: Path, solution: Solution, found: Findings) -> None:
-    """Compare stars, residuals and images of views.h5 with those found again."""
+def _check_views(folder: Path, solution: Solution, found: Findings, *, other: bool) -> None:
+    """Compare stars, residuals and images of views.h5 with those found again; those of another program roughly."""
     stored = read_views(folder / VIEWS)
     residuals = solution.calibration.residuals_px
+    views = []
     for number, (had, found_again, residual) in enumerate(
         zip(stored, solution.measurements, residuals, strict=True), start=1
     ):
         assert found_again.view is not None
         assert found_again.image is not None
         name = found_again.view.name
-        for what in views_differ(had.view, found_again.view):
-            found.fault("views", VIEWS, f"the recording of {name} gives other {what}")
+        seen = [f"other {what}" for what in views_differ(had.view, found_again.view)]
         if not close(had.residuals_px, residual):
-            found.fault("views", VIEWS, f"the recording of {name} gives other residuals")
-        differ = np.count_nonzero(
-            read_picture(folder / VIEWS, number) != found_again.image.decoded(),
+            seen.append("other residuals")
+        if differ := np.count_nonzero(read_picture(folder / VIEWS, number) != found_again.image.decoded()):
+            seen.append(f"another image: {differ} pixels differ")
+        views.append(SeenView(name, seen, other and same_stars(had.view, found_again.view)))
+    tell_views(views, "recordings", found)
+
+
+def tell_views(views: Sequence[SeenView], source: str, found: Findings) -> None:
+    """Tell how the stored views of recordings differ from those found again.
+
+    Parameters
+    ----------
+    views
+        What differs in each view.
+    source
+        What the views come from: ``recordings``.
+    found
+        Findings; they are added.
+    """
+    excused = [view for view in views if view.seen and view.excused]
+    if excused:
+        parts = ", ".join(dict.fromkeys(part for view in excused for part in view.seen))
+        names = ", ".join(view.name for view in excused)
+        found.not_compared.append(
+            f"{names} of {VIEWS} with the {source}: another program found the stars ({parts})"
         )
-        if differ:
-            found.fault(
-                "views", VIEWS, f"the recording of {name} gives another image: {differ} pixels differ"
-            )
+    for view in views:
+        for what in () if view.excused else view.seen:
+            found.fault("views", VIEWS, f"the {source} of {view.name} give {what}")
 
 
 def views_differ(stored: View, again: View) -> list[str]:

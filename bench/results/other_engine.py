@@ -1,0 +1,158 @@
+"""How far the results of another program may lie from those that this program calculates from the same recordings.
+
+A later program finds stars a little differently, and may state other uncertainties. Its results are then no proof
+against the stored ones, and no confirmation either: what differs within the limits below is told as not compared.
+What differs by more is a fault, whoever calculated it.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from bench.results.compare_json import Difference
+from calib.view import View
+
+MOST_SIGMAS = 0.25
+"""A value of the calibration may differ by this share of its standard uncertainty."""
+MOST_SIGMA_RATIO = 4.0
+"""A standard uncertainty may differ by this factor: a later program may know another source of error."""
+MOST_SHARE = 0.25
+"""A number measured on a pose may differ by this share of itself, or of the largest number in its list."""
+MOST_PX = 0.02
+"""A star may lie this far away, per axis."""
+_MOST_STARS = 0.02
+"""Share of the stars of a view that only one of both programs may have."""
+_VALUES = ("calibration.camera.", "calibration.collimator.")
+_SIGMA = "calibration.sigma."
+_FOLLOWS = ("calibration.", "planar.", "projection.", "halves.", "comparison[", "gimbal.")
+"""Numbers that follow from stars and model; values and standard uncertainties among them have limits of their own."""
+_TABLES = ("calibration.budget_rows[", "calibration.candidates[", "calibration.not_included[")
+"""Tables whose rows another program may order and name otherwise."""
+_TABLES_OF_PLANAR = tuple(name.replace("calibration.", "planar.") for name in _TABLES)
+_MEASURED = ("poses[", "pose ", "gates[")
+_NUMBER = re.compile(r"\d+(\.\d+)?")
+_SMALL_PX = 0.01
+"""A measured number in px may differ by this much, whatever its size."""
+
+
+def is_excused(one: Difference, sigma: Mapping[str, float]) -> bool:
+    """Return whether a difference may come from another program.
+
+    Parameters
+    ----------
+    one
+        A difference between stored results and those of this program, beyond rounding.
+    sigma
+        Standard uncertainties of the calibration, from this program.
+
+    Returns
+    -------
+    bool
+        True if it is within the limits of this module.
+    """
+    if one.kind != "value" or ".notes[" in one.where or one.where.startswith((*_TABLES, *_TABLES_OF_PLANAR)):
+        return True
+    if isinstance(one.stored, str) and isinstance(one.derived, str):
+        return _same_words(one.stored, one.derived)
+    return _is_number(one.stored) and _is_number(one.derived) and _is_near(one, sigma)
+
+
+def _is_near(one: Difference, sigma: Mapping[str, float]) -> bool:
+    """Return whether two numbers are within the limits."""
+    name = one.where.rpartition(".")[2]
+    apart = abs(one.stored - one.derived)
+    if one.where.startswith(_VALUES) and name in sigma:
+        return bool(apart <= MOST_SIGMAS * sigma[name])
+    if one.where.startswith(_SIGMA):
+        low, high = sorted((abs(one.stored), abs(one.derived)))
+        return bool(low > 0 and high <= MOST_SIGMA_RATIO * low)
+    if one.where.startswith(_FOLLOWS):
+        return True
+    least = _SMALL_PX if name.endswith("_px") or name == "value" else 0.0
+    return one.where.startswith(_MEASURED) and apart <= max(
+        least, MOST_SHARE * max(abs(one.stored), abs(one.derived))
+    )
+
+
+def described(excused: Sequence[Difference], sigma: Mapping[str, float], most: int) -> str:
+    """Return excused differences as text: the places of words and parts, and how large the differences of numbers are.
+
+    Parameters
+    ----------
+    excused
+        The differences.
+    sigma
+        Standard uncertainties of the calibration, from this program.
+    most
+        Largest number of places.
+
+    Returns
+    -------
+    str
+        ``calibration.notes[0], 433 numbers (...)``.
+    """
+    numbers = [
+        one for one in excused if one.kind == "value" and _is_number(one.stored) and _is_number(one.derived)
+    ]
+    places = list(dict.fromkeys(_place(one.where) for one in excused if one not in numbers))
+    texts = places[:most]
+    if len(places) > most:
+        texts.append(f"{len(places) - most} more places")
+    if numbers:
+        texts.append(f"{len(numbers)} number{'s' if len(numbers) != 1 else ''}{_sizes(numbers, sigma)}")
+    return ", ".join(texts)
+
+
+def _place(where: str) -> str:
+    """Return the place of a value; of one in a table the table."""
+    return where.partition("[")[0] if where.startswith((*_TABLES, *_TABLES_OF_PLANAR)) else where
+
+
+def _sizes(numbers: Sequence[Difference], sigma: Mapping[str, float]) -> str:
+    """Return how far values and standard uncertainties differ at most, in parentheses; empty if none does."""
+    names = {one.where: one.where.rpartition(".")[2] for one in numbers}
+    values = [one for one in numbers if one.where.startswith(_VALUES) and names[one.where] in sigma]
+    sigmas = [one for one in numbers if one.where.startswith(_SIGMA)]
+    texts = []
+    if values:
+        far = max(values, key=lambda one: abs(one.stored - one.derived) / sigma[names[one.where]])
+        share = abs(far.stored - far.derived) / sigma[names[far.where]]
+        texts.append(f"{names[far.where]} differs most, by {share:.2g} of its standard uncertainty")
+    if sigmas:
+        far = max(sigmas, key=lambda one: abs(np.log(one.stored / one.derived)))
+        texts.append(
+            f"the standard uncertainty of {names[far.where]} is {far.stored:.3g}, here {far.derived:.3g}"
+        )
+    return f" ({'; '.join(texts)})" if texts else ""
+
+
+def same_stars(stored: View, again: View) -> bool:
+    """Return whether two programs found the same stars, within `MOST_PX`.
+
+    Parameters
+    ----------
+    stored, again
+        Views of one recording.
+
+    Returns
+    -------
+    bool
+        True if nearly all stars are the same, and none lies elsewhere.
+    """
+    both, at, there = np.intersect1d(stored.ids, again.ids, return_indices=True)
+    if len(both) < (1.0 - _MOST_STARS) * max(len(stored), len(again)):
+        return False
+    return bool((np.abs(stored.points_px[at] - again.points_px[there]) <= MOST_PX).all())
+
+
+def _same_words(stored: str, derived: str) -> bool:
+    """Return whether two sentences have the same words; numbers in them may differ."""
+    return " " in stored and _NUMBER.sub("#", stored) == _NUMBER.sub("#", derived)
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool)
