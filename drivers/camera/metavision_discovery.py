@@ -19,6 +19,9 @@ OLDEST_FIRMWARE: Final = "3.8"
 """The maker's software refuses an EVK4 with an older firmware."""
 _DENIED: Final = "LIBUSB_ERROR_ACCESS"
 """Word of the software on standard error for a camera that this user may not use."""
+_MUTE: Final = "LIBUSB_ERROR_TIMEOUT"
+"""Word of the software for a camera that does not answer."""
+_REPLUG: Final = "Pull the camera's cable, wait for 5 s, plug it in again, then resume the run."
 _ENDED: Final = re.compile(r"Error (\w+): LibUSB connection error: \*\*UNKNOWN\*\*")
 _ENDINGS: Final[Mapping[str, str]] = {
     "1": "error",
@@ -56,6 +59,12 @@ def _look() -> tuple[tuple[FoundCamera, ...], bool]:
         with listening() as heard:
             listed = list(hal.DeviceDiscovery.list_available_sources())
     except RuntimeError as error:
+        if _MUTE in (reason := reason_of(error)):
+            raise CameraError(
+                f"A camera that is connected does not answer ({reason}).",
+                where="metavision_hal",
+                remedy=_REPLUG,
+            ) from error
         raise CameraError(
             f"The software cannot list cameras ({reason_of(error)}).",
             where="metavision_hal",
@@ -95,6 +104,10 @@ def not_opened(serial: str | None, reason: str) -> CameraNotFound:
         The error.
     """
     camera = f"camera {serial}" if serial else "any camera"
+    if _MUTE in reason:  # listing would wait for it again, 30 s
+        return CameraNotFound(
+            f"Cannot open {camera}: a camera that is connected does not answer{reason}.", remedy=_REPLUG
+        )
     found, denied = _look()
     refused = [one for one in found if one.trouble and serial in {None, one.serial}]
     if refused:

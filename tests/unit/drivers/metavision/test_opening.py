@@ -14,6 +14,7 @@ from drivers.camera.metavision_discovery import discover
 from drivers.camera.neuromorphic_evk4 import NeuromorphicEvk4
 from drivers.errors import (
     CameraBusy,
+    CameraError,
     CameraNotFound,
     CameraSettingRefused,
     CameraSoftwareMissing,
@@ -194,6 +195,25 @@ def test_a_closed_standard_error_hides_the_cause_only(devices, clock, monkeypatc
     monkeypatch.setattr(maker_log.os, "dup", closed)
     MetavisionEvk4.open(serial=SERIAL, clock=clock).close()
     assert devices
+
+
+def test_a_camera_that_does_not_answer_is_named_without_waiting_again(devices, clock, monkeypatch):
+    """The remedy was to look for plugins, after 60 s: OpenEB 5.1.1 waits 30 s for it, at each look."""
+
+    def mute(*_):
+        looks.append(1)
+        raise RuntimeError("LibUSB\n\nError fffffff9: LibUSB connection error: LIBUSB_ERROR_TIMEOUT\n")
+
+    assert devices
+    discovery, looks = sys.modules["metavision_hal"].DeviceDiscovery, []
+    for name in ("open", "list_available_sources"):
+        monkeypatch.setattr(discovery, name, staticmethod(mute))
+    with pytest.raises(CameraNotFound, match="does not answer") as caught:
+        MetavisionEvk4.open(serial=SERIAL, clock=clock)
+    assert "plug it in again" in caught.value.remedy
+    assert len(looks) == 1
+    with pytest.raises(CameraError, match="does not answer"):
+        discover()
 
 
 def test_a_camera_that_another_program_may_use_is_named(devices, clock, monkeypatch):
