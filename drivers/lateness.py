@@ -12,7 +12,8 @@ from __future__ import annotations
 import os
 import threading
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from functools import cache
 from typing import Any, Final
 
@@ -52,6 +53,7 @@ class Lateness:
         self._noting = threading.Lock()
         self._due_s = now_s() + PERIOD_S
         self._lost_s = 0.0
+        self._held = 0
         self._counts = [0] * (len(BINS_S) + 1)
         self.longest_s = 0.0
 
@@ -59,11 +61,29 @@ class Lateness:
         """Note that the thread was woken, and when it was due."""
         with self._noting:
             now_s = self._now_s()
-            delay_s = max(0.0, now_s - self._due_s)
+            delay_s = 0.0 if self._held else max(0.0, now_s - self._due_s)
             self._counts[sum(delay_s > end for end in BINS_S)] += 1
             self.longest_s = max(self.longest_s, delay_s)
             self._lost_s += delay_s if delay_s > NOTED_S else 0.0
             self._due_s = now_s + PERIOD_S
+
+    @contextmanager
+    def interpreter_held(self) -> Iterator[None]:
+        """Count no delay during the block: software of a maker runs in it that lets no other thread of Python run.
+
+        Yields
+        ------
+        None
+            During the block.
+        """
+        with self._noting:
+            self._held += 1
+        try:
+            yield
+        finally:
+            with self._noting:
+                self._held -= 1
+                self._due_s = self._now_s() + PERIOD_S
 
     def lost_s(self) -> float:
         """Return the time that this process has lost since it began to measure.
@@ -74,7 +94,7 @@ class Lateness:
             Seconds, with a delay that has not ended yet.
         """
         with self._noting:
-            overdue_s = self._now_s() - self._due_s
+            overdue_s = 0.0 if self._held else self._now_s() - self._due_s
             return self._lost_s + (overdue_s if overdue_s > NOTED_S else 0.0)
 
     def histogram(self) -> Mapping[str, Any]:

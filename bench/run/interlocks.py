@@ -202,7 +202,7 @@ class Interlocks:
             if before_s + held_s > interlock.max_hold_s:
                 name, all_s = interlock_text(interlock.name), before_s + held_s
                 raise InterlockHeld(
-                    f"The {name} interlock has held the run for {all_s:.0f} s: {why}.",
+                    f"The {name} interlock has held the run for {all_s:.0f} s: {why.rstrip('.')}.",
                     remedy="Remove the cause, then continue with `starbench resume`.",
                 )
             self._clock.sleep(interlock.poll_s)

@@ -45,6 +45,8 @@ from sequences.script import ChooseStep, RecordStep, WaitStep
 
 LOST_DEVICE_ERRORS = (PortLost, CameraLost, ReplyTimeout)
 """Errors of a device that was lost, or no longer answers."""
+MOST_LOSSES = 5
+"""A device that is lost more often in the same step has a fault that opening it again does not mend."""
 
 End = Literal["finished", "aborted", "failed"]
 
@@ -327,7 +329,7 @@ class Runner:
 
     def _with_interlocks(self, step: ScriptStep | None, work: Callable[[], None]) -> None:
         """Do work with devices. If an interlock holds before or during it, wait, then repeat the work."""
-        again = False
+        again, losses = False, 0
         while True:
             try:
                 if again and step is not None:
@@ -338,7 +340,8 @@ class Runner:
                 self._hold_for(self._interlocks.take_interruption(), step)
             except LOST_DEVICE_ERRORS as error:
                 trip = self._interlocks.device_lost(loss_text(error))
-                if trip is None:
+                losses += 1
+                if trip is None or losses > MOST_LOSSES:
                     raise
                 self._hold_for(trip, step)
                 if step is not None:

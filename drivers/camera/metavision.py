@@ -79,7 +79,7 @@ class MetavisionEvk4:
         self._stop_asked = threading.Event()
 
     @classmethod
-    @lets_go()
+    @lets_go(holds=True)
     def open(cls, *, serial: str | None = None, clock: Clock) -> MetavisionEvk4:
         """Open a camera in the format EVT3.
 
@@ -139,7 +139,7 @@ class MetavisionEvk4:
             raise not_opened(serial, reason)
         return device
 
-    @lets_go()
+    @lets_go(holds=True)
     def identify(self) -> CameraIdentity:
         """Read the camera's identity.
 
@@ -181,12 +181,12 @@ class MetavisionEvk4:
             )
         return identity
 
-    @lets_go()
+    @lets_go(holds=True)
     def apply(self, settings: CameraSettings) -> CameraSettings:
         """See `EventCamera.apply`."""
         return apply_settings(self._device, self._hal, settings, where=self._where)
 
-    @lets_go()
+    @lets_go(holds=True)
     def filters(self) -> Mapping[str, bool]:
         """See `EventCamera.filters`."""
         return read_filters(self._device, self._hal, where=self._where)

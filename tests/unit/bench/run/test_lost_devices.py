@@ -73,3 +73,21 @@ def test_another_device_in_its_place_is_refused(tmp_path):
     end = scene.run()
     assert end.how == "failed"
     assert "another one" in end.why
+
+
+def test_a_device_that_is_lost_in_the_same_step_again_and_again_ends_the_run(tmp_path):
+    """A camera that opened again each time and sent nothing was recorded 59 times; the run did not end."""
+    scene = Scene(tmp_path, station=LOST_WORDS)
+    calls = []
+
+    def hook(name):
+        if name == "camera.record":
+            calls.append(name)
+            assert len(calls) < 50
+            raise CameraLost("it has sent nothing")
+
+    scene.hook = hook
+    end = scene.run()
+    assert end.how == "failed"
+    assert "it has sent nothing" in end.why
+    assert len(calls) == 6
