@@ -183,6 +183,13 @@ def reading_notes(gimbal: GimbalEstimate | None) -> tuple[str, ...]:
     return (text,)
 
 
+_SHARED = {
+    False: ". An error that all views have in common, as a bow of the reticle, does not show in them.",
+    True: ", and errors that all views share, as far as the residuals show them.",
+}
+"""End of a note: whether the uncertainties include errors that all views share."""
+
+
 def _notes(fitted: Fit, lens: str) -> tuple[str, ...]:
     """Return the notes for the reader of the result."""
     notes = [*_weakness(fitted), *_rims_out_of_view(fitted)]
@@ -190,8 +197,7 @@ def _notes(fitted: Fit, lens: str) -> tuple[str, ...]:
         return tuple(notes)
     notes.append(
         f"Views differ {fitted.uncertainty.birge_ratio:.1f} times more than star noise explains. The uncertainties "
-        "include what differs from view to view. An error that all views have in common, as a bow of the reticle, "
-        "does not show in them."
+        f"include what differs from view to view{_SHARED[fitted.uncertainty.common is not None]}"
     )
     if UNBOUNDED_PARALLAX in fitted.uncertainty.budget:
         notes.append(
