@@ -199,7 +199,9 @@ def simulate(station: str, seed: int) -> int:
 @click.option("--seed", type=SEED, metavar="N", default=1, hidden=True)
 @JSON
 def devices(as_json: bool, wiring: bool, station: str | None, yes: bool, seed: int) -> int:
-    """List connected devices, their names for a station file, and missing software. Sends nothing to any device.
+    """List connected devices, their names for a station file, and missing software.
+
+    Sends nothing to stages and lights. The camera makers' software asks each camera for its name.
 
     With --wiring and --station: asks, switches the light on for 2 s at 20 Hz, and compares trigger edges with events.
     Names a trigger cable that is missing, inverted, on the wrong channel, or of the wrong level. Nothing moves.
