@@ -5,7 +5,7 @@ from __future__ import annotations
 POSE_COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9")
 """Colours of the poses, repeated after six: the palette of Okabe and Ito (2008), safe for colour-blind readers."""
 INK, MUTED, LINE = "#17212b", "#5c6874", "#d5dbe1"
-"""Colours of words and frames; a page of another scheme replaces them."""
+"""Colours of text, of pale text and of lines on a light page. A dark page replaces them by its style sheet."""
 PANEL = (281.0, 191.0)
 """Width and height of one of several plots beside each other, points."""
 WIDE = 605.0

@@ -108,7 +108,9 @@ def residual_radial(views: Sequence[ViewPicture], principal_point: tuple[float, 
         "distance from the principal point, px",
         "length, px",
     )
-    about = f"The RMS length is {running[0, 1]:.2g} px in the middle and {running[-1, 1]:.2g} px at the rim."
+    about = (
+        f"Residuals are {running[0, 1]:.2g} px RMS in the middle and {running[-1, 1]:.2g} px RMS at the rim."
+    )
     picture = Picture(*PANEL, "radial", "Residuals against the distance from the principal point", about)
     axes = axes_in(picture, Scale(0.0, 1.03 * float(radius.max())), Scale(0.0, limit), words)
     for colour, detected, shown in _by_colour(thinned(views)):

@@ -185,7 +185,9 @@ def check_numbers(stored: Mapping[str, Any], again: Mapping[str, Any], found: Fi
     seen = [one for one in every if one not in excused]
     if excused:
         places = described(excused, sigma, _MOST_SHOWN)
-        found.not_compared.append(f"{places} of {RESULTS} with the recordings: another program calculated it")
+        found.not_compared.append(
+            f"{RESULTS} with the recordings: another program calculated it, with differences in {places}"
+        )
     for one in seen[:_MOST_SHOWN]:
         found.fault("results", RESULTS, f"the recordings do not give it: {one}")
     if len(seen) > _MOST_SHOWN:
@@ -259,10 +261,12 @@ def tell_views(views: Sequence[SeenView], source: str, found: Findings) -> None:
         parts = ", ".join(dict.fromkeys(part for view in excused for part in view.seen))
         names = ", ".join(view.name for view in excused)
         found.not_compared.append(
-            f"{names} of {VIEWS} with the {source}: another program found the stars ({parts})"
+            f"{names} of {VIEWS} with the {source}: another program found the stars, with {parts}"
         )
     for view in views:
-        for what in () if view.excused else view.seen:
+        if view.excused:
+            continue
+        for what in view.seen:
             found.fault("views", VIEWS, f"the {source} of {view.name} give {what}")
 
 

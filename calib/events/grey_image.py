@@ -91,7 +91,9 @@ def _ordered(key: Any) -> Any:
 
 @njit(cache=True, error_model="numpy")
 def _nth_and_next(keys: Any, counts: Any, n: int) -> tuple[Any, Any]:
-    """Return the n-th smallest value, from 0, and the next one: radix selection in two steps of 16 bits (Knuth, 1998).
+    """Return the n-th smallest value (n counts from 0) and the next larger one.
+
+    Radix selection in two steps of 16 bits (Knuth, 1998).
 
     ``counts`` are the numbers of finite values by their upper 16 bits. The largest value has itself as the next one.
     """

@@ -38,8 +38,8 @@ def test_a_value_within_a_quarter_of_its_uncertainty_is_not_compared_and_its_siz
     assert faults == []
     assert places == [
         (
-            "1 number (fx differs most, by 0.2 of its standard uncertainty) of results.json with the recordings: "
-            "another program calculated it"
+            "results.json with the recordings: another program calculated it, with differences in 1 number (fx differs "
+            "most, by 0.2 of its standard uncertainty)"
         )
     ]
 
@@ -115,7 +115,7 @@ def test_views_that_another_program_found_are_told_in_one_sentence():
     ]
     tell_views(seen, "recordings", found)
     assert found.not_compared == [
-        "pose 1, pose 2 of views.h5 with the recordings: another program found the stars (other covariances)"
+        "pose 1, pose 2 of views.h5 with the recordings: another program found the stars, with other covariances"
     ]
     tell_views([replace(seen[0], excused=False)], "recordings", found)
     assert [str(fault) for fault in found.faults] == [
