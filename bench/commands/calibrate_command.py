@@ -2,15 +2,22 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from contextlib import redirect_stdout
 from io import StringIO
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from bench.commands.engine_commands import views_and_options
 from bench.commands.options import JSON, OutputFolder
+
+if TYPE_CHECKING:
+    from bench.results.offline import OfflineResult
+
+MOST_RUN_BYTES = 1 << 30
+"""Largest run about which an answer is kept at its end: all files are read again, at some 0.5 GB a second."""
 
 
 @click.command()
@@ -59,6 +66,34 @@ def calibrate(
     return 0
 
 
+def keep_answer_of_run(folder: Path) -> None:
+    """Keep what `calibrate` will print about a finished run, as text and as JSON, while the engine is loaded.
+
+    Parameters
+    ----------
+    folder
+        Folder of the sealed run. Of a run of more than `MOST_RUN_BYTES` nothing is kept.
+    """
+    from bench.base.errors import BenchError
+    from bench.results.kept_answers import KeptAnswers, answer_key
+    from calib.errors import CalibrationError
+
+    if sum(path.stat().st_size for path in folder.rglob("*") if path.is_file()) > MOST_RUN_BYTES:
+        return
+    options = dict(calibrate.make_context("calibrate", [str(folder)]).params)
+    for name in ("paths", "compare", "output", "no_seal", "find_again", "as_json"):
+        del options[name]
+    try:
+        result = _calculated((folder,), find_again=False, options=options)
+    except (BenchError, CalibrationError):
+        return  # `calibrate` says the same, to somebody who asks
+    answers = KeptAnswers.of_bench()
+    for as_json in (False, True):
+        key = answer_key((folder,), {**options, "as_json": as_json})
+        if key is not None and not result.skipped:
+            answers.keep(key, _printed(result, compare=False, as_json=as_json))
+
+
 def _calibrated(
     paths: tuple[Path, ...],
     compare: bool,
@@ -70,29 +105,43 @@ def _calibrated(
     **options: Any,
 ) -> str:
     """Calibrate and print; return what was printed, or nothing if a file was left out."""
-    from bench.commands.calibration_output import print_calibration
     from bench.commands.keys_output import key_or_draft
     from bench.records.run_folder import REPORT
-    from bench.results.offline import calibrate_paths, compare_methods
-    from bench.results.offline_options import OfflineOptions
-    from bench.views.kept_views import KeptViews
 
     if output is not None:
         from bench.results.offline_folder import require_new, write_offline_results
 
         require_new(output)
     key = None if output is None or no_seal else key_or_draft()
-    choices = OfflineOptions.from_command_line(**options)
-    kept = None if find_again else KeptViews.of_bench()
-    result = calibrate_paths(paths, choices, kept)
-    for remark in kept.remarks if kept else ():
-        click.echo(remark, err=True)
+    result = _calculated(paths, find_again=find_again, options=options)
     if output is not None:
         write_offline_results(result, output, key)
+    printed = _printed(result, compare=compare, as_json=as_json)
+    click.echo(printed, nl=False)
+    if output is not None and not as_json:
+        click.echo(f"Report: {output / REPORT}")
+    return "" if result.skipped else printed
+
+
+def _calculated(paths: tuple[Path, ...], *, find_again: bool, options: Mapping[str, Any]) -> OfflineResult:
+    """Calibrate, with the views that earlier commands have kept."""
+    from bench.results.offline import calibrate_paths
+    from bench.results.offline_options import OfflineOptions
+    from bench.views.kept_views import KeptViews
+
+    kept = None if find_again else KeptViews.of_bench()
+    result = calibrate_paths(paths, OfflineOptions.from_command_line(**options), kept)
+    for remark in kept.remarks if kept else ():
+        click.echo(remark, err=True)
+    return result
+
+
+def _printed(result: OfflineResult, *, compare: bool, as_json: bool) -> str:
+    """Return a calibration as it is printed."""
+    from bench.commands.calibration_output import print_calibration
+    from bench.results.offline import compare_methods
+
     printed = StringIO()
     with redirect_stdout(printed):
         print_calibration(result, compare_methods(result) if compare else None, as_json=as_json)
-    click.echo(printed.getvalue(), nl=False)
-    if output is not None and not as_json:
-        click.echo(f"Report: {output / REPORT}")
-    return "" if result.skipped else printed.getvalue()
+    return printed.getvalue()

@@ -9,16 +9,17 @@ from __future__ import annotations
 import os
 import sys
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from datetime import datetime
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from bench import __version__
 from bench.commands.align_command import align
 from bench.commands.batch_commands import BATCH_COMMANDS, BEGIN
-from bench.commands.calibrate_command import calibrate
+from bench.commands.calibrate_command import calibrate, keep_answer_of_run
 from bench.commands.certificate_commands import CERTIFICATE_COMMANDS
 from bench.commands.compare_command import compare
 from bench.commands.completion import add_completion
@@ -33,6 +34,9 @@ from bench.commands.recalibrate_command import recalibrate
 from bench.commands.run_commands import RUN_COMMANDS
 from bench.commands.target_commands import TARGET_COMMANDS
 from bench.commands.verify_command import verify
+
+if TYPE_CHECKING:
+    from bench.run.runner import RunEnd
 
 _SET = click.option(
     "--set",
@@ -91,7 +95,6 @@ def run(
     once.
     """
     from bench.base.clock import BenchClock
-    from bench.commands.calibration_output import show_run
     from bench.commands.evidence_output import ask_passphrase
     from bench.run.launch import Launch, start_run
 
@@ -105,7 +108,7 @@ def run(
         launch=launch,
         settings=_settings(settings),
     )
-    return show_run(end, as_json=as_json)
+    return _shown(end, as_json=as_json)
 
 
 @cli.command()
@@ -120,7 +123,6 @@ def run(
 def resume(run_folder: Path, dry_run: bool, secrets_revoked: bool, as_json: bool) -> int:
     """Continue a RUN that was stopped, failed or was interrupted. It first prints what it will do."""
     from bench.base.clock import BenchClock
-    from bench.commands.calibration_output import show_run
     from bench.commands.evidence_output import ask_passphrase
     from bench.commands.run_output import show_intentions
     from bench.run.launch import Launch, read_intentions, resume_run
@@ -128,7 +130,18 @@ def resume(run_folder: Path, dry_run: bool, secrets_revoked: bool, as_json: bool
     if dry_run:
         return show_intentions(read_intentions(run_folder), as_json=as_json)
     launch = Launch(BenchClock(), ask_passphrase=ask_passphrase, secrets_revoked=secrets_revoked)
-    return show_run(resume_run(run_folder, launch), as_json=as_json)
+    return _shown(resume_run(run_folder, launch), as_json=as_json)
+
+
+def _shown(end: RunEnd, *, as_json: bool) -> int:
+    """Print how a run ended, then keep what `calibrate` will say about it. Ctrl-C no longer changes the exit status."""
+    from bench.commands.calibration_output import show_run
+
+    status = show_run(end, as_json=as_json)
+    if end.how == "finished" and end.outcome is not None:
+        with suppress(KeyboardInterrupt):
+            keep_answer_of_run(end.folder)
+    return status
 
 
 @cli.command()

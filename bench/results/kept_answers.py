@@ -102,7 +102,7 @@ def answer_key(paths: Sequence[Path], options: Mapping[str, Any]) -> str | None:
     try:
         if not all((path / JOURNAL).is_file() for path in paths):
             return None
-        runs = [[str(path), _content(path)] for path in paths]
+        runs = [[path.resolve().name, _content(path)] for path in paths]
         signers = home_folder() / "allowed_signers"
         trusted = sha256_of(signers) if signers.is_file() else None
     except OSError:

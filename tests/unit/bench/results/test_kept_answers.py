@@ -1,5 +1,7 @@
 """Answers of `calibrate` are kept until anything that decides them changes; a run keeps its own views."""
 
+import shutil
+
 import pytest
 from click.testing import CliRunner
 from solved_run import write_solved_run
@@ -80,8 +82,8 @@ def test_the_command_calculates_once(run, monkeypatch):
     assert len(calls) == 5
 
 
-def test_a_run_keeps_its_views(tmp_path):
-    folder = write_solved_run(tmp_path)
+def keep_views(folder):
+    """Keep the views of a run, as its end does; return them."""
     job = Job.from_run_folder(folder)
     history = replay(read_journal(folder / "journal.jsonl")[0])
     views = [stored.view for stored in read_views(folder / "views.h5")]
@@ -90,7 +92,39 @@ def test_a_run_keeps_its_views(tmp_path):
         for index, view in zip(sorted(history.accepted()), views, strict=True)
     }
     assert keep_views_of_run(job, history, measured) == len(views) == 4
+    return views
+
+
+def test_a_run_keeps_its_views(tmp_path):
+    folder = write_solved_run(tmp_path)
+    views = keep_views(folder)
     kept = KeptViews.of_bench()
     read = [with_kept_views(source, kept).read() for source in view_sources(folder, OfflineOptions())]
     assert (kept.used, kept.found) == (4, 0)
     assert [pack_view(view, "0") for view in read] == [pack_view(view, "0") for view in views]
+
+
+def test_a_finished_run_leaves_the_answer_of_calibrate(tmp_path, monkeypatch):
+    monkeypatch.setenv("STARBENCH_HOME", str(tmp_path / "home"))
+    folder = write_solved_run(tmp_path)
+    keep_views(folder)
+    answers = KeptAnswers.of_bench().folder
+
+    def say(path):
+        return [
+            CliRunner().invoke(cli, ["calibrate", str(path), *words], standalone_mode=False).stdout
+            for words in ((), ("--json",))
+        ]
+
+    calculated = say(folder)
+    assert "fx" in calculated[0]
+    shutil.rmtree(answers)
+    with monkeypatch.context() as limit:
+        limit.setattr(calibrate_command, "MOST_RUN_BYTES", 0)
+        calibrate_command.keep_answer_of_run(folder)
+    assert not answers.exists()
+    calibrate_command.keep_answer_of_run(folder)
+    assert answers.exists()
+    monkeypatch.setattr(calibrate_command, "_calibrated", lambda *_, **__: pytest.fail("calculated again"))
+    monkeypatch.chdir(folder.parent)
+    assert say(folder.name) == calculated
