@@ -17,7 +17,7 @@ from typing import Any, ClassVar
 
 from bench.base.home import home_folder
 from bench.records.kept_entries import KeptEntries
-from bench.records.run_folder import JOURNAL
+from bench.records.run_folder import JOURNAL, PASSPORT_COPY
 from bench.records.storage import sha256_of
 from bench.results.forms import forms
 
@@ -115,9 +115,15 @@ def answer_key(paths: Sequence[Path], options: Mapping[str, Any]) -> str | None:
         "libraries": [_version(name) for name in _LIBRARIES],
         "platform": [platform.machine(), platform.python_version()],
         "signers": trusted,
-        "day": datetime.now(UTC).date().isoformat(),  # a passport is valid until a day
+        "day": _day(paths),
     }
     return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()
+
+
+def _day(runs: Sequence[Path]) -> str | None:
+    """Return the day if it matters: a passport is valid until a day."""
+    has_passport = any((run / PASSPORT_COPY).is_file() for run in runs)
+    return datetime.now(UTC).date().isoformat() if has_passport else None
 
 
 def _content(run: Path) -> dict[str, str]:

@@ -1,6 +1,7 @@
 """Answers of `calibrate` are kept until anything that decides them changes; a run keeps its own views."""
 
 import shutil
+from datetime import datetime
 
 import pytest
 from click.testing import CliRunner
@@ -11,6 +12,7 @@ from bench.commands.cli import cli
 from bench.plan.job import Job
 from bench.records.history import replay
 from bench.records.journal import read_journal
+from bench.records.run_folder import PASSPORT_COPY
 from bench.results import kept_answers
 from bench.results.keep_views import keep_views_of_run
 from bench.results.kept_answers import KeptAnswers, answer_key
@@ -46,6 +48,27 @@ def test_the_key_covers_every_file_the_options_and_the_program(run, monkeypatch)
     assert None not in keys
     assert answer_key([run], {"passport": "file.json"}) is None
     assert answer_key([run / "captures" / "one.raw"], {}) is None
+
+
+def test_an_answer_holds_on_other_days_unless_a_passport_can_expire(run, monkeypatch):
+    def keys():
+        found = []
+        for day in (1, 2):
+
+            class Then(datetime):
+                @classmethod
+                def now(cls, tz=None, day=day):
+                    return datetime(2026, 11, day, tzinfo=tz)
+
+            monkeypatch.setattr(kept_answers, "datetime", Then)
+            found.append(answer_key([run], {}))
+        return found
+
+    first, second = keys()
+    assert first == second
+    (run / PASSPORT_COPY).write_text("{}")
+    first, second = keys()
+    assert first != second
 
 
 def test_a_changed_answer_is_calculated_again_and_told(run):
