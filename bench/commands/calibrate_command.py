@@ -78,14 +78,14 @@ def keep_answer_of_run(folder: Path) -> None:
     from bench.results.kept_answers import KeptAnswers, answer_key
     from calib.errors import CalibrationError
 
-    if sum(path.stat().st_size for path in folder.rglob("*") if path.is_file()) > MOST_RUN_BYTES:
-        return
     options = dict(calibrate.make_context("calibrate", [str(folder)]).params)
     for name in ("paths", "compare", "output", "no_seal", "find_again", "as_json"):
         del options[name]
     try:
+        if sum(path.stat().st_size for path in folder.rglob("*") if path.is_file()) > MOST_RUN_BYTES:
+            return
         result = _calculated((folder,), find_again=False, options=options)
-    except (BenchError, CalibrationError):
+    except (BenchError, CalibrationError, OSError):
         return  # `calibrate` says the same, to somebody who asks
     answers = KeptAnswers.of_bench()
     for as_json in (False, True):
