@@ -10,12 +10,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 from bench.base.errors import EvidenceError
 from bench.certificate.result_data import Budget, BudgetRow
 from bench.certificate.rounding import with_unit
+from bench.report.target_words import STARS as STAR_WORDS
+from bench.report.target_words import TargetWords
 from calib.uncertainty.budget_parts import PASSPORT, PRIORS, READINGS, STARS
 from calib.uncertainty.common_errors import COMMON_ERRORS
 from calib.uncertainty.covariance import INCONSISTENCY, coverage_factor
@@ -122,7 +124,12 @@ def expanded(calibration: Json, symbol: str) -> Expanded:
 
 
 def budget_of(
-    calibration: Json, symbol: str, unit: str, sources: Mapping[str, RowSource], rounded: float
+    calibration: Json,
+    symbol: str,
+    unit: str,
+    sources: Mapping[str, RowSource],
+    rounded: float,
+    words: TargetWords = STAR_WORDS,
 ) -> Budget:
     """Return the uncertainty budget of a result.
 
@@ -136,6 +143,8 @@ def budget_of(
         Certificates, by name of the row.
     rounded
         Expanded uncertainty as printed.
+    words
+        What the stars are called.
 
     Returns
     -------
@@ -180,7 +189,7 @@ def budget_of(
     return Budget(
         symbol,
         unit,
-        tuple(row for row in rows if row.u > 0),
+        tuple(_in_words(row, words) for row in rows if row.u > 0),
         u=_digits(stated.u),
         nu_eff=None if stated.nu_eff is None else _digits(stated.nu_eff),
         k=_digits(stated.k),
@@ -250,6 +259,13 @@ def _row(
         date=source.date,
         sha256=source.sha256,
     )
+
+
+def _in_words(row: BudgetRow, words: TargetWords) -> BudgetRow:
+    """Return the row of the stars in the words of the target; the station may have named the other sources."""
+    if row.name != STARS:
+        return row
+    return replace(row, name=words.fitting(row.name), source=words.fitting(row.source))
 
 
 def _stated_value(row: Json, source: RowSource) -> tuple[float | None, float | None, str]:

@@ -45,6 +45,7 @@ from bench.certificate.lab_config import (
 )
 from bench.certificate.number_format import SIMULATED
 from bench.certificate.statements import statements_of
+from bench.report.target_words import words_of
 from calib.uncertainty.budget_parts import PASSPORT
 
 Json = Mapping[str, Any]
@@ -132,7 +133,10 @@ def compose(found: Json, lab: LabConfig, identity: Identity) -> Certificate:
         results=results,
         covariance=run_facts.covariance_of(found),
         further=run_facts.further_of(found),
-        budgets=tuple(budget_of(found["calibration"], one.symbol, one.unit, rows, one.U) for one in results),
+        budgets=tuple(
+            budget_of(found["calibration"], one.symbol, one.unit, rows, one.U, words_of(found))
+            for one in results
+        ),
         before_adjustment=_before(found, lab),
         conformity=tuple(
             conformity_of(rule, _named(results, rule.result)) for rule in lab.decision_rules or ()

@@ -23,6 +23,7 @@ from bench.certificate import pdf_glyphs
 from bench.certificate.pdf_opening import opening, subject
 from bench.certificate.pdf_plots import Picture, draw_plots, pictures
 from bench.certificate.pdf_sections import sections
+from bench.report.target_words import words_of
 
 if TYPE_CHECKING:
     from bench.certificate.certificate_data import Certificate
@@ -79,7 +80,7 @@ def render_pdf(
     _typst()
     content = json.loads(certificate.to_json())
     pdf_glyphs.refuse_missing(content)
-    shown = pictures(certificate, draw_plots(results) if plots is None else plots)
+    shown = pictures(certificate, draw_plots(results) if plots is None else plots, words_of(results))
     files = {one.file: one.svg for one in shown}
     return _compiled(_document(certificate, shown, attachments), files, attachments)
 

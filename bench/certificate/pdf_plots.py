@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 from bench.certificate.certificate_data import Certificate
 from bench.report.calibration_tables import coverage_factor
-from bench.report.target_words import words_of
+from bench.report.target_words import STARS, TargetWords, words_of
 
 if TYPE_CHECKING:
     import numpy as np
@@ -174,7 +174,7 @@ def _star_plots(results: Mapping[str, Any], seen: Sequence[ViewPicture]) -> dict
     }
 
 
-def pictures(certificate: Certificate, plots: Mapping[str, str]) -> list[Picture]:
+def pictures(certificate: Certificate, plots: Mapping[str, str], words: TargetWords = STARS) -> list[Picture]:
     """Return the plots with their descriptions.
 
     Parameters
@@ -183,6 +183,8 @@ def pictures(certificate: Certificate, plots: Mapping[str, str]) -> list[Picture
         The certificate.
     plots
         SVG by name.
+    words
+        What the stars are called.
 
     Returns
     -------
@@ -192,6 +194,6 @@ def pictures(certificate: Certificate, plots: Mapping[str, str]) -> list[Picture
     numbers = "; ".join(f"{one.name}: {one.text}" for one in certificate.further)
     return [
         Picture(name, plots[name], f"Plot. {caption} {numbers}.".strip(), caption, name in _WIDE)
-        for name, caption in _CAPTIONS.items()
+        for name, caption in ((name, words.fitting(caption)) for name, caption in _CAPTIONS.items())
         if name in plots
     ]

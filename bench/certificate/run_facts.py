@@ -24,6 +24,7 @@ from bench.certificate.certificate_data import (
 from bench.certificate.lab_config import ItemConfig
 from bench.certificate.rounding import print_plain, print_result, with_unit
 from bench.report.camera_values import camera_covariance, camera_of
+from bench.report.target_words import words_of
 from calib.uncertainty.projection_uncertainty import projection_uncertainty
 
 Json = Mapping[str, Any]
@@ -253,7 +254,7 @@ def conditions_of(found: Json) -> tuple[Condition, ...]:
     Returns
     -------
     tuple of Condition
-        Temperatures, light, event rate and settings of the camera.
+        Temperatures, light, event rate, the board if the camera saw one, and settings of the camera.
     """
     light = (found.get("conditions") or {}).get("light") or {}
     camera = (found.get("conditions") or {}).get("camera") or {}
@@ -269,6 +270,7 @@ def conditions_of(found: Json) -> tuple[Condition, ...]:
         _text("light", [_setting(name, light[name]) for name in sorted(light)]),
         _range("event rate", [one.get("event_rate_mev_s") for one in attempts], "Mev/s"),
         _value("illumination", camera.get("illumination_lux"), "lx"),
+        _text("board", [str(board)] if (board := found["run"].get("board")) else []),
         _text(
             "settings of the camera",
             [
@@ -350,12 +352,18 @@ def deviations_of(found: Json) -> tuple[Deviation, ...]:
         if not any(one["accepted"] for one in pose["attempts"])
     ]
     texts += [
-        f"Limit not met: {gate['name']} is {gate['value']} {gate['unit']}".rstrip()
+        f"Limit not met: {_gate_name(gate, found)} is {gate['value']} {gate['unit']}".rstrip()
         + f", limit {gate['limit']}."
         for gate in found.get("gates") or []
         if gate["verdict"] == "fail"
     ]
     return tuple(Deviation(text, "run") for text in dict.fromkeys(texts))
+
+
+def _gate_name(gate: Json, found: Json) -> str:
+    """Return the name of a gate; of its parts, the pose may be named by a person."""
+    pose, colon, name = str(gate["name"]).rpartition(": ")
+    return f"{pose}{colon}{words_of(found).fitting(name)}"
 
 
 def utc_seconds(moment: str) -> str:

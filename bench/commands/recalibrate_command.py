@@ -36,7 +36,9 @@ if TYPE_CHECKING:
 )
 @click.option("--no-seal", is_flag=True, help="Leave the results DRAFTS, without seals.")
 @click.option(
-    "--find-again", is_flag=True, help="Find the stars in every recording, also where they were kept."
+    "--find-again",
+    is_flag=True,
+    help="Find the stars, or the points of the board, in every recording, also where they were kept.",
 )
 @JSON
 def recalibrate(

@@ -32,6 +32,7 @@ def run_text(row: Mapping[str, Any]) -> str:
         it failed.
     """
     from bench.commands.calibration_output import unit_text
+    from bench.report.target_words import words_for
     from bench.report.text import with_uncertainty
 
     name = Path(str(row["folder"]).rstrip("/")).name
@@ -47,7 +48,8 @@ def run_text(row: Mapping[str, Any]) -> str:
         if parameter in row["sigma"]:
             value, expanded = with_uncertainty(row["values"][parameter], k * row["sigma"][parameter])
             shown.append(f"{parameter} {value} ± {expanded} {unit_text(parameter)}".rstrip())
-    parts = [f"{', '.join(shown)} (U with k = {k:.3g})", f"{row['views']} views, {row['stars']} stars"]
+    located = f"{row['stars']} {words_for(row.get('board')).points}"  # rows of earlier versions have no board
+    parts = [f"{', '.join(shown)} (U with k = {k:.3g})", f"{row['views']} views, {located}"]
     if row["left_out"]:
         parts.append(f"{len(row['left_out'])} recordings left out")
     if not row["converged"]:

@@ -14,6 +14,7 @@ from typing import Any
 from bench.base.errors import BenchError, UsageError
 from bench.plan.passports import PassportInUse
 from bench.report.target_words import words_for
+from bench.results.board_words import errors_in
 from bench.results.comparison import planar_calibration
 from bench.results.offline_options import OfflineOptions
 from bench.results.solve_options import readings_result, require_enough_views
@@ -202,8 +203,9 @@ def calibrate_sources(sources: Sequence[ViewSource], choices: OfflineOptions) ->
     views, used, skipped = _read_views(chosen)
     options, passport, cautions = _engine_options(used, choices)
     require_enough_views(views, options)
-    calibration = calibrate(views, options)
     words = words_for(_common_board(used, choices))
+    with errors_in(words):
+        calibration = calibrate(views, options)
     notes = tuple(words.fitting(note) for note in (*calibration.notes, *cautions))
     calibration = replace(calibration, notes=notes)
     planar = planar_calibration(views, options) if calibration.model != "planar" else None

@@ -17,6 +17,7 @@ from bench.plan.passports import PassportInUse
 from bench.records.events import Solved
 from bench.records.history import History
 from bench.report.target_words import TargetWords, words_for
+from bench.results.board_words import errors_in
 from bench.results.comparison import planar_calibration
 from bench.results.cross_checks import gimbal_check, split_half_check
 from bench.results.measure_again import measure_again
@@ -110,8 +111,9 @@ def solve_run(
     readings = [attempt.stored["measured_deg"] for _, attempt in accepted]
     options = solve_options(job, step, readings)
     require_enough_views(views, options)
-    notes = _notes(job, step, history, measurements)
-    calibration = _with_notes(calibrate(views, options), notes, words_for(job.board))
+    notes, words = _notes(job, step, history, measurements), words_for(job.board)
+    with errors_in(words):
+        calibration = _with_notes(calibrate(views, options), notes, words)
     check()
     planar = planar_calibration(views, options) if calibration.model != "planar" else None
     checks = {
