@@ -79,7 +79,10 @@ class LedgerPlace(TypedDict):
 
 
 class RunStarted(TypedDict):
-    """Payload of ``run_started``: names, hashes of the files, seed, operator, versions."""
+    """Payload of ``run_started``: names, hashes of the files, seed, operator, versions.
+
+    ``plugins`` states, by package, the drivers of the station that it brought: ``stage turntable``.
+    """
 
     id: str
     sequence: str
@@ -89,6 +92,7 @@ class RunStarted(TypedDict):
     operator: str | None
     simulated: bool
     software: Mapping[str, str]
+    plugins: NotRequired[Mapping[str, Sequence[str]]]
     ledger: NotRequired[LedgerPlace]
     rehearsal: NotRequired[bool]
 

@@ -30,9 +30,9 @@ from bench.results.comparison import compare_with_truth
 from bench.results.interim import Decisions
 from bench.results.measure_again import measure_again
 from bench.results.result import Outcome, ResultWriter
-from bench.results.results_content import software
 from bench.results.solution import main_numbers
 from bench.results.solve_options import solve_options
+from bench.results.station_software import plugins_of_run, run_software
 from bench.run.runner import RunEnd, Runner
 from bench.stations.devices import Devices
 from bench.terminal.progress import Progress
@@ -317,7 +317,12 @@ def _write_documents(folder: RunFolder, plan: Plan) -> None:
 
 def _journal_begin(journal: Journal, job: RehearsedJob, folder: RunFolder, *, again: bool) -> None:
     if again:
-        journal.append(Event.RUN_RESUMED, torn_bytes=len(journal.torn), software=software(), rehearsal=True)
+        journal.append(
+            Event.RUN_RESUMED,
+            torn_bytes=len(journal.torn),
+            software=run_software(job.station),
+            rehearsal=True,
+        )
         return
     plan = job.plan
     journal.append(
@@ -330,5 +335,6 @@ def _journal_begin(journal: Journal, job: RehearsedJob, folder: RunFolder, *, ag
         seed=job.seed,
         operator=job.operator,
         simulated=True,
-        software=software(),
+        software=run_software(job.station),
+        **plugins_of_run(job.station),
     )

@@ -121,7 +121,11 @@ def software(results: Json) -> list[tuple[str, str]]:
         Name and version.
     """
     run = results["run"]
-    rows = [(str(name), str(version)) for name, version in (run.get("software") or {}).items()]
+    plugins = run.get("plugins") or {}
+    rows = [
+        (str(name), f"{version} (plug-in: {', '.join(plugins[name])})" if name in plugins else str(version))
+        for name, version in (run.get("software") or {}).items()
+    ]
     if run.get("seed") is not None:
         rows.append(("seed", str(run["seed"])))
     return rows

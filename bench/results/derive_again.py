@@ -41,6 +41,7 @@ from bench.results.derive_views import check_views
 from bench.results.other_software import other_program
 from bench.results.results_content import journal_content, software
 from bench.results.solve_options import limited_numbers
+from bench.results.station_software import plugins_missing, plugins_of_run, plugins_stated
 from bench.results.stored_calibration import stored_calibration
 from bench.views.gates import solution_gates
 from calib.calibration import Calibration
@@ -112,6 +113,10 @@ def check_run(folder: Path) -> Findings:
     if evidence is None:
         return found
     check_instructions(folder, evidence.history.started.get("software", {}), found)
+    found.remarks += [
+        f"the {drivers} was driven by a plug-in: {package}"
+        for package, drivers in plugins_stated(evidence.history.started).items()
+    ]
     _check_first_line(evidence, found)
     _check_plan(evidence, found)
     _check_steps(evidence, found)
@@ -146,7 +151,12 @@ def read_evidence(folder: Path, found: Findings) -> RunEvidence | None:
         job = _job(folder, whole)
     except (BenchError, DriverError, CalibrationError, *UNREADABLE) as error:
         used = whole.started.get("software", {})
-        if used.get("program") == software()["program"]:
+        if missing := plugins_missing(whole.started):
+            found.not_compared.append(
+                f"{RESULTS}, exports and {REPORT}: the station needs {', '.join(missing)}, which this computer does"
+                " not have; install it and verify again"
+            )
+        elif used.get("program") == software()["program"]:
             found.fault("plan", STATION_COPY, f"the run cannot be planned again from its documents: {error}")
         else:
             found.not_compared.append(
@@ -195,6 +205,7 @@ def _check_first_line(evidence: RunEvidence, found: Findings) -> None:
         "sequence": plan.sequence.value.name,
         "station": plan.station.value.name,
         "simulated": job.simulated,
+        **({"plugins": plugins_of_run(job.station).get("plugins")} if started.get("plugins") else {}),
     }
     for one in differences({name: started.get(name) for name in due}, due):
         found.fault("journal", f"{JOURNAL}:1", f"{one}, by the run's documents")

@@ -27,7 +27,8 @@ from bench.report.view_picture import ViewPicture
 from bench.results.exports import exports
 from bench.results.offline import OfflineResult
 from bench.results.projection_facts import projection_facts
-from bench.results.results_content import collimator_data, software, target_data
+from bench.results.results_content import collimator_data, target_data
+from bench.results.station_software import files_software
 from bench.results.stored_options import options_data
 from bench.results.view_sources import PHOTOGRAPHS, ViewSource
 from bench.views.views_file import VIEWS, views_file
@@ -279,7 +280,7 @@ def _run_facts(result: OfflineResult, name: str, key: Sealer | None) -> dict[str
         **({"target": stated} if job and (stated := target_data(job)) else {}),
         "simulated": any(one.simulated for one in jobs),
         "camera": "frame" if frames else "event",
-        "software": software(),
+        "software": files_software(source.path.suffix for source in result.sources),
     }
 
 

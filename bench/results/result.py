@@ -24,8 +24,9 @@ from bench.report.view_picture import ViewPicture
 from bench.results.exports import exports
 from bench.results.keep_views import keep_views_of_run
 from bench.results.previous_calibration import bench_ledger, previous_calibration
-from bench.results.results_content import results_content, software
+from bench.results.results_content import results_content
 from bench.results.solution import Solution, main_numbers, solve_run
+from bench.results.station_software import run_software
 from bench.views.measure import Measurement
 from bench.views.views_file import VIEWS, views_file
 from sequences.script import SolveStep
@@ -125,7 +126,10 @@ class ResultWriter:
             )
         solution = self._solution
         with log.held() as history:
-            head, results = log.journal.head, results_content(self._job, history, solution, truth, software())
+            head, results = (
+                log.journal.head,
+                results_content(self._job, history, solution, truth, run_software(self._job.station)),
+            )
             ledger = history.ledger
         if previous := previous_calibration(bench_ledger(), ledger, results):
             results["previous"] = previous

@@ -112,6 +112,7 @@ def journal_content(job: Job, history: History, views: Sequence[ViewSummary]) ->
             "simulated": job.simulated,
             "camera": kind.name,
             "resumed": history.resumed,
+            **({"plugins": dict(started["plugins"])} if started.get("plugins") else {}),
             **({"ledger": dict(history.ledger)} if history.ledger else {}),
         },
         "devices": dict(history.devices),

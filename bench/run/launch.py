@@ -37,7 +37,7 @@ from bench.records.run_folder import (
     require_resumable,
 )
 from bench.results.result import Outcome
-from bench.results.results_content import software
+from bench.results.station_software import plugins_of_run, run_software
 from bench.run.control import remove_inbox
 from bench.run.crash_log import archive_crash, crash_log, read_crash
 from bench.run.ledger_entry import (
@@ -158,7 +158,8 @@ def start_run(
                 seed=seed,
                 operator=job.operator,
                 simulated=job.simulated,
-                software=software(),
+                software=run_software(job.station),
+                **plugins_of_run(job.station),
                 ledger=place,
             )
             return ending(_run_and_seal(job, folder, journal, launch, key, ledger_lines(place)))
@@ -210,7 +211,9 @@ def resume_run(folder_path: Path, launch: Launch) -> RunEnd:
                 return ending(_seal_finished(folder, journal, key, secrets_revoked=launch.secrets_revoked))
             extra: dict[str, Any] = {"crash": crash} if crash else {}
             extra |= {"ledger": place} if place != history.ledger else {}
-            journal.append(Event.RUN_RESUMED, torn_bytes=len(journal.torn), software=software(), **extra)
+            journal.append(
+                Event.RUN_RESUMED, torn_bytes=len(journal.torn), software=run_software(job.station), **extra
+            )
             # After the journal: a process that dies in between neither loses the crash nor counts it twice.
             archive_crash(folder)
             lines = [*ledger_lines(place), *intentions(job, history, crash)]

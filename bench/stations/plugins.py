@@ -49,6 +49,8 @@ class Plugin:
         Class of the section; None if it cannot be used.
     trouble
         Why it cannot be used; empty if it can.
+    distribution, version
+        Name and version of the package, apart; empty if no package states them.
     """
 
     kind: Kind
@@ -56,6 +58,8 @@ class Plugin:
     package: str
     section: type[StrictModel] | None
     trouble: str = ""
+    distribution: str = ""
+    version: str = ""
 
 
 @functools.cache
@@ -104,13 +108,14 @@ def with_plugins(kind: Kind, built_in: Sequence[type[BaseModel]]) -> Any:
 
 
 def _load(kind: Kind, entry: EntryPoint) -> Plugin:
-    package = f"{entry.dist.name} {entry.dist.version}" if entry.dist is not None else "an unknown package"
+    stated = (entry.dist.name, entry.dist.version) if entry.dist is not None else ("", "")
+    package = " ".join(stated) if entry.dist is not None else "an unknown package"
     try:
         section = entry.load()
         trouble = _unfit(kind, entry.name, section)
     except (Exception, SystemExit) as error:  # noqa: BLE001 - whatever a plug-in does, other stations must work
         section, trouble = None, f"{type(error).__name__}: {error}"
-    return Plugin(kind, entry.name, package, None if trouble else section, trouble)
+    return Plugin(kind, entry.name, package, None if trouble else section, trouble, *stated)
 
 
 def _unfit(kind: Kind, name: str, section: Any) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import shutil
 import subprocess
@@ -220,6 +221,15 @@ def test_a_run_uses_a_camera_and_a_light_of_a_package(lab, tmp_path, monkeypatch
         "1",
     )
     assert "Report: " in said, said
+    run_facts = json.loads((tmp_path / "run" / "results.json").read_bytes())["run"]
+    assert run_facts["software"]["lab"] == "0.3"
+    assert run_facts["plugins"] == {"lab": ["light lablamp", "camera labcam"]}
+    assert "lab 0.3 (plug-in: light lablamp, camera labcam)" in (tmp_path / "run" / "report.html").read_text()
+    said = run(lab, "-m", "bench", "verify", tmp_path / "run")
+    assert "the light lablamp, camera labcam was driven by a plug-in: lab 0.3" in said, said
+    assert said.startswith("SEALED: ")
+    elsewhere = run(tmp_path, "-m", "bench", "verify", tmp_path / "run")
+    assert "the station needs lab 0.3, which this computer does not have" in elsewhere, elsewhere
 
 
 def test_two_packages_of_one_name_are_both_named_and_a_built_in_driver_stays(installed, tmp_path) -> None:

@@ -690,6 +690,33 @@ def by_another_program(f, **software):
     f.tell_of_files()
 
 
+def with_a_plugin(f):
+    """Journal and results state a plug-in that this computer does not have."""
+    f.edit_line("run_started", lambda d: d.update(plugins={"starbench-turntable": ["stage turntable"]}))
+    f.edit_results(lambda r: r["run"].update(plugins={"starbench-turntable": ["stage turntable"]}))
+    by_another_program(f, **{"starbench-turntable": "1.0"})
+
+
+def test_a_run_on_a_plugin_that_is_not_here_is_not_compared_and_no_fault(forger, trusted):
+    with_a_plugin(forger)
+    station = (forger / "station.yaml").read_text().replace("driver: zaber_ascii", "driver: turntable")
+    (forger / "station.yaml").write_text(station)
+    forger.tell_of_files()
+    forger.seal()
+    found = checked(forger.folder, trusted)
+    assert found.faults == ()
+    (what,) = found.not_compared
+    assert "the station needs starbench-turntable 1.0, which this computer does not have" in what
+
+
+def test_a_plugin_that_the_station_does_not_use_is_found(forger, trusted):
+    with_a_plugin(forger)
+    forger.seal()
+    found = checked(forger.folder, trusted)
+    assert "journal.jsonl:1" in {fault.where for fault in found.faults}
+    assert "the stage turntable was driven by a plug-in: starbench-turntable 1.0" in found.remarks
+
+
 def test_another_program_that_writes_the_same_bytes_is_compared(forger, trusted, job):
     by_another_program(forger, program="0" * 16)
     forger.render(job)
