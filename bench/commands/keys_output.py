@@ -28,8 +28,10 @@ def show_keys() -> int:
     int
         Exit status, 0.
     """
-    from bench.evidence.keys import KEY_FILE, load_key
+    from bench.evidence.keys import KEY_FILE
+    from bench.evidence.public_key import load_public_key
     from bench.evidence.signers import SIGNERS_FILE, read_signers
+    from bench.evidence.ssh_keys import fingerprint
 
     home = home_folder()
     if not (home / KEY_FILE).exists():
@@ -37,11 +39,11 @@ def show_keys() -> int:
             "This bench has no key yet; the first run creates one, and so does `starbench keys create`."
         )
     else:
-        key = load_key(home, ask_passphrase=ask_passphrase)
+        own = load_public_key(home)
         signers = read_signers(home / SIGNERS_FILE) if (home / SIGNERS_FILE).exists() else []
-        line = next((one.line for one in signers if one.public_key == key.public_key), key.signers_line)
+        line = next((one.line for one in signers if one.public_key == own.public_key), own.line)
         click.echo(
-            f"Key:         {home / KEY_FILE}\nFingerprint: {key.fingerprint}\n"
+            f"Key:         {home / KEY_FILE}\nFingerprint: {fingerprint(own.public_key)}\n"
             f"Line for the allowed_signers file of those who verify:\n  {line}"
         )
     if (home / SIGNERS_FILE).exists():

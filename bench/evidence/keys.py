@@ -22,8 +22,8 @@ from cryptography.hazmat.primitives import serialization
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 
 from bench.base.errors import EvidenceError
+from bench.evidence.public_key import KEY_FILE, principal_of, read_key_file
 from bench.evidence.revocation import REVOKED_FILE, read_revoked
-from bench.evidence.safe_files import refuse_readable_by_others, refuse_writable_by_others
 from bench.evidence.signers import (
     AUTHORISATION_NAMESPACE,
     NAMESPACE,
@@ -55,8 +55,6 @@ __all__ = [
     "trust",
     "usable_key",
 ]
-
-KEY_FILE = "bench_key"
 
 
 @dataclass(frozen=True)
@@ -353,20 +351,13 @@ def load_key(folder: Path, *, ask_passphrase: Callable[[Path], bytes] | None = N
         When it cannot be read.
     """
     path = folder / KEY_FILE
-    if not path.exists():
-        raise EvidenceError(
-            "There is no key.", where=str(path), remedy="Make one with `starbench keys create`."
-        )
-    with storage_errors(path):
-        refuse_readable_by_others(path)
-        refuse_writable_by_others(path, "the bench's key")
-        secret = path.read_bytes()
+    secret = read_key_file(path)
     private = _load_private_key(secret, path, ask_passphrase)
     if not isinstance(private, Ed25519PrivateKey):
         raise EvidenceError(
             "This is not an Ed25519 key.", where=str(path), remedy="Make one: ssh-keygen -t ed25519."
         )
-    return BenchKey(private, _principal_of(path.with_suffix(".pub")))
+    return BenchKey(private, principal_of(path.with_suffix(".pub")))
 
 
 def _load_private_key(secret: bytes, path: Path, ask_passphrase: Callable[[Path], bytes] | None) -> object:
@@ -386,16 +377,3 @@ def _load_private_key(secret: bytes, path: Path, ask_passphrase: Callable[[Path]
             where=str(path),
             remedy="Try again, or restore the file from a copy.",
         ) from error
-
-
-def _principal_of(public_path: Path) -> str:
-    with storage_errors(public_path):
-        fields = public_path.read_text(encoding="utf-8").split()
-    principal = fields[2] if len(fields) > 2 else ""
-    if not PRINCIPAL.fullmatch(principal):
-        raise EvidenceError(
-            "The public key does not name its signer.",
-            where=str(public_path),
-            remedy="Write name@place at the end of its line.",
-        )
-    return principal

@@ -186,6 +186,21 @@ def test_the_line_that_keys_show_prints_is_the_trusted_one(home):
     assert "valid-after" in line
 
 
+def test_keys_show_asks_for_no_passphrase(tmp_path, monkeypatch):
+    monkeypatch.setenv("STARBENCH_HOME", str(tmp_path))
+
+    def never(_):
+        raise AssertionError("asked for a passphrase")
+
+    monkeypatch.setattr("bench.commands.keys_output.ask_passphrase", never)
+    key = create_key(tmp_path, principal="bench1@lab.example", passphrase=b"secret")
+    said = call("keys", "show")
+    assert key.fingerprint in said
+    assert f"  {key.signers_line}\n" in said
+    (tmp_path / "bench_key").write_text("no key")
+    call("keys", "show", fails="The key cannot be read: it is not in OpenSSH's format.")
+
+
 # ------------------------------------------------------------------ the key before the run
 
 

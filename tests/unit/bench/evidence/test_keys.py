@@ -16,6 +16,7 @@ from cryptography.hazmat.primitives.asymmetric import ec
 from bench.base.errors import EvidenceError, StorageError
 from bench.base.home import home_folder
 from bench.evidence.keys import create_key, ensure_key, load_key, read_signers, trust
+from bench.evidence.public_key import load_public_key
 from bench.evidence.sshsig import fingerprint
 
 needs_ssh_keygen = pytest.mark.skipif(
@@ -239,3 +240,43 @@ def test_a_pipe_in_the_place_of_the_trusted_keys_is_refused_at_once(tmp_path):
     os.mkfifo(tmp_path / "allowed_signers", 0o600)
     with pytest.raises(EvidenceError, match="is not a file"):
         read_signers(tmp_path / "allowed_signers")
+
+
+@pytest.mark.parametrize("passphrase", [None, b"secret"])
+def test_the_public_half_is_read_from_the_private_key_without_its_passphrase(tmp_path, passphrase):
+    key = create_key(tmp_path, principal="bench1@lab", passphrase=passphrase)
+    create_key(tmp_path / "other", principal="bench1@lab")
+    (tmp_path / "bench_key.pub").write_bytes((tmp_path / "other" / "bench_key.pub").read_bytes())
+    own = load_public_key(tmp_path)
+    assert (own.public_key, own.principal, own.line) == (key.public_key, "bench1@lab", key.signers_line)
+    (tmp_path / "bench_key").chmod(0o644)
+    with pytest.raises(EvidenceError, match="Other users can read the key"):
+        load_public_key(tmp_path)
+
+
+@needs_ssh_keygen
+def test_the_public_half_of_a_key_that_ssh_keygen_made(tmp_path):
+    path = tmp_path / "bench_key"
+    subprocess.run(
+        ["ssh-keygen", "-q", "-t", "ed25519", "-N", "secret", "-C", "bench1@lab", "-f", str(path)],
+        check=True,
+    )
+    blob = (tmp_path / "bench_key.pub").read_text().split()[1]
+    assert load_public_key(tmp_path).line.endswith(f" {blob}")
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "why"),
+    [
+        (b"-----BEGIN", b"-----BEGUN", "not in OpenSSH's format"),
+        (b"b3BlbnNzaC", b"b3BlbnNzaD", "not in OpenSSH's format"),
+        (b"b3Blb", b"!!!!!", "not base64"),
+    ],
+)
+def test_a_damaged_private_key_gives_no_public_half(tmp_path, old, new, why):
+    create_key(tmp_path, principal="bench1@lab")
+    data = (tmp_path / "bench_key").read_bytes()
+    assert old in data
+    (tmp_path / "bench_key").write_bytes(data.replace(old, new))
+    with pytest.raises(EvidenceError, match=why):
+        load_public_key(tmp_path)
