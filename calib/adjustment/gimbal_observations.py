@@ -8,12 +8,13 @@ besides those of the stated uncertainty.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.model.gimbal import GIMBAL, MOUNTING, NON_ORTHOGONALITY, SCALES, STANDING, Gimbal
+from calib.model.gimbal import MOUNTING, NON_ORTHOGONALITY, SCALES, STANDING, Gimbal
 from calib.model.prior import Prior
 from calib.model.rotation import log_map
 
@@ -25,7 +26,6 @@ _MOVED_DEG = 0.5
 _OPEN_SIGMA_RAD = 1.0
 #: Prior 1-sigma of the angle between pan and tilt about a right angle, rad: half a degree.
 _NON_ORTHOGONALITY_SIGMA_RAD = np.deg2rad(0.5)
-_DIFFERENCE = 1e-6
 #: Readings closer than this have the same error of the encoder.
 _SAME_READING_DEG = 0.02
 
@@ -44,6 +44,9 @@ class GimbalObservations:
 
     angles_deg: Array
     sigma_rad: float
+    _kept: list[tuple[Gimbal, tuple[Array, Array, Array]]] = field(
+        default_factory=list, init=False, repr=False, compare=False
+    )
 
     def subset(self, kept: Sequence[int]) -> GimbalObservations:
         """Return the readings of some of the views.
@@ -76,12 +79,22 @@ class GimbalObservations:
         Array
             (n, 3, 3) inverse covariances of the rotation vectors on the camera's side, 1 / rad^2.
         """
+        axes = self._turned(gimbal)[1]
+        covariance = axes * self._variances[:, None] @ np.swapaxes(axes, 1, 2)
+        return np.asarray(np.linalg.inv(covariance))
+
+    @cached_property
+    def _variances(self) -> Array:
+        """(n, 3) float64 variance of the rotation about each axis, rad^2."""
         same = np.abs(self.angles_deg[:, None] - self.angles_deg[None]) < _SAME_READING_DEG
         moved = np.ptp(self.angles_deg, axis=0) > _MOVED_DEG
-        times = np.where(moved, same.sum(axis=1), 1.0)
-        axes = gimbal.axes(self.angles_deg)
-        covariance = np.einsum("nik,nk,njk->nij", axes, self.sigma_rad**2 * times, axes)
-        return np.asarray(np.linalg.inv(covariance))
+        return np.asarray(self.sigma_rad**2 * np.where(moved, same.sum(axis=1), 1.0))
+
+    def _turned(self, gimbal: Gimbal) -> tuple[Array, Array, Array]:
+        """Return `Gimbal.turned`; the last one is kept, because several equations ask for the same."""
+        if not self._kept or self._kept[0][0] is not gimbal:
+            self._kept[:] = [(gimbal, gimbal.turned(self.angles_deg))]
+        return self._kept[0][1]
 
     def residuals(self, gimbal: Gimbal, rotations: Array) -> Array:
         """Return the rotations seen minus those read.
@@ -100,14 +113,14 @@ class GimbalObservations:
         Array
             (n, 3) rotation vectors on the camera's side, rad.
         """
-        read = gimbal.rotations(self.angles_deg)
-        return np.asarray(log_map(rotations @ np.swapaxes(read, 1, 2)))
+        read = self._turned(gimbal)[0] @ gimbal.base_from_target
+        return log_map(rotations @ np.swapaxes(read, 1, 2))
 
     def derivatives(self, gimbal: Gimbal, names: Sequence[str]) -> Array:
         """Return the derivatives of the residuals by parameters of the gimbal.
 
         Own derivation for small residuals: a turn of A or B on its left side turns the prediction by it, or by A G
-        times it. Scales and the angle between the axes by forward differences.
+        times it. A scale turns it about its axis by the reading, the angle between the axes about the axis of delta.
 
         Parameters
         ----------
@@ -123,16 +136,17 @@ class GimbalObservations:
         """
         n = len(self.angles_deg)
         out = np.zeros((n, 3, len(names)))
-        turned = gimbal.camera_from_head @ gimbal.heads(self.angles_deg)
-        read = turned @ gimbal.base_from_target
+        turned, axes, leaning = self._turned(gimbal)
+        by_scale = axes * np.radians(self.angles_deg)[:, None]
         for at, name in enumerate(names):
             if name in MOUNTING:
                 out[:, MOUNTING.index(name), at] = -1.0
             elif name in STANDING:
                 out[:, :, at] = -turned[:, :, STANDING.index(name)]
-            elif name in GIMBAL:
-                moved = gimbal.after_step({name: _DIFFERENCE}).rotations(self.angles_deg)
-                out[:, :, at] = -log_map(moved @ np.swapaxes(read, 1, 2)) / _DIFFERENCE
+            elif name in SCALES:
+                out[:, :, at] = -by_scale[:, :, SCALES.index(name)]
+            elif name == NON_ORTHOGONALITY:
+                out[:, :, at] = -leaning
         return out
 
     def free_parameters(self, scale_sigma: float) -> Prior:

@@ -17,7 +17,6 @@ from calib.adjustment import search_kernel
 from calib.adjustment.bundle import Bundle
 from calib.adjustment.linearisation import shifts_of
 from calib.adjustment.loss import Loss, lengths
-from calib.adjustment.normal_equations import NormalEquations
 from calib.adjustment.parameters import AdjustmentParameters
 from calib.adjustment.search_kernel import FIRST_DAMPING, MAX_DAMPING
 from calib.adjustment.state import packed, state_places, unpacked
@@ -116,7 +115,8 @@ def search_with_readings(
     Refinement
         As from `refine`.
     """
-    parameters, (cost, equations) = start, _linearised(bundle, start, loss)
+    parameters, cost = start, _cost(bundle, start, loss)
+    equations = bundle.robust_equations(start, loss) if np.isfinite(cost) else None
     damping, growth, iteration = FIRST_DAMPING, 2.0, 0
     while equations is not None and iteration < max_iterations and damping < MAX_DAMPING:
         iteration += 1
@@ -129,10 +129,10 @@ def search_with_readings(
         if predicted * (1.0 + damping) <= tolerance * cost + _ABSOLUTE_TOLERANCE:
             return Refinement(parameters, cost, converged=True, iterations=iteration)
         candidate = parameters.after_step(bundle.names, shared, local)
-        candidate_cost = loss.cost(lengths(_residuals(bundle, candidate))) + bundle.prior_cost(candidate)
+        candidate_cost = _cost(bundle, candidate, loss)
         gain = 2.0 * (cost - candidate_cost) / predicted
         if gain > 0.0:
-            parameters, (cost, equations) = candidate, _linearised(bundle, candidate, loss)
+            parameters, cost, equations = candidate, candidate_cost, bundle.robust_equations(candidate, loss)
             damping, growth = damping * max(0.1, 1.0 - (2.0 * gain - 1.0) ** 3), 2.0
         elif predicted * (1.0 + damping) <= _rounding(bundle, cost):
             return Refinement(parameters, cost, converged=True, iterations=iteration)
@@ -209,17 +209,9 @@ def _rounding(bundle: Bundle, cost: float) -> float:
     return float(_ROUNDED_OPERATIONS * each * np.sqrt(2.0 * cost))
 
 
-def _linearised(
-    bundle: Bundle, parameters: AdjustmentParameters, loss: Loss
-) -> tuple[float, NormalEquations | None]:
-    """Return the cost and the normal equations; None instead of equations if a star cannot be projected."""
-    residuals = _residuals(bundle, parameters)
-    away = lengths(residuals)
-    cost = loss.cost(away) + bundle.prior_cost(parameters)
-    if not np.isfinite(cost):
-        return float("inf"), None
-    influence = residuals * loss.weights(away)[:, None]
-    return cost, bundle.normal_equations(parameters, influence, loss.curvature_root(residuals))
+def _cost(bundle: Bundle, parameters: AdjustmentParameters, loss: Loss) -> float:
+    """Return the robust cost with priors and readings; infinite if a star cannot be projected."""
+    return loss.cost(lengths(_residuals(bundle, parameters))) + bundle.prior_cost(parameters)
 
 
 def _residuals(bundle: Bundle, parameters: AdjustmentParameters) -> Array:

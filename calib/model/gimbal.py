@@ -9,7 +9,7 @@ part of the robot-world and hand-eye problem (Zhuang, Roth and Sudhakar, 1994).
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,6 +30,8 @@ _ALTERNATIONS = 10
 _NEWTON_STEPS = 6
 #: Rolls of the mounting from which the search starts, degrees: a camera may hang upside down or on its side.
 _START_ROLLS_DEG = range(0, 360, 45)
+#: Directions with a singular value below this share of the largest are left open.
+_OPEN = 1e-9
 
 
 @dataclass(frozen=True)
@@ -66,10 +68,8 @@ class Gimbal:
         Array
             (n, 3, 3) rotations, head <- base.
         """
-        scaled = np.radians(angles_deg * np.array(self.scales))
-        skew = np.array([0.0, 0.0, self.non_orthogonality])
-        pan, tilt, roll = (exp_map(scaled[:, [k]] * axis) for k, axis in enumerate(_AXES))
-        return np.asarray(roll @ tilt @ exp_map(skew) @ pan)
+        pan, _, _, before_pan = self._turns(angles_deg)
+        return np.asarray(before_pan @ pan)
 
     def axes(self, angles_deg: Array) -> Array:
         """Return the directions of the axes, seen from the camera.
@@ -84,11 +84,34 @@ class Gimbal:
         Array
             (n, 3, 3) unit vectors of pan, tilt and roll, in the columns.
         """
+        return self.turned(angles_deg)[1]
+
+    def turned(self, angles_deg: Array) -> tuple[Array, Array, Array]:
+        """Return how the head turns the camera, and about which axes.
+
+        Parameters
+        ----------
+        angles_deg
+            (n, 3) readings of pan, tilt, roll, degrees.
+
+        Returns
+        -------
+        tuple of Array
+            (n, 3, 3) rotations, camera <- base; (n, 3, 3) unit vectors of pan, tilt and roll, seen from the camera, in
+            the columns; and (n, 3) that of the axis about which pan leans against a right angle with tilt.
+        """
+        pan, tilt, roll, before_pan = self._turns(angles_deg)
+        leaning = roll @ tilt
+        axes = np.empty_like(pan)
+        axes[:, :, 0], axes[:, :, 1], axes[:, :, 2] = before_pan[:, :, 1], roll[:, :, 0], _AXES[2]
+        mounted = self.camera_from_head @ axes
+        return self.camera_from_head @ (before_pan @ pan), mounted, leaning[:, :, 2] @ self.camera_from_head.T
+
+    def _turns(self, angles_deg: Array) -> tuple[Array, Array, Array, Array]:
+        """Return (n, 3, 3) the rotations by pan, by tilt and by roll, and the product of all turns left of pan's."""
         scaled = np.radians(angles_deg * np.array(self.scales))
-        tilt, roll = (exp_map(scaled[:, [k]] * _AXES[k]) for k in (1, 2))
-        skewed = roll @ tilt @ exp_map(np.array([0.0, 0.0, self.non_orthogonality]))
-        columns = [skewed @ _AXES[0], roll @ _AXES[1], np.broadcast_to(_AXES[2], (len(scaled), 3))]
-        return np.asarray(self.camera_from_head @ np.stack(columns, axis=2))
+        pan, tilt, roll = exp_map(scaled.T[:, :, None] * _AXES[:, None])
+        return pan, tilt, roll, roll @ tilt @ exp_map(np.array([0.0, 0.0, self.non_orthogonality]))
 
     def rotations(self, angles_deg: Array) -> Array:
         """Return the rotations of the camera.
@@ -113,8 +136,8 @@ class Gimbal:
         dict of str to float
             Rotation vectors and angles in rad, scales without a unit; the names are those of `GIMBAL`.
         """
-        values = (*log_map(self.camera_from_head), *log_map(self.base_from_target), *self.scales)
-        return dict(zip(GIMBAL, (*map(float, values), self.non_orthogonality), strict=True))
+        turns = log_map(np.array([self.camera_from_head, self.base_from_target])).reshape(-1).tolist()
+        return dict(zip(GIMBAL, (*turns, *map(float, self.scales), self.non_orthogonality), strict=True))
 
     def after_step(self, steps: Mapping[str, float]) -> Gimbal:
         """Return the gimbal after a step; a rotation is turned on its left side.
@@ -129,18 +152,16 @@ class Gimbal:
         Gimbal
             Gimbal whose rotations stay orthogonal.
         """
-        turn_a, turn_b = (
-            np.array([steps.get(name, 0.0) for name in names]) for names in (MOUNTING, STANDING)
-        )
+        turns = np.array([[steps.get(name, 0.0) for name in names] for names in (MOUNTING, STANDING)])
         pan, tilt, roll = (
             scale + steps.get(name, 0.0) for name, scale in zip(SCALES, self.scales, strict=True)
         )
-        return replace(
-            self,
-            camera_from_head=exp_map(turn_a) @ self.camera_from_head,
-            base_from_target=exp_map(turn_b) @ self.base_from_target,
-            scales=(pan, tilt, roll),
-            non_orthogonality=self.non_orthogonality + steps.get(NON_ORTHOGONALITY, 0.0),
+        mounted, standing = exp_map(turns) @ np.array([self.camera_from_head, self.base_from_target])
+        return Gimbal(
+            mounted,
+            standing,
+            (pan, tilt, roll),
+            self.non_orthogonality + steps.get(NON_ORTHOGONALITY, 0.0),
         )
 
 
@@ -164,19 +185,22 @@ def aligned_gimbal(rotations: Array, angles_deg: Array) -> Gimbal:
     """
     heads = Gimbal().heads(angles_deg)
     back = np.swapaxes(heads, 1, 2)
-    best, least = Gimbal(), np.inf
-    for roll in _START_ROLLS_DEG:
-        a = euler_zxy(0.0, 0.0, float(roll))
-        for _ in range(_ALTERNATIONS):
-            b = nearest_rotation(np.mean(back @ a.T @ rotations, axis=0))
-            a = nearest_rotation(np.mean(rotations @ b.T @ back, axis=0))
-        for _ in range(_NEWTON_STEPS):
-            turned = a @ heads
-            off = log_map(rotations @ np.swapaxes(turned @ b, 1, 2))
-            jacobian = np.concatenate([np.broadcast_to(np.eye(3), turned.shape), turned], axis=2)
-            step = np.linalg.lstsq(jacobian.reshape(-1, 6), off.reshape(-1), rcond=1e-9)[0]
-            a, b = exp_map(step[:3]) @ a, exp_map(step[3:]) @ b
-        off = log_map(rotations @ np.swapaxes(a @ heads @ b, 1, 2))
-        if (off**2).sum() < least:
-            best, least = Gimbal(a, b), float((off**2).sum())
-    return best
+    a = np.array([euler_zxy(0.0, 0.0, float(roll)) for roll in _START_ROLLS_DEG])
+    for _ in range(_ALTERNATIONS):
+        b = nearest_rotation(np.mean(back @ np.swapaxes(a, 1, 2)[:, None] @ rotations, axis=1))
+        a = nearest_rotation(np.mean(rotations @ np.swapaxes(b, 1, 2)[:, None] @ back, axis=1))
+    for _ in range(_NEWTON_STEPS):
+        turned = a[:, None] @ heads
+        off = _seen_minus_read(rotations, turned, b)
+        jacobian = np.concatenate([np.broadcast_to(np.eye(3), turned.shape), turned], axis=3)
+        inverse = np.linalg.pinv(jacobian.reshape(len(a), -1, 6), rcond=_OPEN)
+        step = (inverse @ off.reshape(len(a), -1, 1))[:, :, 0]
+        a, b = exp_map(step[:, :3]) @ a, exp_map(step[:, 3:]) @ b
+    off = _seen_minus_read(rotations, a[:, None] @ heads, b)
+    best = int(np.argmin((off**2).sum(axis=(1, 2))))
+    return Gimbal(a[best], b[best])
+
+
+def _seen_minus_read(rotations: Array, turned: Array, b: Array) -> Array:
+    """Return (P, n, 3) rotation vectors from the predictions of P gimbals to the rotations of n views."""
+    return log_map(rotations @ np.swapaxes(turned @ b[:, None], 2, 3))

@@ -6,12 +6,17 @@ Rotation vectors are in radians. Stacks of matrices have shape (..., 3, 3), stac
 from __future__ import annotations
 
 import math
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 Quaternion = tuple[float, float, float, float]
+T = TypeVar("T", float, Array)
+
+#: Up to this number of rotations, plain numbers are faster than arrays.
+_FEW = 8
 
 
 def skew(vectors: Array) -> Array:
@@ -40,7 +45,7 @@ def skew(vectors: Array) -> Array:
 def exp_map(vectors: Array) -> Array:
     """Return the rotation matrices of rotation vectors (Rodrigues' formula).
 
-    Source: Diebel (2006); computed by SciPy.
+    Source: Diebel (2006), by unit quaternions.
 
     Parameters
     ----------
@@ -52,16 +57,23 @@ def exp_map(vectors: Array) -> Array:
     Array
         (..., 3, 3) rotation matrices.
     """
-    from scipy.spatial.transform import Rotation
-
     v = np.asarray(vectors, float)
-    return np.asarray(Rotation.from_rotvec(v.reshape(-1, 3)).as_matrix()).reshape(*v.shape[:-1], 3, 3)
+    if v.size <= _FEW * 3:
+        flat = [_elements(*_quaternion(*one)) for one in v.reshape(-1, 3).tolist()]
+        return np.array(flat).reshape(*v.shape, 3)
+    with np.errstate(invalid="ignore", over="ignore"):
+        x, y, z = v.reshape(-1, 3).T
+        angle = np.sqrt(x * x + y * y + z * z)
+        half = np.full(len(angle), 0.5)
+        scale = np.divide(np.sin(0.5 * angle), angle, out=half, where=angle > 0.0)
+        elements = np.array(_elements(scale * x, scale * y, scale * z, np.cos(0.5 * angle)))
+    return np.ascontiguousarray(elements.T).reshape(*v.shape, 3)
 
 
 def log_map(matrices: Array) -> Array:
     """Return the rotation vectors of rotation matrices: the inverse of `exp_map`.
 
-    Source: Diebel (2006); computed by SciPy.
+    Source: Diebel (2006), by unit quaternions.
 
     Parameters
     ----------
@@ -73,10 +85,18 @@ def log_map(matrices: Array) -> Array:
     Array
         (..., 3) rotation vectors, rad, of length at most pi.
     """
-    from scipy.spatial.transform import Rotation
-
     m = np.asarray(matrices, float)
-    return np.asarray(Rotation.from_matrix(m.reshape(-1, 3, 3)).as_rotvec()).reshape(m.shape[:-1])
+    if m.size <= _FEW * 9:
+        flat = [_rotation_vector(*one) for one in m.reshape(-1, 9).tolist()]
+        return np.array(flat).reshape(m.shape[:-1])
+    products = np.array(_products(*m.reshape(-1, 9).T))
+    largest = np.diagonal(products).argmax(axis=1)
+    q = products[largest, :, np.arange(len(largest))]
+    q = q * np.where(q[:, 3] < 0.0, -1.0, 1.0)[:, None]
+    length = np.sqrt(np.einsum("nk,nk->n", q[:, :3], q[:, :3]))
+    turned = length > 0.0
+    scale = np.where(turned, 2.0 * np.arctan2(length, q[:, 3]), 2.0) / np.where(turned, length, q[:, 3])
+    return np.ascontiguousarray(q[:, :3] * scale[:, None]).reshape(m.shape[:-1])
 
 
 def nearest_rotation(matrices: Array) -> Array:
@@ -126,15 +146,9 @@ def euler_zxy(pan_deg: float, tilt_deg: float, roll_deg: float = 0.0) -> Array:
     turned = _quaternion_product(
         (0.0, 0.0, math.sin(roll), math.cos(roll)), (math.sin(tilt), 0.0, 0.0, math.cos(tilt))
     )
-    x, y, z, w = _quaternion_product(turned, (0.0, math.sin(pan), 0.0, math.cos(pan)))
-    xx, yy, zz, ww = x * x, y * y, z * z, w * w
     return np.array(
-        [
-            [xx - yy - zz + ww, 2.0 * (x * y - z * w), 2.0 * (x * z + y * w)],
-            [2.0 * (x * y + z * w), -xx + yy - zz + ww, 2.0 * (y * z - x * w)],
-            [2.0 * (x * z - y * w), 2.0 * (y * z + x * w), -xx - yy + zz + ww],
-        ]
-    )
+        _elements(*_quaternion_product(turned, (0.0, math.sin(pan), 0.0, math.cos(pan))))
+    ).reshape(3, 3)
 
 
 def _quaternion_product(p: Quaternion, q: Quaternion) -> Quaternion:
@@ -148,3 +162,65 @@ def _quaternion_product(p: Quaternion, q: Quaternion) -> Quaternion:
         p[3] * q[2] + q[3] * p[2] + (p[0] * q[1] - p[1] * q[0]),
         p[3] * q[3] - p[0] * q[0] - p[1] * q[1] - p[2] * q[2],
     )
+
+
+def _quaternion(x: float, y: float, z: float) -> Quaternion:
+    """Return the unit quaternion of a rotation vector; NaN if the vector is not finite.
+
+    Source: Diebel (2006).
+    """
+    angle = math.sqrt(x * x + y * y + z * z)
+    if not math.isfinite(angle):
+        return math.nan, math.nan, math.nan, math.nan
+    scale = math.sin(0.5 * angle) / angle if angle > 0.0 else 0.5
+    return scale * x, scale * y, scale * z, math.cos(0.5 * angle)
+
+
+def _elements(x: T, y: T, z: T, w: T) -> list[T]:
+    """Return the nine elements of the rotation matrices of unit quaternions, row by row.
+
+    Source: Diebel (2006).
+    """
+    xx: T = x * x
+    yy: T = y * y
+    zz: T = z * z
+    ww: T = w * w
+    return [
+        xx - yy - zz + ww,
+        2.0 * (x * y - z * w),
+        2.0 * (x * z + y * w),
+        2.0 * (x * y + z * w),
+        -xx + yy - zz + ww,
+        2.0 * (y * z - x * w),
+        2.0 * (x * z - y * w),
+        2.0 * (y * z + x * w),
+        -xx - yy + zz + ww,
+    ]
+
+
+def _products(a: T, b: T, c: T, d: T, e: T, f: T, g: T, h: T, i: T) -> list[list[T]]:
+    """Return the 4 x 4 products of a quaternion's components, times 4, from the elements of a rotation matrix.
+
+    Each row is a multiple of the quaternion; the row of the largest component is the most exact. Source: Diebel (2006).
+    """
+    xy, xz, yz, xw, yw, zw = b + d, c + g, f + h, h - f, c - g, d - b
+    return [
+        [1.0 + a - e - i, xy, xz, xw],
+        [xy, 1.0 - a + e - i, yz, yw],
+        [xz, yz, 1.0 - a - e + i, zw],
+        [xw, yw, zw, 1.0 + a + e + i],
+    ]
+
+
+def _rotation_vector(*elements: float) -> tuple[float, float, float]:
+    """Return the rotation vector of the nine elements of a rotation matrix.
+
+    Source: Diebel (2006).
+    """
+    products = _products(*elements)
+    x, y, z, w = products[max(range(4), key=lambda k: products[k][k])]
+    if w < 0.0:
+        x, y, z, w = -x, -y, -z, -w
+    length = math.sqrt(x * x + y * y + z * z)
+    scale = 2.0 * math.atan2(length, w) / length if length > 0.0 else 2.0 / w
+    return scale * x, scale * y, scale * z

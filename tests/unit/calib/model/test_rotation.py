@@ -2,6 +2,7 @@
 
 import cv2
 import numpy as np
+import pytest
 from scipy.spatial.transform import Rotation
 
 from calib.model.rotation import euler_zxy, exp_map, log_map, nearest_rotation, skew
@@ -21,6 +22,28 @@ def test_logarithm_inverts_exponential_down_to_zero():
     vectors = angles * directions / np.linalg.norm(directions, axis=1, keepdims=True)
     vectors = np.vstack([vectors, np.zeros(3), [1e-12, 0, 0]])
     assert np.allclose(log_map(exp_map(vectors)), vectors, atol=1e-13)
+
+
+@pytest.mark.parametrize("count", [1, 5, 300])
+@pytest.mark.parametrize("length", [0.0, 1e-160, 1e-9, 1e-3, 1.0, np.pi - 1e-6])
+def test_few_and_many_rotations_are_those_of_scipy(count, length):
+    vectors = RNG.normal(size=(count, 3))
+    vectors *= length / np.linalg.norm(vectors, axis=1, keepdims=True)
+    expected = Rotation.from_rotvec(vectors).as_matrix()
+    assert np.abs(exp_map(vectors) - expected).max() <= 1e-15
+    back = Rotation.from_matrix(expected).as_rotvec()
+    assert np.abs(log_map(expected) - back).max() <= 1e-15 * max(length, 1e-160)
+
+
+@pytest.mark.parametrize("count", [1, 100])
+def test_half_a_turn_about_each_axis_and_a_step_that_is_not_finite(count):
+    halves = np.tile(
+        np.array([np.diag([1.0, -1, -1]), np.diag([-1.0, 1, -1]), np.diag([-1.0, -1, 1])]), (count, 1, 1)
+    )
+    assert np.array_equal(log_map(halves), np.tile(np.pi * np.eye(3), (count, 1)))
+    for bad in (np.inf, np.nan):
+        assert np.isnan(exp_map(np.full((count, 3), bad))).all()
+        assert np.isnan(log_map(np.full((count, 3, 3), np.nan))).all()
 
 
 def test_skew_matrix_times_vector_is_the_cross_product():
