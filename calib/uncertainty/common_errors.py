@@ -24,8 +24,9 @@ from calib.adjustment.bundle import Bundle
 from calib.adjustment.levenberg_marquardt import Loss
 from calib.adjustment.parameters import AdjustmentParameters
 from calib.uncertainty.covariance import SCORE_VIEWS, Uncertainty
-from calib.uncertainty.field_equations import FieldEquations, estimate_variances, monomials
+from calib.uncertainty.field_equations import FieldEquations, monomials
 from calib.uncertainty.repeats import views_of_poses
+from calib.uncertainty.restricted_likelihood import DenseForms, maximum_likelihood
 
 Array = NDArray[np.float64]
 
@@ -98,7 +99,9 @@ def common_errors(bundle: Bundle, parameters: AdjustmentParameters, loss: Loss) 
     parts = [by_coefficient[:, own] @ by_coefficient[:, own].T for own in chosen]
     to_z = vectors[:, determined] / roots
     own_errors = np.array([view.score - view.normal[count:, count:] @ (to_z @ z) for view in views]) @ to_z
-    variances, fisher = estimate_variances(z, parts, noise * np.eye(len(z)) + own_errors.T @ own_errors)
+    forms = DenseForms(z, parts, noise * np.eye(len(z)) + own_errors.T @ own_errors)
+    start = np.array([z @ z / np.trace(part) / len(parts) for part in parts])
+    variances, fisher = maximum_likelihood(forms, start)
     each = np.array(
         [v * response[:, own] @ response[:, own].T for v, own in zip(variances, chosen, strict=True)]
     )

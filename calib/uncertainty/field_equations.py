@@ -6,7 +6,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -17,10 +16,6 @@ from calib.adjustment.levenberg_marquardt import Loss
 from calib.adjustment.parameters import AdjustmentParameters
 
 Array = NDArray[np.float64]
-
-_ROUNDS = 100
-#: The iteration ends when no standard deviation changes by more than this share.
-_CONVERGED = 5e-3
 
 
 @dataclass(frozen=True)
@@ -128,40 +123,6 @@ class FieldEquations:
         return columns, (root[:, None] * self.residuals[rows]).T.reshape(-1)
 
 
-def estimate_variances(z: Array, parts: Sequence[Array], noise: Array) -> tuple[Array, Array]:
-    """Return the maximum likelihood variances of z ~ N(0, sum_k v_k parts_k + noise), and their information.
-
-    Each iteration multiplies a variance by the square root of the observed over the expected quadratic form; the
-    likelihood grows in every iteration (Zhou, Hu, Zhou and Lange, 2019).
-
-    Parameters
-    ----------
-    z
-        (C,) float64 whitened scores.
-    parts
-        For each of K components the (C, C) float64 covariance of z for a unit variance.
-    noise
-        (C, C) float64 covariance of z from all other causes.
-
-    Returns
-    -------
-    tuple of Array
-        (K,) float64 variances, and the (K, K) information on their logarithms.
-    """
-    flat = np.array(parts).reshape(len(parts), -1)
-    variances = np.array([z @ z / np.trace(part) / len(parts) for part in parts])
-    for _ in range(_ROUNDS):
-        inverse = np.linalg.inv((variances @ flat).reshape(noise.shape) + noise)
-        scaled = inverse @ z
-        factors = np.sqrt((flat @ np.outer(scaled, scaled).reshape(-1)) / (flat @ inverse.reshape(-1)))
-        variances = variances * factors
-        if (np.abs(np.sqrt(factors) - 1.0) * (variances > 1e-3 * variances / factors)).max() < _CONVERGED:
-            break
-    by_log_variance = np.array([v * inverse @ part for v, part in zip(variances, parts, strict=True)])
-    swapped = np.swapaxes(by_log_variance, 1, 2).reshape(len(parts), -1)
-    return variances, 0.5 * by_log_variance.reshape(len(parts), -1) @ swapped.T
-
-
 def monomials(points: Array, degree: int) -> tuple[Array, NDArray[np.int64]]:
     """Return all monomials of points in the plane up to a degree.
 
@@ -178,5 +139,8 @@ def monomials(points: Array, degree: int) -> tuple[Array, NDArray[np.int64]]:
         (N, M) float64 values, and the (M,) int64 degree of each.
     """
     powers = [(k - j, j) for k in range(degree + 1) for j in range(k + 1)]
-    values = np.column_stack([points[:, 0] ** i * points[:, 1] ** j for i, j in powers])
-    return values, np.array([i + j for i, j in powers])
+    x, y = [np.ones(len(points))], [np.ones(len(points))]
+    for _ in range(degree):
+        x.append(x[-1] * points[:, 0])
+        y.append(y[-1] * points[:, 1])
+    return np.array([x[i] * y[j] for i, j in powers]).T, np.array([i + j for i, j in powers])

@@ -23,8 +23,9 @@ from numpy.typing import NDArray
 from calib.adjustment.bundle import Bundle
 from calib.adjustment.levenberg_marquardt import Loss
 from calib.adjustment.parameters import AdjustmentParameters
-from calib.uncertainty.field_equations import FieldEquations, estimate_variances, monomials
+from calib.uncertainty.field_equations import FieldEquations, monomials
 from calib.uncertainty.repeats import noise_growth, views_of_poses
+from calib.uncertainty.restricted_likelihood import PoseForms, maximum_likelihood
 
 Array = NDArray[np.float64]
 
@@ -33,6 +34,8 @@ _DEGREES = 4
 _RIM_POWERS = (4, 10)
 #: Combinations of coefficients with an eigenvalue below this share of the largest are not determined.
 _DETERMINED = 1e-7
+#: Components of which the scores show less than this share of the best shown one are taken as zero.
+_SHOWN = 1e-9
 #: Smallest noise variance, as a share of the mean square residual; needed if stars are hardly more than coefficients.
 _MIN_NOISE_SHARE = 1e-3
 
@@ -77,6 +80,10 @@ class _ComponentEquations:
         (C,) float64 score of each coefficient.
     normal
         (C, C) float64 normal matrix: coefficients u have the expected score normal @ u.
+    blocks
+        (n, F, F) float64 part of it that each view has of its own; zero for coefficients that a view does not have.
+    place
+        (C,) int64 place of each coefficient among the n F of the blocks.
     coupling
         (G, C) float64 coupling between shared parameters and coefficients.
     group
@@ -85,8 +92,8 @@ class _ComponentEquations:
         (C,) int64 view of each coefficient.
     information
         (n, G, G) float64 information of each view on the shared parameters.
-    inverse
-        (G, G) float64 inverse of the information of all views and the prior.
+    shared, inverse
+        (G, G) float64 information of all views and the prior, and its inverse.
     score_noise
         (n, G, G) float64 covariance of the score of each pose by the noise of stars and readings.
     noise
@@ -95,10 +102,13 @@ class _ComponentEquations:
 
     score: Array
     normal: Array
+    blocks: Array
+    place: NDArray[np.int64]
     coupling: Array
     group: NDArray[np.int64]
     view: NDArray[np.int64]
     information: Array
+    shared: Array
     inverse: Array
     score_noise: Array
     noise: float
@@ -122,18 +132,33 @@ def variance_components(bundle: Bundle, parameters: AdjustmentParameters, loss: 
         The components, and the covariance of the shared parameters.
     """
     equations = _component_equations(bundle, parameters, loss)
+    return _propagate(bundle, equations, *maximum_likelihood(*_forms(equations)))
+
+
+def _forms(equations: _ComponentEquations) -> tuple[PoseForms, Array]:
+    """Return the quadratic forms of the components, and the variances to begin with; zero if undetermined.
+
+    Combinations of coefficients that are not determined are taken out of the normal matrix: own choice.
+    """
     eigenvalues, vectors = np.linalg.eigh(equations.normal)
     determined = eigenvalues > _DETERMINED * eigenvalues[-1]
-    roots = np.sqrt(eigenvalues[determined])
-    # Whitened: the covariance of z from star noise alone is the identity times the noise variance.
-    z = (vectors[:, determined].T @ equations.score) / roots
-    by_coefficient = roots[:, None] * vectors[:, determined].T
-    kinds = range(int(equations.group.max()) + 1)
-    parts = [by_coefficient[:, equations.group == kind] for kind in kinds]
-    variances, fisher = estimate_variances(
-        z, [part @ part.T for part in parts], equations.noise * np.eye(len(z))
-    )
-    return _propagate(bundle, equations, variances, fisher)
+    known, others = vectors[:, determined], vectors[:, ~determined]
+    along = known.T @ equations.score
+    squares = float((along**2 / eigenvalues[determined]).sum())
+    own = np.bincount(equations.group, (known**2) @ eigenvalues[determined])
+    start = np.divide(squares, len(own) * own, out=np.zeros_like(own), where=own > _SHOWN * own.max())
+    # Scaled to a unit diagonal: the parameters differ by many orders of magnitude.
+    scale = 1.0 / np.sqrt(np.diag(equations.shared))
+    left, count = eigenvalues[~determined], len(scale)
+    rows = np.hstack([equations.coupling.T * scale, others * np.sqrt(np.abs(left))])
+    core = np.diag(np.concatenate([np.zeros(count), np.where(left < 0.0, -1.0, 1.0)]))
+    core[:count, :count] = equations.shared * np.outer(scale, scale)
+    poses, width = len(equations.blocks), equations.blocks.shape[1]
+    at = equations.place
+    group, score = np.full(poses * width, -1), np.zeros(poses * width)
+    every = np.zeros((poses * width, rows.shape[1]))
+    group[at], score[at], every[at] = equations.group, known @ along, rows
+    return PoseForms(score, equations.blocks, every, core, group, equations.noise), start
 
 
 def _propagate(
@@ -207,7 +232,8 @@ def _component_equations(bundle: Bundle, parameters: AdjustmentParameters, loss:
         scores.append(np.sum([view.score for view in each], axis=0))
         groups.append(group)
         squares += sum(view.squares for view in each)
-    inverse = np.asarray(np.linalg.inv(sum(information, start=bundle.prior_information)))
+    shared = np.asarray(sum(information, start=bundle.prior_information))
+    inverse = np.linalg.inv(shared)
     coupling, score = np.hstack(couplings), np.concatenate(scores)
     freedom = at_optimum.degrees_of_freedom
     explained = sum(
@@ -217,6 +243,7 @@ def _component_equations(bundle: Bundle, parameters: AdjustmentParameters, loss:
     noise = max(
         (squares - explained) / max(freedom - len(score), 1), _MIN_NOISE_SHARE * squares / len(residuals)
     )
+    blocks, place = _stacked(normals)
     together = _block_diagonal(normals) - coupling.T @ inverse @ coupling
     group = np.unique(np.concatenate(groups), return_inverse=True)[1]
     view = np.repeat(np.arange(len(groups)), [len(own) for own in groups])
@@ -225,10 +252,13 @@ def _component_equations(bundle: Bundle, parameters: AdjustmentParameters, loss:
     return _ComponentEquations(
         score,
         symmetric,
+        blocks,
+        place,
         coupling,
         group,
         view,
         np.array(information),
+        shared,
         inverse,
         _score_noise(bundle, np.array(information), np.array(read), noise, grown),
         noise,
@@ -306,3 +336,12 @@ def _block_diagonal(blocks: Sequence[Array]) -> Array:
     for end, block in zip(ends, blocks, strict=True):
         whole[end - len(block) : end, end - len(block) : end] = block
     return whole
+
+
+def _stacked(blocks: Sequence[Array]) -> tuple[Array, NDArray[np.int64]]:
+    """Return (n, F, F) n blocks, filled up with zeros, and the place of each row of each block among all n F."""
+    width = max(len(block) for block in blocks)
+    stacked = np.zeros((len(blocks), width, width))
+    for own, block in zip(stacked, blocks, strict=True):
+        own[: len(block), : len(block)] = block
+    return stacked, np.concatenate([i * width + np.arange(len(block)) for i, block in enumerate(blocks)])
