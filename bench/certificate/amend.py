@@ -11,6 +11,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from bench.base.bounded_json import parse_json
 from bench.base.errors import EvidenceError
 from bench.certificate.certificate_data import CERTIFICATE, Amends, Certificate, Change
 from bench.certificate.folder import PLOTS, refuse_occupied, require_libraries
@@ -21,6 +22,7 @@ from bench.certificate.series import refuse_old
 from bench.certificate.series_numbers import numbers
 from bench.certificate.written_with import written_with
 from bench.evidence.findings import Verification
+from bench.records.reading import read_bounded
 from bench.records.run_folder import MANIFEST, RESULTS
 from bench.records.storage import sha256_of, storage_errors
 
@@ -147,10 +149,10 @@ def _read_certificate(folder: Path, verification: Verification) -> tuple[Certifi
             remedy="Check it with `starbench verify`. Amend the copy that the laboratory keeps.",
         )
     with storage_errors(folder):
-        certificate = Certificate.from_json((folder / CERTIFICATE).read_bytes(), str(folder / CERTIFICATE))
-        results = (folder / RESULTS).read_bytes()
+        certificate = Certificate.from_json(read_bounded(folder / CERTIFICATE), str(folder / CERTIFICATE))
+        results = read_bounded(folder / RESULTS)
         plots = {path.stem: path.read_text("utf-8") for path in sorted((folder / PLOTS).glob("*.svg"))}
-    found = json.loads(results)
+    found = parse_json(results)
     of_the_run = certificate.run.software[: len(found["run"]["software"])]
     run = replace(certificate.run, software=(*of_the_run, *written_with()))
     return certificate, Source(found, results, run, plots, certificate.statement("verification"))

@@ -6,10 +6,10 @@ run can give is compared with the run, if it still lies where the ledger says.
 
 from __future__ import annotations
 
-import json
 import re
 from pathlib import Path
 
+from bench.base.bounded_json import parse_json
 from bench.base.errors import BenchError, UsageError
 from bench.certificate.certificate_data import CERTIFICATE, Certificate, sha256
 from bench.certificate.compose import Identity, compose
@@ -22,6 +22,7 @@ from bench.certificate.series_numbers import numbers
 from bench.certificate.written_with import other_writer
 from bench.evidence.findings import Findings
 from bench.records.ledger import Ledger
+from bench.records.reading import read_bounded
 from bench.records.run_folder import MANIFEST, RESULTS
 from bench.records.storage import sha256_of
 from sequences.errors import DocumentFaults
@@ -63,7 +64,7 @@ def check_certificate(folder: Path, ledger: Ledger | None = None) -> Findings:
     if found.faults:
         return found
     try:
-        certificate = Certificate.from_json((folder / CERTIFICATE).read_bytes())
+        certificate = Certificate.from_json(read_bounded(folder / CERTIFICATE))
         _derive(folder, certificate, found)
     except BenchError as error:
         found.fault(_KIND, error.where or CERTIFICATE, error.what.rstrip("."))
@@ -78,12 +79,12 @@ def check_certificate(folder: Path, ledger: Ledger | None = None) -> Findings:
 
 def _derive(folder: Path, certificate: Certificate, found: Findings) -> None:
     """Compose the certificate again, and render PDF and DCC."""
-    results = (folder / RESULTS).read_bytes()
+    results = read_bounded(folder / RESULTS)
     if sha256(results) != certificate.run.results_sha256:
         found.fault(_KIND, RESULTS, "these are not the results that the certificate names")
-    stated = json.loads(results)
+    stated = parse_json(results)
     try:
-        lab = lab_of((folder / LAB).read_bytes(), LAB)
+        lab = lab_of(read_bounded(folder / LAB), LAB)
     except DocumentFaults as error:
         found.fault(_KIND, LAB, "; ".join(str(fault) for fault in error.faults[:5]))
         return
@@ -185,7 +186,7 @@ def _compare_documents(
         return stored if without_signature(stored) == dcc else dcc
 
     plots = {path.stem: path.read_text("utf-8") for path in sorted((folder / PLOTS).glob("*.svg"))}
-    files = certificate_files(certificate, json.loads(results), results, lab.text, plots, sign=signed)
+    files = certificate_files(certificate, parse_json(results), results, lab.text, plots, sign=signed)
     for name in (DCC, PDF):
         if files[name] == (folder / name).read_bytes():
             continue
@@ -253,12 +254,13 @@ def _compare_with_run(folder: Path, run: Path, certificate: Certificate, found: 
     if not (run / MANIFEST).is_file() or sha256_of(run / MANIFEST) != certificate.run.seal_sha256:
         found.remarks.append(f"the run {certificate.run.id} is not in {run}, so its plots were not compared")
         return
-    if (run / RESULTS).read_bytes() != (folder / RESULTS).read_bytes():
+    results = read_bounded(folder / RESULTS)
+    if read_bounded(run / RESULTS) != results:
         found.fault(_KIND, RESULTS, f"the results are not those of the run {run}")
         return
     from bench.certificate.pdf_plots import plots_of_run
 
-    drawn = plots_of_run(run, json.loads((folder / RESULTS).read_bytes()))
+    drawn = plots_of_run(run, parse_json(results))
     stored = {path.stem: path.read_text("utf-8") for path in (folder / PLOTS).glob("*.svg")}
     if drawn != stored:
         found.not_compared.append(

@@ -29,6 +29,7 @@ from bench.certificate.series import Wanted, enter_issued, one_at_a_time, refuse
 from bench.certificate.series_numbers import Numbered, numbers, open_numbers
 from bench.evidence.keys import BenchKey
 from bench.records.ledger import Ledger
+from bench.records.reading import read_bounded
 from bench.records.run_folder import MANIFEST, is_sealed
 from bench.records.storage import sha256_of, storage_errors
 from sequences.errors import DocumentFaults
@@ -259,8 +260,7 @@ def finished_certificate(one: Numbered) -> Certificate | None:
     folder = Path(one.folder)
     if not one.folder or not is_sealed(folder) or not (folder / CERTIFICATE).is_file():
         return None
-    with storage_errors(folder):
-        data = (folder / CERTIFICATE).read_bytes()
+    data = read_bounded(folder / CERTIFICATE)
     certificate = Certificate.from_json(data, str(folder / CERTIFICATE))
     return certificate if certificate.number == one.number else None
 

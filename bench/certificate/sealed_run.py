@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from bench.base.bounded_json import parse_json
 from bench.base.errors import EvidenceError
 from bench.certificate.certificate_data import Run, Software, sha256
 from bench.certificate.written_with import written_with
 from bench.evidence.findings import Verification
 from bench.records.events import Event
 from bench.records.journal import read_journal
+from bench.records.reading import read_bounded
 from bench.records.run_folder import JOURNAL, MANIFEST, RESULTS, is_sealed
 from bench.records.storage import sha256_of, storage_errors
 
@@ -82,9 +83,9 @@ def read_sealed_run(folder: Path, verify: Verify) -> Source:
         _refuse_other_than_finished(folder, [(entry.event, entry.data) for entry in entries])
         if not (folder / RESULTS).is_file():
             raise EvidenceError("This run has no results.", where=str(folder), remedy="Add a solve step.")
-        results = (folder / RESULTS).read_bytes()
+        results = read_bounded(folder / RESULTS)
         seal = sha256_of(folder / MANIFEST)
-    found = json.loads(results)
+    found = parse_json(results)
     if not found["calibration"]["converged"]:
         raise EvidenceError(
             "The calibration of this run did not converge.", where=str(folder), remedy="Run it again."

@@ -15,6 +15,7 @@ from dataclasses import dataclass, replace
 from datetime import datetime, timedelta
 from pathlib import Path
 
+from bench.base.bounded_json import parse_json
 from bench.base.errors import EvidenceError
 from bench.certificate.number_format import number_of, series_of
 from bench.certificate.series_numbers import ISSUED, LOST, RESERVED, VOIDED, Numbered, numbers, open_numbers
@@ -22,6 +23,7 @@ from bench.records.journal import Journal
 from bench.records.journal_entry import Entry
 from bench.records.ledger import Ledger
 from bench.records.ledger_breaks import highest_counts
+from bench.records.reading import read_bounded
 from bench.records.storage import make_folder, storage_errors, write_atomic
 from drivers import file_lock
 
@@ -29,6 +31,7 @@ LOCK = "certificates.lock"
 HIGHEST = "certificates_high"
 """File with the highest count of each series: shows numbers that were lost with lines of the ledger."""
 _CLOCK_SLACK = timedelta(seconds=2)
+_MOST_BYTES = 1 << 20
 
 
 @dataclass(frozen=True)
@@ -167,11 +170,11 @@ def _read_highest(home: Path) -> dict[str, int]:
     with storage_errors(path):
         if not path.exists():
             return {}
-        data = path.read_bytes()
+        data = read_bounded(path, _MOST_BYTES)
     try:
-        found = json.loads(data)
+        found = parse_json(data)
         return {str(series): int(count) for series, count in found.items()}
-    except (ValueError, TypeError, AttributeError, RecursionError) as error:
+    except (ValueError, TypeError, AttributeError) as error:
         raise EvidenceError(
             "This file does not hold the highest numbers of the series of certificates.",
             where=str(path),

@@ -15,6 +15,7 @@ from collections.abc import Sequence
 from functools import cache
 from typing import Any, Literal, TypeVar, Union, get_args, get_origin
 
+from bench.base.bounded_json import parse_json
 from bench.base.errors import EvidenceError
 
 Data = TypeVar("Data")
@@ -69,9 +70,9 @@ def from_json(data: bytes, kind: type[Data], where: str) -> Data:
     """
     faults: list[str] = []
     try:
-        found = json.loads(data, object_pairs_hook=_without_doubles, parse_constant=_refuse_constant)
+        found = parse_json(data, object_pairs_hook=_without_doubles, parse_constant=_refuse_constant)
         value = _read(found, kind, "", faults)
-    except (ValueError, RecursionError) as error:
+    except ValueError as error:
         faults = [f"it is not readable JSON ({error})"]
         value = None
     if faults:

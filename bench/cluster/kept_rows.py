@@ -14,8 +14,10 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any, Self
 
+from bench.base.bounded_json import parse_json
 from bench.base.errors import UsageError
 from bench.records.folder_lock import lock_folder
+from bench.records.reading import MOST_TABLE_BYTES, read_bounded
 from bench.records.storage import make_folder, storage_errors, write_all
 
 
@@ -132,12 +134,12 @@ class KeptRows:
             return {}
         rows: dict[str, Any] = {}
         with storage_errors(self.path):
-            data = self.path.read_bytes()
+            data = read_bounded(self.path, MOST_TABLE_BYTES)
             whole = data[: data.rfind(b"\n") + 1]
             if len(whole) < len(data):
                 os.truncate(self.path, len(whole))
         for line in whole.splitlines():
             with suppress(ValueError, KeyError, TypeError):
-                row = json.loads(line)
+                row = parse_json(line)
                 rows[row["key"]] = row["value"]
         return rows

@@ -14,10 +14,12 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any, Self
 
+from bench.base.bounded_json import parse_json
 from bench.base.errors import EvidenceError, StorageError, UsageError
 from bench.evidence.keys import BenchKey
 from bench.evidence.seal import seal_folder
 from bench.records.folder_lock import lock_folder
+from bench.records.reading import MOST_TABLE_BYTES, read_bounded
 from bench.records.run_folder import RESULTS
 from bench.records.storage import make_folder, sha256_of, storage_errors, sync_folder, write_all, write_atomic
 from bench.results.offline_folder import write_files
@@ -218,10 +220,10 @@ class ResultsFolders:
         if not self._table.is_file():
             return rows
         with storage_errors(self._table):
-            lines = self._table.read_bytes().splitlines()
+            lines = read_bounded(self._table, MOST_TABLE_BYTES).splitlines()
         for line in lines:
             with suppress(ValueError, KeyError, TypeError):
-                row = json.loads(line)
+                row = parse_json(line)
                 if {"state", "key", "results", "results_sha256"} <= row.keys():
                     rows[str(row["folder"])] = row
         return rows

@@ -14,10 +14,11 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from bench.base.errors import BenchError
+from bench.base.errors import BenchError, StorageError
 from bench.base.failure import FORESEEN
 from bench.cluster.places import Place
 from bench.cluster.program import require_program_of
+from bench.records.reading import read_json
 from bench.records.run_folder import JOURNAL, RESULTS
 from bench.records.storage import sha256_of, storage_errors
 from bench.results.offline import OfflineResult, calibrate_sources, with_kept_views
@@ -364,9 +365,9 @@ def _row(place: Place, folder: Path, result: OfflineResult, files: Mapping[str, 
 def _before(folder: Path) -> dict[str, Any] | None:
     """Return values and sigmas of the run's own results; None if there are none."""
     try:
-        stored = json.loads((folder / RESULTS).read_bytes())["calibration"]
+        stored = read_json(folder / RESULTS)["calibration"]
         values = {**stored["camera"], **(stored["collimator"] or {})}
         sigma = {name: float(one) for name, one in stored["sigma"].items()}
         return {"values": {name: float(values[name]) for name in sigma}, "sigma": sigma}
-    except (OSError, ValueError, KeyError, TypeError):
+    except (StorageError, ValueError, KeyError, TypeError):
         return None

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import json
 import os
 from collections.abc import Sequence
 from datetime import UTC, datetime
@@ -12,10 +11,11 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from bench.base.errors import EvidenceError, UsageError
+from bench.base.errors import EvidenceError, StorageError, UsageError
 from bench.base.home import home_folder
 from bench.commands.evidence_output import ask_passphrase
 from bench.commands.output import STOPPED, print_json
+from bench.records.reading import read_json
 from bench.records.run_folder import MANIFEST, RESULTS, SIGNATURE
 from bench.records.storage import storage_errors
 
@@ -177,8 +177,8 @@ def _show(rows: Sequence[tuple[str, str]]) -> None:
 def _read_json(path: Path) -> dict[str, Any]:
     """Return a JSON object; empty if there is none. The folder has been verified."""
     try:
-        found = json.loads(path.read_bytes())
-    except (OSError, ValueError, RecursionError):
+        found = read_json(path)
+    except (StorageError, ValueError):
         return {}
     return found if isinstance(found, dict) else {}
 

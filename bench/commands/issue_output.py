@@ -10,10 +10,12 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from bench.base.bounded_json import parse_json
 from bench.base.errors import EvidenceError, UsageError
 from bench.base.home import home_folder
 from bench.commands.evidence_output import ask_passphrase
 from bench.commands.output import print_json
+from bench.records.reading import read_bounded
 from bench.records.storage import storage_errors, write_atomic
 
 if TYPE_CHECKING:
@@ -251,8 +253,7 @@ def show_certificate(folder: Path, *, as_json: bool) -> int:
             where=str(folder),
             remedy=f"Name the folder of a {CERTIFICATE}.",
         )
-    with storage_errors(path):
-        data = path.read_bytes()
+    data = read_bounded(path)
     certificate = Certificate.from_json(data, str(path))
     state = str(standing_of(folder, _trust(), datetime.now(UTC)).state.value)
     known = numbers(_ledger().entries()).get(certificate.number)
@@ -261,7 +262,7 @@ def show_certificate(folder: Path, *, as_json: bool) -> int:
     elif known is not None and known.how == "void":
         state = "VOID"
     if as_json:
-        print_json({"state": state, "certificate": json.loads(data)})
+        print_json({"state": state, "certificate": parse_json(data)})
     else:
         for line in _summary(certificate, state):
             click.echo(line)

@@ -16,8 +16,10 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
+from bench.base.bounded_json import parse_json
 from bench.base.errors import UsageError
 from bench.compare.spec import ColumnConfig, ComparisonConfig
+from bench.records.reading import MOST_TABLE_BYTES, read_bounded
 from bench.records.storage import make_folder, storage_errors
 from bench.results.forms import forms
 
@@ -159,13 +161,13 @@ def _read_rows(path: Path) -> dict[str, Row]:
         return {}
     found = {}
     with storage_errors(path):
-        data = path.read_bytes()
+        data = read_bounded(path, MOST_TABLE_BYTES)
     whole = data[: data.rfind(b"\n") + 1]
     if len(whole) < len(data):
         with storage_errors(path), path.open("r+b") as stream:
             stream.truncate(len(whole))
     for line in whole.splitlines():
-        row = json.loads(line)
+        row = parse_json(line)
         found[row.pop("key")] = row
     return found
 

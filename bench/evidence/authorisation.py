@@ -7,23 +7,22 @@ time after sealing (ISO/IEC 17025:2017, 7.8.2.1 o). A certificate names the pers
 
 from __future__ import annotations
 
-import json
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
 
-from bench.base.errors import EvidenceError
+from bench.base.errors import EvidenceError, StorageError
 from bench.evidence.beside_seal import add_beside, read_beside
 from bench.evidence.key_trust import Moments, Trust, judge_key
 from bench.evidence.seal import AUTHORISATION
 from bench.evidence.signers import AUTHORISATION_NAMESPACE
 from bench.evidence.ssh_keys import fingerprint
 from bench.evidence.sshsig import SigningKey, SshSignature, is_valid, read_signature, sign_with
+from bench.records.reading import read_json
 from bench.records.run_folder import MANIFEST, SIGNATURE
 from bench.records.storage import storage_errors
 
 _CERTIFICATE = "certificate.json"
-_MOST_BYTES = 256 << 20
 
 
 @dataclass(frozen=True)
@@ -254,10 +253,9 @@ def named_person(folder: Path) -> NamedPerson | None:
     if not path.is_file():
         return None
     try:
-        with path.open("rb") as stream:
-            found = json.loads(stream.read(_MOST_BYTES))["authorised_by"]
+        found = read_json(path)["authorised_by"]
         return NamedPerson(str(found["name"]), str(found["key_fingerprint"]))
-    except (ValueError, LookupError, TypeError, RecursionError) as error:
+    except (StorageError, ValueError, LookupError, TypeError) as error:
         raise EvidenceError(f"{_CERTIFICATE} does not name the person who is to authorise it") from error
 
 

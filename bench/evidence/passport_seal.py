@@ -16,6 +16,7 @@ from __future__ import annotations
 import json
 from dataclasses import dataclass
 
+from bench.base.bounded_json import parse_json
 from bench.base.errors import EvidenceError
 from bench.evidence.keys import NAMESPACE, BenchKey
 from bench.evidence.sshsig import fingerprint, is_valid, read_signature, sign
@@ -89,9 +90,9 @@ def read_passport_seal(data: bytes) -> PassportSeal | None:
         return None
     line, _, rest = data[len(_FIRST) :].partition(b"\n")
     try:
-        armoured = json.loads(line[len(_BEGIN) :].removesuffix(b","))
+        armoured = parse_json(line[len(_BEGIN) :].removesuffix(b","))
         signature = read_signature(armoured.encode())
-    except (ValueError, AttributeError, RecursionError, EvidenceError) as error:
+    except (ValueError, AttributeError, EvidenceError) as error:
         raise EvidenceError("The seal of this passport is not a signature.", remedy=_MAKE_AGAIN) from error
     if signature.namespace != NAMESPACE or not is_valid(signature, _FIRST + rest):
         raise EvidenceError(

@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-import json
 import os
 from datetime import UTC, datetime
 from pathlib import Path
 
+from bench.base.bounded_json import parse_json
+from bench.base.errors import StorageError
+from bench.records.reading import read_json
 from bench.records.run_folder import JOURNAL, RESULTS
 
 _PLACES = (("certificate.json", ("issued_utc",)), (RESULTS, ("run", "calibrated_utc")))
 _LAST_BYTES = 1 << 20
 """The last line of a journal is shorter than this."""
-_MOST_BYTES = 256 << 20
-"""A larger file is not read for its time."""
 
 
 def stated_time(folder: Path) -> datetime | None:
@@ -38,12 +38,12 @@ def stated_time(folder: Path) -> datetime | None:
         return _last_time(folder / JOURNAL)
     for name, keys in _PLACES:
         path = folder / name
-        if path.is_file() and path.stat().st_size <= _MOST_BYTES:
+        if path.is_file():
             try:
-                found = json.loads(path.read_bytes())
+                found = read_json(path)
                 for key in keys:
                     found = found[key]
-            except (ValueError, LookupError, TypeError, RecursionError):
+            except (StorageError, ValueError, LookupError, TypeError):
                 continue
             if moment := _moment(found):
                 return moment
@@ -57,8 +57,8 @@ def _last_time(journal: Path) -> datetime | None:
         stream.seek(max(0, size - _LAST_BYTES))
         lines = stream.read().splitlines()
     try:
-        return _moment(json.loads(lines[-1])["utc"])
-    except (ValueError, LookupError, TypeError, RecursionError):
+        return _moment(parse_json(lines[-1])["utc"])
+    except (ValueError, LookupError, TypeError):
         return None
 
 

@@ -7,14 +7,13 @@ package imports no engine.
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from bench.base.errors import RunFolderError
+from bench.base.errors import RunFolderError, StorageError
 from bench.evidence.faults import SealFault
 from bench.evidence.findings import Derivation, Derivations, Findings, Verification
 from bench.evidence.instructions import KINDS, kind_of
@@ -22,8 +21,9 @@ from bench.evidence.key_trust import Trust
 from bench.evidence.signers import Signer
 from bench.evidence.states import standing_of
 from bench.evidence.verify_journal import check_journal
-from bench.evidence.verify_seal import check_listed, too_large
+from bench.evidence.verify_seal import check_listed
 from bench.records.captures import Capture
+from bench.records.reading import read_json
 from bench.records.run_folder import MANIFEST, RESULTS
 from bench.records.storage import storage_errors
 
@@ -147,13 +147,17 @@ def _results(
     path = folder / RESULTS
     if path.is_symlink() or not path.is_file():
         return _NO_RESULTS  # the journal tells whether a run must have results
-    if why := too_large(folder, RESULTS):
-        found.fault("results", RESULTS, why)
-        return _NO_RESULTS
     try:
-        facts = _facts_of(json.loads(path.read_bytes()))
+        facts = _facts_of(read_json(path))
+    except StorageError as error:
+        found.fault("results", RESULTS, f"{error.what[0].lower()}{error.what[1:].rstrip('.')}")
+        return _NO_RESULTS
     except UNREADABLE as error:
-        found.fault("results", RESULTS, f"the file cannot be read ({error!r})")
+        found.fault(
+            "results",
+            RESULTS,
+            f"the file cannot be read ({error if type(error) is ValueError else repr(error)})",
+        )
         return _NO_RESULTS
     if captures is not None:
         sources: dict[str, Mapping[str, str]] = {"the journal": {n: c.sha256 for n, c in captures.items()}}

@@ -23,28 +23,7 @@ from bench.records.storage import sha256_of
 _RUN_FILES = frozenset({RESULTS, REPORT, PLAN, SEQUENCE_COPY, STATION_COPY})
 """Files of runs; a folder that has them and no file of a kind is a run, or results, whose main file was removed."""
 LARGEST_SEAL_BYTES = 64 << 20
-LARGEST_TEXT_BYTES = 1 << 30
-"""Seals, and results and reports of ten thousand poses, are smaller; a larger file is not read."""
-
-
-def too_large(folder: Path, name: str) -> str:
-    """Return why a file is not read because of its size.
-
-    Parameters
-    ----------
-    folder
-        The sealed folder.
-    name
-        Name of the file, which exists.
-
-    Returns
-    -------
-    str
-        The reason; empty if the file may be read.
-    """
-    limit = LARGEST_SEAL_BYTES if name in NOT_LISTED else LARGEST_TEXT_BYTES
-    is_larger = (folder / name).stat().st_size > limit
-    return f"the file is too large: more than {limit} bytes" if is_larger else ""
+"""Seals of ten thousand poses are smaller; a larger file is not read."""
 
 
 def check_listed(folder: Path, found: Findings) -> dict[str, str] | None:

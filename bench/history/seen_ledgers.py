@@ -15,7 +15,7 @@ from bench.base.errors import BenchError
 from bench.history.ledger_sources import LedgerSource
 from bench.records.ledger_breaks import breaks_of
 from bench.records.ledger_marks import LedgerMark
-from bench.records.reading import read_bounded
+from bench.records.reading import read_json
 from bench.records.storage import make_folder, write_atomic
 
 SEEN = "ledgers_seen.json"
@@ -67,8 +67,8 @@ def _read(home: Path) -> tuple[dict[str, Any], list[str]]:
     if not path.exists():
         return {}, []
     try:
-        found = json.loads(read_bounded(path, _MOST_BYTES))
-    except (BenchError, ValueError, RecursionError) as error:
+        found = read_json(path, _MOST_BYTES)
+    except (BenchError, ValueError) as error:
         return {}, [f"{path} cannot be read, so ledgers are not compared with what was seen before: {error}"]
     if not isinstance(found, dict):
         return {}, [f"{path} has another form, so ledgers are not compared with what was seen before."]

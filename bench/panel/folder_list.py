@@ -5,7 +5,6 @@ A run that has ended is read once; of a run in progress only new lines are read.
 
 from __future__ import annotations
 
-import json
 import os
 import stat
 import threading
@@ -15,11 +14,14 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
+from bench.base.bounded_json import parse_json
 from bench.base.errors import RunFolderError, StorageError
 from bench.base.failure import Failure
 from bench.panel.process_state import look_at_process
 from bench.panel.run_head import head_of
 from bench.panel.run_model import RunModel
+from bench.records.journal import MOST_LINE_BYTES
+from bench.records.reading import open_to_read
 from bench.records.run_folder import JOURNAL
 from bench.records.run_index import QUEUE_COPY
 from bench.records.storage import storage_errors
@@ -248,7 +250,7 @@ def _subfolders(folder: Path, faults: list[str]) -> list[Path]:
 def _first_utc(folder: Path) -> str:
     """Return the time of the first line of a journal; empty if it cannot be read."""
     try:
-        with (folder / JOURNAL).open("rb") as stream:
-            return str(json.loads(stream.readline())["utc"])
-    except (OSError, ValueError, KeyError, TypeError):
+        with open_to_read(folder / JOURNAL) as stream:
+            return str(parse_json(stream.readline(MOST_LINE_BYTES))["utc"])
+    except (StorageError, ValueError, KeyError, TypeError):
         return ""

@@ -6,6 +6,7 @@ import json
 from pathlib import Path
 from typing import Any
 
+from bench.base.bounded_json import parse_json
 from bench.base.errors import EvidenceError, UsageError
 from bench.evidence.passport_seal import read_passport_seal
 from bench.plan.passport_numbers import LEAST_R_MM, refuse_absurd_numbers, refuse_indefinite
@@ -94,7 +95,7 @@ def parse_passport(data: bytes, where: str) -> Passport:
     """
     remedy = "Make a passport with `starbench passport make` or `starbench passport certificate`."
     try:
-        shape: Any = json.loads(data, object_pairs_hook=_without_duplicates, parse_constant=_refuse_constant)
+        shape: Any = parse_json(data, object_pairs_hook=_without_duplicates, parse_constant=_refuse_constant)
         document = shape if isinstance(shape, dict) else {}
         seal = read_passport_seal(data)
         if "seal" in document and seal is None:
@@ -113,7 +114,7 @@ def parse_passport(data: bytes, where: str) -> Passport:
         raise UsageError(what, where=where, remedy=remedy) from error
     except EvidenceError as error:
         raise UsageError(error.what, where=where, remedy=error.remedy) from error
-    except (ValueError, RecursionError) as error:
+    except ValueError as error:
         raise UsageError(
             f"The file is not a passport (not JSON: {error}).", where=where, remedy=remedy
         ) from error

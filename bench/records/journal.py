@@ -7,7 +7,6 @@ lesser importance (`Journal.append_unsynced`) is synced together with the next l
 
 from __future__ import annotations
 
-import json
 import os
 import threading
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -15,6 +14,7 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any, Self
 
+from bench.base.bounded_json import parse_json
 from bench.base.errors import JournalBroken, RunFolderError, StorageError
 from bench.records.journal_entry import FIRST_PREV, OWN_KEYS, Entry, decode_line, encode_line
 from bench.records.reading import open_to_read
@@ -301,8 +301,8 @@ def lines_after(path: Path, offset: int) -> Iterator[tuple[str, dict[str, Any]]]
         stream.seek(offset)
         while line := stream.readline(MOST_LINE_BYTES):
             try:
-                record = json.loads(line) if line.endswith(b"\n") else None
-            except (ValueError, RecursionError):  # the second part of a line
+                record = parse_json(line) if line.endswith(b"\n") else None
+            except ValueError:  # the second part of a line
                 continue
             if isinstance(record, dict):
                 yield str(record.get("event")), {k: v for k, v in record.items() if k not in OWN_KEYS}

@@ -19,6 +19,8 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from typing import Any
 
+from bench.base.bounded_json import parse_json
+
 FIRST_PREV = "0" * 64
 OWN_KEYS = ("seq", "utc", "mono_s", "event", "prev", "hash")
 """Keys of a line that the data of an event must not use."""
@@ -132,9 +134,9 @@ def decode_line(line: bytes, seq: int, prev: str) -> Entry:
         When the line is not valid, with the fault.
     """
     try:
-        record = json.loads(line.decode("ascii"))
+        record = parse_json(line.decode("ascii"))
         own = {key: record.pop(key) for key in OWN_KEYS}
-    except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
+    except (ValueError, KeyError, TypeError, AttributeError) as error:
         raise ValueError("this line is not an entry") from error
     tail = f',"hash":"{own["hash"]}"}}'.encode()
     if not line.endswith(tail) or hashlib.sha256(line[: -len(tail)] + b"}").hexdigest() != own["hash"]:

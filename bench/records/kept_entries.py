@@ -58,6 +58,9 @@ class KeptEntries:
         """
         path = self._path(key)
         try:
+            if path.stat().st_size > self.most_bytes // _BUCKETS:
+                self.drop_entry(key, "it is larger than any entry")
+                return None
             data = path.read_bytes()
             with suppress(OSError):
                 os.utime(path)

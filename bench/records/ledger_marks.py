@@ -17,14 +17,17 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeVar
 
+from bench.base.bounded_json import parse_json
 from bench.base.errors import BenchError, StorageError
 from bench.records.journal_entry import Entry
+from bench.records.reading import read_bounded
 from bench.records.storage import O_BINARY, storage_errors, sync_folder, write_all, write_atomic
 
 MARK = "ledger_high"
 ANCHOR_PATIENCE_S = 10.0
 """Longest wait for a second place, s; a share that does not answer must not stop a run."""
 _MOST_ANCHOR_BYTES = 64 << 20
+_MOST_MARK_BYTES = 1 << 20
 _MARK_FORM = "is not a mark of a ledger"
 
 Found = TypeVar("Found")
@@ -115,10 +118,7 @@ def parse_mark(line: bytes) -> LedgerMark:
     ValueError
         When it is not a mark.
     """
-    try:
-        found = json.loads(line)
-    except RecursionError as error:
-        raise ValueError(_MARK_FORM) from error
+    found = parse_json(line)
     if not isinstance(found, dict):
         raise ValueError(_MARK_FORM)  # noqa: TRY004 - a fault of the file, not of an argument
     return _mark_of(found)
@@ -176,9 +176,9 @@ def read_own_mark(home: Path) -> OwnMark | None:
     with storage_errors(path):
         if not path.exists():
             return None
-        data = path.read_bytes()
+        data = read_bounded(path, _MOST_MARK_BYTES)
     try:
-        mark, anchors = parse_mark(data), json.loads(data).get("anchors", ())
+        mark, anchors = parse_mark(data), parse_json(data).get("anchors", ())
     except ValueError as error:
         raise StorageError(
             "This file does not hold the state of the ledger.",

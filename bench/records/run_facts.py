@@ -7,12 +7,12 @@ the one in the journal. Nothing is written.
 from __future__ import annotations
 
 import hashlib
-import json
 import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from bench.base.bounded_json import parse_json
 from bench.base.errors import BenchError
 from bench.records.events import Event
 from bench.records.history import Attempt, History
@@ -194,8 +194,8 @@ def _results(entries: Sequence[Entry], folder: Path) -> tuple[_Json, str | None]
     if hashlib.sha256(data).hexdigest() != named:
         return {}, f"{RESULTS} was changed: its SHA-256 is not the one in the journal."
     try:
-        found = json.loads(data)
-    except (ValueError, RecursionError):
+        found = parse_json(data)
+    except ValueError:
         found = None
     return (found, None) if isinstance(found, dict) else ({}, f"{RESULTS} is not an object of JSON.")
 

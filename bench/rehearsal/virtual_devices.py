@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from bench.base.bounded_json import parse_json
 from bench.base.clock import BenchClock
 from bench.plan.estimate import (
     HOMING_EXTRA_S,
@@ -24,6 +25,7 @@ from bench.plan.estimate import (
     RECORD_EXTRA_S,
     travel_s,
 )
+from bench.records.reading import read_bounded
 from bench.simulated import make_rehearsed_world
 from bench.stations.devices import Devices
 from bench.stations.station import Station
@@ -371,7 +373,7 @@ def read_view(path: Path, name: str, target: StarTarget) -> tuple[View, int]:
     OSError, ValueError, KeyError
         If the file is not a rehearsed recording.
     """
-    content = json.loads(path.read_bytes().removeprefix(FIRST_LINE))
+    content = parse_json(read_bounded(path).removeprefix(FIRST_LINE))
     ids = np.array(content["ids"], dtype=np.int64)
     points = np.array(content["points_px"], dtype=np.float64).reshape(-1, 2)
     covariances = np.tile(np.eye(2) * max(content["sigma_px"], 1e-3) ** 2, (len(ids), 1, 1))

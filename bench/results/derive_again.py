@@ -8,14 +8,13 @@ recordings instead. Both read only.
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
 from typing import Any
 
-from bench.base.errors import BenchError
+from bench.base.errors import BenchError, StorageError
 from bench.evidence.findings import Findings
 from bench.plan.job import Job
 from bench.plan.plan import load_documents, make_plan
@@ -23,6 +22,7 @@ from bench.records.events import Event
 from bench.records.history import History, replay
 from bench.records.journal import read_journal
 from bench.records.journal_entry import Entry
+from bench.records.reading import read_json
 from bench.records.run_folder import (
     JOURNAL,
     PASSPORT_COPY,
@@ -166,9 +166,9 @@ def read_evidence(folder: Path, found: Findings) -> RunEvidence | None:
     if not (folder / RESULTS).is_file():
         return RunEvidence(folder, entries, job, whole, None, "")
     try:
-        results = json.loads((folder / RESULTS).read_bytes())
-    except ValueError as error:
-        found.fault("results", RESULTS, f"the file cannot be read ({error!r})")
+        results = read_json(folder / RESULTS)
+    except (StorageError, ValueError) as error:
+        found.fault("results", RESULTS, f"the file cannot be read ({error})")
         return None
     head = _head(folder, entries)
     at = next((number for number, entry in enumerate(entries, start=1) if entry.hash == head), None)
@@ -214,10 +214,10 @@ def _check_first_line(evidence: RunEvidence, found: Findings) -> None:
 def _check_plan(evidence: RunEvidence, found: Findings) -> None:
     """Compare plan.json with the plan of the run's documents, except the names of files."""
     try:
-        stored = json.loads((evidence.folder / PLAN).read_bytes())
+        stored = read_json(evidence.folder / PLAN)
         plans = [_without_names(plan) for plan in (stored, evidence.job.plan.to_dict())]
         seen = list(differences(plans[0], plans[1], _SAME))
-    except UNREADABLE as error:
+    except (StorageError, *UNREADABLE) as error:
         found.fault("plan", PLAN, f"the file cannot be read ({error!r})")
         return
     add_differences(

@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
-import json
 from bisect import bisect_left
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
+from bench.base.bounded_json import parse_json
+from bench.base.errors import StorageError
 from bench.evidence.findings import Findings
 from bench.plan.job import Job
 from bench.records.events import Event
 from bench.records.history import History
 from bench.records.journal_entry import Entry
+from bench.records.reading import read_bounded
 from bench.records.run_folder import JOURNAL
 from bench.records.written import WIRE_LOG
 from drivers.camera.raw_file import RawFile
@@ -23,6 +25,8 @@ _WITH_STAGE = frozenset({"homing", "slewing", "parking"})
 _RAW = ".raw"
 _SLACK_S = 1e-3
 _LONGEST_SHOWN = 60
+_MOST_LOG_BYTES = 64 << 20
+"""Logs are rotated at 8 MB."""
 
 
 def check_wire_log(folder: Path, entries: Sequence[Entry], job: Job, found: Findings) -> None:
@@ -45,7 +49,7 @@ def check_wire_log(folder: Path, entries: Sequence[Entry], job: Job, found: Find
     moves = list(_moves(entries))
     try:
         times, replies, ports = _read_logs(folder)
-    except (ValueError, LookupError, TypeError) as error:
+    except (StorageError, ValueError, LookupError, TypeError) as error:
         found.fault("wire", WIRE_LOG, f"the wire log cannot be read ({error!r})")
         return
     if moves and not times:
@@ -80,18 +84,17 @@ def _moves(entries: Sequence[Entry]) -> Iterator[tuple[float, float, Entry]]:
 
 
 def _read_logs(folder: Path) -> tuple[list[float], str, set[str]]:
-    """Return the sorted times of all bytes, s, all bytes of devices, and the ports. Raises ValueError, KeyError."""
+    """Return the sorted times of all bytes, s, all bytes of devices, and the ports. Raises StorageError, ValueError."""
     times: list[float] = []
     replies: list[str] = []
     ports: set[str] = set()
     for path in sorted(folder.glob(f"{WIRE_LOG}*")):
-        with path.open(encoding="ascii", errors="replace") as lines:
-            for line in lines:
-                record: dict[str, Any] = json.loads(line)
-                times.append(float(record["t"]))
-                ports.add(str(record["port"]))
-                if record["dir"] == "<":
-                    replies.append(str(record["bytes"]))
+        for line in read_bounded(path, _MOST_LOG_BYTES).splitlines():
+            record: dict[str, Any] = parse_json(line.decode("ascii", "replace"))
+            times.append(float(record["t"]))
+            ports.add(str(record["port"]))
+            if record["dir"] == "<":
+                replies.append(str(record["bytes"]))
     return sorted(times), "".join(replies), ports
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -12,6 +11,7 @@ from bench.evidence.findings import Findings
 from bench.evidence.ssh_keys import fingerprint
 from bench.evidence.sshsig import read_signature
 from bench.plan.job import Job
+from bench.records.reading import read_json
 from bench.records.run_folder import MANIFEST, PASSPORT_COPY, REPORT, RESULTS, SIGNATURE
 from bench.records.storage import sha256_of
 from bench.results.compare_json import differences
@@ -44,8 +44,8 @@ def check_offline(folder: Path, found: Findings) -> None:
     KeyError, TypeError, ValueError
         When a file is not of the expected form.
     """
-    results = json.loads((folder / RESULTS).read_bytes())
-    described = json.loads((folder / _SOURCES).read_bytes())
+    results = read_json(folder / RESULTS)
+    described = read_json(folder / _SOURCES)
     sources = described["sources"]
     stated = {"sources": results["sources"], "runs": results["run"].get("of_runs", [])}
     for one in differences(stated, {"sources": sources, "runs": described.get("runs", [])}):

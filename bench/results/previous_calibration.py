@@ -7,7 +7,6 @@ can be rendered again from its own folder, and a reader can check which run it w
 from __future__ import annotations
 
 import hashlib
-import json
 import time
 from collections.abc import Mapping
 from datetime import UTC, datetime
@@ -16,6 +15,7 @@ from typing import Any
 
 import numpy as np
 
+from bench.base.bounded_json import parse_json
 from bench.base.errors import BenchError
 from bench.base.home import home_folder
 from bench.evidence.seal import read_manifest
@@ -98,7 +98,7 @@ def _read(folder: Path, seal: str) -> tuple[Json, str]:
         if listed is None:
             return {}, "it has no result." if is_sealed else "its folder has another seal than the ledger."
         data = b"" if (folder / RESULTS).stat().st_size > _LARGEST_BYTES else (folder / RESULTS).read_bytes()
-        found = json.loads(data) if _sha256(data) == listed else None
+        found = parse_json(data) if _sha256(data) == listed else None
     except OSError:
         return {}, "its folder cannot be read."
     except (BenchError, ValueError):

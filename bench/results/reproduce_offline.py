@@ -16,6 +16,7 @@ from bench.evidence.findings import Findings
 from bench.evidence.passport_seal import read_passport_seal
 from bench.plan.passport_file import read_passport_file
 from bench.plan.passports import PassportInUse
+from bench.records.reading import read_json
 from bench.records.run_folder import PASSPORT_COPY, RESULTS
 from bench.records.storage import sha256_of
 from bench.results.derive_report import UNREADABLE
@@ -50,11 +51,11 @@ def check_recalculated(folder: Path) -> Findings:
         When a file cannot be read.
     """
     found = Findings()
-    described = json.loads((folder / SOURCES).read_bytes())
+    described = read_json(folder / SOURCES)
     if why := _cannot(described):
         found.not_compared.append(f"{RESULTS} with its sources: {why}")
         return found
-    stored = json.loads((folder / RESULTS).read_bytes())
+    stored = read_json(folder / RESULTS)
     try:
         again = _calibrated(folder, described)
         sources = [

@@ -13,6 +13,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from bench.base.bounded_json import parse_json
+from bench.base.errors import StorageError
+from bench.records.reading import read_bounded
 from bench.records.storage import TEMPORARY
 from bench.run.heartbeat import CONTROL
 
@@ -22,6 +25,7 @@ if TYPE_CHECKING:
 
 LAST_VIEW = ".last-view"
 _DIGITS = 3
+_MOST_BYTES = 64 << 20
 
 
 @dataclass(frozen=True)
@@ -96,8 +100,8 @@ def read_last_view(folder: Path) -> LastView | None:
         None if there is none.
     """
     try:
-        head, _, png = (folder / CONTROL / LAST_VIEW).read_bytes().partition(b"\n")
-        found = json.loads(head)
+        head, _, png = read_bounded(folder / CONTROL / LAST_VIEW, _MOST_BYTES).partition(b"\n")
+        found = parse_json(head)
         return LastView(
             int(found["pose"]),
             int(found["attempt"]),
@@ -106,5 +110,5 @@ def read_last_view(folder: Path) -> LastView | None:
             str(found["fault"]),
             png,
         )
-    except (OSError, ValueError, KeyError, TypeError):
+    except (StorageError, ValueError, KeyError, TypeError):
         return None

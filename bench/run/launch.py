@@ -28,6 +28,7 @@ from bench.records.events import Event
 from bench.records.history import History, replay
 from bench.records.journal import Journal, read_journal
 from bench.records.journal_entry import Entry
+from bench.records.reading import read_json
 from bench.records.run_folder import (
     JOURNAL,
     PLAN,
@@ -337,7 +338,7 @@ def _seal_finished(
     remove_inbox(folder.path)
     outcome = None
     if (folder.path / RESULTS).is_file():  # a sequence may end without a report
-        results: dict[str, Any] = json.loads((folder.path / RESULTS).read_text(encoding="utf-8"))
+        results: dict[str, Any] = read_json(folder.path / RESULTS)
         outcome = Outcome(results, folder.path / REPORT)
     seal(folder, key, secrets_revoked=secrets_revoked)
     return RunEnd("finished", "", folder.path, outcome)

@@ -23,6 +23,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from bench.base.bounded_json import parse_json
 from bench.base.home import home_folder
 from bench.records.kept_entries import KeptEntries
 from bench.records.storage import sha256_of
@@ -287,7 +288,7 @@ def unpack_view(data: bytes, key: str) -> View:
     if hashlib.sha256(body).hexdigest().encode() != stated:
         raise ValueError("its hash does not match")
     line, _, archive = body.partition(b"\n")
-    head = json.loads(line)
+    head = parse_json(line)
     if (head["format"], head["key"]) != (FORMAT, key):
         raise ValueError("it belongs to another recording")
     with np.load(io.BytesIO(archive), allow_pickle=False) as arrays:

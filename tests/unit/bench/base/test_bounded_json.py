@@ -1,0 +1,93 @@
+"""JSON of others: bounded depth, bounded number of values; and nobody in the bench parses it otherwise."""
+
+import json
+import re
+from pathlib import Path
+
+import pytest
+
+import bench
+from bench.base import bounded_json
+from bench.base.bounded_json import MOST_LEVELS, parse_json
+from bench.base.errors import StorageError
+from bench.records.reading import MOST_BYTES, read_bounded, read_json
+
+OWN_DATA = {
+    "align/simulated_hands.py",  # answers of the simulated bench, a process of our own
+    "base/bounded_json.py",
+    "certificate/amend.py",  # text that was written a line before
+    "certificate/pdf.py",
+    "commands/issue_output.py",
+    "commands/run_output.py",  # channel of a message, from our own outbox
+    "messaging/messages.py",
+    "compare/real_data.py",  # pydantic bounds the depth
+    "panel/helper.py",  # a process of our own
+    "panel/helper_process.py",
+    "records/inbox.py",  # bounded size; pydantic bounds the depth
+    "records/run_index.py",  # text that the index wrote
+    "results/compare_json.py",
+    "results/exports.py",
+    "results/reproduce_offline.py",
+    "simulated.py",  # a process of our own
+    "web/guard.py",  # bodies of at most 16 kB
+    "web/pages.py",
+}
+"""Modules that parse JSON which no stranger wrote, or that bound it themselves."""
+
+
+def nested(levels, begin="[", end="]"):
+    return begin * levels + end * levels
+
+
+@pytest.mark.parametrize("kind", [str, str.encode])
+def test_what_has_a_usual_depth_is_read(kind):
+    assert parse_json(kind('{"a": [1, {"b": null}]}')) == {"a": [1, {"b": None}]}
+    assert parse_json(kind("7")) == 7
+    assert parse_json(kind(nested(MOST_LEVELS)))
+
+
+@pytest.mark.parametrize("levels", [MOST_LEVELS + 1, 900, 1_000_000])
+@pytest.mark.parametrize(("begin", "end"), [("[", "]"), ('{"a":[', "]}")])
+def test_what_is_nested_too_deeply_is_refused_with_a_sentence(levels, begin, end):
+    with pytest.raises(ValueError, match="nested too deeply: more than 100 levels"):
+        parse_json(nested(levels, begin, end))
+
+
+def test_too_many_values_are_refused_before_they_take_memory(monkeypatch):
+    monkeypatch.setattr(bounded_json, "MOST_VALUES", 1000)
+    monkeypatch.setattr(bounded_json.json, "loads", lambda *_, **__: pytest.fail("it was parsed"))
+    for text in ("[" + "{}," * 1000 + "{}]", b"[" + b"0," * 1001 + b"0]"):
+        with pytest.raises(ValueError, match="more than 1000 values"):
+            parse_json(text)
+
+
+def test_what_is_not_json_is_an_error_of_json():
+    with pytest.raises(json.JSONDecodeError):
+        parse_json("{")
+
+
+def test_hooks_are_passed_on():
+    assert parse_json('{"a": NaN}', object_pairs_hook=list, parse_constant=str) == [("a", "NaN")]
+
+
+def test_a_large_file_is_refused_before_it_is_read(tmp_path, monkeypatch):
+    path = tmp_path / "results.json"
+    with path.open("wb") as file:
+        file.truncate(10 << 30)
+    with pytest.raises(StorageError, match=f"The file has more than {MOST_BYTES} bytes"):
+        read_json(path)
+    path.write_bytes(b"[1]")
+    assert read_json(path) == [1]
+    assert read_bounded(path, 3) == b"[1]"
+    with pytest.raises(StorageError, match="more than 2 bytes"):
+        read_bounded(path, 2)
+
+
+def test_nobody_in_the_bench_parses_json_without_bounds():
+    root = Path(bench.__file__).parent
+    found = {
+        path.relative_to(root).as_posix()
+        for path in root.rglob("*.py")
+        if re.search(r"json\.loads?\(|model_validate_json\(", path.read_text(encoding="utf-8"))
+    }
+    assert found <= OWN_DATA
