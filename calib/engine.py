@@ -10,11 +10,11 @@ from calib.calibration import Calibration, CalibrationOptions, Candidate, ViewSu
 from calib.diagnosis.checks import check_views
 from calib.diagnosis.gross_stars import GrossStars, find_gross_stars, without_gross_stars
 from calib.errors import DegenerateViews, InputMismatch
-from calib.fit import fit_model, model_to_fit
+from calib.fit import Fit, fit_model, model_to_fit, without_readings
 from calib.lens_choice import choose_lens, compare_lenses, lens_name
 from calib.model.type_b_terms import corrected_passport, corrected_views
 from calib.selection import Choice, choose, enough_poses
-from calib.summary import summarize
+from calib.summary import expanded_focal_px, summarize
 from calib.view import View
 
 __all__ = ["Calibration", "CalibrationOptions", "Candidate", "ViewSummary", "calibrate"]
@@ -62,7 +62,7 @@ def calibrate(views: Sequence[View], options: CalibrationOptions | None = None) 
         lens = compare_lenses(options, choice.fit).sentence(lens_name(options.distortion))
     result = summarize(choice.fit, options, lens)
     if not enough_poses(choice.fit):
-        result = _without_readings_that_widen(result, views, options, wrong, lens)
+        result = _without_readings_that_widen(result, choice.fit, options, lens)
     named = (one.sentence for one in wrong if one.sentence)
     notes = (*named, *doubts, *result.notes, *choice.notes)
     return replace(result, candidates=choice.candidates, notes=notes)
@@ -87,11 +87,7 @@ def _choice(views: Sequence[View], options: CalibrationOptions, wrong: Sequence[
 
 
 def _without_readings_that_widen(
-    joint: Calibration,
-    views: Sequence[View],
-    options: CalibrationOptions,
-    wrong: Sequence[GrossStars],
-    lens: str,
+    joint: Calibration, fitted: Fit, options: CalibrationOptions, lens: str
 ) -> Calibration:
     """Return the result of the certificate alone if readings of few poses make its uncertainty larger.
 
@@ -101,9 +97,8 @@ def _without_readings_that_widen(
     certificate = options.passport is not None and options.passport.is_certificate
     if not certificate or joint.gimbal is None or not joint.gimbal.entered:
         return joint
-    alone = replace(options, gimbal=None)
-    result = summarize(fit_model(views, alone, model_to_fit(alone), wrong=wrong), alone, lens)
-    with_readings, without = (one.coverage_factor * one.sigma["fx"] for one in (joint, result))
+    alone, options = without_readings(fitted, options), replace(options, gimbal=None)
+    with_readings, without = joint.coverage_factor * joint.sigma["fx"], expanded_focal_px(alone, options)
     if without >= with_readings:
         return joint
     note = (
@@ -111,6 +106,7 @@ def _without_readings_that_widen(
         f"fx from {without:.1f} to {with_readings:.1f} px. The certificate determines the radius. Add poses to use the "
         "readings."
     )
+    result = summarize(alone, options, lens)
     return replace(result, notes=(*result.notes, note))
 
 

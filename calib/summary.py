@@ -22,6 +22,7 @@ from calib.uncertainty.budget_rows import uncertainty_budget
 from calib.uncertainty.covariance import Uncertainty, rotation_covariance
 from calib.uncertainty.cross_validation import MIN_VIEWS
 from calib.uncertainty.passport_propagation import UNBOUNDED_PARALLAX
+from calib.uncertainty.type_b import apply_budget
 
 Array = NDArray[np.float64]
 
@@ -97,6 +98,29 @@ def summarize(fitted: Fit, options: CalibrationOptions, lens: str = "") -> Calib
         budget_rows=budget.rows,
         not_included=budget.not_included,
     )
+
+
+def expanded_focal_px(fitted: Fit, options: CalibrationOptions) -> float:
+    """Return the expanded uncertainty of fx that `summarize` would state.
+
+    Parameters
+    ----------
+    fitted
+        The fitted model.
+    options
+        Type B terms.
+
+    Returns
+    -------
+    float
+        Coverage factor times 1-sigma of fx with the type B terms, px.
+    """
+    estimate = fitted.uncertainty
+    applied = apply_budget(
+        fitted.bundle, fitted.parameters, fitted.loss, estimate, options.budget
+    ).uncertainty
+    at = applied.names.index("fx")
+    return applied.coverage_factor * float(np.sqrt(applied.covariance[at, at]))
 
 
 def _doubts(fitted: Fit, uncertainty: Uncertainty) -> tuple[str, ...]:

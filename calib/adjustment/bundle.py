@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -96,14 +97,19 @@ class Bundle:
             else np.zeros((free, free))
         )
 
-    @property
+    @cached_property
     def prior_information(self) -> Array:
-        """(G, G) float64 prior information on the free shared parameters, times the noise variance."""
+        """(G, G) float64 prior information on the free shared parameters, times the noise variance; constant."""
         information = np.zeros((len(self.names), len(self.names)))
         if self.prior is not None:
-            at = [self.names.index(name) for name in self.prior.names]
+            at = self._prior_places
             information[np.ix_(at, at)] = self.noise_variance * self.prior.information
         return information
+
+    @cached_property
+    def _prior_places(self) -> list[int]:
+        """Places of the prior's parameters among the names."""
+        return [self.names.index(name) for name in self.prior.names] if self.prior else []
 
     def subset(self, kept: Sequence[int]) -> Bundle:
         """Return the bundle of some of the views.
@@ -176,7 +182,8 @@ class Bundle:
             cost += float(off @ self.prior.information @ off)
         if self.gimbal is not None and parameters.gimbal is not None:
             read = self.gimbal.residuals(parameters.gimbal, parameters.rotations)
-            cost += float(np.einsum("ni,nij,nj->", read, self.gimbal.information(parameters.gimbal), read))
+            weighted = self.gimbal.information(parameters.gimbal) @ read[:, :, None]
+            cost += float((read * weighted[:, :, 0]).sum())
         return float(0.5 * self.noise_variance * cost)
 
     def residuals_px(self, parameters: AdjustmentParameters) -> Array:
@@ -383,12 +390,9 @@ class Bundle:
             equations.local[:, [3, 4, 5], [3, 4, 5]] += self._drift_information
             equations.local_gradient[:, 3:] -= self._drift_information * parameters.offsets
         if self.prior is not None:
-            at = [self.names.index(name) for name in self.prior.names]
-            information = self.noise_variance * self.prior.information
-            equations.shared[np.ix_(at, at)] += information
-            equations.shared_gradient[at] -= information @ (
-                parameters.values(self.prior.names) - self.prior.mean
-            )
+            off = parameters.values(self.prior.names) - self.prior.mean
+            equations.shared[:] += self.prior_information
+            equations.shared_gradient[:] -= self.prior_information[:, self._prior_places] @ off
 
     def jacobians(self, parameters: AdjustmentParameters) -> Iterator[Array]:
         """Yield the derivatives of the image points of each view.

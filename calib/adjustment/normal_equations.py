@@ -83,14 +83,14 @@ class NormalEquations:
         numpy.linalg.LinAlgError
             If the equations are singular.
         """
-        solved = np.linalg.solve(self.local, self.local_gradient[:, :, None])
-        right = self.shared_gradient - (self.coupling @ solved).sum(axis=0)[:, 0]
+        right = np.concatenate([np.swapaxes(self.coupling, 1, 2), self.local_gradient[:, :, None]], axis=2)
+        solved = np.linalg.solve(self.local, right)
+        eliminated = (self.coupling @ solved).sum(axis=0)
+        information, right = self.shared - eliminated[:, :-1], self.shared_gradient - eliminated[:, -1]
         # Scaled to a unit diagonal: the parameters differ by many orders of magnitude.
-        information = self.reduced()
         scale = 1.0 / np.sqrt(np.maximum(np.diag(information), np.finfo(float).tiny))
         shared = scale * np.linalg.solve(information * np.outer(scale, scale), scale * right)
-        back = self.local_gradient - np.einsum("ngl,g->nl", self.coupling, shared)
-        return shared, np.linalg.solve(self.local, back[:, :, None])[:, :, 0]
+        return shared, solved[:, :, -1] - solved[:, :, :-1] @ shared
 
     def decrement(self, shared: Array, local: Array) -> float:
         """Return gradient times step, which is twice the predicted reduction of the cost.

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -46,9 +47,9 @@ class AdjustmentParameters:
         """(n, 3) float64 centre of each view in the target frame, mm."""
         return self.collimator.centre + self.offsets
 
-    @property
+    @cached_property
     def shared(self) -> dict[str, float]:
-        """All shared parameters by name."""
+        """All shared parameters by name; not to be changed."""
         gimbal = self.gimbal.to_dict() if self.gimbal else {}
         return {**self.camera.to_dict(), **self.collimator.to_dict(), **gimbal}
 

@@ -88,6 +88,8 @@ class Fit:
     readings
         Whether the gimbal's readings agree with the stars; None if they did not take part. They entered the estimate if
         `bundle` has them.
+    before_readings
+        Bundle, end and loss of the adjustment that the readings were added to; None if there were no readings.
     """
 
     model: str
@@ -102,6 +104,7 @@ class Fit:
     cross_validation: CrossValidation | None
     discs: Sequence[Disc] = ()
     readings: ReadingsTest | None = None
+    before_readings: tuple[Bundle, Refinement, Loss] | None = None
 
     @property
     def parameters(self) -> AdjustmentParameters:
@@ -169,15 +172,59 @@ def fit_model(
     if passport:
         bundle = replace(bundle, poses=poses_of(refined.parameters.rotations))
         check_passport(bundle, refined.parameters, loss, passport, options.budget, options.parallax_sigma)
-    test = None
+    test = before = None
     if options.gimbal and options.gimbal.parallax and model not in WITHOUT_READINGS:
+        before = (bundle, refined, loss)
         bundle, refined, loss, test = with_readings(kept, discs, bundle, refined, loss, options)
     bundle = replace(bundle, poses=poses_of(refined.parameters.rotations))
     estimate, left_out = _constrained(kept, options, bundle, refined, loss, leave_out=leave_out)
     whole = bundle if used.all() else _with_all_stars(views, discs, bundle, refined.parameters)
     shown = discs if needs_rim(terms) else ()
-    found = Fit(model, views, kept, bundle, refined, loss, whole, used, estimate, left_out, shown, test)
+    found = Fit(
+        model, views, kept, bundle, refined, loss, whole, used, estimate, left_out, shown, test, before
+    )
     return with_uncertainty(found, options) if enlarge else found
+
+
+def without_readings(fitted: Fit, options: CalibrationOptions) -> Fit:
+    """Return the fit to the same stars without the gimbal's readings.
+
+    Parameters
+    ----------
+    fitted
+        A fit with readings.
+    options
+        The options of this fit.
+
+    Returns
+    -------
+    Fit
+        The fit that the readings were added to, with its own uncertainty.
+
+    Raises
+    ------
+    DegenerateViews, NotConverged
+        As `fit_model`.
+    """
+    assert fitted.before_readings is not None
+    bundle, refined, loss = fitted.before_readings
+    bundle = replace(bundle, poses=poses_of(refined.parameters.rotations))
+    estimate, left_out = _constrained(fitted.kept, options, bundle, refined, loss, leave_out=False)
+    whole = bundle
+    if not fitted.used.all():
+        whole = _with_all_stars(fitted.views, fitted.discs, bundle, refined.parameters)
+    found = replace(
+        fitted,
+        bundle=bundle,
+        refined=refined,
+        loss=loss,
+        whole=whole,
+        uncertainty=estimate,
+        cross_validation=left_out,
+        readings=None,
+        before_readings=None,
+    )
+    return with_uncertainty(found, replace(options, gimbal=None))
 
 
 def model_to_fit(options: CalibrationOptions) -> str:
