@@ -23,6 +23,11 @@ TYPICAL_RMS_PX = 0.12
 #: 1-sigma of a coefficient of each group of `calib.uncertainty.variance_components`, over the 1-sigma of the residuals:
 #: shifts along X and Y, polynomials of degree 1 to 4, rim of the beam.
 SPECTRUM = (0.5, 0.5, 0.41, 0.31, 0.27, 0.17, 0.31)
+#: Largest degree of the polynomials that all views share (`calib.uncertainty.common_errors`).
+COMMON_DEGREES = 4
+#: 1-sigma of a coefficient of the displacements that all views share, over the 1-sigma of the residuals: polynomials of
+#: degree 1 to 4. Of drawn benches "like-bench" with 9 to 50 poses, as the calibration of each finds them.
+COMMON_SPECTRUM = (0.36, 0.36, 0.25, 0.22)
 #: Keystone of a view over the displacement of the pupil: a moved pupil acts as a moved centre of the collimator.
 KEYSTONE_PER_PUPIL = 0.18
 #: Defocus of a collimator whose defocus is not stated.

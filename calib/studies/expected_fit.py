@@ -1,7 +1,8 @@
 """The adjustment that a calibration will do, set up from predicted views.
 
 Each pose contributes information on the shared parameters, and noise of its score: star noise, readings of the gimbal,
-and the errors of the collimator, which differ from pose to pose. Both add up over the poses.
+and the errors of the collimator, which differ from pose to pose. Both add up over the poses. Errors of the collimator
+that all views share change the scores of all poses together.
 `calib.studies.expected_uncertainty` turns the sums into uncertainties.
 """
 
@@ -27,7 +28,7 @@ from calib.model.collimator import CENTRE, Collimator
 from calib.model.gimbal import Gimbal
 from calib.model.gimbal_readings import GimbalReadings
 from calib.model.passport import Passport
-from calib.studies.collimator_errors import KEYSTONE_PER_PUPIL, SPECTRUM
+from calib.studies.collimator_errors import COMMON_DEGREES, COMMON_SPECTRUM, KEYSTONE_PER_PUPIL, SPECTRUM
 from calib.studies.predicted_views import ExpectedBench
 from calib.uncertainty.passport_propagation import certificate_prior
 from calib.uncertainty.variance_components import basis_fields
@@ -51,12 +52,15 @@ class PoseShare:
         (G, F) float64 change of the score by the coefficients of the collimator's fields.
     variances
         (F,) float64 expected variance of each coefficient, mm^2.
+    common
+        (G, C) float64 change of the score by the coefficients of the fields that all views share.
     """
 
     information: Array
     noise: Array
     coupling: Array
     variances: Array
+    common: Array
 
     @property
     def field_noise(self) -> Array:
@@ -105,6 +109,9 @@ class ExpectedFit:
         Passport of the collimator, if one holds parameters.
     certificate
         Certificate of the radius, if it is a prior of the parameter r, because readings enter too.
+    common_variances
+        (C,) float64 expected variance of each coefficient of the fields that all views share, mm^2; empty for an ideal
+        collimator, for views with a centre each, and for candidates.
     shares
         Contribution of each pose.
     """
@@ -157,6 +164,7 @@ class ExpectedFit:
         self.certificate = certificate
         self.passport = None if certificate else bench.passport
         self.names = (*bundle.names, *(self.passport.names if self.passport else ()))
+        self._common, self.common_variances = self._common_fields(candidates=candidates)
         self.shares = tuple(self._shares())
 
     @property
@@ -185,10 +193,13 @@ class ExpectedFit:
         for i, (jacobian, moves) in enumerate(
             zip(whole.jacobians(self.parameters), moving.jacobians(self.parameters), strict=True)
         ):
-            fields, variances = self._fields(i)
+            own_fields, variances = self._fields(i)
+            common = known + len(variances)
+            fields = np.concatenate([own_fields, self._common[self.bundle.observations.slices[i]]], axis=2)
             by_field = -np.einsum("aim,maf->fim", moves[:2], fields)
             columns = (
-                np.concatenate([jacobian, by_field]).reshape(known + len(variances), -1) / self._spread_px
+                np.concatenate([jacobian, by_field]).reshape(common + len(self.common_variances), -1)
+                / self._spread_px
             )
             normal = columns @ columns.T
             besides = np.zeros_like(normal)
@@ -202,11 +213,13 @@ class ExpectedFit:
             lift = np.vstack([np.eye(count), turned[:, :count]])
             extra = lift.T @ besides[:known, :known] @ lift
             information = reduced[:count, :count]
+            own = count + len(variances)
             yield PoseShare(
                 information,
                 share * information + (1.0 - share) * extra,
-                reduced[:count, count:],
+                reduced[:count, count:own],
                 variances,
+                reduced[:count, own:],
             )
 
     def _fields(self, view: int) -> tuple[Array, Array]:
@@ -222,6 +235,28 @@ class ExpectedFit:
         pupil_mm = self._bench.errors.pupil_mm(_turns(self.parameters.rotations))
         sizes = [*(field_mm * np.array(SPECTRUM)[group]), *(KEYSTONE_PER_PUPIL * pupil_mm)]
         return np.concatenate([smooth, keystone], axis=2), np.square(sizes)
+
+    def _common_fields(self, *, candidates: bool) -> tuple[Array, Array]:
+        """Return the fields (N, 2, C) that all views share, and the variances (C,) of their coefficients, mm^2.
+
+        They are those of `calib.uncertainty.common_errors`: polynomials along each axis, of unit mean square and
+        orthogonal over all stars. Shifts are left out: they move the centre and nothing else.
+        """
+        target_mm = self.bundle.observations.target[:, :2]
+        if self._field_px == 0.0 or self.bundle.free_centres or candidates:
+            return np.zeros((len(target_mm), 2, 0)), np.zeros(0)
+        away = target_mm - target_mm.mean(axis=0)
+        away /= np.linalg.norm(away, axis=1).max()
+        powers = [(degree - j, j) for degree in range(COMMON_DEGREES + 1) for j in range(degree + 1)]
+        values = np.array([away[:, 0] ** i * away[:, 1] ** j for i, j in powers]).T
+        smooth = np.linalg.qr(values)[0][:, 1:] * np.sqrt(len(away))
+        still = np.zeros_like(smooth)
+        fields = np.concatenate(
+            [np.stack([smooth, still], axis=1), np.stack([still, smooth], axis=1)], axis=2
+        )
+        field_mm = self._field_px * self._bench.collimator.r / self._bench.camera.fx
+        sizes = [field_mm * COMMON_SPECTRUM[i + j - 1] for i, j in powers[1:]]
+        return fields, np.square([*sizes, *sizes])
 
 
 def model_to_expect(bench: ExpectedBench) -> str:

@@ -20,15 +20,14 @@ from calib.studies.expected_fit import Angles, ExpectedFit, PoseShare
 from calib.studies.predicted_views import ExpectedBench
 from calib.uncertainty.budget_parts import PASSPORT, PRIORS, STARS
 from calib.uncertainty.cluster_robust import cluster_robust_covariance
-from calib.uncertainty.covariance import INCONSISTENCY, Uncertainty, inverse_information
+from calib.uncertainty.common_errors import COMMON_ERRORS
+from calib.uncertainty.covariance import INCONSISTENCY, SCORE_VIEWS, Uncertainty, inverse_information
 from calib.uncertainty.passport_propagation import add_parallax, certificate_share, consider_covariance
 from calib.uncertainty.projection_uncertainty import projection_derivatives
 from calib.view import View
 
 Array = NDArray[np.float64]
 
-#: From this number of poses on, the degrees of freedom are those of the poses' scores (`calib.uncertainty.covariance`).
-_SCORE_POSES = 5
 #: A pose determines a direction of the shared parameters if the relative eigenvalue exceeds this.
 _DETERMINED = 1e-6
 #: Probability that consistent poses are reported as inconsistent.
@@ -230,10 +229,37 @@ def expected_estimate(fit: ExpectedFit, shares: Sequence[PoseShare]) -> Uncertai
         budget={source: np.diag(part) for source, part in parts.items()},
     )
     if fit.certificate is not None:
-        return certificate_share(fit.bundle, fit.parameters, estimate, fit.certificate)
-    if inconsistent and fit.passport is None and fit.bundle.gimbal is None:
-        return add_parallax(fit.parameters, estimate, CalibrationOptions.parallax_sigma)
+        estimate = certificate_share(fit.bundle, fit.parameters, estimate, fit.certificate)
+    elif inconsistent and fit.passport is None and fit.bundle.gimbal is None:
+        estimate = add_parallax(fit.parameters, estimate, CalibrationOptions.parallax_sigma)
+    if inconsistent and (fit.passport is None or fit.passport.is_certificate):
+        return _with_common_errors(fit, shares, own, estimate)
     return estimate
+
+
+def _with_common_errors(
+    fit: ExpectedFit, shares: Sequence[PoseShare], own: Array, estimate: Uncertainty
+) -> Uncertainty:
+    """Return the uncertainty with the errors of the collimator that all views share, as the engine adds them.
+
+    The covariance is A D A^T, with the response A of the parameters to the coefficients and their variances D (JCGM
+    100:2008, section 5.2). The degrees of freedom stay those of the scores: how well the engine will know D differs
+    from one drawn bench to the next.
+    """
+    if len(shares) < SCORE_VIEWS or not fit.common_variances.size:
+        return estimate
+    count = len(own)
+    response = own @ sum(
+        (share.common[:count] for share in shares), start=np.zeros_like(shares[0].common[:count])
+    )
+    common = np.zeros_like(estimate.covariance)
+    common[:count, :count] = (response * fit.common_variances) @ response.T
+    return replace(
+        estimate,
+        covariance=estimate.covariance + common,
+        common=common,
+        budget={**estimate.budget, COMMON_ERRORS: np.diag(common)},
+    )
 
 
 def _padded(part: Array, size: int) -> Array:
@@ -288,7 +314,7 @@ def _degrees_of_freedom(shares: Sequence[PoseShare], own: Array, prior: Array) -
     components scatter from 1 to 8 from one drawn bench to the next; their median is about half a degree of freedom less
     than the number of poses.
     """
-    if len(shares) < _SCORE_POSES:
+    if len(shares) < SCORE_VIEWS:
         return max(1.0, len(shares) - 0.5)
     count = len(own)
     informations = np.array([share.information[:count, :count] for share in shares])

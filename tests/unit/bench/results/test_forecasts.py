@@ -80,7 +80,7 @@ def test_poses_that_a_run_chooses_are_forecast_and_a_term_that_no_pose_lowers_is
     )
     found = expected_uncertainty(plan(str(tmp_path / "until.yaml")))
     assert found.chosen == found.poses - 3 > 0
-    assert "will not be met: 1.5 expected. More poses help little" in found.remarks[0]
+    assert "will not be met: 1.6 expected. More poses help little" in found.remarks[0]
     assert "The largest is the scale and eccentricity of the gimbal." in found.remarks[0]
 
 

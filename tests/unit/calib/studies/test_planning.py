@@ -16,6 +16,7 @@ from calib.studies.collimator_errors import CollimatorErrors
 from calib.studies.planning import forecast, next_poses
 from calib.studies.predicted_views import RIM_IN_VIEW, ExpectedBench
 from calib.uncertainty.budget_parts import PARALLAX_BOUND, PASSPORT, READINGS, STARS
+from calib.uncertainty.common_errors import COMMON_ERRORS
 from calib.uncertainty.covariance import INCONSISTENCY
 from calib.uncertainty.passport_propagation import UNBOUNDED_PARALLAX
 from calib.uncertainty.projection_uncertainty import projection_uncertainty
@@ -120,6 +121,32 @@ def test_errors_of_the_collimator_dominate_and_more_poses_lower_them():
     assert rows[INCONSISTENCY] > 5 * rows[STARS]
     assert UNBOUNDED_PARALLAX not in {row.name for row in ideal.budget_rows}
     assert sum(row.share["fx"] for row in nine.budget_rows) == pytest.approx(1.0)
+
+
+def test_errors_that_all_views_share_do_not_average_out():
+    bench = replace(REAL, passport=CERTIFICATE)
+    many = [
+        {"pan_deg": pan, "tilt_deg": tilt}
+        for pan in np.linspace(-5, 5, 6)
+        for tilt in np.linspace(-2.5, 2.5, 6)
+    ]
+    parts = []
+    for poses in (NINE, many):
+        rows = {row.name: row.contribution["cy"] for row in forecast(bench, poses).budget_rows}
+        parts.append((rows[COMMON_ERRORS], rows[INCONSISTENCY]))
+    (few_shared, few_own), (many_shared, many_own) = parts
+    assert many_shared > 0.8 * few_shared > 0
+    assert many_own < 0.7 * few_own
+    assert many_shared > many_own
+
+
+def test_few_poses_and_views_with_a_centre_each_show_no_shared_errors():
+    for bench, poses in (
+        (REAL, POSES),
+        (replace(REAL, errors=CollimatorErrors()), NINE),
+        (replace(REAL, model="drift"), NINE),
+    ):
+        assert COMMON_ERRORS not in {row.name for row in forecast(bench, poses).budget_rows}
 
 
 @pytest.mark.parametrize(
