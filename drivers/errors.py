@@ -49,12 +49,17 @@ class DriverError(Exception):
     """
 
     def __init__(self, what: str, *, where: str = "", remedy: str = "") -> None:
-        self.what = what
+        self.what = _one_stop(what)
         self.where = where
         self.remedy = remedy
         place = f"{where}: " if where else ""
         advice = f" {remedy}" if remedy else ""
-        super().__init__(f"{place}{what}{advice}")
+        super().__init__(f"{place}{self.what}{advice}")
+
+
+def _one_stop(text: str) -> str:
+    """Return a sentence that quotes another one at its end without the second full stop."""
+    return text[:-1] if text.endswith("..") and not text.endswith("...") else text
 
 
 class PortError(DriverError):
@@ -194,4 +199,4 @@ class RecordingCorrupt(RecordingFileError):
 
     def __init__(self, what: str, *, offset: int, where: str = "", remedy: str = "") -> None:
         self.offset = offset
-        super().__init__(f"{what} (byte {offset})", where=where, remedy=remedy)
+        super().__init__(f"{what.removesuffix('.')} (byte {offset}).", where=where, remedy=remedy)

@@ -103,13 +103,18 @@ def _failure_of(error: Exception) -> Failure:
     if isinstance(error, OSError):
         remedy = _DISK_REMEDIES.get(error.errno or 0, "Check the path and the disk.")
         where = str(error.filename) if error.filename else ""
-        return Failure(type(error).__name__, f"{error.strerror or error}.", where, remedy)
+        return Failure(type(error).__name__, f"{_quoted(error.strerror or error)}.", where, remedy)
     if isinstance(error, sqlite3.Error):
         remedy = "Make room, check the permissions, or name another folder in STARBENCH_HOME."
-        what = f"The bench's own files cannot be used: {error}."
+        what = f"The bench's own files cannot be used: {_quoted(error)}."
         return Failure(type(error).__name__, what, str(home_folder()), remedy)
-    what = f"This is a defect in Starbench, not an error of yours: {type(error).__name__}: {error}."
+    what = f"This is a defect in Starbench, not an error of yours: {type(error).__name__}: {_quoted(error)}."
     return Failure(DEFECT, what, "", "Please report it with the lines below.")
+
+
+def _quoted(error: object) -> str:
+    """Return a message of another program without its full stop."""
+    return str(error).rstrip(".")
 
 
 def _home_hint(error: BaseException) -> str:

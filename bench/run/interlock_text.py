@@ -16,16 +16,16 @@ def loss_text(error: DriverError) -> str:
     Returns
     -------
     str
-        Place, what is wrong, and remedy.
+        Place, what is wrong, and remedy, without the last full stop: whoever quotes it ends the sentence.
 
     Examples
     --------
     >>> loss_text(DriverError("It is gone.", where="camera 7", remedy="Check the cable, then resume the run."))
-    'camera 7: It is gone. Check its cable and power.'
+    'camera 7: It is gone. Check its cable and power'
     """
     place = f"{error.where}: " if error.where else ""
     remedy = "Check its cable and power." if "resume" in error.remedy.lower() else error.remedy
-    return f"{place}{error.what} {remedy}".strip()
+    return f"{place}{error.what} {remedy}".strip().removesuffix(".")
 
 
 def interlock_text(name: str) -> str:

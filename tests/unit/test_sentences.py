@@ -1,0 +1,93 @@
+"""Messages end with one full stop: those that the sources spell out, those that quote others, and joined ones."""
+
+import ast
+import re
+from pathlib import Path
+
+import pytest
+
+from bench.base.errors import BenchError
+from bench.commands.output import _failure_of
+from bench.run.interlock_text import loss_text
+from calib.errors import CalibrationError
+from drivers.errors import DriverError, RecordingCorrupt
+from sequences.errors import SequencesError
+from simulators.errors import SimulatorError
+
+ROOT = Path(__file__).parents[2]
+PACKAGES = ("bench", "calib", "drivers", "sequences", "simulators")
+ANYTHING = "\0"
+"""Stands for what an f-string inserts."""
+COMMAND_OR_FORM = re.compile(r"(?:: | as in: )\S.*$")
+"""A remedy may end with a command or an example to copy: a full stop would become a part of it."""
+NO_SENTENCE = {"the package for time stamps is not installed"}
+"""Causes that the caller makes a sentence of."""
+
+
+def spelled(node):
+    if isinstance(node, ast.Constant) and isinstance(node.value, str):
+        return node.value
+    if isinstance(node, ast.JoinedStr):
+        return "".join(str(one.value) if isinstance(one, ast.Constant) else ANYTHING for one in node.values)
+    return None
+
+
+def errors_of(path):
+    """Return what is wrong, remedy and line of each call that states both."""
+    source = path.read_text()
+    if "remedy=" not in source:
+        return
+    for node in ast.walk(ast.parse(source)):
+        if isinstance(node, ast.Call):
+            remedies = [spelled(one.value) for one in node.keywords if one.arg == "remedy"]
+            if remedies and node.args:
+                yield spelled(node.args[0]), remedies[0], node.lineno
+
+
+@pytest.fixture(scope="module")
+def messages():
+    files = [path for package in PACKAGES for path in (ROOT / package).rglob("*.py")]
+    return [
+        (f"{path.relative_to(ROOT)}:{line}", *texts) for path in files for *texts, line in errors_of(path)
+    ]
+
+
+def ended(text):
+    return text is None or text == "" or text.endswith((".", "?", "!", ANYTHING))
+
+
+def test_each_message_in_the_sources_is_a_sentence(messages):
+    assert len(messages) > 500
+    assert [one for one in messages if not ended(one[1]) and one[1] not in NO_SENTENCE] == []
+    assert [one for one in messages if not ended(one[2]) and not COMMAND_OR_FORM.search(one[2])] == []
+
+
+def test_no_message_in_the_sources_has_two_full_stops(messages):
+    twice = re.compile(r"(?<!\.)\.\.(?![./\w])")
+    assert [one for one in messages if any(text and twice.search(text) for text in one[1:])] == []
+
+
+@pytest.mark.parametrize("kind", [BenchError, CalibrationError, DriverError, SequencesError, SimulatorError])
+def test_an_error_that_quotes_a_sentence_has_one_full_stop(kind):
+    error = kind("It cannot be read: The file is bad..", where="a.raw", remedy="Copy it again.")
+    assert str(error) == "a.raw: It cannot be read: The file is bad. Copy it again."
+    assert error.what.endswith("bad.")
+    assert kind("And so on...").what == "And so on..."
+
+
+def test_a_lost_device_in_a_sentence_has_one_full_stop():
+    for remedy in ("", "Plug it in.", "Plug it in, then resume the run."):
+        text = f"Held by the device lost interlock: {loss_text(DriverError('It is gone.', remedy=remedy))}."
+        assert text.endswith(".")
+        assert ".." not in text
+
+
+def test_the_place_of_bad_bytes_stands_within_the_sentence():
+    assert str(RecordingCorrupt("The word is bad.", offset=7, remedy="Copy it.")) == (
+        "The word is bad (byte 7). Copy it."
+    )
+
+
+def test_what_other_programs_say_is_quoted_without_its_full_stop():
+    assert _failure_of(OSError("No disk.")).what == "No disk."
+    assert _failure_of(ZeroDivisionError("division by zero.")).what.endswith("division by zero.")
