@@ -14,6 +14,7 @@ from typing import Any, Final
 import numpy as np
 
 from drivers.camera.event_arrays import Events, Triggers, empty_events
+from drivers.camera.formats.aedat4_packets import UnreadablePacket, checked_packets
 from drivers.camera.formats.streamed import EventSource, Piece, source_of_stream
 from drivers.camera.formats.time_origin import origin_us
 from drivers.errors import CameraSoftwareMissing
@@ -67,6 +68,7 @@ def _decoder(path: Path) -> Any:
             where=str(path),
             remedy="Install it: pip install 'starbench[formats]'",
         ) from error
+    next(checked_packets(path), None)  # before the decoder takes memory for the header
     return aedat.Decoder(path)
 
 
@@ -75,7 +77,7 @@ def _told() -> Iterator[None]:
     """Turn what the package raises into ValueError; a panic of its compiled code is no Exception."""
     try:
         yield
-    except CameraSoftwareMissing:
+    except (CameraSoftwareMissing, UnreadablePacket):
         raise
     except BaseException as error:
         if isinstance(error, Exception) or type(error).__name__ == "PanicException":
@@ -88,7 +90,7 @@ def _told() -> Iterator[None]:
 def _pieces(path: Path, number: int, origin: int) -> Iterator[Piece]:
     with _told():
         packets = iter(_decoder(path))
-    while True:
+    for _bytes in checked_packets(path):
         with _told():
             packet = next(packets, None)
         if packet is None:
