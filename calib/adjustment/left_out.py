@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.adjustment import left_out_kernel
+from calib.adjustment import left_out_kernel, search_kernel, star_kernels
 from calib.adjustment.bundle import Bundle
 from calib.adjustment.levenberg_marquardt import MAX_ITERATIONS, Loss, tolerances
 from calib.adjustment.linearisation import shifts_of
@@ -86,24 +86,29 @@ def rms_alone(
     Array
         (n,) root mean square residual, px.
     """
-    obs = bundle.observations
-    offsets = np.zeros((len(rotations), 3))
-    for i in np.flatnonzero(by_hand).tolist():
-        offsets[i] = centres[i] - others[i].collimator.centre
-    rms = np.empty(len(rotations))
-    left_out_kernel.rms_alone(
-        obs.target_rows,
-        shifts_of(obs, bundle.displacements),
-        obs.point_rows,
-        obs.factors,
-        obs.bounds,
-        others[0].camera.is_fisheye,
-        np.array([packed(one) for one in others]),
-        rotations.copy(),
-        offsets,
-        by_hand,
-        MAX_ITERATIONS,
-        tolerances(bundle, tolerance),
-        rms,
-    )
+    obs, loss = bundle.observations, Loss("l2")
+    shifts, limits = shifts_of(obs, bundle.displacements), tolerances(bundle, tolerance)
+    turns, rms = rotations.copy(), np.empty(len(rotations))
+    nowhere, none, no_prior = np.empty(0, np.int64), np.empty(0), np.empty((0, 0))
+    for i, (one, free) in enumerate(zip(others, by_hand.tolist(), strict=True)):
+        own, state, turn = obs.bounds[i : i + 1], packed(one), turns[i : i + 1]
+        offset = centres[i : i + 1] - one.collimator.centre if free else np.zeros((1, 3))
+        # The kernels that adjusted all views are loaded already; a kernel of their own would take longer to load.
+        search_kernel.search(
+            obs.target_rows, shifts, obs.point_rows, obs.factors, own, one.camera.is_fisheye, nowhere, state, turn,
+            offset, free, loss.number, loss.limit, 0.0, nowhere, no_prior, none, MAX_ITERATIONS, limits,
+        )  # fmt: skip
+        residuals = np.empty((2, len(obs.point_rows[0, obs.slices[i]])))
+        star_kernels.residuals_px(
+            obs.target_rows,
+            shifts,
+            obs.point_rows,
+            own,
+            state,
+            one.camera.is_fisheye,
+            turn,
+            offset,
+            residuals,
+        )
+        rms[i] = np.sqrt((residuals**2).sum() / residuals.shape[1])
     return rms

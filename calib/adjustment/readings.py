@@ -11,7 +11,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import special
 
 from calib.adjustment.bundle import Bundle
 from calib.adjustment.collimator_terms import term_displacements
@@ -61,6 +60,8 @@ class ReadingsTest:
     @property
     def contradicted(self) -> bool:
         """Whether the chi-square is above its 99.9 % quantile."""
+        from scipy import special
+
         return bool(self.chi_square > special.chdtri(max(self.degrees_of_freedom, 1), _FALSE_ALARMS))
 
     @property

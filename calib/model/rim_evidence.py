@@ -14,7 +14,6 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import log_ndtr
 
 Array = NDArray[np.float64]
 
@@ -248,6 +247,8 @@ def bright_sites(bright: Array, sites: Sites, mean: Array, covariance: Array, ab
     gap_alone = alone * (gap / variance - sites.shift)
     whole = alone + _LIT_SIGMA_MM**2
     z = gap_alone / np.sqrt(whole)
+    from scipy.special import log_ndtr
+
     ratio = np.exp(-0.5 * z * z - log_ndtr(z)) / np.sqrt(2.0 * np.pi)
     matched = alone - alone**2 * ratio * (z + ratio) / whole
     matched_gap = gap_alone + alone * ratio / np.sqrt(whole)

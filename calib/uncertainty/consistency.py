@@ -11,7 +11,6 @@ from dataclasses import replace
 from functools import partial
 
 import numpy as np
-from scipy import special
 
 from calib.adjustment.bundle import Bundle
 from calib.adjustment.levenberg_marquardt import Loss, refine
@@ -86,6 +85,8 @@ def check_passport(
     found, covariance = refined.parameters.values(asked), growth**2 * estimate.covariance[np.ix_(at, at)]
     stated, own = np.array([passport.values_by_name[name] for name in asked]), passport.covariance_of(asked)
     off, together = found - stated, covariance + own
+    from scipy import special
+
     limit = float(special.chdtri(len(asked), _FALSE_ALARMS))
     chi_square = float(off @ np.linalg.solve(together, off))
     if chi_square <= limit:  # what follows only adds uncertainty
