@@ -74,7 +74,7 @@ def _show_batch(folder: Path, *, as_json: bool) -> int:
 
 def _follow_run(folder: Path, *, as_json: bool) -> str:
     """Follow a run; return how it ended, empty if it was interrupted."""
-    from bench.run.status import follow, follow_lines
+    from bench.run.follow_status import follow, follow_lines
     from bench.run.status_text import head_lines
     from bench.terminal.block import Block
 

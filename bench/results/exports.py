@@ -22,22 +22,29 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from functools import partial
-from typing import Any
 
-import cv2
 import numpy as np
-import yaml
 
-from bench.base.errors import BenchError
+from bench.results.export_parts import (
+    FormatCannotCarry,
+    file_storage_bytes,
+    image_size_fields,
+    opencv_coefficients,
+    refuse_beyond,
+    refuse_fisheye,
+    refuse_skew,
+    ros_matrix,
+    target_poses,
+    yaml_bytes,
+)
 from calib.boards.board import Board
 from calib.calibration import Calibration
-from calib.model.camera import BROWN, SKEW, CameraModel
+from calib.model.camera import BROWN
 from calib.target import StarTarget
 
 _RADTAN = BROWN[:4]
-_PLUMB_BOB = BROWN[:5]
 #: ROS's names of the distortion models, by number of coefficients.
 _ROS_MODELS = {4: "equidistant", 5: "plumb_bob", 8: "rational_polynomial"}
 
@@ -45,10 +52,6 @@ NOT_WRITTEN = "not-written.txt"
 """File that lists the formats that cannot represent the lens model or the targets, with the reason."""
 
 Writer = Callable[[Calibration, str], bytes]
-
-
-class FormatCannotCarry(BenchError):
-    """The file format cannot represent this lens model, or these targets."""
 
 
 def exports(
@@ -82,7 +85,7 @@ def exports(
     writers: dict[str, Writer] = {**WRITERS, "metavision.json": described}
     for name, write in writers.items():
         try:
-            _refuse_skew(calibration.camera, name)
+            refuse_skew(calibration.camera, name)
             files[name] = write(calibration, camera_name)
         except FormatCannotCarry as refusal:
             refused.append(f"{name}: {refusal}\n")
@@ -109,18 +112,18 @@ def opencv_yaml(calibration: Calibration, camera_name: str) -> bytes:
     bytes
         The file.
     """
-    return _file_storage(
+    return file_storage_bytes(
         ".yml",
         {
             "camera_name": camera_name,
             "nframes": len(calibration.views),
-            **_image_size(calibration.camera),
+            **image_size_fields(calibration.camera),
             "fisheye_model": int(calibration.camera.is_fisheye),
             "camera_matrix": calibration.camera.matrix,
-            "distortion_coefficients": _opencv_coefficients(calibration.camera)[None],
+            "distortion_coefficients": opencv_coefficients(calibration.camera)[None],
             "avg_reprojection_error": calibration.rms_px,
             "per_view_reprojection_errors": np.array([[view.rms_px] for view in calibration.views]),
-            "extrinsic_parameters": np.hstack(_poses(calibration)),
+            "extrinsic_parameters": np.hstack(target_poses(calibration)),
             "parameter_names": list(calibration.parameter_names),
             "parameter_covariance": calibration.covariance,
         },
@@ -143,17 +146,17 @@ def ros_camera_info(calibration: Calibration, camera_name: str) -> bytes:
         The file.
     """
     camera = calibration.camera
-    coefficients = _opencv_coefficients(camera)
+    coefficients = opencv_coefficients(camera)
     projection = np.hstack([camera.matrix, np.zeros((3, 1))])
-    return _yaml(
+    return yaml_bytes(
         {
-            **_image_size(camera),
+            **image_size_fields(camera),
             "camera_name": camera_name,
-            "camera_matrix": _ros_matrix(camera.matrix),
+            "camera_matrix": ros_matrix(camera.matrix),
             "distortion_model": _ROS_MODELS[len(coefficients)],
-            "distortion_coefficients": _ros_matrix(coefficients[None]),
-            "rectification_matrix": _ros_matrix(np.eye(3)),
-            "projection_matrix": _ros_matrix(projection),
+            "distortion_coefficients": ros_matrix(coefficients[None]),
+            "rectification_matrix": ros_matrix(np.eye(3)),
+            "projection_matrix": ros_matrix(projection),
         }
     )
 
@@ -180,14 +183,14 @@ def kalibr_camchain(calibration: Calibration, camera_name: str) -> bytes:
     """
     camera = calibration.camera
     if not camera.is_fisheye:
-        _refuse_beyond(_RADTAN, camera, "Kalibr's radtan")
-    return _yaml(
+        refuse_beyond(_RADTAN, camera, "Kalibr's radtan")
+    return yaml_bytes(
         {
             "cam0": {
                 "camera_model": "pinhole",
                 "intrinsics": [camera.fx, camera.fy, camera.cx, camera.cy],
                 "distortion_model": "equidistant" if camera.is_fisheye else "radtan",
-                "distortion_coeffs": _opencv_coefficients(camera)[:4].tolist(),
+                "distortion_coeffs": opencv_coefficients(camera)[:4].tolist(),
                 "resolution": list(camera.image_size),
                 "rostopic": f"/{camera_name}/events",
                 "cam_overlaps": [],
@@ -217,8 +220,8 @@ def mrcal_cameramodel(calibration: Calibration, camera_name: str) -> bytes:
         When the lens is a fisheye lens.
     """
     camera = calibration.camera
-    _refuse_fisheye(camera, "mrcal's cameramodel")
-    coefficients = _opencv_coefficients(camera)
+    refuse_fisheye(camera, "mrcal's cameramodel")
+    coefficients = opencv_coefficients(camera)
     numbers = [camera.fx, camera.fy, camera.cx, camera.cy, *coefficients.tolist()]
     return (
         f"# {camera_name}\n{{\n"
@@ -285,18 +288,18 @@ def metavision_json(
     FormatCannotCarry
         When the lens is a fisheye lens, or the views show several targets.
     """
-    _refuse_fisheye(calibration.camera, "Metavision's intrinsics.json")
+    refuse_fisheye(calibration.camera, "Metavision's intrinsics.json")
     if target is None:
         raise FormatCannotCarry(
             "Metavision's intrinsics.json describes one target; the views show several.",
             remedy="For this format, calibrate only with views of one target.",
         )
-    rotations, translations = _poses(calibration)
+    rotations, translations = target_poses(calibration)
     if isinstance(target, Board):
         columns, rows = target.columns, target.rows
     else:
         columns, rows = target.squares_x, target.squares_y
-    text = _file_storage(
+    text = file_storage_bytes(
         ".json",
         {
             "camera_name": camera_name,
@@ -309,7 +312,7 @@ def metavision_json(
                 "square_width": target.pitch_mm / 1000,
             },
             "camera_matrix": calibration.camera.matrix,
-            "distortion_coefficients": _opencv_coefficients(calibration.camera)[None],
+            "distortion_coefficients": opencv_coefficients(calibration.camera)[None],
             "selected_views": [1] * len(calibration.views),
             "overall_rms_reprojection_error": calibration.rms_px,
             "per_view_rms_reprojection_errors": [view.rms_px for view in calibration.views],
@@ -330,80 +333,3 @@ WRITERS: Mapping[str, Writer] = {
     "metavision.json": metavision_json,
 }
 """Writer of each file."""
-
-
-def _refuse_beyond(names: Sequence[str], camera: CameraModel, what: str) -> None:
-    further = [name for name in camera.distortion if name not in names]
-    if further:
-        raise FormatCannotCarry(
-            f"{what} cannot represent {', '.join(further)}.",
-            remedy=f"For this format, calibrate with no other coefficients than {' '.join(names)}.",
-        )
-
-
-def _refuse_skew(camera: CameraModel, what: str) -> None:
-    """Refuse a camera with skew: the programs that read these formats ignore K[0, 1]."""
-    if SKEW in camera.distortion:
-        raise FormatCannotCarry(
-            f"{what} cannot represent the skew of the camera matrix.",
-            remedy="For this format, calibrate without skew. results.json has all values.",
-        )
-
-
-def _refuse_fisheye(camera: CameraModel, what: str) -> None:
-    if camera.is_fisheye:
-        raise FormatCannotCarry(
-            f"{what} cannot represent a fisheye lens (kb1 to kb4).",
-            remedy="For this format, calibrate with k1k2k3p1p2 or rational.",
-        )
-
-
-def _opencv_coefficients(camera: CameraModel) -> np.ndarray:
-    """Return k1 k2 p1 p2 k3, and k4 k5 k6 if the lens has them: 5 or 8 numbers; 4 for a fisheye lens."""
-    if camera.is_fisheye:
-        return camera.fisheye_coefficients
-    rational = set(camera.distortion) - set(_PLUMB_BOB)
-    return camera.coefficients[: 8 if rational else 5]
-
-
-def _poses(calibration: Calibration) -> tuple[np.ndarray, np.ndarray]:
-    """Return rotation vectors (rad) and translations (mm) of the views, camera <- target, (n, 3) each."""
-    rotations = calibration.rotations
-    vectors = np.array([cv2.Rodrigues(rotation)[0].ravel() for rotation in rotations])
-    return vectors, -np.einsum("nij,nj->ni", rotations, calibration.centres)
-
-
-def _image_size(camera: CameraModel) -> dict[str, int]:
-    return {"image_width": camera.image_size[0], "image_height": camera.image_size[1]}
-
-
-def _ros_matrix(matrix: np.ndarray) -> dict[str, Any]:
-    return {"rows": matrix.shape[0], "cols": matrix.shape[1], "data": matrix.ravel().tolist()}
-
-
-def _yaml(content: Mapping[str, Any]) -> bytes:
-    return yaml.safe_dump(content, sort_keys=False, default_flow_style=None, width=10_000).encode()
-
-
-def _file_storage(extension: str, content: Mapping[str, Any]) -> bytes:
-    storage = cv2.FileStorage(extension, cv2.FILE_STORAGE_WRITE | cv2.FILE_STORAGE_MEMORY)
-    for name, value in content.items():
-        _store(storage, name, value)
-    text = storage.releaseAndGetString()
-    # OpenCV 4 and 5 write different first lines; both, and OpenCV 3, read this one.
-    return text.replace("%YAML 1.2", "%YAML:1.0", 1).encode()
-
-
-def _store(storage: cv2.FileStorage, name: str, value: Any) -> None:
-    if isinstance(value, Mapping):
-        storage.startWriteStruct(name, cv2.FILE_NODE_MAP)
-        for key, item in value.items():
-            _store(storage, key, item)
-        storage.endWriteStruct()
-    elif isinstance(value, list):
-        storage.startWriteStruct(name, cv2.FILE_NODE_SEQ)
-        for item in value:
-            _store(storage, "", item)
-        storage.endWriteStruct()
-    else:
-        storage.write(name, value if isinstance(value, int | str | float) else np.ascontiguousarray(value))

@@ -19,7 +19,12 @@ _DRAWN_WITH = (
     "calib/model/lens.py",
 )
 """Modules of the engine that the plots use."""
-_EXPORTED_WITH = ("bench/results/exports.py", "calib/model/camera.py", "calib/model/lens.py")
+_EXPORTED_WITH = (
+    "bench/results/export_parts.py",
+    "bench/results/exports.py",
+    "calib/model/camera.py",
+    "calib/model/lens.py",
+)
 _ENDINGS = frozenset({".py", ".j2", ".css"})
 _SHOWN = 16
 

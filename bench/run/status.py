@@ -5,9 +5,8 @@ The journal and ``plan.json`` give the content; the lock of the folder shows whe
 
 from __future__ import annotations
 
-import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass, field
 from datetime import UTC, datetime
 from itertools import islice
 from pathlib import Path
@@ -16,6 +15,7 @@ from typing import Any, NotRequired, TypedDict
 from bench.base.device_ends import NOT_ASKED, all_ends, lost_ends
 from bench.base.errors import RunFolderError, StorageError
 from bench.base.home import home_folder
+from bench.evidence.ledger_authorisation import known_authorisations
 from bench.evidence.shown_state import home_trust, shown_state
 from bench.records.folder_lock import is_locked
 from bench.records.history import History, replay
@@ -23,7 +23,6 @@ from bench.records.journal import read_journal
 from bench.records.journal_entry import Entry
 from bench.records.reading import read_json
 from bench.records.run_folder import JOURNAL, PLAN, is_sealed
-from bench.records.storage import storage_errors
 from bench.report.text import with_uncertainty
 from bench.report.until_text import reached_text
 from bench.run.interlock_text import interlock_text
@@ -32,10 +31,7 @@ from bench.run.machine import END_STATES
 from bench.run.time_left import TimeLeft
 
 LAST_LINES = 5
-FOLLOW_S = 0.5
 _USUAL_K = 2.0
-_READING_SHARE = 4.0
-"""A follower waits at least this many times as long as it read the journal, so that it takes little of a computer."""
 
 
 @dataclass(frozen=True)
@@ -167,96 +163,31 @@ def read_status(folder: Path, utc_now: Callable[[], datetime] = lambda: datetime
     StorageError
         If it cannot be read.
     """
-    return _read(folder, utc_now())[0]
+    return read_with_entries(folder, utc_now())[0]
 
 
-def follow(
-    folder: Path,
-    sleep: Callable[[float], None] = time.sleep,
-    *,
-    ticks: bool = False,
-    monotonic: Callable[[], float] = time.monotonic,
-) -> Iterator[Status]:
-    """Read the status of a run after every change, as long as a process works on the run.
+def read_with_entries(folder: Path, now: datetime) -> tuple[Status, Sequence[Entry]]:
+    """Read the status of a run, and its journal.
+
+    The lock is read first: a run that ends meanwhile does not appear as killed.
 
     Parameters
     ----------
     folder
-        Run folder.
-    sleep
-        Waits between two reads of the journal.
-    ticks
-        Whether to yield also when nothing has changed, with the remaining time counted down.
-    monotonic
-        Returns the time since an arbitrary moment, s.
+        The run folder.
+    now
+        The time, UTC.
 
-    Yields
-    ------
-    Status
-        One per change; the last one shows how the run ended.
-    """
-    for status, _ in _followed(folder, sleep, ticks=ticks, monotonic=monotonic):
-        yield status
-
-
-def follow_lines(
-    folder: Path,
-    sleep: Callable[[float], None] = time.sleep,
-    monotonic: Callable[[], float] = time.monotonic,
-) -> Iterator[tuple[Status, Sequence[str]]]:
-    """Read the status of a run as `follow` does, with the journal lines that are new, as text.
-
-    Parameters
-    ----------
-    folder
-        Run folder.
-    sleep, monotonic
-        As for `follow`.
-
-    Yields
-    ------
+    Returns
+    -------
     tuple
-        The status, and the new lines, the newest last. The first time these are the last lines of the status.
+        The status, and all lines of the journal.
+
+    Raises
+    ------
+    RunFolderError
+        If it is no run folder.
     """
-    seen = None
-    for status, entries in _followed(folder, sleep, ticks=False, monotonic=monotonic):
-        if seen is None:
-            yield status, status.last
-        else:
-            yield status, [text for text in map(line_text, entries[seen:]) if text]
-        seen = len(entries)
-
-
-def _followed(
-    folder: Path, sleep: Callable[[float], None], *, ticks: bool, monotonic: Callable[[], float]
-) -> Iterator[tuple[Status, Sequence[Entry]]]:
-    """Yield the status and all journal lines after every change; with ``ticks`` also without a change."""
-    seen, pause_s = -1, FOLLOW_S
-    while True:
-        with storage_errors(folder):
-            size = (folder / JOURNAL).stat().st_size
-        if size != seen or not is_locked(folder):
-            began_s = monotonic()
-            (status, entries), seen = _read(folder, datetime.now(UTC)), size
-            read_s = monotonic()
-            pause_s = max(FOLLOW_S, _READING_SHARE * (read_s - began_s))
-            yield status, entries
-            if not status.running:
-                return
-        elif ticks:
-            yield _counted_down(status, monotonic() - read_s), entries
-        sleep(pause_s)
-
-
-def _counted_down(status: Status, since_s: float) -> Status:
-    """Return a status with the time counted down that has passed since it was read; a held run has no such time."""
-    if status.left_s is None or status.held_by or status.question:
-        return status
-    return replace(status, left_s=max(0.0, status.left_s - since_s))
-
-
-def _read(folder: Path, now: datetime) -> tuple[Status, Sequence[Entry]]:
-    """Read the status and the journal. The lock is read first: a run that ends meanwhile does not appear as killed."""
     if not (folder / JOURNAL).is_file():
         raise RunFolderError(
             f"This is not a run folder: it has no {JOURNAL}.",
@@ -280,7 +211,9 @@ def _status(folder: Path, entries: Sequence[Entry], now: datetime, *, running: b
         simulated=bool(history.started.get("simulated", plan["simulated"])),
         running=running,
         sealed=sealed,
-        evidence=shown_state(folder, home_trust(home_folder()), now).text,
+        evidence=shown_state(
+            folder, home_trust(home_folder()), now, known_authorisations(home_folder())
+        ).text,
         state=history.states[-1]["state"] if history.states else "idle",
         ended=history.ended,
         why=history.why,
