@@ -7,6 +7,7 @@ gradient and by its curvature along and across the residual, so that the search 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -40,6 +41,7 @@ _ABSOLUTE_TOLERANCE = 1e-16
 MAX_ITERATIONS = 100
 #: Number of rounded operations in a projection.
 _ROUNDED_OPERATIONS = 10.0
+_EPSILON = float(np.finfo(float).eps)
 
 
 @dataclass(frozen=True)
@@ -205,8 +207,7 @@ def _rounding(bundle: Bundle, cost: float) -> float:
     independent errors d of the residuals e change sum e^2 / 2 by about d (sum e^2)^(1/2) = d (2 cost)^(1/2).
     """
     obs = bundle.observations
-    each = np.finfo(float).eps * obs.farthest_px * obs.sigmas_per_px
-    return float(_ROUNDED_OPERATIONS * each * np.sqrt(2.0 * cost))
+    return _ROUNDED_OPERATIONS * _EPSILON * obs.farthest_px * obs.sigmas_per_px * math.sqrt(2.0 * cost)
 
 
 def _cost(bundle: Bundle, parameters: AdjustmentParameters, loss: Loss) -> float:

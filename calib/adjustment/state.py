@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,6 +25,10 @@ _PLACES = {
 }
 
 
+#: Coefficients and skew of a pinhole camera.
+_NO_LENS = (0.0,) * (CENTRE_AT - LENS_AT)
+
+
 def packed(parameters: AdjustmentParameters) -> Array:
     """Return the shared parameters as the state of `calib.adjustment.star_kernels`.
 
@@ -37,11 +42,11 @@ def packed(parameters: AdjustmentParameters) -> Array:
     Array
         (16 + T,) float64 pinhole, coefficients of the lens's family, skew, centre, aberrations.
     """
-    camera, collimator = parameters.camera, parameters.collimator
-    family = FISHEYE if camera.is_fisheye else BROWN
-    coefficients = [camera.distortion.get(name, 0.0) for name in family]
-    lens = coefficients + [0.0] * (SKEW_AT - LENS_AT - len(family))
-    return np.array([camera.fx, camera.fy, camera.cx, camera.cy, *lens, camera.skew, *collimator.values])
+    camera, centre = parameters.camera, parameters.collimator
+    state = [camera.fx, camera.fy, camera.cx, camera.cy, *_NO_LENS, centre.x, centre.y, centre.r]
+    for name, value in camera.distortion.items():
+        state[_PLACES[name]] = value
+    return np.array([*state, *centre.aberrations.values()])
 
 
 def unpacked(parameters: AdjustmentParameters, state: Array) -> tuple[CameraModel, Collimator]:
@@ -61,18 +66,13 @@ def unpacked(parameters: AdjustmentParameters, state: Array) -> tuple[CameraMode
     """
     camera, collimator, values = parameters.camera, parameters.collimator, state.tolist()
     fx, fy, cx, cy = values[:LENS_AT]
-    lens = {name: values[at] for name, at in zip(camera.distortion, _lens_places(camera), strict=True)}
+    lens = {name: values[_PLACES[name]] for name in camera.distortion}
     x, y, r, *aberrations = values[CENTRE_AT:]
     named = dict(zip(collimator.aberrations, aberrations, strict=True))
     return (
         CameraModel(fx, fy, cx, cy, camera.image_size, lens),
         Collimator(x, y, r, named, collimator.reference),
     )
-
-
-def _lens_places(camera: CameraModel) -> list[int]:
-    """Return where the coefficients of a camera's lens, and its skew, stand in the state."""
-    return [_PLACES[name] for name in camera.distortion]
 
 
 def state_places(
@@ -92,8 +92,14 @@ def state_places(
     Returns
     -------
     NDArray of int64
-        (G,) places; `calib.adjustment.star_kernels.NOWHERE` for a parameter that moves no star.
+        (G,) places, not to be written to; `calib.adjustment.star_kernels.NOWHERE` for a parameter that moves no star.
     """
-    shown = parameters.collimator.aberrations if displacements is not None else ()
+    shown = () if displacements is None else tuple(parameters.collimator.aberrations)
+    return _places(tuple(names), shown)
+
+
+@lru_cache(maxsize=256)
+def _places(names: tuple[str, ...], shown: tuple[str, ...]) -> NDArray[np.int64]:
+    """Return the places of parameters, of which some are aberrations that move stars."""
     aberrations = {name: ABERRATIONS_AT + t for t, name in enumerate(shown)}
     return np.array([_PLACES.get(name, aberrations.get(name, NOWHERE)) for name in names], np.int64)

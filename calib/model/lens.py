@@ -29,6 +29,7 @@ _POWERS: Mapping[int, Callable[[Array], Array]] = {
 }
 #: Coefficients of the angle's polynomial: theta (1 + kb1 theta^2 + kb2 theta^4 + ...); OpenCV's fisheye k1 to k4.
 FISHEYE = ("kb1", "kb2", "kb3", "kb4")
+_FISHEYE_NAMES = frozenset(FISHEYE)
 
 
 def distort(points: Array, coefficients: Mapping[str, float]) -> Array:
@@ -97,7 +98,7 @@ def is_fisheye(coefficients: Mapping[str, float]) -> bool:
     bool
         True if any of them is in `FISHEYE`.
     """
-    return any(name in FISHEYE for name in coefficients)
+    return not _FISHEYE_NAMES.isdisjoint(coefficients)
 
 
 def _ordered(coefficients: Mapping[str, float], family: tuple[str, ...]) -> Array:

@@ -48,7 +48,7 @@ class PoseForms:
         self, score: Array, blocks: Array, rows: Array, core: Array, group: NDArray[np.int64], noise: float
     ) -> None:
         self._score, self._blocks, self._rows, self._core, self._noise = score, blocks, rows, core, noise
-        self._group = group
+        self._group, self._own_noise = group, noise * np.eye(blocks.shape[1])
         self._of_group = (group[:, None] == np.arange(group.max() + 1)).astype(np.float64)
         self._inverse = blocks, rows, rows
 
@@ -69,7 +69,7 @@ class PoseForms:
         w = np.sqrt(variances)[self._group]
         by_pose = w.reshape(poses, width)
         own = self._blocks * (by_pose[:, :, None] * by_pose[:, None])
-        inverse = np.linalg.inv(own + self._noise * np.eye(width))
+        inverse = np.linalg.inv(own + self._own_noise)
         rows, score = w[:, None] * self._rows, w * self._score
         solved = (inverse @ rows.reshape(poses, width, -1)).reshape(rows.shape)
         weighted = solved @ np.linalg.inv(self._core - rows.T @ solved)
