@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from bench.base.errors import EvidenceError, StorageError, UsageError
+from bench.base.errors import BenchError, EvidenceError, StorageError, UsageError
 from bench.base.home import home_folder
 from bench.commands.evidence_output import ask_passphrase
 from bench.commands.output import STOPPED, print_json
@@ -85,6 +85,7 @@ def authorise_folder(
         click.echo("Not authorised.", err=True)
         return STOPPED
     authorise(folder, key, trust, now, seal)
+    in_ledger = _enter(folder, person, fingerprint(key.public_key))
     if as_json:
         shown = {
             "schema": "starbench/authorised/1",
@@ -92,12 +93,28 @@ def authorise_folder(
             "state": "AUTHORISED",
             "person": person,
         }
-        print_json({**shown, "fingerprint": fingerprint(key.public_key), "facts": facts})
+        more = {"fingerprint": fingerprint(key.public_key), "facts": facts, "in_ledger": in_ledger}
+        print_json({**shown, **more})
     else:
         click.echo(
             f"AUTHORISED by {person}. To prove when: starbench certificate timestamp {folder} --tsa URL"
         )
     return 0
+
+
+def _enter(folder: Path, person: str, fingerprint: str) -> bool:
+    """Enter the authorisation in the ledger of this bench; say on standard error if that is not possible."""
+    from bench.evidence.ledger_authorisation import enter_authorisation
+    from bench.results.previous_calibration import bench_ledger
+
+    try:
+        if enter_authorisation(bench_ledger(), folder, person, fingerprint):
+            return True
+        why = "this computer has no ledger"
+    except BenchError as error:
+        why = str(error)
+    click.echo(f"Not entered in a ledger, so nobody would notice that it was removed: {why}", err=True)
+    return False
 
 
 def facts_of(folder: Path) -> dict[str, str]:
@@ -143,8 +160,12 @@ def _refuse_unverified(folder: Path, trust: Trust) -> None:
     from bench.evidence.verify import verify_folder
 
     found = verify_folder(folder, trust, derivations=derivations(again=False))
-    if found.faults:
-        faults = "; ".join(str(fault) for fault in found.faults[:5])
+    others = [fault for fault in found.faults if fault.kind != "authorisation"]
+    for fault in found.faults:
+        if fault not in others:  # there is none yet, so the ledger names one that was removed
+            click.echo(f"Note: {fault}.", err=True)
+    if others:
+        faults = "; ".join(str(fault) for fault in others[:5])
         raise EvidenceError(
             f"This folder is not valid, so it is not authorised: {faults}.",
             where=str(folder),

@@ -13,6 +13,7 @@ from bench.base.errors import UsageError
 from bench.base.home import home_folder
 from bench.commands.output import print_json
 from bench.commands.run_choice import RunChoice, find_runs, print_findings
+from bench.evidence.ledger_authorisation import known_authorisations
 from bench.evidence.shown_state import home_trust, shown_state
 from bench.history.chart_findings import drifts, find_charts, needs_attention
 from bench.history.chart_groups import Grouped, Level, group_runs
@@ -67,9 +68,10 @@ def export_runs(choice: RunChoice, path: Path, *, as_json: bool) -> int:
 
 def _rows(merged: MergedRuns) -> Iterator[dict[str, Any]]:
     trust, now = home_trust(home_folder()), datetime.now(UTC)
+    known = known_authorisations(home_folder())
     details = RunIndex(home_folder()).details(merged.runs)
     for run, more in zip(merged.runs, details, strict=True):
-        state = shown_state(Path(run.folder), trust, now)
+        state = shown_state(Path(run.folder), trust, now, known)
         yield table_row(run, more, merged.places[run.folder], state)
 
 

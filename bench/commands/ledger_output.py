@@ -11,6 +11,7 @@ from bench.base.clock import BenchClock
 from bench.base.errors import BenchError
 from bench.base.home import home_folder
 from bench.commands.output import print_json
+from bench.evidence.ledger_authorisation import known_authorisations, lost_authorisations
 from bench.evidence.ledger_check import sealed_strangers
 from bench.records.ledger import Ledger
 from bench.records.ledger_breaks import EXPLAIN, Break
@@ -90,7 +91,7 @@ def show_check(*, as_json: bool) -> int:
         runs = runs_of(entries)
         head = entries[-1].hash if entries else None
         facts |= {"lines": len(entries), "runs": len(runs), "head": head}
-        faults += ledger.faults()
+        faults += [*ledger.faults(), *lost_authorisations(known_authorisations(ledger.home))]
     except BenchError:  # it is among the faults
         facts |= {"lines": None, "runs": None, "head": None}
     places = _second_places(ledger)

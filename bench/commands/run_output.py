@@ -18,6 +18,7 @@ from bench.base.home import home_folder
 from bench.commands.ledger_output import bench_ledger, ledger_findings
 from bench.commands.output import print_json
 from bench.commands.run_choice import RunChoice, find_runs, print_findings
+from bench.evidence.ledger_authorisation import known_authorisations, lost_authorisations
 from bench.evidence.shown_state import home_trust, shown_state
 from bench.records.ledger import Ledger
 from bench.records.run_folder import JOURNAL
@@ -126,7 +127,7 @@ def show_runs(choice: RunChoice, *, compare: bool, as_json: bool) -> int:
         folders, missing = (run_folders(folder), []) if folder else _ledger_folders(ledger, index)
         found, faults = index.runs(folders, **choice.filters)
         broken, notes = ledger_findings(ledger)
-        faults += [*missing, *broken]
+        faults += [*missing, *broken, *lost_authorisations(known_authorisations(ledger.home), folders)]
     solved = [run for run in found if run.parameters]
     compared = compare_runs(solved) if compare else None
     if as_json:

@@ -118,9 +118,9 @@ def derivations(*, again: bool) -> dict[str, list[Derivation]]:
     from bench.results.reproduce_offline import check_recalculated
 
     return {
-        "run": [_check_ledger, check_run, *([check_recordings] if again else [])],
-        "results": [check_results_folder, *([check_recalculated] if again else [])],
-        "certificate": [_check_certificate],
+        "run": [_check_ledger, check_run, *([check_recordings] if again else []), _check_authorisation],
+        "results": [check_results_folder, *([check_recalculated] if again else []), _check_authorisation],
+        "certificate": [_check_certificate, _check_authorisation],
     }
 
 
@@ -128,9 +128,24 @@ def _checks_of_this_bench(folder: Path, kind: str) -> Findings:
     """Compare a folder with the ledger of this bench, which no worker has."""
     from bench.evidence.findings import Findings
 
-    if kind == "certificate":
-        return _check_certificate(folder)
-    return _check_ledger(folder) if kind == "run" else Findings()
+    found = Findings()
+    for check in {"certificate": [_check_certificate], "run": [_check_ledger]}.get(kind, []):
+        found.add(check(folder))
+    found.add(_check_authorisation(folder))
+    return found
+
+
+def _check_authorisation(folder: Path) -> Findings:
+    """Compare a folder with the authorisation that the ledger of this bench names. It is the last check of a folder."""
+    from bench.base.home import home_folder
+    from bench.evidence.findings import Findings
+    from bench.evidence.ledger_authorisation import authorisation_fault, known_authorisations
+    from bench.evidence.seal import AUTHORISATION
+
+    found = Findings()
+    if why := authorisation_fault(folder, known_authorisations(home_folder())):
+        found.fault("authorisation", AUTHORISATION, why)
+    return found
 
 
 def _check_certificate(folder: Path) -> Findings:

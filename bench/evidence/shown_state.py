@@ -7,7 +7,10 @@ from datetime import datetime
 from pathlib import Path
 
 from bench.base.errors import EvidenceError, StorageError
+from bench.evidence.faults import SealFault
 from bench.evidence.key_trust import Trust, read_trust
+from bench.evidence.ledger_authorisation import NOTHING_KNOWN, Known, authorisation_fault
+from bench.evidence.seal import AUTHORISATION
 from bench.evidence.states import Standing, State, standing_of
 from bench.records.run_folder import is_sealed
 
@@ -47,7 +50,7 @@ def home_trust(home: Path) -> Trust:
         return Trust()
 
 
-def shown_state(folder: Path, trust: Trust, now: datetime) -> ShownState:
+def shown_state(folder: Path, trust: Trust, now: datetime, known: Known = NOTHING_KNOWN) -> ShownState:
     """Return the state of a folder as one line.
 
     Parameters
@@ -58,6 +61,8 @@ def shown_state(folder: Path, trust: Trust, now: datetime) -> ShownState:
         Whom the reader trusts.
     now
         The present time, with its time zone.
+    known
+        Authorisations that the ledger names, from `bench.evidence.ledger_authorisation.known_authorisations`.
 
     Returns
     -------
@@ -68,6 +73,8 @@ def shown_state(folder: Path, trust: Trust, now: datetime) -> ShownState:
         return ShownState()
     try:
         standing = standing_of(folder, trust, now)
+        if why := authorisation_fault(folder, known):
+            standing.faults.append(SealFault("authorisation", AUTHORISATION, why))
     except StorageError as error:
         return ShownState(State.DRAFT, f"DRAFT: the seal cannot be read: {error.what}")
     return ShownState(standing.state, _text(standing))

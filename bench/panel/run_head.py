@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from datetime import datetime, timedelta
+from pathlib import Path
 from typing import Any
 
 from bench.base.home import home_folder
+from bench.evidence.ledger_authorisation import known_authorisations
 from bench.evidence.shown_state import home_trust, shown_state
 from bench.panel.leave import may_leave
 from bench.panel.process_state import ProcessState
@@ -82,7 +84,7 @@ def head_of(model: RunModel, process: ProcessState, now: datetime) -> Json:
         "tone": tone,
         "running": process.running,
         "sealed": process.sealed,
-        "evidence": shown_state(model.folder, home_trust(home_folder()), now).text if process.sealed else "",
+        "evidence": _evidence(model.folder, now) if process.sealed else "",
         "ended": history.ended,
         "why": history.why,
         "remedy": history.failures[-1]["remedy"] if history.ended == "failed" and history.failures else "",
@@ -260,3 +262,9 @@ def _solved(solved: Mapping[str, Any]) -> Json | None:
         if name in sigma
     ]
     return {"model": solved.get("model", ""), "rms_px": solved.get("rms_px"), "parameters": values}
+
+
+def _evidence(folder: Path, now: datetime) -> str:
+    """Return the state of the folder as one line."""
+    home = home_folder()
+    return shown_state(folder, home_trust(home), now, known_authorisations(home)).text

@@ -12,8 +12,11 @@ from click.testing import CliRunner
 from bench.base.errors import BenchError
 from bench.commands.cli import cli
 from bench.evidence.keys import create_key, load_key
+from bench.evidence.ledger_authorisation import known_authorisations
 from bench.evidence.seal import seal_folder
+from bench.evidence.shown_state import home_trust, shown_state
 from bench.evidence.signers import read_signers
+from bench.records.ledger import Ledger
 from bench.records.run_folder import RunFolder
 
 pytestmark = needs_ssh_keygen
@@ -73,6 +76,71 @@ def test_a_person_authorises_what_is_shown(run, home, tmp_path):
     assert "  AUTHORISED" in call("runs", run.parent)
     assert json.loads(call("runs", run.parent, "--json"))["runs"][0]["state"] == "AUTHORISED"
     assert "AUTHORISED" in call("verify", run)
+
+
+@pytest.fixture
+def authorised(run, home, tmp_path, monkeypatch):
+    """The run, authorised by Ada and entered in the ledger of the bench; and the path of her key."""
+    from bench.commands import verify_command
+
+    monkeypatch.setattr(
+        verify_command, "derivations", lambda **_: {"run": [verify_command._check_authorisation]}
+    )
+    path = make_key(tmp_path)
+    call("keys", "trust", f"{path}.pub", "--person", "ada@lab.example")
+    Ledger(home, utc_now=lambda: datetime(2026, 3, 1, tzinfo=UTC), monotonic=lambda: 0.0).append("begun")
+    shown = json.loads(call("certificate", "authorise", run, "--key", path, "--json", "--yes"))
+    assert shown["in_ledger"] is True
+    return run, path
+
+
+def with_a_fault(*arguments):
+    """Run a command that finds a fault; return its output."""
+    done = CliRunner().invoke(cli, [str(a) for a in arguments], standalone_mode=False)
+    assert done.return_value == 1, done.output
+    return done.output
+
+
+def removed(run):
+    run.chmod(0o755)
+    (run / "SHA256SUMS.authorised.sig").unlink()
+
+
+def test_an_authorisation_that_was_removed_is_told(authorised, home):
+    run, path = authorised
+    assert "AUTHORISED" in call("verify", run)
+    assert "FAULT" not in call("ledger", "check")
+    removed(run)
+    what = "the ledger names an authorisation that is missing: by ada@lab.example (SHA256:"
+    for words in (("verify", run), ("runs", run.parent), ("ledger", "check")):
+        assert what in with_a_fault(*words)
+    state = shown_state(run, home_trust(home), datetime.now(UTC), known_authorisations(home))
+    assert state.state == "SEALED"
+    assert what in state.text
+    done = CliRunner().invoke(cli, ["certificate", "authorise", str(run), "--key", str(path), "--yes"])
+    assert what in done.output
+    assert "Authorised by ada@lab.example" in call("verify", run)
+    assert "FAULT" not in call("ledger", "check")
+
+
+def test_another_authorisation_than_that_of_the_ledger_is_told(authorised, home, tmp_path):
+    run, _ = authorised
+    removed(run)
+    other = make_key(tmp_path, "eve")
+    call("keys", "trust", f"{other}.pub", "--person", "eve@lab.example")
+    (home / "ledger.jsonl").rename(home / "away")
+    call("certificate", "authorise", run, "--key", other, "--yes")
+    (home / "away").rename(home / "ledger.jsonl")
+    what = "the ledger names another authorisation than SHA256SUMS.authorised.sig: by ada@lab.example"
+    assert what in with_a_fault("verify", run)
+
+
+def test_a_computer_without_a_ledger_says_that_nothing_was_entered(run, home, tmp_path):
+    path = make_key(tmp_path)
+    call("keys", "trust", f"{path}.pub", "--person", "ada@lab.example")
+    done = CliRunner().invoke(cli, ["certificate", "authorise", str(run), "--key", str(path), "--yes"])
+    assert "Not entered in a ledger, so nobody would notice that it was removed" in done.output
+    assert not (home / "ledger.jsonl").exists()
 
 
 def test_a_script_authorises_with_json(run, home, tmp_path):
