@@ -127,7 +127,7 @@ def show_runs(choice: RunChoice, *, compare: bool, as_json: bool) -> int:
         folders, missing = (run_folders(folder), []) if folder else _ledger_folders(ledger, index)
         found, faults = index.runs(folders, **choice.filters)
         broken, notes = ledger_findings(ledger)
-        faults += [*missing, *broken, *lost_authorisations(known_authorisations(ledger.home), folders)]
+        faults += [*missing, *broken, *lost_authorisations(known_authorisations(ledger.home))]
     solved = [run for run in found if run.parameters]
     compared = compare_runs(solved) if compare else None
     if as_json:

@@ -139,12 +139,15 @@ def _check_authorisation(folder: Path) -> Findings:
     """Compare a folder with the authorisation that the ledger of this bench names. It is the last check of a folder."""
     from bench.base.home import home_folder
     from bench.evidence.findings import Findings
-    from bench.evidence.ledger_authorisation import authorisation_fault, known_authorisations
+    from bench.evidence.ledger_authorisation import compare_authorisation, known_authorisations
     from bench.evidence.seal import AUTHORISATION
 
     found = Findings()
-    if why := authorisation_fault(folder, known_authorisations(home_folder())):
-        found.fault("authorisation", AUTHORISATION, why)
+    compared = compare_authorisation(folder, known_authorisations(home_folder()))
+    if compared.fault:
+        found.fault("authorisation", AUTHORISATION, compared.fault)
+    if compared.note:
+        found.remarks.append(compared.note)
     return found
 
 

@@ -7,7 +7,7 @@ without a ledger enters nothing; the ledger of another bench knows nothing of th
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import lru_cache
@@ -82,7 +82,7 @@ def enter_authorisation(ledger: LedgerFile, folder: Path, person: str, fingerpri
         return False
     with storage_errors(folder):
         hashes = {"seal": sha256_of(folder / MANIFEST), "signature": sha256_of(folder / AUTHORISATION)}
-    facts = {"folder": str(folder.absolute()), "person": person, "fingerprint": fingerprint}
+    facts = {"folder": str(folder.resolve()), "person": person, "fingerprint": fingerprint}
     ledger.append(FOLDER_AUTHORISED, **hashes, **facts)
     return True
 
@@ -127,8 +127,27 @@ def _authorisations(entries: Sequence[Entry]) -> Known:
     return found
 
 
-def authorisation_fault(folder: Path, known: Known) -> str:
-    """Return why the authorisation of a folder is not the one that the ledger names.
+@dataclass(frozen=True)
+class Compared:
+    """How the authorisation of a folder differs from what the ledger names; sentences without a full stop.
+
+    Attributes
+    ----------
+    fault
+        It was removed or replaced; empty if not.
+    note
+        A copy of the folder does not have it, perhaps because the copy is older; empty if not.
+    """
+
+    fault: str = ""
+    note: str = ""
+
+
+_AGREES = Compared()
+
+
+def compare_authorisation(folder: Path, known: Known) -> Compared:
+    """Compare the authorisation of a folder with the one that the ledger names.
 
     Parameters
     ----------
@@ -139,8 +158,8 @@ def authorisation_fault(folder: Path, known: Known) -> str:
 
     Returns
     -------
-    str
-        A sentence without a full stop; empty if they agree, or if the ledger names none for this seal.
+    Compared
+        Empty if they agree, or if the ledger names none for this seal.
 
     Raises
     ------
@@ -150,28 +169,31 @@ def authorisation_fault(folder: Path, known: Known) -> str:
     manifest, signature = folder / MANIFEST, folder / AUTHORISATION
     with storage_errors(folder):
         if not known or not manifest.is_file():
-            return ""
+            return _AGREES
         named = known.get(sha256_of(manifest), ())
         if not named or (signature.is_file() and sha256_of(signature) in {one.signature for one in named}):
-            return ""
-        is_there = signature.exists()
+            return _AGREES
+        is_there, here = signature.exists(), folder.resolve()
+    last = named[-1]
     if is_there:
-        return f"the ledger names another authorisation than {AUTHORISATION}: by {named[-1]}"
-    return (
-        f"the ledger names an authorisation that is missing: by {named[-1]}. Copy {AUTHORISATION} back, or let the"
-        " person authorise again"
+        return Compared(f"the ledger names another authorisation than {AUTHORISATION}: by {last}")
+    if here not in {Path(one.folder).resolve() for one in named} and Path(last.folder).is_dir():
+        return Compared(
+            note=f"the ledger names an authorisation that this copy does not have: by {last}, in {last.folder}"
+        )
+    return Compared(
+        f"the ledger names an authorisation that is missing: by {last}. Copy {AUTHORISATION} back, or let the person"
+        " authorise again"
     )
 
 
-def lost_authorisations(known: Known, folders: Iterable[Path] = ()) -> list[str]:
+def lost_authorisations(known: Known) -> list[str]:
     """Compare all folders that the ledger names as authorised, as far as they are still there.
 
     Parameters
     ----------
     known
         What the ledger names.
-    folders
-        Other places of such folders, which may have been moved.
 
     Returns
     -------
@@ -179,9 +201,8 @@ def lost_authorisations(known: Known, folders: Iterable[Path] = ()) -> list[str]
         One sentence for each folder whose authorisation is missing or another one.
     """
     found = []
-    places = {one.folder for named in known.values() for one in named if one.folder}
-    for folder in sorted(places | {str(folder.absolute()) for folder in folders if known}):
+    for folder in sorted({one.folder for named in known.values() for one in named if one.folder}):
         with suppress(BenchError):
-            if why := authorisation_fault(Path(folder), known):
+            if why := compare_authorisation(Path(folder), known).fault:
                 found.append(f"{folder}: {why}.")
     return found

@@ -9,7 +9,7 @@ from pathlib import Path
 from bench.base.errors import EvidenceError, StorageError
 from bench.evidence.faults import SealFault
 from bench.evidence.key_trust import Trust, read_trust
-from bench.evidence.ledger_authorisation import NOTHING_KNOWN, Known, authorisation_fault
+from bench.evidence.ledger_authorisation import NOTHING_KNOWN, Known, compare_authorisation
 from bench.evidence.seal import AUTHORISATION
 from bench.evidence.states import Standing, State, standing_of
 from bench.records.run_folder import is_sealed
@@ -73,11 +73,13 @@ def shown_state(folder: Path, trust: Trust, now: datetime, known: Known = NOTHIN
         return ShownState()
     try:
         standing = standing_of(folder, trust, now)
-        if why := authorisation_fault(folder, known):
-            standing.faults.append(SealFault("authorisation", AUTHORISATION, why))
+        compared = compare_authorisation(folder, known)
+        if compared.fault:
+            standing.faults.append(SealFault("authorisation", AUTHORISATION, compared.fault))
     except StorageError as error:
         return ShownState(State.DRAFT, f"DRAFT: the seal cannot be read: {error.what}")
-    return ShownState(standing.state, _text(standing))
+    text = _text(standing)
+    return ShownState(standing.state, f"{text}. Note: {compared.note}" if compared.note else text)
 
 
 def _text(standing: Standing) -> str:

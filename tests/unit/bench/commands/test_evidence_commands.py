@@ -123,6 +123,19 @@ def test_an_authorisation_that_was_removed_is_told(authorised, home):
     assert "FAULT" not in call("ledger", "check")
 
 
+def test_a_copy_that_may_be_older_than_the_authorisation_is_no_fault(authorised, home, tmp_path):
+    run, _ = authorised
+    copy = tmp_path / "copy"
+    shutil.copytree(run, copy, ignore=shutil.ignore_patterns("*.authorised.sig"))
+    what = "the ledger names an authorisation that this copy does not have: by ada@lab.example (SHA256:"
+    assert what in call("verify", copy)
+    known = known_authorisations(home)
+    assert f"Note: {what}" in shown_state(copy, home_trust(home), datetime.now(UTC), known).text
+    assert "FAULT" not in call("runs", copy)
+    run.rename(run.with_name("away"))  # the folder itself may have been moved to there
+    assert "the ledger names an authorisation that is missing" in with_a_fault("verify", copy)
+
+
 def test_another_authorisation_than_that_of_the_ledger_is_told(authorised, home, tmp_path):
     run, _ = authorised
     removed(run)
