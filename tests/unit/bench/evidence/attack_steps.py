@@ -1,0 +1,264 @@
+"""Changes of a sealed run by somebody who has the bench's own key, and the verification that must find them."""
+
+import shutil
+from dataclasses import replace
+
+import h5py
+
+from bench.evidence.verify import verify_folder
+from bench.results.derive_again import check_run
+from bench.results.derive_views import RunViews
+
+CAPTURE = "captures/pose-00%d-attempt-1.raw"
+
+
+def copied(folder, to):
+    shutil.copytree(folder, to)
+    for path in [to, *to.rglob("*")]:
+        path.chmod(0o755 if path.is_dir() else 0o644)
+    return to
+
+
+def checked(folder, trusted, **more):
+    from bench.results.derive_again import check_results_folder
+
+    return verify_folder(
+        folder, trusted, derivations={"run": [check_run], "results": [check_results_folder]}, **more
+    )
+
+
+def edit(name, old, new):
+    return lambda f: f.replace(name, old, new)
+
+
+def write(name, data):
+    def attack(f):
+        (f / name).parent.mkdir(exist_ok=True)
+        (f / name).write_bytes(data)
+
+    return attack
+
+
+def remove(*names):
+    return lambda f: [(f / name).unlink() for name in names]
+
+
+def told(*attacks):
+    """The attacks, and then every hash in the journal is put right."""
+
+    def attack(f):
+        for one in attacks:
+            one(f)
+        f.tell_of_files()
+
+    return attack
+
+
+def result(*path, to):
+    """Set a value of results.json, and put every hash in the journal right."""
+
+    def change(results):
+        part = results
+        for key in path[:-1]:
+            part = part[key]
+        assert part[path[-1]] != to
+        part[path[-1]] = to
+
+    return told(lambda f: f.edit_results(change))
+
+
+def line(event, change, nth=0):
+    return told(lambda f: f.edit_line(event, change, nth=nth))
+
+
+def drop(*events):
+    return told(lambda f: f.edit_journal(lambda one: None if one[0] in events else one))
+
+
+def both(*path, key, to, event):
+    """Set a value in the journal and in results.json alike."""
+
+    def attack(f):
+        f.edit_line(event, lambda data: data.__setitem__(key, to))
+        result(*path, to=to)(f)
+
+    return attack
+
+
+def shifted_clock(f):
+    """An hour less between the recordings: the run seems to have been quicker, or at another time."""
+
+    def change(one):
+        seq, hour = len(seen), one[1][11:13]
+        seen.append(one)
+        return (
+            one
+            if seq < 20
+            else [one[0], one[1].replace(f"T{hour}:", f"T{(int(hour) + 1) % 24:02d}:"), *one[2:]]
+        )
+
+    seen = []
+    f.edit_journal(change)
+    f.tell_of_files()
+
+
+def without_pose(f):
+    """The third pose never happened: not in the journal, not in the results, no recording."""
+    (f / (CAPTURE % 3)).unlink()
+    f.edit_journal(lambda one: None if one[3].get("pose") == 3 else one)
+    f.edit_results(lambda results: results["poses"].pop())
+    f.tell_of_files()
+
+
+def without_results(f):
+    """No results were ever written: a result that was not liked disappears."""
+    remove("results.json", "views.h5", "report.html")(f)
+    shutil.rmtree(f / "exports")
+    (f / "exports").mkdir()
+
+    def change(one):
+        is_report = one[0] == "written" or one[3].get("state") == "reporting"
+        return None if is_report else one
+
+    f.edit_journal(change)
+    last = max(one[3]["step"] for one in f.lines if one[0] == "step_done")
+    f.edit_journal(lambda one: None if one[0] == "step_done" and one[3]["step"] == last else one)
+
+
+def other_serial(f):
+    """Another camera, in the journal, the facts of each recording and the results; not in the files' heads."""
+    for _ in range(1):
+        lines = f.lines
+        for event, _, _, data in lines:
+            if event == "devices":
+                data["camera"]["serial"] = "00050999"
+            if event == "capture_stored":
+                data["facts"]["serial"] = "00050999"
+        f.chain(lines)
+    result("devices", "camera", "serial", to="00050999")(f)
+
+
+def other_stage(f):
+    f.edit_line("devices", lambda data: data["stage"][0].__setitem__("serial", "999999"))
+    f.edit_results(lambda results: results["devices"]["stage"][0].__setitem__("serial", "999999"))
+    f.tell_of_files()
+
+
+def not_simulated(f):
+    """The station with real ports; everything says that the run was real."""
+    text = "".join(
+        line
+        for line in (f / "station.yaml").read_text().splitlines(True)
+        if not line.startswith("simulation:")
+    )
+    for old, new in (
+        ("sim:gimbal", "/dev/ttyUSB0"),
+        ("sim:light", "/dev/ttyUSB1"),
+        ("simulated_evk4", "metavision"),
+        ("  address: sim:camera\n", ""),
+    ):
+        assert old in text
+        text = text.replace(old, new)
+    (f / "station.yaml").write_text(text)
+    f.edit_line("run_started", lambda data: data.__setitem__("simulated", False))
+    f.edit_results(lambda results: results["run"].__setitem__("simulated", False))
+    f.tell_of_files()
+
+
+def in_views(change):
+    def attack(f):
+        with h5py.File(f / "views.h5", "r+") as file:
+            change(file)
+        f.tell_of_files()
+
+    return attack
+
+
+def move_star(file):
+    points = file["pose-001/points_px"][()]
+    points[0] += 0.3
+    file["pose-001/points_px"][...] = points
+
+
+def paint(f):
+    """An image is painted over, and views.h5 written as the program writes it."""
+    held = RunViews.read(f / "views.h5")
+    painted = held.pictures[0]()
+    painted[100:140, 100:140] = 255
+    f.write_views(replace(held, pictures=[lambda: painted, *held.pictures[1:]]))
+    f.tell_of_files()
+
+
+def swap_captures(f):
+    one, two = (f / (CAPTURE % n) for n in (1, 2))
+    data = one.read_bytes(), two.read_bytes()
+    one.write_bytes(data[1])
+    two.write_bytes(data[0])
+    in_results(f)
+
+
+def in_results(f):
+    """Put the hashes of the recordings into results.json too."""
+    f.tell_of_files()
+    sums = {one[3]["capture"]: one[3]["sha256"] for one in f.lines if one[0] == "capture_stored"}
+
+    def change(results):
+        for pose in results["poses"]:
+            for attempt in pose["attempts"]:
+                attempt["sha256"] = sums[attempt["capture"]]
+
+    f.edit_results(change)
+    f.tell_of_files()
+
+
+def half_wire(f):
+    data = (f / "wire.jsonl").read_bytes()
+    (f / "wire.jsonl").write_bytes(data[: data.index(b"\n", len(data) // 3) + 1])
+    f.tell_of_files()
+
+
+def other_truth(f):
+    f.edit_results(
+        lambda results: results["truth"]["camera"].__setitem__("fx", results["calibration"]["camera"]["fx"])
+    )
+    f.tell_of_files()
+
+
+def forged_focal_length(f, job):
+    """fx is 2 px longer in every file that states it; plots, exports and hashes follow."""
+
+    def change(results):
+        results["calibration"]["camera"]["fx"] += 2.0
+        for row in results["comparison"]:
+            if row["name"] == "fx":
+                row["value"] += 2.0
+                row["error"] = row["value"] - row["truth"]
+                row["error_sigmas"] = row["error"] / row["sigma"]
+
+    f.edit_results(change)
+    fx = f.results["calibration"]["camera"]["fx"]
+    f.edit_line("solved", lambda data: data["values"].__setitem__("fx", fx))
+    rederive(f, job)
+
+
+def rederive(f, job):
+    """Put right what follows from the calibration, as the program does."""
+    from bench.results.comparison import compare_with_truth
+    from bench.results.results_content import projection
+    from bench.results.stored_calibration import stored_calibration
+    from bench.views.views_file import read_views
+
+    results = f.results
+    calibration = stored_calibration(results["calibration"])
+    views = [stored.view for stored in read_views(f / "views.h5")]
+    f.edit_results(lambda r: r.update(projection=projection(calibration, views)))
+    f.edit_results(lambda r: r.update(comparison=compare_with_truth(calibration, r["truth"])))
+    f.render(job)
+    f.tell_of_files()
+
+
+def by_another_program(f, **software):
+    """Everything states another program, consistently."""
+    f.edit_line("run_started", lambda data: data["software"].update(software))
+    f.edit_results(lambda results: results["run"]["software"].update(software))
+    f.tell_of_files()
