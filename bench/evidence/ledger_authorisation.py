@@ -120,10 +120,11 @@ def _authorisations(entries: Sequence[Entry]) -> Known:
     found: dict[str, list[Authorised]] = {}
     for entry in entries:
         if entry.event == FOLDER_AUTHORISED:
-            texts = [
+            signature, person, fingerprint, folder = (
                 str(entry.data.get(name, "")) for name in ("signature", "person", "fingerprint", "folder")
-            ]
-            found.setdefault(str(entry.data.get("seal", "")), []).append(Authorised(*texts, entry.utc))
+            )
+            one = Authorised(signature, person, fingerprint, folder, entry.utc)
+            found.setdefault(str(entry.data.get("seal", "")), []).append(one)
     return found
 
 
