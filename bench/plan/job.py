@@ -5,15 +5,16 @@ A job holds the content of both files. It holds neither the history of the run n
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 from bench.base.errors import ScriptError
 from bench.plan.engine_options import calibration_options
 from bench.plan.plan import Plan, load_documents, make_plan
+from bench.plan.script_steps import PoseStep, ScriptStep, with_parking
 from bench.records.run_folder import PASSPORT_COPY, SEQUENCE_COPY, STATION_COPY
 from bench.simulated import SimulatedBench
 from bench.stations.station import Station
@@ -24,61 +25,17 @@ from bench.views.station_camera_kind import camera_kind
 from calib.boards.board import Board
 from calib.target import StarTarget
 from drivers.light import LightSettings
-from sequences.script import ChooseStep, Flicker, LightStep, MoveStep, RecordStep, SettleStep, Step
+from sequences.script import ChooseStep, Flicker, LightStep, RecordStep
 
 __all__ = [
-    "DEVICE_STEPS",
     "MAX_MOTION_DEG",
     "Job",
-    "ParkStep",
-    "ScriptStep",
     "calibration_options",
     "documents_of",
-    "with_parking",
 ]
 
 MAX_MOTION_DEG = 0.0005
 """Largest motion between the begin and the end of a recording, degrees: 0.03 px at f = 3345 px."""
-
-
-@dataclass(frozen=True)
-class ParkStep:
-    """Light off and stage to zero, after the last step that needs devices. No script contains this step.
-
-    Attributes
-    ----------
-    number
-        Number of the step; 0, because it is not in the script.
-    where
-        Place in the run, for messages.
-    """
-
-    number: int = 0
-    where: str = "after the last recording"
-
-
-ScriptStep = Step | ParkStep
-PoseStep = TypeVar("PoseStep", bound=MoveStep | RecordStep)
-DEVICE_STEPS = (LightStep, MoveStep, SettleStep, RecordStep, ChooseStep, ParkStep)
-
-
-def with_parking(steps: Sequence[Step]) -> tuple[ScriptStep, ...]:
-    """Insert a park step after the last step that needs devices.
-
-    Parameters
-    ----------
-    steps
-        Steps of the script.
-
-    Returns
-    -------
-    tuple
-        Steps with the park step; unchanged if no step needs devices.
-    """
-    last = max((i for i, step in enumerate(steps) if isinstance(step, DEVICE_STEPS)), default=-1)
-    if last < 0:
-        return tuple(steps)
-    return (*steps[: last + 1], ParkStep(), *steps[last + 1 :])
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,8 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 
-from bench.plan.job import Job, ScriptStep
+from bench.plan.job import Job
+from bench.plan.script_steps import ScriptStep
 from bench.records.history import History, count_crash
 from bench.report.until_text import goals_text
 from sequences.script import ChooseStep, MoveStep, PromptStep, RecordStep, ReportStep, SettleStep, SolveStep

@@ -16,7 +16,8 @@ from bench.base.clock import Aborted, BenchClock, Interrupted
 from bench.base.device_ends import DeviceEnd
 from bench.base.errors import StorageError
 from bench.base.failure import FORESEEN, Failure
-from bench.plan.job import DEVICE_STEPS, Job, ScriptStep
+from bench.plan.job import Job
+from bench.plan.script_steps import DEVICE_STEPS, ScriptStep
 from bench.records.events import Entering, Event, FailureData, LeftOff
 from bench.records.journal import Journal
 from bench.records.run_folder import RunFolder

@@ -8,7 +8,8 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from bench.base.clock import BenchClock
-from bench.plan.job import Job, ParkStep, ScriptStep
+from bench.plan.job import Job
+from bench.plan.script_steps import ParkStep, ScriptStep
 from bench.records.events import Event
 from bench.records.run_log import RunLog
 from bench.run.interlocks import Interlocks

@@ -11,7 +11,8 @@ from dataclasses import asdict
 from typing import Any
 
 from bench.base.clock import BenchClock
-from bench.plan.job import Job, ScriptStep
+from bench.plan.job import Job
+from bench.plan.script_steps import ScriptStep
 from bench.records.events import Event
 from bench.records.recovery import recover
 from bench.records.run_folder import RunFolder
