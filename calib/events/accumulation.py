@@ -165,7 +165,7 @@ def _add_events(
         off_late = now - off.start_us - off_turns * period
         on_burst, off_burst = np.int32(on_turns + 2), np.int32(off_turns + 2)
         in_on, in_off = on_late <= on.length_us, off_late <= off.length_us
-        wave = np.cos(2.0 * np.pi * (now - response_us) / period)
+        wave, late = np.float32(np.cos(2.0 * np.pi * (now - response_us) / period)), np.float32(on_late)
         for i in range(times.first[k], times.first[k + 1]):
             at = np.uint64(y[i]) * columns + np.uint64(x[i])
             if p[i]:
@@ -176,7 +176,7 @@ def _add_events(
                     is_first = on_seen[at] != on_burst
                     on_seen[at] = on_burst
                     on_fired[at] += np.uint16(is_first)
-                    on_latency[at] += on_late * is_first
+                    on_latency[at] += late * np.float32(is_first)
             else:
                 off_count[at] += np.uint32(1)
                 last_polarity[at] = -1
@@ -232,19 +232,91 @@ def lit_pixels(sums: PixelSums, hot: Any, least: float) -> LitPixels:
     on_latency, latency_us = sums.on_latency, np.empty(hot.size, np.float32)
     n = on = off = all_on = silent = silent_so_far = 0
     for r in range(height):
-        fired, begin = False, n
+        begin, row_on, row_off = n, 0, 0
         for c in range(width):
-            all_on += on_count[r, c]
-            fired |= on_count[r, c] + off_count[r, c] > 0
-            lit = on_fired[r, c] >= least and off_fired[r, c] >= least and not hot[r, c]
-            latency_us[n] = on_latency[r, c] / np.float32(max(on_fired[r, c], 1))
-            on += on_count[r, c] * lit
-            off += off_count[r, c] * lit
-            n += lit
-        silent_so_far += not fired and begin > 0
+            row_on += on_count[r, c]
+            row_off += off_count[r, c]
+        for c in range(width):
+            if on_fired[r, c] >= least and off_fired[r, c] >= least and not hot[r, c]:
+                latency_us[n] = on_latency[r, c] / np.float32(max(on_fired[r, c], 1))
+                on += on_count[r, c]
+                off += off_count[r, c]
+                n += 1
+        all_on += row_on
+        silent_so_far += row_on + row_off == 0 and begin > 0
         if n > begin:
             silent = silent_so_far
     return LitPixels(latency_us[:n], on, off, all_on, silent)
+
+
+@njit(cache=True, error_model="numpy")
+def hot_pixels(on_count: Any, off_count: Any, allowed: int, most: int) -> tuple[Any, bool]:
+    """Find the pixels with more than 2.5 m + ``allowed`` events, with the median m of the 5 x 5 pixels around each.
+
+    The median is computed only where it matters: at the pixels with more than ``allowed`` events.
+
+    Parameters
+    ----------
+    on_count, off_count
+        (H, W) uint32, number of events of each polarity.
+    allowed
+        Number of events.
+    most
+        Number of medians after which the search is given up: a filter of the whole image is faster then.
+
+    Returns
+    -------
+    hot : array
+        (H, W) bool.
+    complete : bool
+        False if the search was given up.
+    """
+    height, width = on_count.shape
+    hot, medians = np.zeros((height, width), np.bool_), 0
+    around: Any = np.empty(25, np.int64)
+    for r in range(height):
+        for c in range(width):
+            count = np.int64(on_count[r, c]) + np.int64(off_count[r, c])
+            if count <= allowed:
+                continue
+            medians += 1
+            if medians > most:
+                return hot, False
+            for k in range(25):
+                y = min(max(r + k // 5 - 2, 0), height - 1)
+                x = min(max(c + k % 5 - 2, 0), width - 1)
+                around[k] = min(np.int64(on_count[y, x]) + np.int64(off_count[y, x]), 65535)
+            # In whole numbers, doubled.
+            hot[r, c] = 2 * count > 5 * np.sort(around)[12] + 2 * allowed
+    return hot, True
+
+
+@njit(cache=True, error_model="numpy")
+def without_hot_pixels(image: Any, hot: Any) -> Any:
+    """Replace hot pixels by the median of the 3 x 3 pixels around them.
+
+    Parameters
+    ----------
+    image
+        (H, W) float32.
+    hot
+        (H, W) bool.
+
+    Returns
+    -------
+    array
+        (H, W) float32.
+    """
+    height, width = image.shape
+    result, around = image.copy(), np.empty(9, np.float32)
+    for r in range(height):
+        for c in range(width):
+            if hot[r, c]:
+                for k in range(9):
+                    y, x = min(max(r + k // 3 - 1, 0), height - 1), min(max(c + k % 3 - 1, 0), width - 1)
+                    around[k] = image[y, x]
+                result[r, c] = np.sort(around)[4]
+    return result
 
 
 @njit(cache=True, error_model="numpy")

@@ -31,7 +31,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.errors import InputMismatch, TooFewEvents
-from calib.events.accumulation import PixelSums, above_surroundings, accumulate, lit_pixels
+from calib.events.accumulation import (
+    PixelSums,
+    above_surroundings,
+    accumulate,
+    hot_pixels,
+    lit_pixels,
+    without_hot_pixels,
+)
 from calib.events.bursts import BurstWindow, whole_period_window
 from calib.events.flicker import Flicker
 
@@ -39,6 +46,8 @@ from calib.events.flicker import Flicker
 LOCK_IN_MIN_EVENTS = 1.9
 #: Least share of the edges on which a lit pixel fires.
 LIT_SHARE = 0.75
+#: Share of the pixels, as its inverse, up to which medians are computed one by one.
+FEW_MEDIANS = 64
 
 
 class ChosenImage(NamedTuple):
@@ -119,13 +128,13 @@ class EventImages:
         uint16, number of edges on which the pixel fired within the burst.
     lock_in
         float32, in-phase sum at the flicker's frequency, dimensionless.
-    on_latency_us
-        float32, mean latency of the first ON event of a burst, us; nan if there was none.
     hot
         bool, pixels that fire far more often than their surroundings. `best` and most images of `named` replace
         them by the median of their surroundings.
     facts
         Properties of the slice.
+    sums
+        What the images were made of.
     """
 
     last_polarity: NDArray[np.int8]
@@ -134,9 +143,9 @@ class EventImages:
     on_fired: NDArray[np.uint16]
     off_fired: NDArray[np.uint16]
     lock_in: NDArray[np.float32]
-    on_latency_us: NDArray[np.float32]
     hot: NDArray[np.bool_]
     facts: SliceFacts
+    sums: PixelSums
 
     @property
     def count(self) -> NDArray[np.uint32]:
@@ -147,6 +156,11 @@ class EventImages:
     def fired(self) -> NDArray[np.bool_]:
         """(H, W) bool, whether a pixel sent any event."""
         return self.last_polarity != 0
+
+    @cached_property
+    def on_latency_us(self) -> NDArray[np.float32]:
+        """(H, W) float32, us, mean latency of the first ON event of a burst; nan if there was none."""
+        return self.sums.mean_latency_us()
 
     @cached_property
     def fired_per_edge(self) -> NDArray[np.float32]:
@@ -279,7 +293,7 @@ def make_images(
         )
     inside = slice(first, last)
     sums, *windows = accumulate(t[inside], x[inside], y[inside], p[inside], size, start, flicker.period_us)
-    hot = _hot_pixels(sums.on_count + sums.off_count, 2 * whole)
+    hot = _hot_pixels(sums, 2 * whole)
     facts = _facts(sums, hot, (start, end, whole), (last - first, t.size - (last - first)), windows)
     return EventImages(
         last_polarity=sums.last_polarity,
@@ -288,17 +302,23 @@ def make_images(
         on_fired=sums.on_fired,
         off_fired=sums.off_fired,
         lock_in=sums.lock_in,
-        on_latency_us=sums.mean_latency_us(),
         hot=hot,
         facts=facts,
+        sums=sums,
     )
 
 
-def _hot_pixels(count: NDArray[np.uint32], edges: int) -> NDArray[np.bool_]:
+def _hot_pixels(sums: PixelSums, edges: int) -> NDArray[np.bool_]:
     """Find the pixels that fire far more often than their surroundings.
 
     Own rule: more than 2.5 m + 4 + 2 E events, with the median m of the 5 x 5 pixels around and E edges.
     """
+    hot, complete = hot_pixels(
+        sums.on_count, sums.off_count, 4 + 2 * edges, sums.on_count.size // FEW_MEDIANS
+    )
+    if complete:
+        return np.asarray(hot)
+    count = sums.on_count + sums.off_count
     around = cv2.medianBlur(np.minimum(count, 65535).astype(np.uint16), 5)
     return np.asarray(above_surroundings(count, around, 4 + 2 * edges))
 
@@ -307,7 +327,7 @@ def _without_hot_pixels(image: NDArray[np.float32], hot: NDArray[np.bool_]) -> N
     """Replace hot pixels by the median of their surroundings."""
     if not hot.any():
         return image
-    return np.where(hot, cv2.medianBlur(image, 3), image)
+    return np.asarray(without_hot_pixels(image, hot))
 
 
 def _facts(

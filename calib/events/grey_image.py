@@ -58,18 +58,29 @@ def _clipped_ends(values: Any, share: float) -> tuple[float, float]:
     Quantiles: Hyndman and Fan (1996), definition 7, exact to the last bit. Both are 0 if no value is finite.
     """
     keys = values.view(np.uint32)
-    counts, n = np.zeros(65536, np.int64), 0
-    for i in range(keys.size):
-        key = _ordered(keys[i])
-        finite = np.isfinite(values[i])
-        counts[key >> np.uint32(16)] += finite
-        n += finite
+    counts = _count_upper_halves(keys)
+    n = counts.sum()
     if n == 0:
         return 0.0, 0.0
     low, high = _quantile(keys, counts, n, share), _quantile(keys, counts, n, 1.0 - share)
     if high <= low:
         return float(_nth_and_next(keys, counts, 0)[0]), float(_nth_and_next(keys, counts, n - 1)[0])
     return low, high
+
+
+@njit(cache=True, error_model="numpy")
+def _count_upper_halves(keys: Any) -> Any:
+    """Count finite values by the upper 16 bits of `_ordered`, (65536,) int64.
+
+    Four tables are filled in turn, since neighbours often have the same value: a sum that has just been stored is slow
+    to add to.
+    """
+    tables = np.zeros((4, 65536), np.int32)
+    for i in range(keys.size):
+        key = _ordered(keys[i])
+        finite = keys[i] & np.uint32(0x7F800000) != np.uint32(0x7F800000)
+        tables[i & 3, key >> np.uint32(16)] += finite
+    return tables[0].astype(np.int64) + tables[1] + tables[2] + tables[3]
 
 
 @njit(cache=True, error_model="numpy")
@@ -87,6 +98,27 @@ def _quantile(keys: Any, counts: Any, n: int, share: float) -> float:
 def _ordered(key: Any) -> Any:
     """Return the bits of a float32 as a number that grows with its value (Terdiman, 2000)."""
     return ~key if key >> np.uint32(31) else key | np.uint32(0x80000000)
+
+
+@njit(cache=True, error_model="numpy")
+def _bits(key: Any) -> Any:
+    """Return the bits of the float32 that `_ordered` turned into a number."""
+    return key & np.uint32(0x7FFFFFFF) if key >> np.uint32(31) else ~key
+
+
+@njit(cache=True, error_model="numpy")
+def _only_value(keys: Any, upper: Any) -> Any:
+    """Return the bits of the only value with some upper 16 bits; -1 if there are several, or none."""
+    at = 0
+    while at < keys.size and keys[at] >> np.uint32(16) != upper:
+        at += 1
+    if at == keys.size:
+        return -1
+    value, different = keys[at], np.uint32(0)
+    for i in range(keys.size):  # without a branch, so that it runs over several pixels at once
+        other = keys[i] ^ value
+        different |= other if other < np.uint32(65536) else np.uint32(0)
+    return -1 if different else np.int64(value)
 
 
 @njit(cache=True, error_model="numpy")
@@ -109,6 +141,11 @@ def _nth_and_next(keys: Any, counts: Any, n: int) -> tuple[Any, Any]:
         if upper != seen:
             seen = upper
             lower[:] = 0
+            only = _only_value(keys, _bits(np.uint32(upper << 16)) >> np.uint32(16))
+            if only >= 0:  # an image of few values
+                lower[_ordered(np.uint32(only)) & np.uint32(0xFFFF)] = counts[upper]
+                found[k] = np.uint32(only)
+                continue
             for i in range(keys.size):
                 key = _ordered(keys[i])
                 lower[key & np.uint32(0xFFFF)] += key >> np.uint32(16) == upper
@@ -116,8 +153,7 @@ def _nth_and_next(keys: Any, counts: Any, n: int) -> tuple[Any, Any]:
         while rest >= lower[low]:
             rest -= lower[low]
             low += 1
-        key = np.uint32(upper << 16 | low)
-        found[k] = key & np.uint32(0x7FFFFFFF) if key >> np.uint32(31) else ~key
+        found[k] = _bits(np.uint32(upper << 16 | low))
     values = found.view(np.float32)
     return values[0], values[1]
 

@@ -163,7 +163,8 @@ def detect_stars(
             where=f"view {name}",
             remedy="Give one grey plane (H, W).",
         )
-    smoothed = smooth(np.nan_to_num(np.asarray(image, np.float32)), BLUR_PX)
+    values = np.asarray(image, np.float32)
+    smoothed = smooth(values if np.isfinite(values.sum()) else np.nan_to_num(values), BLUR_PX)
     candidates, sign, named_by = find_candidates(image, smoothed, target, expected, name=name)
     blurred = False
     for step_px in (COARSE_STEP_PX, FINE_STEP_PX):
