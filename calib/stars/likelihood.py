@@ -35,13 +35,13 @@ from functools import cached_property, lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
+from calib.stars.edge_gathering import gather_edge_pixels
 from calib.stars.edge_pixels import (
     EDGE_UNKNOWNS,
     TAU_BIN_PX,
     ScoreTables,
     count_levels,
     edge_scores,
-    gather_edge_pixels,
 )
 from calib.stars.local_map import LocalMap
 from calib.stars.printed_star import EdgeMap, blurred_edge_map, render_star
@@ -68,6 +68,9 @@ OVERDISPERSION_RANGE = (0.5, 50.0)
 OVERDISPERSION_ROUND = 1
 #: Largest step of an unknown, px or px per pitch.
 MAX_STEP_PX = 0.15
+#: Decimals of the pitch at which the printed star is drawn, px. It is drawn by samples: rounding errors of the pitch
+#: would decide on which side of an edge some of them fall, and would move centres by a thousandth of a pixel.
+PITCH_DIGITS = 6
 _RIDGE = 1e-6
 
 
@@ -126,7 +129,7 @@ def refine_by_likelihood(
     LikelihoodFit
         In the order of ``centres``.
     """
-    pitch = typical_pitch_px(local_map)
+    pitch = round(typical_pitch_px(local_map), PITCH_DIGITS)
     information = _InformationByBlur(levels, centres, local_map, _EdgeMaps(target, pitch))
     edge_map = information.edge_map(_best_blur(information))
     pixels = gather_edge_pixels(levels, centres, local_map, edge_map, is_open)
@@ -385,4 +388,5 @@ def _score_tables(counts: NDArray[np.float64], bandwidth_bins: float) -> ScoreTa
     overall = (counts.sum(axis=1, keepdims=True) + 1.0) / (counts.sum() + len(counts))
     share = (smoothed + PSEUDO_COUNT * overall) / (smoothed.sum(axis=0) + PSEUDO_COUNT)
     slope = np.gradient(share, axis=1) / TAU_BIN_PX
-    return ScoreTables(slope / share, (slope**2 / share).sum(axis=0))
+    score = slope / share
+    return ScoreTables(score.astype(np.float32), (slope * score).sum(axis=0).astype(np.float32))

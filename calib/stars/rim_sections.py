@@ -32,6 +32,8 @@ _MOST_WRONG = 0.12
 #: Standard uncertainty of the map from target to image at the rim, px, and of the brightest level.
 _MAP_SIGMA_PX, _LEVEL_SIGMA = 0.4, 0.05
 _ROUNDS = 12
+#: Sum of squares from which a width is clearly worse, in units of the best one.
+_CLEARLY_WORSE = 1.5
 #: Distance from the rim, in widths, beyond which the logistic function is 0 or 1.
 _SATURATED = 14.0
 
@@ -158,6 +160,7 @@ def _fall(section: NDArray[np.int64], rho: Array, along: Array, levels: Array, s
 
     Nonlinear least squares by Gauss-Newton (Björck, 1996, section 9.2). The level is 1 / (1 + exp((rho - place - slope
     t) / width)), where t is the distance along the rim. The width with the smallest sum of squares is taken.
+    The sums have one minimum over the width, so no falls are tried that are wider than one that is clearly worse.
     """
     level = np.clip(levels, -0.3, 1.3)
     nothing = np.full(len(start), np.nan)
@@ -178,6 +181,8 @@ def _fall(section: NDArray[np.int64], rho: Array, along: Array, levels: Array, s
             shift = b / a
             best = _Fall(place + slope * shift, np.sqrt(noise / a), shift, 4.0 * width)
             best_squares = squares
+        elif squares > _CLEARLY_WORSE * best_squares:
+            break
     return best
 
 
