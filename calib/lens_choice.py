@@ -126,11 +126,12 @@ def compare_lenses(options: CalibrationOptions, fitted: Fit) -> LensComparison:
         The candidates, and the simplest lens that the data support.
     """
     used = lens_name(options.distortion)
-    found = _candidates(dict.fromkeys((used, *_RICHEST)), options, fitted)
+    first = dict.fromkeys((used, *_RICHEST))
+    found = _candidates(first, options, fitted)
     few = not enough_poses(fitted)
     if _best(found, few=few) == used:
         return LensComparison(found, used)
-    found = {**_candidates(LENSES, options, fitted), **found}
+    found |= _candidates((lens for lens in LENSES if lens not in first), options, fitted)
     ordered = {name: found[name] for name in dict.fromkeys((*LENSES, used)) if name in found}
     return LensComparison(ordered, _best(ordered, few=few))
 

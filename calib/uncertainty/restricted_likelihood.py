@@ -16,6 +16,8 @@ Array = NDArray[np.float64]
 _ROUNDS = 100
 #: The iteration ends when no standard deviation changes by more than this share.
 _CONVERGED = 5e-3
+#: The iteration ends, too, when no component changes by more than this share of what it explains: others have vanished.
+_SETTLED = 1e-9
 #: A variance that falls by more than this factor does not keep the iteration going.
 _VANISHING = 1e-3
 
@@ -159,6 +161,7 @@ def maximum_likelihood(forms: PoseForms | DenseForms, start: Array) -> tuple[Arr
             np.sqrt(np.divide(observed, expected, out=np.ones_like(start), where=known)), np.float64
         )
         variances = variances * factors
-        if (np.abs(np.sqrt(factors) - 1.0) * (factors > _VANISHING)).max() < _CONVERGED:
+        change = np.abs(np.sqrt(factors) - 1.0)
+        if (change * (factors > _VANISHING)).max() < _CONVERGED or (change * expected).max() < _SETTLED:
             break
     return variances, forms.information() * np.outer(factors, factors)
