@@ -7,18 +7,15 @@ which a run judges its recordings. Turns and focus come only when light and sign
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 from typing import Final
 
-from bench.align.focus_figure import FocusFigures
-from bench.align.live_image import LiveImage
 from bench.align.live_setting import LiveSetting
+from bench.align.seen import Seen
 from bench.align.signal_figures import SignalFigures
 from bench.align.where_to_turn import TurnFigures
 from bench.views.frames import MOST_SATURATED
 from bench.views.gates import FILTERS_TO_DISABLE, FREQUENCY_TOLERANCE
 from calib.stars.beam import Beam
-from calib.stars.quick import QuickStars
 from drivers.camera import RecordingFacts
 from drivers.camera.frames import FrameFacts
 
@@ -38,65 +35,6 @@ _LITTLE_LIGHT: Final = 0.6
 _BLINDED: Final = 0.6
 _FREQUENCY_SLACK: Final = 0.03
 _ASIDE: Final = 0.04
-
-
-@dataclass(frozen=True)
-class Seen:
-    """Everything that the advice is made from.
-
-    Attributes
-    ----------
-    image
-        Image and signal of the slice.
-    facts
-        What the driver states about it; None if unknown.
-    beam
-        The beam's disc.
-    stars
-        Tag and stars; None if they were not searched.
-    other_tag
-        What is wrong with the tags seen; empty if nothing is.
-    focus
-        Focus figures.
-    best_edge_width_px
-        Smallest edge width seen so far, px.
-    best_sharpness
-        Largest sharpness seen so far.
-    best_coarse_detail
-        Most coarse detail seen so far.
-    better_before_px
-        Best edge width since the camera was turned, px, if the present one is clearly worse; else None.
-    trend
-        Where the focus goes: ``better``, ``worse`` or empty.
-    contrast
-        Contrast inside the beam; None without light.
-    turn
-        Where to turn.
-    """
-
-    image: LiveImage
-    facts: RecordingFacts | FrameFacts | None
-    beam: Beam
-    stars: QuickStars | None
-    other_tag: str
-    focus: FocusFigures
-    best_edge_width_px: float | None
-    best_sharpness: float | None
-    best_coarse_detail: float | None
-    better_before_px: float | None
-    trend: str
-    contrast: float | None
-    turn: TurnFigures
-
-    @property
-    def count(self) -> int:
-        """Number of stars."""
-        return 0 if self.stars is None else len(self.stars.points_px)
-
-    @property
-    def tag_seen(self) -> bool:
-        """Whether the tag, or enough of it to identify the stars, is in view."""
-        return self.stars is not None and (self.stars.tag is not None or bool(self.stars.named_by))
 
 
 def advice_for(seen: Seen, setting: LiveSetting) -> list[str]:

@@ -15,10 +15,11 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from bench.align.advice import Seen, advice_for, dropped_share
+from bench.align.advice import advice_for, dropped_share
 from bench.align.focus_figure import FocusCourse, FocusFigures
 from bench.align.live_image import LiveImage, read_image, show
 from bench.align.live_setting import LiveSetting, LiveSlice
+from bench.align.seen import Seen
 from bench.align.seen_motion import SeenMotion
 from bench.align.signal_figures import SignalFigures
 from bench.align.star_watch import Found, StarWatch, StopWatch

@@ -16,8 +16,8 @@ from drivers.clock import Clock
 from drivers.errors import DeviceRefused, MoveFailed, NotHomed, OutsideLimits, WrongDevice
 from drivers.serial_port import Port, SerialPort
 from drivers.stage import AxisIdentity, AxisLimits, grbl_protocol, motion
-from drivers.stage.grbl_controller import GrblController, machine_positions
-from drivers.stage.grbl_protocol import StatusReport
+from drivers.stage.grbl_controller import GrblController
+from drivers.stage.grbl_protocol import StatusReport, machine_positions
 from drivers.stage.watched import AxisState, StopCheck, WatchedStage
 from drivers.wire_log import WireLog
 

@@ -6,7 +6,7 @@ Degrees belong to ``drivers.stage.grbl``, the forms of lines to ``drivers.stage.
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import TypeVar
 
 from drivers.clock import Clock
@@ -411,34 +411,3 @@ class GrblController:
         """Note the restarts and alarms in bytes that are thrown away."""
         for line in old.splitlines(keepends=True):
             self._take_push_message(line)
-
-
-def machine_positions(report: StatusReport, places: Sequence[int], where: str) -> tuple[float, ...]:
-    """Return the machine positions of some axes.
-
-    Parameters
-    ----------
-    report
-        Status report of the board.
-    places
-        Places of the axes in the report: 0 for X, 1 for Y ...
-    where
-        Name of the line, for the message.
-
-    Returns
-    -------
-    tuple of float
-        Machine positions, in the board's unit.
-
-    Raises
-    ------
-    ReplyGarbled
-        The report has fewer axes.
-    """
-    if max(places) >= len(report.machine_position):
-        raise ReplyGarbled(
-            f"the board reports {len(report.machine_position)} axes only.",
-            where=where,
-            remedy="Check the axis letters in the station file.",
-        )
-    return tuple(report.machine_position[place] for place in places)

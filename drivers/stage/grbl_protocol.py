@@ -7,6 +7,7 @@ This module sends nothing. Source: the pages "Grbl v1.1 Interface", "Grbl v1.1 J
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from drivers.errors import ReplyGarbled
@@ -246,3 +247,34 @@ def is_informational(line: bytes) -> bool:
         Whether it is one of these.
     """
     return line == b"\r\n" or line.startswith((b"[MSG:", b">"))
+
+
+def machine_positions(report: StatusReport, places: Sequence[int], where: str) -> tuple[float, ...]:
+    """Return the machine positions of some axes.
+
+    Parameters
+    ----------
+    report
+        Status report of the board.
+    places
+        Places of the axes in the report: 0 for X, 1 for Y ...
+    where
+        Name of the line, for the message.
+
+    Returns
+    -------
+    tuple of float
+        Machine positions, in the board's unit.
+
+    Raises
+    ------
+    ReplyGarbled
+        The report has fewer axes.
+    """
+    if max(places) >= len(report.machine_position):
+        raise ReplyGarbled(
+            f"the board reports {len(report.machine_position)} axes only.",
+            where=where,
+            remedy="Check the axis letters in the station file.",
+        )
+    return tuple(report.machine_position[place] for place in places)
