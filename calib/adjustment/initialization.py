@@ -103,12 +103,9 @@ def planar_starts(
     for share in _FOCAL_SHARES:
         f = share * float(np.hypot(*image_size))
         matrices.append(np.array([[f, 0.0, middle[0]], [0.0, f, middle[1]], [0.0, 0.0, 1.0]]))
-    for matrix in matrices:
-        if matrix is not None:
-            rotations, centres = poses_from_homographies(homographies, matrix)
-            yield AdjustmentParameters(
-                _camera(matrix, image_size, distortion), Collimator(0.0, 0.0, 0.0), rotations, centres
-            )
+    known = np.array([matrix for matrix in matrices if matrix is not None])
+    for matrix, *pose in zip(known, *poses_from_homographies(homographies, known), strict=True):
+        yield AdjustmentParameters(_camera(matrix, image_size, distortion), Collimator(0.0, 0.0, 0.0), *pose)
 
 
 def passport_starts(

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import cache, partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -45,6 +45,7 @@ from calib.uncertainty.covariance import (
     inflate,
 )
 from calib.uncertainty.cross_validation import MIN_VIEWS, CrossValidation, leave_one_out
+from calib.uncertainty.field_equations import FieldEquations
 from calib.uncertainty.passport_propagation import (
     add_certificate,
     add_parallax,
@@ -403,9 +404,15 @@ def with_uncertainty(fitted: Fit, options: CalibrationOptions) -> Fit:
     """
     bundle, parameters, loss = fitted.bundle, fitted.parameters, fitted.loss
     estimate, passport = fitted.uncertainty, options.passport
+    at_optimum = cache(partial(FieldEquations, bundle, parameters, loss))
     if passport is None or passport.is_certificate:
-        components = partial(variance_components, bundle, parameters, loss)
-        estimate = inflate(estimate, bundle, parameters, loss, components)
+        estimate = inflate(
+            estimate,
+            bundle,
+            parameters,
+            loss,
+            lambda: variance_components(bundle, parameters, loss, at_optimum()),
+        )
     unbounded = passport is None and bundle.gimbal is None and fitted.model != "planar"
     if unbounded and estimate.inconsistent:
         estimate = add_parallax(parameters, estimate, options.parallax_sigma)
@@ -419,5 +426,7 @@ def with_uncertainty(fitted: Fit, options: CalibrationOptions) -> Fit:
         why = "The passport does not constrain it either."
         require_constrained(parameters, estimate.names, estimate.covariance, why)
     if passport is None or passport.is_certificate:
-        estimate = add_common_errors(estimate, bundle, partial(common_errors, bundle, parameters, loss))
+        estimate = add_common_errors(
+            estimate, bundle, lambda: common_errors(bundle, parameters, loss, at_optimum())
+        )
     return replace(fitted, uncertainty=estimate)

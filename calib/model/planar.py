@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.model.rotation import nearest_rotation
+from calib.model.rotation import nearest_rotation, skew
 
 Array = NDArray[np.float64]
 
@@ -79,16 +79,18 @@ def poses_from_homographies(homographies: Array, matrix: Array) -> tuple[Array, 
     homographies
         (n, 3, 3) homographies from target, mm, to image, px.
     matrix
-        (3, 3) camera matrix, px.
+        (..., 3, 3) camera matrices, px.
 
     Returns
     -------
     tuple of Array
-        (n, 3, 3) rotations, camera <- target; (n, 3) camera centres in the target frame, mm.
+        For each camera matrix (..., n, 3, 3) rotations, camera <- target; (..., n, 3) camera centres in the target
+        frame, mm.
     """
-    columns = np.linalg.inv(matrix) @ homographies
-    columns = columns / np.linalg.norm(columns[..., :2], axis=1).mean(axis=1)[:, None, None]
-    r1, r2 = columns[..., 0], columns[..., 1]
-    rotations = nearest_rotation(np.stack([r1, r2, np.cross(r1, r2)], axis=-1))
-    centres = -np.einsum("nji,nj->ni", rotations, columns[..., 2])
+    columns = np.linalg.inv(matrix)[..., None, :, :] @ homographies
+    lengths = np.sqrt((columns[..., :2] ** 2).sum(axis=-2)).mean(axis=-1)
+    columns = columns / lengths[..., None, None]
+    r1, r2 = columns[..., :1], columns[..., 1:2]
+    rotations = nearest_rotation(np.concatenate([r1, r2, skew(r1[..., 0]) @ r2], axis=-1))
+    centres = -(np.swapaxes(rotations, -1, -2) @ columns[..., 2:])[..., 0]
     return rotations, np.asarray(centres)

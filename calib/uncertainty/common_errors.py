@@ -58,7 +58,12 @@ class CommonErrors:
     degrees_of_freedom: Array
 
 
-def common_errors(bundle: Bundle, parameters: AdjustmentParameters, loss: Loss) -> CommonErrors | None:
+def common_errors(
+    bundle: Bundle,
+    parameters: AdjustmentParameters,
+    loss: Loss,
+    at_optimum: FieldEquations | None = None,
+) -> CommonErrors | None:
     """Estimate the displacements that all views share (REML; Patterson and Thompson, 1971).
 
     Parameters
@@ -69,13 +74,15 @@ def common_errors(bundle: Bundle, parameters: AdjustmentParameters, loss: Loss) 
         Its optimum.
     loss
         Loss with the limit that the adjustment ended with.
+    at_optimum
+        Residuals and derivatives at the optimum; None to compute them.
 
     Returns
     -------
     CommonErrors or None
         None if the views have too few stars to show them.
     """
-    at_optimum = FieldEquations(bundle, parameters, loss)
+    at_optimum = at_optimum or FieldEquations(bundle, parameters, loss)
     fields, degree = _basis(bundle.observations.target[:, :2])
     count, freedom = len(bundle.names), at_optimum.degrees_of_freedom - fields.shape[2]
     if freedom <= 0:

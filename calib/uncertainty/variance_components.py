@@ -114,7 +114,12 @@ class _ComponentEquations:
     noise: float
 
 
-def variance_components(bundle: Bundle, parameters: AdjustmentParameters, loss: Loss) -> VarianceComponents:
+def variance_components(
+    bundle: Bundle,
+    parameters: AdjustmentParameters,
+    loss: Loss,
+    at_optimum: FieldEquations | None = None,
+) -> VarianceComponents:
     """Estimate the variance components of the views at the optimum (REML; Patterson and Thompson, 1971).
 
     Parameters
@@ -125,13 +130,16 @@ def variance_components(bundle: Bundle, parameters: AdjustmentParameters, loss: 
         Its optimum.
     loss
         Loss with the limit that the adjustment ended with.
+    at_optimum
+        Residuals and derivatives at the optimum; None to compute them.
 
     Returns
     -------
     VarianceComponents
         The components, and the covariance of the shared parameters.
     """
-    equations = _component_equations(bundle, parameters, loss)
+    at_optimum = at_optimum or FieldEquations(bundle, parameters, loss)
+    equations = _component_equations(bundle, parameters, at_optimum)
     return _propagate(bundle, equations, *maximum_likelihood(*_forms(equations)))
 
 
@@ -210,13 +218,14 @@ def _score_covariances(equations: _ComponentEquations, variances: Array) -> Arra
     return np.asarray(scores)
 
 
-def _component_equations(bundle: Bundle, parameters: AdjustmentParameters, loss: Loss) -> _ComponentEquations:
+def _component_equations(
+    bundle: Bundle, parameters: AdjustmentParameters, at_optimum: FieldEquations
+) -> _ComponentEquations:
     """Set up the equations of the field coefficients, with local and shared parameters eliminated.
 
     Own derivation. Local parameters are eliminated by the Schur complement (Triggs et al., 2000, section 6.1), shared
     ones in the same way.
     """
-    at_optimum = FieldEquations(bundle, parameters, loss)
     residuals, count = at_optimum.residuals, len(bundle.names)
     rims = _rim_shapes(bundle, parameters)
     information, normals, couplings, scores, groups, squares = [], [], [], [], [], 0.0
