@@ -31,7 +31,7 @@ _TSA_CERTIFICATES = click.option(
 @click.option("--yes", is_flag=True, help="Do not ask; for scripts.")
 @JSON
 def authorise(folder: Path, key: str | None, allowed_signers: Path | None, yes: bool, as_json: bool) -> int:
-    """Authorise a sealed certificate, run or results FOLDER with your own key.
+    """Authorise a sealed FOLDER (certificate, run or results) with your own key.
 
     The folder is verified and shown, and you confirm. Your signature of its seal is added; nothing else changes. A
     passphrase is asked for, or taken from the variable STARBENCH_PASSPHRASE.

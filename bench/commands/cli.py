@@ -43,7 +43,8 @@ _SET = click.option(
     "settings",
     multiple=True,
     metavar="PATH=VALUE",
-    help="Override a setting of the files, e.g. station.camera.biases.bias_diff_on=20. Can be given several times.",
+    help="Replace a value of the sequence or station file, e.g. station.camera.biases.bias_diff_on=20. Can be given"
+    " several times.",
 )
 
 
@@ -91,8 +92,8 @@ def run(
     SEQUENCE is a file, or the name of a sequence that is included (three_pose, nine_pose, turntable, until_good,
     parallax_test, boards).
 
-    The first Ctrl-C stops the run safely: stage stopped, light off, files closed. The third one ends the process at
-    once.
+    The first Ctrl-C stops the run safely: it stops the stage, switches the light off and closes the files. The third
+    Ctrl-C ends the process at once.
     """
     from bench.base.clock import BenchClock
     from bench.commands.evidence_output import ask_passphrase
@@ -150,7 +151,11 @@ def _shown(end: RunEnd, *, as_json: bool) -> int:
     "--station", "-s", help="Station file, or the name of a station that is included; not with a queue."
 )
 @click.option(
-    "--suggest", type=click.IntRange(0, 50), metavar="N", default=0, help="Suggest N additional poses."
+    "--suggest",
+    type=click.IntRange(0, 50),
+    metavar="N",
+    default=0,
+    help="Suggest N further poses that lower the uncertainty most.",
 )
 @BEGIN
 @_SET
@@ -163,10 +168,10 @@ def plan(
     settings: tuple[str, ...],
     as_json: bool,
 ) -> int:
-    """Check a SEQUENCE against a station, or check a queue file, without using any device.
+    """Check a SEQUENCE on a station, or a queue file. No device is used.
 
-    For a sequence: shows all faults of both files, the poses, the time and disk space of a run, and the uncertainty
-    to expect. For a queue: shows when each run will begin and end, and for which runs there is no time.
+    For a sequence, it shows all faults of both files, the steps, the time, the disk space and the expected uncertainty.
+    For a queue, it shows when each run will begin and end, and which runs do not fit into the night.
     """
     from bench.batch.batch_plan import is_queue
     from bench.plan.plan import load_documents, make_plan

@@ -68,7 +68,8 @@ _OPTIONS = (
         "--guard-band",
         type=Number(least=0, above=True, most=1),
         metavar="SHARE",
-        help="Share of the beam's radius to use: above 0, at most 1.  [default: as in the run; else 1]",
+        help="Use only stars within this share of the beam's radius: above 0, at most 1.  [default: as in the run; "
+        "else 1]",
     ),
     click.option(
         "--passport",
@@ -78,11 +79,17 @@ _OPTIONS = (
     click.option(
         "--readings",
         type=click.Choice(["auto", "witness"]),
-        help="Whether the gimbal's readings of a run may enter the adjustment.  [default: as in the run]",
+        help="Gimbal readings of a run. auto: they enter the adjustment, if the station states their uncertainty; "
+        "witness: they are only compared with the result.  [default: as in the run]",
     ),
     click.option("--image-size", metavar="WxH", help="Image size for point files, which do not state it."),
-    click.option("--views", metavar="1,5,9", help="Use only these views, counted from 1 in the order given."),
-    click.option("--image", default="auto", show_default=True, help="Kind of event image for RAW files."),
+    click.option("--views", metavar="1,5,9", help="Use only these views. The first one is 1."),
+    click.option(
+        "--image",
+        default="auto",
+        show_default=True,
+        help="Kind of event image for RAW files (docs/sequences.md).",
+    ),
     click.option(
         "--origin",
         type=click.Choice(["corner", "centre"]),
@@ -99,7 +106,7 @@ _OPTIONS = (
     click.option(
         "--board",
         metavar="KIND:CxR:PITCHmm",
-        help="A board at finite distance in place of the star target: checkerboard:11x7:20mm (inner corners), "
+        help="The target is a board at finite distance, not the star target: checkerboard:11x7:20mm (inner corners), "
         "circles:9x6:25mm, asymmetric-circles:4x11:10mm. The planar model is used.",
     ),
     click.option(
@@ -109,13 +116,14 @@ _OPTIONS = (
         is_flag=False,
         flag_value="10",
         metavar="[HZ]",
-        help="The board does not flicker and the camera moves: reconstruct pictures from RAW files, with a high-pass "
-        "filter of this cutoff frequency.  [10 without a number; less for slower motion]",
+        help="For a board that does not flicker, and a camera that moves: reconstruct pictures from the RAW files. HZ "
+        "is the cutoff frequency of the high-pass filter: 10 if you give no number; use less for slower motion.",
     ),
     click.option(
         "--pictures-at",
         metavar="0.5,1,1.5",
-        help="Times of these pictures, s after the first event.  [default: at most 40, spread evenly]",
+        help="Times of the reconstructed pictures, in seconds after the first event.  [default: at most 40 pictures, "
+        "evenly spread]",
     ),
 )
 
@@ -357,7 +365,8 @@ def passport_show(path: Path, as_json: bool) -> int:
     "--output",
     "-o",
     type=OutputFolder(),
-    help="Folder that keeps what is done. The same command with the same folder continues an interrupted study.",
+    help="Folder that keeps what is done. After an interruption, repeat the command with the same folder: it "
+    "continues.",
 )
 @JSON
 def study(

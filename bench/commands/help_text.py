@@ -183,24 +183,24 @@ _SHORT = {
     "skip": "Skip a pose.",
     "abort": "End a run now, safely.",
     "answer": "Answer a question that a run asks.",
-    "batch": "Do the runs of a queue file, each under supervision.",
-    "rehearse": "Rehearse a queue on a virtual clock.",
-    "runs": "List, filter and compare runs.",
-    "ledger": "Check the ledger of this bench; explain a break of it.",
+    "batch": "Do all runs of a queue file; a second process supervises each run.",
+    "rehearse": "Try a queue without devices: a night takes about a minute.",
+    "runs": "List, filter and compare runs; draw control charts.",
+    "ledger": "Check the ledger of this bench; explain a break in it.",
     "messages": "List or send the messages of this bench.",
     "recalibrate": "Calibrate many runs again, on all processors or on a cluster.",
     "calibrate": "Calibrate from existing recordings, images or point files.",
-    "passport": "Calibrate a collimator once, then cameras from 1 to 3 views.",
+    "passport": "Calibrate a collimator once; a camera then needs 1 to 3 views.",
     "rig": "Calculate the rotation between two cameras of a rig.",
-    "study": "Check stated uncertainties by simulation.",
+    "study": "Check by simulation whether the stated uncertainties are right.",
     "compare": "Compare calibration methods where the truth is known.",
-    "convert": "Convert event files.",
+    "convert": "Convert event files to and from the formats of other programs.",
     "devices": "List connected devices.",
     "station": "Create a station file.",
-    "target": "Draw the reticle of a station; show what it is good for.",
+    "target": "Draw the target; show which camera and collimator it suits.",
     "simulate": "Keep a simulated bench running.",
     "keys": "Show, create, trust, replace and revoke signing keys.",
-    "schema": "Print the JSON Schema of a kind of file.",
+    "schema": "Print the JSON Schema of a kind of file, for an editor.",
 }
 
 
@@ -231,6 +231,8 @@ def complete(group: click.Group, path: str = "") -> None:
         full_name = f"{path} {name}".strip()
         examples = "\n".join(f"  {line}" for line in EXAMPLES[full_name])
         title = "Examples" if len(EXAMPLES[full_name]) > 1 else "Example"
+        if path:  # in the list of a group: the whole first sentence, not its begin
+            command.short_help = (command.help or "").partition("\n\n")[0].replace("\n", " ")
         command.epilog = f"\b\n{title}:\n{examples}\n\nExit status: {STATUSES.get(full_name, _PLAIN)}"
         if isinstance(command, click.Group):
             complete(command, full_name)

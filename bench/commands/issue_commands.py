@@ -16,7 +16,8 @@ _CONFIG = click.option(
     required=True,
     type=ExistingFile(),
     metavar="LAB.YAML",
-    help="What the certificate says besides the run; `starbench certificate new` writes an example.",
+    help="What the run cannot know: laboratory, customer, item and more. `starbench certificate new` writes an"
+    " example.",
 )
 _OUTPUT = click.option(
     "--output", "-o", required=True, type=OutputFolder(), help="New folder for the certificate."
@@ -33,7 +34,7 @@ _XADES_CERTIFICATE = click.option(
     "--xades-certificate",
     type=ExistingFile(),
     metavar="PEM",
-    help="Certificate of that key, and the chain to one that your customers trust.",
+    help="Certificate of that key, followed by the certificates that lead to one that your customers trust.",
 )
 
 
@@ -50,7 +51,12 @@ def new(output: Path) -> int:
 @click.argument("run_folder", metavar="RUN", type=ExistingFolder())
 @_CONFIG
 @_OUTPUT
-@click.option("--also", metavar="REASON", default="", help="Issue a further certificate of the same run.")
+@click.option(
+    "--also",
+    metavar="REASON",
+    default="",
+    help="Issue a further certificate of the same run; why it is needed.",
+)
 @_XADES_KEY
 @_XADES_CERTIFICATE
 @JSON
@@ -65,8 +71,9 @@ def issue(
 ) -> int:
     """Issue the calibration certificate of a sealed RUN, by ISO/IEC 17025.
 
-    The run is verified first. A clause of the standard that neither the run nor LAB.YAML answers is named, with the key
-    that would answer it. The certificate is SEALED; a person authorises it with `starbench certificate authorise`.
+    The run is verified first. If neither the run nor LAB.YAML answers a clause of the standard, no certificate is
+    issued; the command names the clause and the missing key of LAB.YAML. A new certificate is SEALED. A person then
+    authorises it with `starbench certificate authorise`.
     """
     from bench.commands.issue_output import issue_certificate
 
@@ -97,7 +104,7 @@ def amend(
     xades_certificate: Path | None,
     as_json: bool,
 ) -> int:
-    """Replace the certificate in FOLDER by a new one with a number of its own.
+    """Replace the certificate in FOLDER by a new one with a new number.
 
     The new certificate names the old one by number and hash, and lists every field that changed. The old one stays as
     it is; `starbench verify` says that it is superseded.
@@ -132,7 +139,10 @@ def _dcc_key(key: Path | None, certificate: Path | None) -> tuple[Path, Path] | 
 @click.option("--by", metavar="NAME", help="Your name.  [default: user@host]")
 @JSON
 def void(number: str, reason: str, by: str | None, as_json: bool) -> int:
-    """Declare void a NUMBER that was reserved by a command that was stopped or failed."""
+    """Declare the NUMBER of a certificate void.
+
+    The number was reserved by a command that was stopped or failed, so no certificate has it.
+    """
     from bench.commands.issue_output import void_number
 
     return void_number(number, reason=reason, by=by, as_json=as_json)
@@ -141,7 +151,10 @@ def void(number: str, reason: str, by: str | None, as_json: bool) -> int:
 @click.command("list")
 @JSON
 def list_(as_json: bool) -> int:
-    """List all numbers of certificates in the ledger of this bench: state, camera, customer, date."""
+    """List all certificates of this bench.
+
+    The ledger gives the state of each number, the camera, the customer and the date.
+    """
     from bench.commands.issue_output import list_certificates
 
     return list_certificates(as_json=as_json)

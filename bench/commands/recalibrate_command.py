@@ -26,19 +26,19 @@ if TYPE_CHECKING:
     "--output",
     "-o",
     type=OutputFolder(),
-    help="Folder for a folder of results for each run, and a table of all (recalculated.jsonl). The same command with"
-    " the same folder continues an interrupted one.",
+    help="Output folder: one folder of results for each run, and one table of all runs (recalculated.jsonl). After an"
+    " interruption, repeat the command with the same folder: it continues.",
 )
 @click.option(
     "--table-only",
     is_flag=True,
-    help="In the output folder, write only the table: no results, report and exports of each run. Much faster.",
+    help="Write only the table, without results, report and exports of each run. This is much faster.",
 )
-@click.option("--no-seal", is_flag=True, help="Leave the results DRAFTS, without seals.")
+@click.option("--no-seal", is_flag=True, help="Do not seal the results; they stay DRAFTS.")
 @click.option(
     "--find-again",
     is_flag=True,
-    help="Find the stars, or the points of the board, in every recording, also where they were kept.",
+    help="Find the stars (of a board: its points) in every recording again; use none that an earlier command has kept.",
 )
 @JSON
 def recalibrate(
@@ -56,7 +56,7 @@ def recalibrate(
     """Calibrate many runs again, on all processors of this computer or on the workers of a Dask scheduler.
 
     A FOLDER is a run, a folder of runs, a folder of recordings, or a URL of runs, such as s3://bucket/runs. Each run is
-    calibrated as `starbench calibrate` does it, with the same results. A run that fails stops no other.
+    calibrated as `starbench calibrate` does it, with the same results. If a run fails, the others continue.
     """
     from bench.base.errors import UsageError
     from bench.base.home import home_folder

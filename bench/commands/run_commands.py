@@ -119,8 +119,8 @@ def answer(run_folder: Path, word: str, by: str | None, as_json: bool) -> int:
     multiple=True,
     metavar="FOLDER",
     type=ExistingFolder(),
-    help="Use the ledger in this configuration folder of a bench, or in a copy of it, not this bench's own."
-    " Repeat it to merge several benches.",
+    help="Read the ledger in this folder, not that of this bench. The folder is the configuration folder of another"
+    " bench, or a copy of it. Give the option several times to merge several benches.",
 )
 @click.option(
     "--export",
@@ -133,18 +133,19 @@ def answer(run_folder: Path, word: str, by: str | None, as_json: bool) -> int:
     is_flag=False,
     flag_value=EVERY_PARAMETER,
     metavar="[PARAMETER]",
-    help="Write control charts and drift tests of a parameter, such as fx, as an HTML page; of all without a name.",
+    help="Write an HTML page with control charts and drift tests of one parameter, such as fx; without a name, of all"
+    " parameters.",
 )
 @click.option(
     "--by",
     type=click.Choice(["camera", "type"]),
-    help="Charts for each camera, or for each camera type.  [default: both]",
+    help="One chart for each camera, or one for each camera type.  [default: both]",
 )
 @click.option(
     "--baseline",
     type=click.IntRange(2),
     metavar="N",
-    help="Limits of a chart from its first N runs.  [default: all]",
+    help="Calculate the limits of a chart from its first N runs.  [default: from all]",
 )
 @click.option(
     "--page",
@@ -152,7 +153,7 @@ def answer(run_folder: Path, word: str, by: str | None, as_json: bool) -> int:
     metavar="FILE",
     default="runs-charts.html",
     show_default=True,
-    help="File of the page with the charts.",
+    help="File for the page with the charts.",
 )
 @JSON
 def runs(
@@ -173,8 +174,8 @@ def runs(
 ) -> int:
     """List, filter, compare, chart or export the runs in FOLDER; without FOLDER, all runs in the ledger of this bench.
 
-    Runs of several benches are merged with --ledger. Double, missing and changed runs are named. Charts never mix
-    simulated runs with real ones, nor different targets or models.
+    The command names runs that occur twice, are missing or were changed. Option --ledger merges the runs of several
+    benches. A chart never mixes simulated and real runs, different targets, or different models.
     """
     from bench.commands.run_choice import RunChoice
 

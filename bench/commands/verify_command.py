@@ -34,21 +34,22 @@ if TYPE_CHECKING:
     "--at",
     metavar="DATE",
     type=click.DateTime(["%Y-%m-%d", "%Y-%m-%dT%H:%M:%S", "%Y-%m-%d %H:%M"]),
-    help="Day or time in UTC, as 2026-03-01 or 2026-03-01T12:00:00, for which the keys must have been valid.  [default:"
-    " when the folder was sealed, by the bench's own clock]",
+    help="The keys must have been valid at this time (UTC): 2026-03-01 or 2026-03-01T12:00:00.  [default: the time of"
+    " the seal, by the bench's own clock]",
 )
 @click.option("--serial", help="Serial number that the calibrated camera must have.")
 @click.option(
     "--again",
     is_flag=True,
-    help="Also find the stars in the recordings again, calibrate again, and compare every number.",
+    help="Also find the stars in the recordings again, calibrate again, and compare every number. This takes longer.",
 )
 @worker_options
 @click.option(
     "--output",
     "-o",
     type=OutputFolder(),
-    help="With many FOLDERs: folder that keeps what was derived again. The same command continues.",
+    help="With several FOLDERs: folder that keeps what is done. After an interruption, repeat the command: it"
+    " continues.",
 )
 @JSON
 def verify(
@@ -65,10 +66,11 @@ def verify(
     output: Path | None,
     as_json: bool,
 ) -> int:
-    """Check a sealed FOLDER: a run, a certificate or recalculated results; or many, by all processors.
+    """Check sealed FOLDERs: runs, certificates or recalculated results.
 
-    The signatures, every file and the journal are checked. Results, exports and report are derived again and compared
-    byte by byte; with --again from the recordings.
+    The command checks the signatures, every file and the journal. It derives results, exports and report again from the
+    other files, and compares every byte. With --again it begins with the recordings: use it if the numbers matter.
+    Several folders are checked at the same time, on all processors.
     """
     from bench.base.home import home_folder
     from bench.commands.evidence_output import show_verification

@@ -37,7 +37,7 @@ _OPTIONS = (
     click.option(
         "--scheduler",
         metavar="ADDRESS",
-        help="Address of a Dask scheduler, tcp://host:8786 or tls://host:8786 (docs/cluster.md).",
+        help="Use the workers of this Dask scheduler: tcp://host:8786 or tls://host:8786 (docs/cluster.md).",
     ),
     click.option(
         "--workers",
