@@ -8,7 +8,8 @@ from __future__ import annotations
 
 import posixpath
 import re
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -23,6 +24,8 @@ _URL = re.compile(r"[a-z][a-z0-9+.-]+://")
 _NOT_COPIED = {REPORT, VIEWS}
 _MOST_SMALL_BYTES = 1 << 28
 """Size of a file of a run that is copied; a journal of a thousand poses has some megabytes."""
+_SIDE_BY_SIDE = 8
+"""Requests at a time; the connections of S3's client are ten."""
 
 
 @dataclass(frozen=True)
@@ -50,13 +53,15 @@ class Place:
         )
 
     @contextmanager
-    def folder(self, *captures: str) -> Iterator[Path]:
+    def folder(self, *captures: str, only: Collection[str] | None = None) -> Iterator[Path]:
         """Give the folder as a path on this computer.
 
         Parameters
         ----------
         *captures
             Names of the recordings that are needed, within the folder.
+        only
+            Names of the small files that are needed; None for all. On a disk all are there.
 
         Yields
         ------
@@ -77,7 +82,7 @@ class Place:
             copy = Path(made) / self.base_name
             copy.mkdir()
             with _remote_errors(self.name):
-                _copy(self.name, copy, captures)
+                _copy(self.name, copy, captures, only)
             yield copy
 
     def said(self, text: str, folder: Path) -> str:
@@ -144,11 +149,9 @@ def _remote_runs(url: str) -> list[str]:
         if system.exists(f"{root}/{JOURNAL}"):
             return [url]
         listed = system.ls(root, detail=True)
-        runs = [
-            posixpath.basename(one["name"].rstrip("/"))
-            for one in listed
-            if one["type"] == "directory" and system.exists(f"{one['name'].rstrip('/')}/{JOURNAL}")
-        ]
+        folders = [one["name"].rstrip("/") for one in listed if one["type"] == "directory"]
+        are_runs = _side_by_side(system, system.exists, [(f"{folder}/{JOURNAL}",) for folder in folders])
+        runs = [posixpath.basename(one) for one, is_run in zip(folders, are_runs, strict=True) if is_run]
     if not runs:
         raise UsageError(
             "There is no run: behind a URL, only folders of runs are read.",
@@ -158,18 +161,29 @@ def _remote_runs(url: str) -> list[str]:
     return [f"{url.rstrip('/')}/{name}" for name in sorted(runs, key=_natural)]
 
 
-def _copy(url: str, to: Path, captures: Iterable[str]) -> None:
+def _copy(url: str, to: Path, captures: Iterable[str], only: Collection[str] | None) -> None:
     system, root = _file_system(url)
+    names = []
     for one in system.ls(root, detail=True):
         name = posixpath.basename(one["name"].rstrip("/"))
-        if one["type"] == "file" and name and name not in _NOT_COPIED and one["size"] <= _MOST_SMALL_BYTES:
-            system.get_file(f"{root}/{name}", str(to / name))
+        is_small = one["type"] == "file" and name and one["size"] <= _MOST_SMALL_BYTES
+        if is_small and (name not in _NOT_COPIED if only is None else name in only):
+            names.append(name)
     for name in captures:
         local = to / name
         if to not in local.resolve().parents:
             raise StorageError("A recording lies outside of its run.", where=f"{url}/{name}")
         local.parent.mkdir(parents=True, exist_ok=True)
-        system.get_file(f"{root}/{name}", str(local))
+        names.append(name)
+    _side_by_side(system, system.get_file, [(f"{root}/{name}", str(to / name)) for name in names])
+
+
+def _side_by_side(system: Any, request: Callable[..., Any], calls: Sequence[tuple[str, ...]]) -> list[Any]:
+    """Make several requests at a time, of a file system that may be used by several threads: those of its own loop."""
+    if not getattr(system, "async_impl", False):
+        return [request(*arguments) for arguments in calls]
+    with ThreadPoolExecutor(_SIDE_BY_SIDE) as pool:
+        return list(pool.map(lambda arguments: request(*arguments), calls))
 
 
 def _file_system(url: str) -> tuple[Any, str]:

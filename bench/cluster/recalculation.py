@@ -7,8 +7,10 @@ busy. Each run ends with one row: done, or failed with the reason. A run that fa
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any
 
 from bench.base.failure import FORESEEN, Failure
@@ -17,6 +19,7 @@ from bench.cluster.results_folders import DONE, FAILED, ResultsFolders
 from bench.cluster.tasks import (
     ROW_FORMAT,
     FoundView,
+    Listed,
     SealedBy,
     Task,
     calibrate_found,
@@ -26,6 +29,9 @@ from bench.cluster.tasks import (
 from bench.cluster.work import Finished, TimeLeft, Work, Workers, most_handed_out
 
 _WAIT_S = 0.5
+_AHEAD = 8
+"""Runs behind URLs that are listed at the same time: most of that time is spent waiting for answers."""
+_Next = tuple[int, Place, Callable[[], Listed]]
 
 
 @dataclass
@@ -128,7 +134,7 @@ class Recalculation:
         StorageError, EvidenceError
             If results cannot be written or sealed.
         """
-        source = iter(enumerate(self._places))
+        source = listed_ahead(self._places, self._task)
         try:
             while self._fill(source):
                 for end in self._workers.finished(_WAIT_S):
@@ -137,28 +143,29 @@ class Recalculation:
                         self._take(end)
                 self._show()
         finally:
+            source.close()
             if self._output is not None:
                 self._output.finish([self._rows[number] for number in sorted(self._rows)])
         return [self._rows[number] for number in sorted(self._rows)]
 
-    def _fill(self, source: Iterator[tuple[int, Place]]) -> bool:
+    def _fill(self, source: Iterator[_Next]) -> bool:
         """Hand out work until the workers have enough; return whether any is in progress."""
         most = most_handed_out(self._workers)
         while len(self._out) < most:
             while not self._waiting:
-                number, place = next(source, (-1, Place("")))
-                if number < 0:
+                following = next(source, None)
+                if following is None:
                     return bool(self._out)
-                self._begin(number, place)
+                self._begin(*following)
             work = self._waiting.popleft()
             self._workers.submit(work)
             self._out.add(work.key)
         return True
 
-    def _begin(self, number: int, place: Place) -> None:
+    def _begin(self, number: int, place: Place, listed_by: Callable[[], Listed]) -> None:
         """List the recordings of a run; use its results if it was done before."""
         try:
-            listed = list_recordings(place, self._task)
+            listed = listed_by()
         except (*FORESEEN, OSError) as error:
             self._fail(number, place, _failure(error), "")
             return
@@ -244,6 +251,40 @@ class Recalculation:
         begun = sum(run.share for run in self._runs.values())
         left = self._time.left_s(counts.done + counts.failed + begun, counts.runs - counts.skipped)
         self._progress(counts, left)
+
+
+def listed_ahead(places: Iterable[Place], task: Task) -> Generator[_Next, None, None]:
+    """List the recordings of the next runs in threads while earlier ones are calibrated, if they are behind URLs.
+
+    Parameters
+    ----------
+    places
+        The runs.
+    task
+        What is to be done.
+
+    Yields
+    ------
+    number, place, listed_by
+        Number of the run from 0, the run, and a function that returns what `list_recordings` returns, or raises what
+        it raises. A run on a disk is listed in that call.
+    """
+    pool = ThreadPoolExecutor(_AHEAD)
+    waiting: deque[_Next] = deque()
+    try:
+        for number, place in enumerate(places):
+            far = place.is_remote
+            listed_by = (
+                pool.submit(list_recordings, place, task).result
+                if far
+                else partial(list_recordings, place, task)
+            )
+            waiting.append((number, place, listed_by))
+            if len(waiting) > (_AHEAD if far else 0):
+                yield waiting.popleft()
+        yield from waiting
+    finally:
+        pool.shutdown(cancel_futures=True)
 
 
 def _head(place: Place, state: str, key: str) -> dict[str, Any]:

@@ -160,7 +160,7 @@ def list_recordings(place: Place, task: Task) -> Listed:
     UsageError, BenchError, drivers.errors.DriverError, sequences.errors.SequencesError
         If the place cannot be used.
     """
-    with place.folder() as folder:
+    with place.folder(only=_READ) as folder:
         sources = list(view_sources(folder, task.choices))
         names = [source.path.relative_to(folder).as_posix() for source in sources]
         if (folder / JOURNAL).is_file():
@@ -218,7 +218,7 @@ def find_view(place: Place, number: int, capture: str, task: Task) -> FoundView:
     """
     require_program_of(task.program)
     kept = task.views()
-    with place.folder(capture) as folder, _named(place, folder):
+    with place.folder(capture, only=_READ) as folder, _named(place, folder):
         source = list(view_sources(folder, task.choices))[number]
         size, digest = _require_recorded(source)
         if kept is not None:
