@@ -245,14 +245,11 @@ def _component_equations(
     inverse = np.linalg.inv(shared)
     coupling, score = np.hstack(couplings), np.concatenate(scores)
     freedom = at_optimum.degrees_of_freedom
-    explained = sum(
-        float(own @ np.linalg.pinv(block, rcond=_DETERMINED, hermitian=True) @ own)
-        for own, block in zip(scores, normals, strict=True)
-    )
+    blocks, place = _stacked(normals)
+    explained = _explained(blocks, score, place)
     noise = max(
         (squares - explained) / max(freedom - len(score), 1), _MIN_NOISE_SHARE * squares / len(residuals)
     )
-    blocks, place = _stacked(normals)
     together = _block_diagonal(normals) - coupling.T @ inverse @ coupling
     group = np.unique(np.concatenate(groups), return_inverse=True)[1]
     view = np.repeat(np.arange(len(groups)), [len(own) for own in groups])
@@ -272,6 +269,16 @@ def _component_equations(
         _score_noise(bundle, np.array(information), np.array(read), noise, grown),
         noise,
     )
+
+
+def _explained(blocks: Array, score: Array, place: NDArray[np.int64]) -> float:
+    """Return the sum of squares that the coefficients of each pose explain, each pose by itself."""
+    eigenvalues, vectors = np.linalg.eigh(blocks)
+    stacked = np.zeros((len(blocks), blocks.shape[1], 1))
+    stacked.reshape(-1)[place] = score
+    along = (np.swapaxes(vectors, 1, 2) @ stacked)[:, :, 0]
+    determined = eigenvalues > _DETERMINED * eigenvalues[:, -1:]
+    return float((along[determined] ** 2 / eigenvalues[determined]).sum())
 
 
 def _score_noise(bundle: Bundle, information: Array, read: Array, noise: float, growth: Array) -> Array:
