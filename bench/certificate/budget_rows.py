@@ -16,6 +16,7 @@ from typing import Any, Literal
 from bench.base.errors import EvidenceError
 from bench.certificate.result_data import Budget, BudgetRow
 from bench.certificate.rounding import with_unit
+from bench.report.budget_tables import overlap
 from bench.report.target_words import STARS as STAR_WORDS
 from bench.report.target_words import TargetWords
 from calib.uncertainty.budget_parts import PASSPORT, PRIORS, READINGS, STARS
@@ -173,7 +174,7 @@ def budget_of(
             where="results.json",
             remedy="Calculate the results again with `starbench verify RUN --again`, and report this.",
         )
-    remarks = [_OVERLAP]
+    remarks = [_OVERLAP, *filter(None, [overlap(calibration)])]
     if spread is not None and math.isfinite(spread):
         remarks.append(
             f"The rows with {spread:.3g} degrees of freedom rest on the same differences between views; the formula of"

@@ -22,6 +22,9 @@ _OF_STARS = "stars"
 _MILLIONTH = "10\N{SUPERSCRIPT MINUS}\N{SUPERSCRIPT SIX}"
 _UNITS = {"1": _MILLIONTH, "urad": "\N{MICRO SIGN}rad"}
 _EXACT_DIGITS = 3
+_SHARED = "errors that all views share"
+_OF_WAVEFRONT = "urad"
+"""Unit of the slopes of a wavefront, and of no other row."""
 
 
 @dataclass(frozen=True)
@@ -92,6 +95,32 @@ def combined(calibration: Json) -> tuple[tuple[str, str], tuple[str, str]] | Non
     k = coverage_factor(calibration)
     standard, expanded = ([number(factor * one, 2) for one in sums] for factor in (1.0, k))
     return (standard[0], standard[1]), (expanded[0], expanded[1])
+
+
+def overlap(calibration: Json) -> str:
+    """Return what to know if two rows of the budget can hold the same errors.
+
+    A stated wavefront and the residuals that all views share can come from the same glass.
+
+    Parameters
+    ----------
+    calibration
+        ``calibration`` of results.json.
+
+    Returns
+    -------
+    str
+        A sentence; empty if no rows overlap.
+    """
+    rows = calibration.get("budget_rows") or []
+    stated = [str(row["name"]) for row in rows if row["unit"] == _OF_WAVEFRONT]
+    if not stated or _SHARED not in {row["name"] for row in rows}:
+        return ""
+    return (
+        f"The rows \N{LEFT DOUBLE QUOTATION MARK}{stated[0]}\N{RIGHT DOUBLE QUOTATION MARK} and"
+        f" \N{LEFT DOUBLE QUOTATION MARK}{_SHARED}\N{RIGHT DOUBLE QUOTATION MARK} can hold the same errors of the"
+        " collimator. Both are counted, so the uncertainty is an upper limit."
+    )
 
 
 def not_included(calibration: Json) -> list[tuple[str, str]]:

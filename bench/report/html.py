@@ -104,6 +104,7 @@ def _result_parts(results: Mapping[str, Any], words: TargetWords) -> dict[str, A
         "budget": calibration_tables.budget(calibration, words),
         "budget_rows": budget_tables.budget_rows(calibration, words),
         "combined": budget_tables.combined(calibration),
+        "overlap": budget_tables.overlap(calibration),
         "not_included": budget_tables.not_included(calibration),
         "checks": calibration_tables.checks(results),
         "halves": bool((results.get("halves") or {}).get("cameras")),

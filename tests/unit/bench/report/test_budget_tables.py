@@ -5,9 +5,10 @@ import re
 import pytest
 from report_sample import SMALL, sample
 
-from bench.report.budget_tables import budget_rows, combined, not_included
+from bench.report.budget_tables import budget_rows, combined, not_included, overlap
 from bench.report.html import render_report
 from bench.report.text import NOTHING
+from calib.uncertainty.common_errors import COMMON_ERRORS
 
 TIMES = "\N{MULTIPLICATION SIGN}"
 
@@ -62,3 +63,26 @@ def test_the_page_has_the_table_and_escapes_what_a_station_says(html):
     assert len(re.findall("<tr", table)) == 6 + 3
     assert "0.01 mm at 35 mm from the axis would move fx by 5.8 px" in html
     assert "Shares of the variance of each value" in html
+
+
+def test_rows_that_can_hold_the_same_errors_are_named(calibration):
+    own = {**calibration["budget_rows"][0], "name": COMMON_ERRORS, "value": None, "unit": ""}
+    wavefront = {
+        **calibration["budget_rows"][0],
+        "name": "slopes of the wavefront",
+        "unit": "urad",
+        "value": 2.0,
+    }
+    rows = [
+        row for row in calibration["budget_rows"] if row["name"] != COMMON_ERRORS and row["unit"] != "urad"
+    ]
+    assert (
+        overlap({"budget_rows": [*rows, own]})
+        == overlap({"budget_rows": [*rows, wavefront]})
+        == overlap({})
+        == ""
+    )
+    said = overlap({"budget_rows": [*rows, own, wavefront]})
+    assert "slopes of the wavefront" in said
+    assert COMMON_ERRORS in said
+    assert said.endswith("the uncertainty is an upper limit.")
