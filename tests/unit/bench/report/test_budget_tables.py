@@ -86,3 +86,6 @@ def test_rows_that_can_hold_the_same_errors_are_named(calibration):
     assert "slopes of the wavefront" in said
     assert COMMON_ERRORS in said
     assert said.endswith("the uncertainty is an upper limit.")
+    data = sample(size=SMALL)
+    data.results["calibration"]["budget_rows"] = [*rows, own, wavefront]
+    assert said in render_report(data, draw=False)
