@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping, Sequence
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -21,10 +23,12 @@ from bench.results.derive_views import check_views
 from bench.results.offline_folder import RECALCULATION
 from bench.results.other_software import other_program
 from bench.results.stored_calibration import stored_calibration
+from bench.stations.station import load_station
 from bench.views.views_file import VIEWS
 from calib.boards.board import Board
 from calib.target import StarTarget
 from drivers.errors import DriverError
+from sequences.errors import SequencesError
 
 _SOURCES = "sources.json"
 
@@ -57,6 +61,7 @@ def check_offline(folder: Path, found: Findings) -> None:
     check_instructions(folder, results["run"]["software"], found)
     _check_statement(folder, results["run"], described.get("runs", []), found)
     _check_sources(sources, found)
+    _check_station(described, found)
     _check_derived(folder, results, described, found)
 
 
@@ -105,6 +110,28 @@ def _check_sources(sources: Sequence[Mapping[str, Any]], found: Findings) -> Non
             )
     if gone:
         found.remarks.append(f"{gone} of {len(sources)} source files are not there any more")
+
+
+def _check_station(described: Mapping[str, Any], found: Findings) -> None:
+    """Compare the station file of the command line, if it is still there, with its hash and its target."""
+    stated = described.get("station")  # earlier versions did not state it
+    if stated is None:
+        return
+    path = Path(str(stated["path"]))
+    if not path.is_file():
+        found.remarks.append(f"the station file {path}, whose target was used, is not there any more")
+    elif sha256_of(path) != stated["sha256"]:
+        found.remarks.append(
+            f"{path}: another station file lies there now than the one whose target was used"
+        )
+    else:
+        try:
+            target = asdict(load_station(str(path)).value.target.pattern())
+        except (BenchError, SequencesError) as error:
+            found.remarks.append(f"the target of the station file {path} cannot be read here: {error}")
+            return
+        for one in differences(described["option_target"], json.loads(json.dumps(target))):
+            found.fault("results", _SOURCES, f"option_target: {one}, by the station file {path}")
 
 
 def _shown_target(given: Mapping[str, Any] | None, board: str | None) -> StarTarget | Board | None:

@@ -183,6 +183,7 @@ def offline_files(
         "paths": [str(path.absolute()) for path in result.paths],
         "options": options_data(result.choices),
         "option_target": asdict(result.choices.target),
+        "station": asdict(result.choices.station) if result.choices.station is not None else None,
     }
     results, described = (_read_from(content, read_from or {}) for content in (results, described))
     stars = [_Stars(view) for view in result.views]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -26,6 +27,25 @@ from calib.target import StarTarget
 from sequences.schema import ImageKind
 from sequences.script import SolveStep
 from sequences.solve_schema import Readings
+
+
+@dataclass(frozen=True)
+class StationFile:
+    """The station file that the command line gave for the target.
+
+    Attributes
+    ----------
+    name
+        As it was given: a path, or the name of a station that is included.
+    path
+        Its place.
+    sha256
+        Hash of its bytes.
+    """
+
+    name: str
+    path: str
+    sha256: str
 
 
 @dataclass(frozen=True)
@@ -59,6 +79,8 @@ class OfflineOptions:
         recordings of a camera that stands still before a flickering target.
     pictures_at_s
         Times of these pictures after the first event, s; None for times spread over the recording.
+    station
+        The station file whose target is ``target``; None for the standard target.
     """
 
     model: ModelName | None = None
@@ -76,6 +98,7 @@ class OfflineOptions:
     board: Board | None = None
     reconstruct_hz: float | None = None
     pictures_at_s: tuple[float, ...] | None = None
+    station: StationFile | None = None
 
     @classmethod
     def from_command_line(
@@ -142,6 +165,7 @@ class OfflineOptions:
         shown = _parse_board(board, model, passport)
         model = "planar" if shown else model
         named = passport if passport != NO_PASSPORT else None
+        target, station_file = _target_of_station(station)
         made = cls(
             cast("ModelName | None", model),
             distortion,
@@ -154,10 +178,11 @@ class OfflineOptions:
             _parse_view_numbers(views),
             image,
             "centre" if origin == "centre" else "corner",
-            load_station(station).value.target.pattern() if station else StarTarget(),
+            target,
             shown,
             reconstruct_hz,
             _parse_picture_times(pictures_at, reconstruct_hz, shown),
+            station_file,
         )
         try:
             made.without_run()
@@ -244,6 +269,16 @@ class OfflineOptions:
             guard_band=self.guard_band or step.guard_band,
             readings=self.readings or step.readings,
         )
+
+
+def _target_of_station(name: str | None) -> tuple[StarTarget, StationFile | None]:
+    """Return the target of the station that the command line names, and its file."""
+    if not name:
+        return StarTarget(), None
+    read = load_station(name)
+    path = (read.folder or Path()) / Path(read.file).name
+    station_file = StationFile(name, str(path.absolute()), hashlib.sha256(read.text).hexdigest())
+    return read.value.target.pattern(), station_file
 
 
 def _passport_of_file(path: Path) -> PassportInUse:

@@ -1,7 +1,7 @@
 """Options of an offline calibration as sources.json holds them, so that the calibration can be made again.
 
-Passport and target are not among them: the folder of the results holds a copy of the passport, and sources.json
-describes the target. Reads and writes no files.
+Passport, target and station file are not among them: the folder of the results holds a copy of the passport, and
+sources.json describes the target and the station file. Reads and writes no files.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from bench.results.offline_options import OfflineOptions
 from calib.boards.board import Board
 from calib.target import StarTarget
 
-_ELSEWHERE = ("passport", "target")
+_ELSEWHERE = ("passport", "target", "station")
 _BOARD = "board"
 
 

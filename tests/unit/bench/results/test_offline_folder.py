@@ -2,6 +2,7 @@
 
 import hashlib
 import json
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,10 +12,12 @@ from station_texts import PLAIN
 from bench.base.errors import UsageError
 from bench.commands.cli import cli
 from bench.commands.keys_output import key_or_draft
+from bench.evidence.findings import Findings
 from bench.evidence.keys import create_key
 from bench.evidence.verify import verify_folder
 from bench.plan.plan import load_documents, make_plan
 from bench.report.html import printed_text
+from bench.results.derive_offline import check_offline
 from bench.results.forecasts import expected_bench
 from bench.results.offline import calibrate_paths
 from bench.results.offline_folder import require_new, write_offline_results
@@ -112,6 +115,44 @@ def test_metavision_s_json_describes_the_target_of_the_station(points, tmp_path)
     write_offline_results(result, tmp_path / "out")
     pattern = json.loads((tmp_path / "out" / "exports" / "metavision.json").read_text())["pattern"]
     assert (pattern["n_cols"], pattern["n_rows"], pattern["square_width"]) == (60, 80, 0.004)
+
+
+def test_the_station_file_of_the_target_is_stated_with_its_hash(points, tmp_path, key, signers):
+    station = tmp_path / "station.yaml"
+    station.write_text(PLAIN)
+    result = calibrate_paths([points], options(points, station=str(station)))
+    write_offline_results(result, tmp_path / "out", key)
+    described = json.loads((tmp_path / "out" / "sources.json").read_text())
+    hashed = hashlib.sha256(PLAIN.encode()).hexdigest()
+    assert described["station"] == {"name": str(station), "path": str(station), "sha256": hashed}
+
+    def remarks_and_faults():
+        found = Findings()
+        check_offline(tmp_path / "out", found)
+        return [remark for remark in found.remarks if "station file" in remark], [
+            str(f) for f in found.faults
+        ]
+
+    assert remarks_and_faults() == ([], [])
+    described["option_target"]["pitch_mm"] += 1
+    described["station"]["sha256"] = hashed
+    sources = tmp_path / "out" / "sources.json"
+    sources.chmod(0o644)
+    sources.write_text(json.dumps(described))
+    _, faults = remarks_and_faults()
+    assert len(faults) == 1
+    assert f"by the station file {station}" in faults[0]
+    station.write_text(PLAIN + "target: {squares: [60, 80], pitch_mm: 4.0, tag_square: [20, 30]}\n")
+    assert "another station file lies there now" in remarks_and_faults()[0][0]
+    station.unlink()
+    assert "is not there any more" in remarks_and_faults()[0][0]
+
+
+def test_an_included_station_is_stated_and_none_is_none(points):
+    read = options(points, station="simulated").station
+    assert read.name == "simulated"
+    assert hashlib.sha256(Path(read.path).read_bytes()).hexdigest() == read.sha256
+    assert options(points).station is None
 
 
 def test_a_folder_with_anything_in_it_is_refused(tmp_path):
