@@ -66,12 +66,13 @@ def spherical_starts(
     ]
     if len(homographies) == 2:
         solutions += two_view_solutions(homographies, image_size)
-    for solution in solutions:
-        if solution is not None:
-            yield _about(homographies, solution.collimator, _camera(solution.matrix, image_size, distortion))
-    for start in planar_starts(homographies, image_size, distortion):
-        x, y, z = np.median(start.centres, axis=0)
-        yield _about(homographies, Collimator(float(x), float(y), float(-z)), start.camera)
+    known = [one for one in solutions if one is not None]
+    cameras = [_camera(one.matrix, image_size, distortion) for one in known]
+    centres = [one.collimator for one in known]
+    planar = list(planar_starts(homographies, image_size, distortion))
+    for x, y, z in np.median([start.centres for start in planar], axis=1).tolist():
+        centres.append(Collimator(x, y, -z))
+    yield from _about(homographies, centres, [*cameras, *(start.camera for start in planar)])
 
 
 def planar_starts(
@@ -135,10 +136,9 @@ def passport_starts(
     middle = spherical[0].collimator if len(homographies) > 1 else _looked_at(homographies, image_size)
     collimator = passport.collimator(middle)
     matrix = camera_matrix_from_centre(homographies, collimator)
-    if matrix is not None:
-        yield _about(homographies, collimator, _camera(matrix, image_size, distortion))
-    for start in spherical:
-        yield _about(homographies, passport.collimator(start.collimator), start.camera)
+    cameras = [] if matrix is None else [_camera(matrix, image_size, distortion)]
+    centres = [collimator] * len(cameras) + [passport.collimator(start.collimator) for start in spherical]
+    yield from _about(homographies, centres, [*cameras, *(start.camera for start in spherical)])
 
 
 def best_start(bundle: Bundle, starts: Sequence[AdjustmentParameters]) -> AdjustmentParameters:
@@ -188,11 +188,15 @@ def _is_camera(refined: Refinement) -> bool:
     return camera.fx > 0 and camera.fy > 0 and refined.parameters.collimator.r >= 0
 
 
-def _about(homographies: Array, collimator: Collimator, camera: CameraModel) -> AdjustmentParameters:
-    """Return the parameters of a camera with a known centre."""
-    ideal = Collimator(collimator.x, collimator.y, collimator.r)
-    rotations = rotations_from_centre(homographies, camera.matrix, ideal)
-    return AdjustmentParameters(camera, ideal, rotations, np.zeros((len(rotations), 3)))
+def _about(
+    homographies: Array, collimators: Sequence[Collimator], cameras: Sequence[CameraModel]
+) -> Iterator[AdjustmentParameters]:
+    """Yield the parameters of cameras, each with a known centre."""
+    centres = np.array([one.centre for one in collimators])
+    turns = rotations_from_centre(homographies, np.array([one.matrix for one in cameras]), centres)
+    for collimator, camera, rotations in zip(collimators, cameras, turns, strict=True):
+        ideal = Collimator(collimator.x, collimator.y, collimator.r)
+        yield AdjustmentParameters(camera, ideal, rotations, np.zeros((len(rotations), 3)))
 
 
 def _looked_at(homographies: Array, image_size: tuple[int, int]) -> Collimator:

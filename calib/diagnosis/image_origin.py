@@ -162,7 +162,7 @@ def origin_offset(
         centre = Collimator(float(x), float(y), float(-z))
         names += ["x", "y", "r"]
     centre = Collimator(centre.x, centre.y, centre.r)
-    rotations = rotations_from_centre(h, camera.matrix, centre)
+    rotations = rotations_from_centre(h, camera.matrix, centre.centre)
     start = AdjustmentParameters(camera, centre, rotations, np.zeros((len(views), 3)))
     bundle = Bundle(Observations.from_views(views), tuple(names))
     end, loss = start, Loss("l2")

@@ -141,7 +141,7 @@ def _solution_from_entries(
     return ClosedFormSolution(matrix, collimator)
 
 
-def rotations_from_centre(homographies: Array, matrix: Array, collimator: Collimator) -> Array:
+def rotations_from_centre(homographies: Array, matrix: Array, centre: Array) -> Array:
     """Return the rotation of each view, given the camera matrix and the shared centre.
 
     H ~ K R [e1 e2 -c] (arXiv:2512.16092, eq. 3), so R is the rotation nearest to K^-1 H [e1 e2 -c]^-1.
@@ -151,18 +151,19 @@ def rotations_from_centre(homographies: Array, matrix: Array, collimator: Collim
     homographies
         (n, 3, 3) homographies from target, mm, to image, px.
     matrix
-        (3, 3) camera matrix, px.
-    collimator
-        The shared centre.
+        (..., 3, 3) camera matrices, px.
+    centre
+        (..., 3) the shared centre of each, in the target frame, mm.
 
     Returns
     -------
     Array
-        (n, 3, 3) rotations, camera <- target.
+        For each camera matrix (..., n, 3, 3) rotations, camera <- target.
     """
-    frame = np.eye(3)
-    frame[:, 2] = -collimator.centre
-    return nearest_rotation(np.linalg.inv(matrix) @ homographies @ np.linalg.inv(frame))
+    frame = np.broadcast_to(np.eye(3), (*centre.shape, 3)).copy()
+    frame[..., 2] = -centre
+    to_ray, to_target = np.linalg.inv(matrix), np.linalg.inv(frame)
+    return nearest_rotation(to_ray[..., None, :, :] @ homographies @ to_target[..., None, :, :])
 
 
 def camera_matrix_from_centre(homographies: Array, collimator: Collimator) -> Array | None:

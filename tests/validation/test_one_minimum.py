@@ -53,7 +53,7 @@ def far_starts(whole, homographies, rng):
             x, y, r = collimator.values[:3] + np.append(rng.uniform(-10, 10, 2), 0.0)
             collimator = Collimator(x, y, r * rng.uniform(0.8, 1.25))
             turns = np.deg2rad(rng.normal(0, 5, turns.shape))
-        rotations = exp_map(turns) @ rotations_from_centre(homographies, camera.matrix, collimator)
+        rotations = exp_map(turns) @ rotations_from_centre(homographies, camera.matrix, collimator.centre)
         yield AdjustmentParameters(camera, collimator, rotations, np.zeros_like(turns))
 
 

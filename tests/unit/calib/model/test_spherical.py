@@ -66,7 +66,7 @@ def test_rotations_follow_from_camera_and_centre(make_bench):
     bench = make_bench(k=(0.0, 0.0))
     h = homographies(bench.views())
     start = linear_solution(h, SIZE, free_principal_point=True)
-    turns = rotations_from_centre(h, start.matrix, start.collimator)
+    turns = rotations_from_centre(h, start.matrix, start.collimator.centre)
     assert np.allclose(turns, bench.rotations, atol=1e-5)
 
 
