@@ -1,53 +1,70 @@
-"""Decode the blocks of a stream in several threads, with exactly the result of one thread.
+"""Decode a stream in several threads into common arrays, with exactly the result of one thread.
 
-The place at which a block begins is guessed from the words before it, so that no block waits for another. In the end
-it is compared with the place that the block before it has reached. If they differ, which only a damaged stream brings
-about, the block is decoded again. The thread that reads the file decodes, too, while the others have enough to do: so
-there are no more threads at work than processors. This pays where all events go into the same arrays. It does not pay
-for events in small pieces: one thread keeps these in its caches. Memory is bounded: the number of blocks in work is
-limited.
+Each thread reads its own words, so they stay in the caches of its processor. One after the other the threads take a
+block and room for its events; then all decode at the same time. The place at which a block begins is guessed from the
+words before it, so that no block waits for another. In the end it is compared with the place that the block before it
+has reached. If they differ, which only a damaged stream brings about, the block is decoded again. This pays where all
+events go into the same arrays. It does not pay for events in small pieces: one thread keeps these in its caches.
 """
 
 from __future__ import annotations
 
 import os
+import threading
 from collections import deque
-from collections.abc import Generator, Iterable, Iterator
-from concurrent.futures import Future, ThreadPoolExecutor
-from typing import Final, NamedTuple
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from drivers.camera.event_arrays import Events, Triggers
 from drivers.camera.evt3 import Evt3Decoder
+from drivers.camera.evt3_kernel import max_event_count
 from drivers.camera.evt3_place import Place, guess_place
+from drivers.camera.growing_events import GrowingEvents
 from drivers.errors import RecordingCorrupt
 
 MOST_THREADS: Final = 4
-"""More do not help: one thread reads the words of all others."""
+"""More do not help: the threads take their blocks one after the other."""
 LEAST_BYTES: Final = 1 << 22
 """Smallest file for which several threads pay."""
-BLOCK_WORDS: Final = 1 << 19
-"""Largest number of words of a block: to hand a block to a thread costs as much as some 50,000 words."""
+LEAST_BLOCK_WORDS: Final = 1 << 16
+MOST_BLOCK_WORDS: Final = 1 << 20
+"""Lengths of blocks: a block costs as much as some 50,000 words besides, and two million bytes fit into a cache."""
 
-_QUEUED: Final = 2
-"""Number of blocks that wait for each further thread; the thread that reads decodes the others."""
-_AHEAD: Final = 4
-"""Number of blocks in work beyond those that wait."""
+_SHARE: Final = 2
+"""A block is at most a thread's share of the words that are left, divided by this: so all threads end together."""
 
 Words = NDArray[np.uint16]
+Read = Callable[[Words, int], int]
+"""Reads words from a byte of the file on into an array; returns their number, 0 at the end. One call at a time."""
 
 
-class _Block(NamedTuple):
-    """A block in work: its decoder, the place and the byte at which that began, and what it returns."""
+@dataclass(slots=True)
+class _Block:
+    """A block in work: its first byte and length in words, room for its events, and where it begins.
 
-    words: Words
+    ``found`` are number of events and triggers; None until the block is decoded, and if it is malformed.
+    """
+
+    first_byte: int
+    length: int
     room: Events
     began: Place
-    first_byte: int
     decoder: Evt3Decoder
-    result: Future[tuple[int, Triggers]]
+    found: tuple[int, Triggers] | None = None
+    is_done: bool = False
+
+    def decode(self, words: Words) -> None:
+        """Decode the block's words."""
+        try:
+            self.found = self.decoder.decode_into(words, self.room, 0)
+        except RecordingCorrupt:  # it is decoded again when its place is known, and told then
+            self.found = None
+        self.is_done = True
 
 
 def threads_for(size_bytes: int) -> int:
@@ -69,75 +86,117 @@ def threads_for(size_bytes: int) -> int:
     return min(usable, MOST_THREADS)
 
 
-def decode_blocks(
-    decoder: Evt3Decoder, blocks: Iterable[tuple[Words, Events]], threads: int
-) -> Iterator[tuple[Events, Triggers]]:
-    """Decode blocks in several threads.
+def decode_in_threads(
+    decoder: Evt3Decoder, read: Read, events: GrowingEvents, threads: int, total_words: int
+) -> list[Triggers]:
+    """Decode a stream in several threads.
 
     Parameters
     ----------
     decoder
-        Decoder at the beginning of the first block.
-    blocks
-        The words of the stream, (N,) uint16 each, and arrays that have room for their events.
+        Decoder at the beginning of the stream.
+    read
+        Reads words.
+    events
+        Arrays for all events.
     threads
         Number of threads, that of the caller included.
+    total_words
+        Expected length of the stream.
 
-    Yields
-    ------
-    tuple of Events and Triggers
-        The next events, and the triggers among them: a block's, in its arrays, unless it had to be decoded again.
+    Returns
+    -------
+    list of Triggers
+        The triggers, in the order of the stream.
 
     Raises
     ------
     RecordingCorrupt
-        At a malformed word, after the events before it.
+        At a malformed word.
+    OSError
+        If ``read`` raises it.
     """
-    at, first_byte = decoder.place, decoder.next_byte
-    place: Place | None = at
-    waiting: deque[_Block] = deque()
-    queued = (threads - 1) * _QUEUED
+    work = _Work(decoder, read, events, threads, total_words)
     with ThreadPoolExecutor(max(threads - 1, 1), thread_name_prefix="evt3") as pool:
+        others = [pool.submit(work.decode_blocks) for _ in range(threads - 1)]
+        work.decode_blocks()
+    for other in others:
+        other.result()
+    return work.finished()
+
+
+class _Work:
+    """The blocks of a stream, which threads take one after the other."""
+
+    def __init__(
+        self, decoder: Evt3Decoder, read: Read, events: GrowingEvents, threads: int, total_words: int
+    ) -> None:
+        self._decoder = decoder
+        self._read = read
+        self._events = events
+        self._shares = _SHARE * threads
+        self._left = total_words
+        self._taking = threading.Lock()
+        self._stopped = False
+        self._waiting: deque[_Block] = deque()
+        self._triggers: list[Triggers] = []
+        self._next_byte, self._next_place = decoder.next_byte, decoder.place
+        self._at = self._next_place
+
+    def decode_blocks(self) -> None:
+        """Take and decode blocks until there is none left."""
+        words = np.empty(MOST_BLOCK_WORDS, np.uint16)
         try:
-            for words, room in blocks:
-                while waiting and (place is None or len(waiting) >= queued + _AHEAD):
-                    at = yield from _finish(decoder, waiting.popleft(), at)
-                began = at if place is None else place
-                fork = decoder.at(began, first_byte)
-                busy = sum(not block.result.done() for block in waiting) >= queued
-                result: Future[tuple[int, Triggers]] = (
-                    Future() if busy else pool.submit(fork.decode_into, words, room, 0)
-                )
-                waiting.append(_Block(words, room, began, first_byte, fork, result))
-                first_byte += 2 * len(words)
-                place = guess_place(words, began)
-                if busy:
-                    _decode_here(waiting[-1])
-            while waiting:
-                at = yield from _finish(decoder, waiting.popleft(), at)
-        finally:
-            for block in waiting:
-                block.result.cancel()
+            while (block := self._take(words)) is not None:
+                if not block.is_done:
+                    block.decode(words[: block.length])
+        except BaseException:
+            self._stopped = True
+            raise
 
+    def finished(self) -> list[Triggers]:
+        """Return the triggers; no thread is at work."""
+        self._finish_first()
+        return self._triggers
 
-def _decode_here(block: _Block) -> None:
-    """Decode a block in this thread."""
-    try:
-        block.result.set_result(block.decoder.decode_into(block.words, block.room, 0))
-    except RecordingCorrupt as error:
-        block.result.set_exception(error)
+    def _take(self, words: Words) -> _Block | None:
+        """Read the next block into ``words``; None if the stream ends, or a thread has failed."""
+        with self._taking:
+            self._finish_first()
+            most = min(max(self._left // self._shares, LEAST_BLOCK_WORDS), MOST_BLOCK_WORDS)
+            length = 0 if self._stopped else self._read(words[:most], self._next_byte)
+            if not length:
+                return None
+            words = words[:length]
+            began, first_byte = self._next_place, self._next_byte
+            room = self._events.room(max_event_count(words))
+            block = _Block(first_byte, length, room, began, self._decoder.at(began, first_byte))
+            self._waiting.append(block)
+            place = guess_place(words, began)
+            if place is None:  # the words do not tell it, so no other thread may go on
+                block.decode(words)
+                place = block.decoder.place
+            self._left -= length
+            self._next_byte, self._next_place = first_byte + 2 * length, place
+            return block
 
+    def _finish_first(self) -> None:
+        """Add the first blocks to the arrays, as far as they are decoded."""
+        while self._waiting and self._waiting[0].is_done:
+            self._finish(self._waiting.popleft())
 
-def _finish(
-    decoder: Evt3Decoder, block: _Block, at: Place
-) -> Generator[tuple[Events, Triggers], None, Place]:
-    """Yield the events of a block, decoded again unless it began at ``at`` and ended well; return the place then."""
-    damaged = isinstance(block.result.exception(), RecordingCorrupt)  # told below, after the events before it
-    if not damaged:
-        n, edges = block.result.result()
-        if block.began == at:
-            yield block.room.part(0, n), edges
-            return block.decoder.place
-    again = decoder.at(at, block.first_byte)
-    yield from again.decode(block.words)
-    return again.place
+    def _finish(self, block: _Block) -> None:
+        """Add the events of a block, decoded again unless it began at the right place and ended well."""
+        if block.found is not None and block.began == self._at:
+            count, edges = block.found
+            self._events.add(block.room.part(0, count))
+            self._triggers.append(edges)
+            self._at = block.decoder.place
+            return
+        words = np.empty(block.length, np.uint16)
+        words = words[: self._read(words, block.first_byte)]
+        again = self._decoder.at(self._at, block.first_byte)
+        for part, edges in again.decode(words):
+            self._events.add(part)
+            self._triggers.append(edges)
+        self._at = again.place

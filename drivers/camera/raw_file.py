@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
+from io import RawIOBase
 from pathlib import Path
 from typing import Final
 
@@ -17,7 +18,7 @@ from numpy.typing import NDArray
 from drivers.camera.event_arrays import Events, Triggers, join_triggers
 from drivers.camera.evt3 import Evt3Decoder, StreamStatistics, Words
 from drivers.camera.evt3_kernel import max_event_count
-from drivers.camera.evt3_threads import BLOCK_WORDS, decode_blocks, threads_for
+from drivers.camera.evt3_threads import decode_in_threads, threads_for
 from drivers.camera.evt3_vectors import MARGIN
 from drivers.camera.growing_events import GrowingEvents
 from drivers.camera.raw_header import MAX_HEADER_BYTES, RawHeader, parse_header
@@ -27,6 +28,8 @@ from drivers.errors import NotARecording, RecordingFileError
 SAMPLES: Final = 16
 SAMPLE_WORDS: Final = 1 << 15
 """Number of parts of a file, and of words of each, from which the number of its events is estimated."""
+BLOCK_WORDS: Final = 1 << 19
+"""Number of words that are decoded into common arrays at once."""
 SPARE: Final = 1 << 12
 """Events for which arrays have room beyond the estimate."""
 
@@ -223,7 +226,7 @@ class RawFile:
         """
         size = self._size()
         threads, events = threads_for(size), GrowingEvents(self._expected_events(size))
-        edges = self._read_in_threads(events, threads) if threads > 1 else self._read_in_one(events)
+        edges = self._read_in_threads(events, threads, size) if threads > 1 else self._read_in_one(events)
         return events.finished(), join_triggers(edges)
 
     def _read_in_one(self, events: GrowingEvents) -> list[Triggers]:
@@ -237,16 +240,18 @@ class RawFile:
             triggers.append(edges)
         return triggers
 
-    def _read_in_threads(self, events: GrowingEvents, threads: int) -> list[Triggers]:
+    def _read_in_threads(self, events: GrowingEvents, threads: int, size_bytes: int) -> list[Triggers]:
         """Decode all events in several threads."""
-        triggers = []
-        blocks = (
-            (words, events.room(max_event_count(words))) for words in self.words(piece_words=BLOCK_WORDS)
-        )
-        for part, edges in decode_blocks(self._decoder(), blocks, threads):
-            events.add(part)
-            triggers.append(edges)
-        return triggers
+        try:
+            with self.path.open("rb", buffering=0) as file:
+
+                def read(words: Words, first_byte: int) -> int:
+                    file.seek(first_byte)
+                    return _read_words(file, words)
+
+                return decode_in_threads(self._decoder(), read, events, threads, size_bytes // 2)
+        except OSError as error:
+            raise _unreadable(self.path, error) from error
 
     def _expected_events(self, size_bytes: int) -> int:
         """Estimate the number of events from parts of the file; somewhat more, so that arrays seldom grow."""
@@ -349,3 +354,11 @@ def _unreadable(path: Path, error: OSError) -> RecordingFileError:
         where=str(path),
         remedy="Check the disk, or copy the file again.",
     )
+
+
+def _read_words(file: RawIOBase, words: Words) -> int:
+    """Read words until the array is full or the file ends; return their number."""
+    room, done = words.data.cast("B"), 0
+    while count := file.readinto(room[done:]):
+        done += count
+    return done // 2

@@ -1,6 +1,8 @@
 """Blocks decoded in several threads give what one thread gives, whatever the stream holds and wherever it is cut."""
 
-import itertools
+import errno
+import io
+import threading
 
 import numpy as np
 import pytest
@@ -8,12 +10,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from drivers.camera import evt3_threads, raw_file
-from drivers.camera.event_arrays import empty_events
 from drivers.camera.evt3 import Evt3Decoder
-from drivers.camera.evt3_kernel import max_event_count
 from drivers.camera.evt3_place import guess_place
+from drivers.camera.growing_events import GrowingEvents
 from drivers.camera.raw_file import RawFile
-from drivers.errors import RecordingCorrupt
+from drivers.errors import RecordingCorrupt, RecordingFileError
 from tests.unit.drivers.evt3_words import (
     HEIGHT,
     WIDTH,
@@ -31,15 +32,19 @@ from tests.unit.drivers.test_evt3_streams import sparse_words, streams
 from tests.unit.drivers.test_raw_file import HEADER
 
 
-def in_threads(words, bounds, threads=2):
-    """Events and triggers of the blocks between bounds, decoded in threads."""
-    blocks = [words[begin:end] for begin, end in itertools.pairwise(bounds)]
-    found, edges = [], []
-    with_room = ((part, empty_events(max_event_count(part))) for part in blocks)
-    for events, triggers in evt3_threads.decode_blocks(Evt3Decoder(WIDTH, HEIGHT), with_room, threads):
-        found += rows(events)
-        edges += rows(triggers)
-    return found, edges
+def in_threads(words, bounds, threads=2, expected=0):
+    """Events and triggers of a stream, decoded in threads in blocks that end at bounds."""
+    events = GrowingEvents(expected)
+
+    def read(buffer, first_byte):
+        begin = first_byte // 2
+        end = next((bound for bound in sorted(bounds) if bound > begin), begin)
+        some = words[begin : min(end, begin + len(buffer))]
+        buffer[: len(some)] = some
+        return len(some)
+
+    found = evt3_threads.decode_in_threads(Evt3Decoder(WIDTH, HEIGHT), read, events, threads, len(words))
+    return rows(events.finished()), [edge for some in found for edge in rows(some)]
 
 
 @settings(max_examples=40)
@@ -48,6 +53,7 @@ def test_where_a_stream_is_cut_into_blocks_does_not_matter(stream, cuts):
     words, events, triggers, _ = stream
     bounds = [0, *sorted(min(cut, len(words)) for cut in cuts), len(words)]
     assert in_threads(np.array(words, np.uint16), bounds) == (events, triggers)
+    assert in_threads(np.array(words, np.uint16), bounds, expected=len(events)) == (events, triggers)
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -111,7 +117,8 @@ def test_the_place_after_words_is_read_from_them(more, t, next_column):
 def large(tmp_path, monkeypatch):
     """Writes a RAW file that is decoded in two threads, in blocks of 500 words."""
     monkeypatch.setattr(raw_file, "threads_for", lambda _: 2)
-    monkeypatch.setattr(raw_file, "BLOCK_WORDS", 500)
+    monkeypatch.setattr(evt3_threads, "LEAST_BLOCK_WORDS", 500)
+    monkeypatch.setattr(evt3_threads, "MOST_BLOCK_WORDS", 500)
 
     def write(words):
         path = tmp_path / "large.raw"
@@ -151,6 +158,38 @@ def test_a_malformed_word_is_found_at_the_same_byte_after_the_same_events(large)
     with pytest.raises(RecordingCorrupt) as again:
         recording.read()
     assert again.value.offset == caught.value.offset
+
+
+def test_a_file_that_cannot_be_read_on_ends_all_threads(large, monkeypatch):
+    words = sparse_words(np.random.default_rng(6), 4000)
+    recording, reads = large(words), []
+
+    def read_words(file, room):
+        reads.append(threading.current_thread())
+        if len(reads) == 3:
+            raise OSError(errno.EIO, "Input/output error")
+        return file.readinto(memoryview(room).cast("B")) // 2
+
+    monkeypatch.setattr(raw_file, "_read_words", read_words)
+    with pytest.raises(RecordingFileError, match="Input/output error"):
+        recording.read()
+    assert len(reads) == 3
+    assert not any(thread.name.startswith("evt3") for thread in threading.enumerate())
+
+
+def test_a_read_that_returns_less_than_asked_is_continued():
+    class Slow(io.RawIOBase):
+        def __init__(self):
+            self.left = bytearray(range(7))
+
+        def readinto(self, room):
+            part, self.left = self.left[:3], self.left[3:]
+            room[: len(part)] = part
+            return len(part)
+
+    room = np.zeros(8, np.uint16)
+    assert raw_file._read_words(Slow(), room) == 3
+    assert room.tobytes()[:7] == bytes(range(7))
 
 
 def test_few_or_many_threads_by_the_size_of_the_file():

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from drivers.camera import raw_file
+from drivers.camera import evt3_threads, raw_file
 from drivers.camera.growing_events import GrowingEvents
 from drivers.camera.raw_file import RawFile
 from tests.unit.drivers.evt3_words import decode, rows
@@ -19,6 +19,8 @@ def test_a_wrong_estimate_changes_nothing(tmp_path, monkeypatch, threads, expect
     path.write_bytes(HEADER + words.astype("<u2").tobytes())
     monkeypatch.setattr(raw_file, "threads_for", lambda _: threads)
     monkeypatch.setattr(raw_file, "BLOCK_WORDS", 500)
+    monkeypatch.setattr(evt3_threads, "LEAST_BLOCK_WORDS", 500)
+    monkeypatch.setattr(evt3_threads, "MOST_BLOCK_WORDS", 500)
     monkeypatch.setattr(RawFile, "_expected_events", lambda *_: expected)
     events, triggers = RawFile.open(path).read()
     assert (rows(events), rows(triggers)) == decode(*words)[:2]
