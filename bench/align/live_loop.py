@@ -14,12 +14,13 @@ import time
 from collections import deque
 from collections.abc import Callable, Mapping
 from concurrent.futures import Future
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeVar, cast
 
 from bench.align.live_figures import LiveFigures, LiveSetting, LiveSlice
 from bench.align.live_picture import LivePicture
+from bench.align.live_slices import learnt_s, rate_per_s, slice_duration_s, slice_periods, with_signal_of
 from bench.align.meter import Meter
 from bench.align.slice_folder import make_slice_folder
 from bench.base.clock import Aborted
@@ -29,17 +30,11 @@ from drivers.camera import EventCamera, PreviewCamera, RecordingFacts
 from drivers.camera.frames import FrameCamera, FrameFacts
 from drivers.errors import DriverError
 
-SHORT_S = 1 / 60
-"""Length of most slices, s, rounded to whole flicker periods, at least one. A short slice makes a quick picture."""
 SIGNAL_PERIODS = 4
 """Periods of a slice that shows the flicker itself: frequency by triggers and by events, and jitter. It holds three
 whole periods at any phase of the light."""
 SIGNAL_EVERY_S = 4.0
 """Time between two such slices, s."""
-_OF_THE_FLICKER = ("sync", "flicker is")
-"""Words of advice that only such a slice can give."""
-LONGEST_SLICE_S = 4.0
-"""Longest slice, s. With a slower flicker, a slice holds no whole period."""
 _AFTER_FAULT_S = 1.0
 MOVING_PERIODS = 0.6
 """Length of a slice while the stage turns, periods: it holds one edge of the light at least."""
@@ -48,9 +43,6 @@ _STALE_S = 0.4
 _SHORTEST_S = 0.1
 """Shortest time from one slice to the next, s: more pictures show no more."""
 _EARLY_S = 0.02
-_LEARNT = 0.3
-"""Weight of the newest duration in the expected ones."""
-_RATE_OVER_S = 4.0
 
 T = TypeVar("T")
 Recorded = RecordingFacts | FrameFacts
@@ -178,7 +170,7 @@ class LiveLoop:
         float
             Pictures in a second.
         """
-        return _rate(self._times_s)
+        return rate_per_s(self._times_s)
 
     def stars_per_s(self) -> float:
         """Return how often stars were searched in a second, over the last seconds.
@@ -188,7 +180,7 @@ class LiveLoop:
         float
             Searches in a second.
         """
-        return _rate([at for at, _ in self._star_times_s])
+        return rate_per_s([at for at, _ in self._star_times_s])
 
     def close(self) -> bool:
         """End the recording and both threads, and remove the temporary folder.
@@ -231,7 +223,7 @@ class LiveLoop:
                 continue
             if made is None:
                 continue
-            self._record_s = _learnt(self._record_s, made.record_ms / 1e3)
+            self._record_s = learnt_s(self._record_s, made.record_ms / 1e3)
             with self._wake:
                 old, self._waiting = self._waiting, made
                 self._wake.notify_all()
@@ -279,7 +271,7 @@ class LiveLoop:
             try:
                 camera = cast("EventCamera", self._camera)
                 take = camera.preview if isinstance(camera, PreviewCamera) else camera.record
-                facts = take(path, _duration_s(setting, wanted))
+                facts = take(path, slice_duration_s(setting, wanted))
             except DriverError:
                 path.unlink(missing_ok=True)
                 raise
@@ -321,7 +313,7 @@ class LiveLoop:
             finally:
                 part.path.unlink(missing_ok=True)
                 with self._wake:
-                    self._measure_s = _learnt(self._measure_s, time.monotonic() - began_s)
+                    self._measure_s = learnt_s(self._measure_s, time.monotonic() - began_s)
                     self._began_s = None
                     self._wake.notify_all()
 
@@ -361,66 +353,3 @@ class LiveLoop:
             return
         self.failure = failure
         self._on_picture()
-
-
-def slice_periods(setting: LiveSetting) -> int:
-    """Return how many flicker periods a short slice holds.
-
-    Parameters
-    ----------
-    setting
-        What is known of the bench.
-
-    Returns
-    -------
-    int
-        At least 1; 0 if there is no flicker.
-    """
-    if not setting.light_on or not setting.frequency_hz:
-        return 0
-    return max(1, round(SHORT_S * setting.frequency_hz))
-
-
-def with_signal_of(figures: LiveFigures, signal: LiveFigures) -> LiveFigures:
-    """Return the figures of a short slice, completed by the figures that need a longer slice.
-
-    Parameters
-    ----------
-    figures
-        Figures of the short slice.
-    signal
-        Figures of the last slice of at least `SIGNAL_PERIODS`.
-
-    Returns
-    -------
-    LiveFigures
-        Flicker, and advice about it, are those of the longer slice.
-    """
-    kept = [one for one in signal.advice if any(word in one for word in _OF_THE_FLICKER)]
-    return replace(
-        figures,
-        trigger_hz=signal.trigger_hz,
-        event_hz=signal.event_hz,
-        jitter_us=signal.jitter_us,
-        event_jitter_us=signal.event_jitter_us,
-        advice=(*kept, *(one for one in figures.advice if one not in kept)),
-    )
-
-
-def _learnt(known_s: float, newest_s: float) -> float:
-    """Return the expected duration after the newest one."""
-    return newest_s if known_s == 0.0 else known_s + _LEARNT * (newest_s - known_s)
-
-
-def _duration_s(setting: LiveSetting, periods: float) -> float:
-    if periods == 0 or not setting.frequency_hz:
-        return SHORT_S
-    return min(periods / setting.frequency_hz, LONGEST_SLICE_S)
-
-
-def _rate(times_s: Any) -> float:
-    now_s = time.monotonic()
-    recent = [at for at in list(times_s) if now_s - at < _RATE_OVER_S]
-    if len(recent) < 2:
-        return 0.0
-    return (len(recent) - 1) / max(1e-6, now_s - recent[0])
