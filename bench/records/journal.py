@@ -26,6 +26,8 @@ CLOCK_JUMPED = "clock_jumped"
 _BLOCK_BYTES = 512
 MOST_LINE_BYTES = 32 * 1024 * 1024
 """Longest line that is read. The longest ones, with all residuals of a large run, have some megabytes."""
+MOST_JOURNAL_BYTES = 1 << 29
+"""Largest journal that is read: a run of fifty thousand poses, or a ledger of half a million runs, is about so large."""
 _MOST_UNSYNCED_BYTES = 64 * 1024
 """A power cut leaves zeros only nearer to the end than this: lines are synced far more often."""
 
@@ -328,7 +330,8 @@ def read_journal(path: Path) -> tuple[list[Entry], bytes]:
     Raises
     ------
     JournalBroken
-        When a complete line is not JSON, not in order, changed, or not chained to the line before.
+        When a complete line is not JSON, not in order, changed, or not chained to the line before, or the journal is
+        larger than any.
     StorageError
         When the file cannot be read.
     """
@@ -357,6 +360,12 @@ def read_journal(path: Path) -> tuple[list[Entry], bytes]:
                     remedy="The file was changed after it was written: restore it from a copy.",
                 ) from error
             begin += len(line)
+            if begin > MOST_JOURNAL_BYTES:
+                raise JournalBroken(
+                    f"The journal has more than {MOST_JOURNAL_BYTES} bytes.",
+                    where=str(path),
+                    remedy="No bench writes so much. Restore it from a copy.",
+                )
     return entries, b""
 
 

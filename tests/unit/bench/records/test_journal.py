@@ -160,6 +160,27 @@ def test_a_line_whose_hash_stands_in_another_form_is_found(three_lines):
         read_journal(three_lines)
 
 
+def test_a_journal_larger_than_any_is_refused(three_lines, monkeypatch):
+    monkeypatch.setattr("bench.records.journal.MOST_JOURNAL_BYTES", three_lines.stat().st_size)
+    assert len(read_journal(three_lines)[0]) == 3
+    monkeypatch.setattr("bench.records.journal.MOST_JOURNAL_BYTES", three_lines.stat().st_size - 1)
+    with pytest.raises(JournalBroken, match=r"The journal has more than \d+ bytes"):
+        read_journal(three_lines)
+
+
+def test_a_line_nested_too_deeply_is_no_entry(three_lines):
+    lines = three_lines.read_bytes().splitlines(keepends=True)
+    record = json.loads(lines[1])
+    record.pop("hash")
+    record["to"] = 0
+    text = json.dumps(record, separators=(",", ":")).replace('"to":0', '"to":' + "[" * 500 + "]" * 500)
+    digest = hashlib.sha256(text.encode()).hexdigest()
+    lines[1] = f'{text[:-1]},"hash":"{digest}"}}\n'.encode()
+    three_lines.write_bytes(b"".join(lines))
+    with pytest.raises(JournalBroken, match="this line is not an entry"):
+        read_journal(three_lines)
+
+
 def test_a_line_numbered_out_of_order_is_found(three_lines):
     lines = three_lines.read_bytes().splitlines()
     lines[2] = rehashed(lines[2].replace(b'{"seq":2', b'{"seq":3'))
