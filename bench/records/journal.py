@@ -27,7 +27,7 @@ _BLOCK_BYTES = 512
 MOST_LINE_BYTES = 32 * 1024 * 1024
 """Longest line that is read. The longest ones, with all residuals of a large run, have some megabytes."""
 MOST_JOURNAL_BYTES = 1 << 29
-"""Largest journal that is read: a run of fifty thousand poses, or a ledger of half a million runs, is about so large."""
+"""Largest journal that is read: a run of fifty thousand poses has so much, or a ledger of half a million runs."""
 _MOST_UNSYNCED_BYTES = 64 * 1024
 """A power cut leaves zeros only nearer to the end than this: lines are synced far more often."""
 
