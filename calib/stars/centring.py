@@ -121,33 +121,46 @@ def symmetry_samples(pitch_px: float) -> NDArray[np.float64]:
 
 
 @njit(cache=True, error_model="numpy")
-def _solvable(normal: Any) -> bool:
-    """Return whether the image determines every unknown; a flat image does not.
+def _find_step(normal: Any, right: Any, factor: Any, step: Any) -> bool:
+    """Solve the normal equations in place; return whether the image determines every unknown; a flat one does not.
 
     The matrix is scaled to a unit diagonal first, because the unit of some unknowns is the grey value. The scaling is
     that of van der Sluis (1969).
     """
-    scale, scaled = np.empty(SYMMETRY_UNKNOWNS), np.empty((SYMMETRY_UNKNOWNS, SYMMETRY_UNKNOWNS))
+    scale = np.empty(SYMMETRY_UNKNOWNS)
     for k in range(SYMMETRY_UNKNOWNS):
         if not normal[k, k] > 0.0:
             return False
         scale[k] = np.sqrt(normal[k, k])
+    scaled = normal / scale / scale.reshape((-1, 1))
+    if not _clearly_regular(scaled, factor):
+        if not np.linalg.cond(scaled) < 1e12:
+            return False
+        step[:] = np.linalg.solve(normal, right)
+        return True
     for k in range(SYMMETRY_UNKNOWNS):
-        for m in range(SYMMETRY_UNKNOWNS):
-            scaled[k, m] = normal[k, m] / scale[k] / scale[m]
-    return _clearly_regular(scaled) or bool(np.linalg.cond(scaled) < 1e12)
+        step[k] = right[k] / scale[k]
+        for m in range(k):
+            step[k] -= factor[k, m] * step[m]
+        step[k] /= factor[k, k]
+    for k in range(SYMMETRY_UNKNOWNS - 1, -1, -1):
+        for m in range(k + 1, SYMMETRY_UNKNOWNS):
+            step[k] -= factor[m, k] * step[m]
+        step[k] /= factor[k, k]
+    for k in range(SYMMETRY_UNKNOWNS):
+        step[k] /= scale[k]
+    return True
 
 
 @njit(cache=True, error_model="numpy")
-def _clearly_regular(scaled: Any) -> bool:
+def _clearly_regular(scaled: Any, factor: Any) -> bool:
     """Return whether the condition of a symmetric matrix with unit diagonal is below 1e10 for sure.
 
-    It takes a twentieth of the time of the condition itself. With the determinant d, from the Cholesky factor (Golub
-    and Van Loan, 2013), and the trace n, the smallest eigenvalue is at least d ((n - 1) / n)^(n - 1), because the mean
-    of the other ones is at most n / (n - 1); the largest is at most n.
+    Its Cholesky factor (Golub and Van Loan, 2013) is computed in place. It takes a twentieth of the time of the
+    condition itself. With the determinant d, from the factor, and the trace n, the smallest eigenvalue is at least d
+    ((n - 1) / n)^(n - 1), because the mean of the other ones is at most n / (n - 1); the largest is at most n.
     """
     n = len(scaled)
-    factor = np.zeros((SYMMETRY_UNKNOWNS, SYMMETRY_UNKNOWNS))
     determinant = 1.0
     for k in range(n):
         for m in range(k + 1):
@@ -163,6 +176,24 @@ def _clearly_regular(scaled: Any) -> bool:
                 determinant *= rest
     smallest = determinant * ((n - 1.0) / n) ** (n - 1)
     return bool(smallest > n * 1e-10)
+
+
+@njit(cache=True, error_model="numpy")
+def _store_information(normal: Any, information: Any) -> None:
+    """Store the (2, 2) information of the centre after elimination of the slopes, the last unknown first (Gauss)."""
+    left = normal.copy()
+    for p in range(SYMMETRY_UNKNOWNS - 1, 1, -1):
+        for q in range(p):
+            share = left[q, p] / left[p, p]
+            for m in range(p):
+                left[q, m] -= share * left[p, m]
+    information[:] = left[:2, :2]
+
+
+@njit(cache=True, error_model="numpy")
+def _used_samples(samples: Any, used_to: Any) -> Any:
+    """Return the samples, (2, M) float32, that lie in the used part of a star's cell."""
+    return samples[:, (np.abs(samples[0]) <= used_to[0]) & (np.abs(samples[1]) <= used_to[1])]
 
 
 @njit(cache=True, error_model="numpy")
@@ -202,14 +233,16 @@ def refine_by_symmetry(
     n = len(guesses)
     centres, information = np.full((n, 2), np.nan), np.full((n, 2, 2), np.nan)
     mean_square, light_slope, converged = np.full(n, np.nan), np.full(n, np.nan), np.zeros(n, np.bool_)
-    normal, right = np.empty((SYMMETRY_UNKNOWNS, SYMMETRY_UNKNOWNS)), np.empty(SYMMETRY_UNKNOWNS)
-    rows = np.empty((SYMMETRY_UNKNOWNS + 1, len(samples)))
+    normal, factor = np.empty((2, SYMMETRY_UNKNOWNS, SYMMETRY_UNKNOWNS))
+    right, step = np.empty((2, SYMMETRY_UNKNOWNS))
+    every = np.ascontiguousarray(samples.T).astype(np.float32)
+    reach = np.abs(every).max()
+    space = np.empty((2, len(samples)), np.float32)
     pixels, width = image.ravel(), image.shape[1]
     for k in range(n):
         x, y = guesses[k, 0], guesses[k, 1]
         slopes, centre = np.zeros(SYMMETRY_UNKNOWNS - 2), np.empty(2)
-        used = (np.abs(samples[:, 0]) <= used_to[k, 0]) & (np.abs(samples[:, 1]) <= used_to[k, 1])
-        places = np.ascontiguousarray(samples[used].T)
+        places = every if used_to[k].min() >= reach else _used_samples(every, used_to[k])
         for _ in range(_MAX_STEPS):
             centre[0], centre[1] = x, y
             squares = normal_equations(
@@ -220,13 +253,12 @@ def refine_by_symmetry(
                 local_map.quadratic[k],
                 places,
                 slopes,
-                rows,
+                space,
                 normal,
                 right,
             )
-            if np.isnan(squares) or not _solvable(normal):
+            if np.isnan(squares) or not _find_step(normal, right, factor, step):
                 break
-            step = np.linalg.solve(normal, right)
             length = np.hypot(step[0], step[1])
             shorter = min(1.0, 1.5 / length) if length > 0.0 else 1.0
             x, y = x - shorter * step[0], y - shorter * step[1]
@@ -237,6 +269,6 @@ def refine_by_symmetry(
                 converged[k] = True
                 centres[k, 0], centres[k, 1] = x, y
                 mean_square[k], light_slope[k] = squares, np.hypot(slopes[0], slopes[1])
-                information[k] = np.linalg.inv(np.linalg.inv(normal)[:2, :2])
+                _store_information(normal, information[k])
                 break
     return SymmetryFit(centres, information, mean_square, light_slope, converged)

@@ -16,8 +16,9 @@ from numpy.typing import NDArray
 
 from calib.model.homography import apply_homography, fit_affine, fit_homography
 from calib.stars.grid_map import predict_locally
+from calib.stars.star_search import search_stars
 from calib.stars.tag import TagDetection
-from calib.stars.template import SEARCH_RADII, SHARP_CORRELATION, StarTemplate, search_stars
+from calib.stars.template import SEARCH_RADII, SHARP_CORRELATION, StarTemplate
 from calib.target import StarTarget
 
 #: Least correlation with its pattern of a star during growth.

@@ -17,7 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.stars.growth import GrowthStart
-from calib.stars.template import SEARCH_RADII, StarTemplate, search_stars
+from calib.stars.star_search import search_stars
+from calib.stars.template import SEARCH_RADII, StarTemplate
 
 #: Pitches that are tried, px. Neighbouring ones are so close that a star responds to one of them.
 PITCHES_PX = tuple(18.0 * 1.3**k for k in range(7))
