@@ -29,6 +29,8 @@ from bench.records.kept_entries import KeptEntries
 from bench.records.storage import sha256_of
 from calib.errors import InputMismatch
 from calib.view import RimPoints, View
+from drivers.camera.whole_file import require_regular, require_whole
+from drivers.errors import DriverError
 
 FORMAT = "starbench/kept-view/1"
 FOLDER = "kept-views"
@@ -110,8 +112,10 @@ class KeptViews(KeptEntries):
         if not self.is_usable():
             return find()
         try:
+            require_regular(path)
+            require_whole(path)  # its missing parts would be read as gigabytes of zeros
             recording = sha256_of(path)
-        except OSError:
+        except (OSError, DriverError):
             return find()  # it states what is wrong with the file
         key = view_key(recording, options)
         if (kept := self.read(key)) is not None:

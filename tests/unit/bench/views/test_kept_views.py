@@ -188,6 +188,18 @@ def test_several_writers_of_one_entry_leave_it_whole(kept):
     assert [path.name for path in (kept.folder / key[:2]).iterdir()] == [f"{key}.view"]
 
 
+def test_a_recording_with_holes_is_not_hashed(kept, recording, monkeypatch):
+    with recording.open("r+b") as file:
+        file.truncate(10 << 30)
+    monkeypatch.setattr("bench.views.kept_views.sha256_of", lambda _: pytest.fail("it was hashed"))
+
+    def find():
+        raise ValueError("holes")
+
+    with pytest.raises(ValueError, match="holes"):
+        kept.view(recording, OPTIONS, find)
+
+
 def test_a_recording_without_stars_is_not_kept(kept, recording):
     calls = []
 
