@@ -29,6 +29,7 @@ from bench.results.view_sources import ViewSource, view_sources
 from bench.views.kept_views import KeptViews
 from calib.errors import CalibrationError
 from calib.view import View
+from drivers.camera.whole_file import require_regular, require_whole
 
 ROW_FORMAT = "starbench/recalibration/1"
 _READ = (JOURNAL, "sequence.yaml", "station.yaml", "passport.json")
@@ -166,7 +167,7 @@ def list_recordings(place: Place, task: Task) -> Listed:
         if (folder / JOURNAL).is_file():
             content = {name: sha256_of(folder / name) for name in _READ if (folder / name).is_file()}
         else:
-            content = {name: sha256_of(folder / name) for name in names}
+            content = {name: _hash_of(folder / name) for name in names}
     return Listed(names, calibration_key(content, task))
 
 
@@ -320,10 +321,17 @@ class _named:  # noqa: N801 - used as a context manager
             raise BenchError(said(error.what), where=said(error.where), remedy=said(error.remedy)) from error
 
 
+def _hash_of(recording: Path) -> str:
+    """Return the hash of a recording; refuse a device, which never ends, and gigabytes that were never written."""
+    require_regular(recording)
+    require_whole(recording)
+    return sha256_of(recording)
+
+
 def _require_recorded(source: ViewSource) -> tuple[int, str]:
     """Return size and hash of a recording; refuse one of a run that is not the one that its journal names."""
     with storage_errors(source.path):
-        size, digest = source.path.stat().st_size, sha256_of(source.path)
+        size, digest = source.path.stat().st_size, _hash_of(source.path)
     if source.attempt is not None and digest != source.attempt.stored["sha256"]:
         raise BenchError(
             "The recording is not the one that the run made: its hash differs from that in the journal.",

@@ -94,6 +94,30 @@ def test_each_run_is_as_it_is_alone_and_its_folder_is_sealed(folders, tmp_path):
         assert verify_folder(results.parent, signers).state == "SEALED"
 
 
+@pytest.mark.parametrize("wrong", ["device", "holes"])
+def test_a_recording_that_never_ends_or_was_never_written_fails_its_folder_alone(
+    folders, tmp_path, wrong, monkeypatch
+):
+    bad = tmp_path / "bad"
+    shutil.copytree(folders[0], bad)
+    (bad / "left.csv").unlink()
+    if wrong == "device":
+        (bad / "left.csv").symlink_to("/dev/zero")
+    else:
+        with (bad / "left.csv").open("wb") as file:
+            file.truncate(10 << 30)
+
+    def hash_of(path):
+        assert path.name != "left.csv", "it was read"
+        return "0"
+
+    monkeypatch.setattr("bench.cluster.tasks.sha256_of", hash_of)
+    (row,) = recalculate([bad])
+    assert row["state"] == "failed"
+    what = {"device": "a device, not a file", "holes": "The file is incomplete"}[wrong]
+    assert what in row["failure"]["what"]
+
+
 def test_what_was_done_is_not_done_again_and_what_differs_is(folders, tmp_path):
     with ResultsFolders(tmp_path / "out", None) as output:
         first = recalculate(folders, output)
