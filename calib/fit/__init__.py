@@ -21,7 +21,6 @@ from calib.adjustment.degeneracy import (
     require_distinct_poses,
     require_visible_rims,
 )
-from calib.adjustment.initialization import best_start, passport_starts, planar_starts, spherical_starts
 from calib.adjustment.levenberg_marquardt import Loss, Refinement, refine
 from calib.adjustment.observations import Observations
 from calib.adjustment.parameters import AdjustmentParameters
@@ -32,11 +31,9 @@ from calib.diagnosis.gross_stars import GrossStars, part_of
 from calib.errors import DegenerateViews, NotConverged
 from calib.fit.readings import with_readings
 from calib.fit.robust import refine_robustly
+from calib.fit.starts import initialize
 from calib.model.aberrations import LADDER, model_with_terms, needs_rim
 from calib.model.beam import Disc, inside_guard_band, visible_discs
-from calib.model.camera import PINHOLE
-from calib.model.collimator import CENTRE, Collimator
-from calib.model.homography import view_homography
 from calib.uncertainty.common_errors import add_common_errors, common_errors
 from calib.uncertainty.consistency import check_passport
 from calib.uncertainty.covariance import (
@@ -288,64 +285,6 @@ def _used_stars(
     if not wrong:
         return np.concatenate(used)
     return np.concatenate([own & ~found.wrong for own, found in zip(used, wrong, strict=True)])
-
-
-def initialize(
-    views: Sequence[View],
-    options: CalibrationOptions,
-    model: str,
-    near: AdjustmentParameters | None = None,
-) -> tuple[Bundle, AdjustmentParameters]:
-    """Return the bundle of the ideal model, without aberrations, and its starting values.
-
-    Parameters
-    ----------
-    views
-        Views of one camera.
-    options
-        Distortion coefficients and passport.
-    model
-        ``planar`` frees the centre of each view; all other models share one centre.
-    near
-        Parameters near the optimum, from another model; None to compare starts. ``planar`` always compares starts.
-
-    Returns
-    -------
-    tuple of Bundle and AdjustmentParameters
-        Stars with free parameters, and the best starting values.
-
-    Raises
-    ------
-    DegenerateViews
-        If no start leads to a real camera.
-    """
-    size, distortion = views[0].image_size, tuple(options.distortion)
-    held = options.passport.names if options.passport else ()
-    centre = [] if model == "planar" else [name for name in CENTRE if name not in held]
-    observations = Observations.from_views(views)
-    bundle = Bundle(observations, (*PINHOLE, *distortion, *centre), free_centres=model == "planar")
-    if near is not None and model != "planar":
-        return bundle, _ideal(near, distortion)
-    h = np.array([view_homography(view) for view in views])
-    if options.passport:
-        starts = list(passport_starts(h, size, distortion, options.passport))
-    elif model == "planar":
-        starts = list(planar_starts(h, size, distortion))
-    else:
-        starts = list(spherical_starts(h, size, distortion))
-    return bundle, best_start(bundle, starts)
-
-
-def _ideal(near: AdjustmentParameters, distortion: Sequence[str]) -> AdjustmentParameters:
-    """Return parameters without aberrations, shifts of centres and gimbal; coefficients they do not have are zero."""
-    camera, centre = near.camera, near.collimator
-    coefficients = {name: camera.distortion.get(name, 0.0) for name in distortion}
-    return AdjustmentParameters(
-        replace(camera, distortion=coefficients),
-        Collimator(centre.x, centre.y, centre.r),
-        near.rotations,
-        np.zeros_like(near.offsets),
-    )
 
 
 def _constrained(

@@ -16,7 +16,8 @@ from numpy.typing import NDArray
 from calib.adjustment.levenberg_marquardt import Loss, refine
 from calib.calibration import Calibration, CalibrationOptions
 from calib.errors import CalibrationError, DegenerateViews, InputMismatch, NotConverged
-from calib.fit import fit_model, initialize
+from calib.fit import fit_model
+from calib.fit.starts import initialize
 from calib.model.camera import PINHOLE, SKEW, CameraModel
 from calib.model.lens import BROWN, FISHEYE, is_fisheye
 from calib.uncertainty.covariance import covariance_at_optimum

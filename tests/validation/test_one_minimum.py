@@ -19,7 +19,7 @@ from calib.adjustment.levenberg_marquardt import Loss, refine
 from calib.adjustment.parameters import AdjustmentParameters
 from calib.engine import CalibrationOptions, calibrate
 from calib.errors import DegenerateViews
-from calib.fit import initialize
+from calib.fit.starts import initialize
 from calib.model.collimator import Collimator
 from calib.model.homography import view_homography
 from calib.model.rotation import exp_map

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from calib.adjustment.levenberg_marquardt import Loss, refine
 from calib.calibration import CalibrationOptions
 from calib.diagnosis.image_origin import find_other_origins, origin_offset
-from calib.fit import initialize
+from calib.fit.starts import initialize
 from calib.model.camera import CameraModel
 from calib.model.collimator import Collimator
 from tests.unit.calib.conftest import Bench

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from calib.adjustment.levenberg_marquardt import Loss, refine
 from calib.calibration import CalibrationOptions
 from calib.diagnosis.shifted_ids import IdShift, find_shifted_ids
-from calib.fit import initialize
+from calib.fit.starts import initialize
 from tests.unit.calib.conftest import TARGET, Bench
 
 POSES = ((-5, 2), (0.5, -2.5, 10), (5, 2.5, -20), (0, 0, 45), (-5, -2, 90), (5, -2, 0))

@@ -1,0 +1,79 @@
+"""Starting values of a fit, and its bundle without aberrations.
+
+`calib.adjustment.initialization` compares starts; this module says which ones a model has.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from calib.adjustment.bundle import Bundle
+from calib.adjustment.initialization import best_start, passport_starts, planar_starts, spherical_starts
+from calib.adjustment.observations import Observations
+from calib.adjustment.parameters import AdjustmentParameters
+from calib.calibration import CalibrationOptions
+from calib.model.camera import PINHOLE
+from calib.model.collimator import CENTRE, Collimator
+from calib.model.homography import view_homography
+from calib.view import View
+
+
+def initialize(
+    views: Sequence[View],
+    options: CalibrationOptions,
+    model: str,
+    near: AdjustmentParameters | None = None,
+) -> tuple[Bundle, AdjustmentParameters]:
+    """Return the bundle of the ideal model, without aberrations, and its starting values.
+
+    Parameters
+    ----------
+    views
+        Views of one camera.
+    options
+        Distortion coefficients and passport.
+    model
+        ``planar`` frees the centre of each view; all other models share one centre.
+    near
+        Parameters near the optimum, from another model; None to compare starts. ``planar`` always compares starts.
+
+    Returns
+    -------
+    tuple of Bundle and AdjustmentParameters
+        Stars with free parameters, and the best starting values.
+
+    Raises
+    ------
+    DegenerateViews
+        If no start leads to a real camera.
+    """
+    size, distortion = views[0].image_size, tuple(options.distortion)
+    held = options.passport.names if options.passport else ()
+    centre = [] if model == "planar" else [name for name in CENTRE if name not in held]
+    observations = Observations.from_views(views)
+    bundle = Bundle(observations, (*PINHOLE, *distortion, *centre), free_centres=model == "planar")
+    if near is not None and model != "planar":
+        return bundle, _ideal(near, distortion)
+    h = np.array([view_homography(view) for view in views])
+    if options.passport:
+        starts = list(passport_starts(h, size, distortion, options.passport))
+    elif model == "planar":
+        starts = list(planar_starts(h, size, distortion))
+    else:
+        starts = list(spherical_starts(h, size, distortion))
+    return bundle, best_start(bundle, starts)
+
+
+def _ideal(near: AdjustmentParameters, distortion: Sequence[str]) -> AdjustmentParameters:
+    """Return parameters without aberrations, shifts of centres and gimbal; coefficients they do not have are zero."""
+    camera, centre = near.camera, near.collimator
+    coefficients = {name: camera.distortion.get(name, 0.0) for name in distortion}
+    return AdjustmentParameters(
+        replace(camera, distortion=coefficients),
+        Collimator(centre.x, centre.y, centre.r),
+        near.rotations,
+        np.zeros_like(near.offsets),
+    )
