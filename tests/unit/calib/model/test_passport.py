@@ -145,4 +145,5 @@ def test_readings_of_few_poses_enter_only_where_they_make_the_uncertainty_smalle
     both = calibrate(drawn.views, with_passport(certificate, model="auto", gimbal=readings))
     assert both.coverage_factor * both.sigma["fx"] <= alone.coverage_factor * alone.sigma["fx"]
     assert both.gimbal is None
+    assert both.covariance == pytest.approx(alone.covariance, rel=1e-9)
     assert any("readings of the gimbal did not enter" in note for note in both.notes)

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from calib.diagnosis.gross_stars import part_of
 from calib.engine import CalibrationOptions, calibrate
 from calib.fit import fit_model
 from calib.uncertainty.variance_components import variance_components
@@ -66,6 +67,18 @@ def test_centres_that_move_along_one_axis_are_separated_from_the_other(make_benc
         found.append(of(bench.views(rng, 0.005, poses=POSES, centres=centres))[1])
     along_x, along_y = np.sqrt(np.mean([one.sigma_mm[:2] ** 2 for one in found], axis=0))
     assert along_y > 4 * along_x
+
+
+def test_shifts_are_zero_where_each_view_has_its_own_centre_and_rounding_changes_no_sigma(make_bench):
+    views = displaced(make_bench(half_angle_deg=HALF_DEG), np.random.default_rng(116), 0.005, 4)
+    found = []
+    for order in (slice(None), slice(None, None, -1)):
+        turned = [part_of(view, np.arange(len(view))[order]) for view in views]
+        fitted = fit_model(turned, L2, "planar")
+        found.append(variance_components(fitted.bundle, fitted.parameters, fitted.loss))
+    assert not found[0].sigma_mm[:2].any()
+    one, other = (np.sqrt(np.diag(each.covariance)) for each in found)
+    assert one == pytest.approx(other, rel=1e-5)
 
 
 def test_sigmas_of_three_views_of_a_bent_target_are_those_of_repeated_calibrations(make_bench):
