@@ -6,6 +6,7 @@ evidence; nothing but `calibrate` without an output folder reads them. Loads no 
 
 from __future__ import annotations
 
+import errno
 import hashlib
 import json
 import platform
@@ -26,6 +27,10 @@ FOLDER = "kept-answers"
 MOST_BYTES = 1 << 26
 _OF_FILES = ("passport", "station", "board", "reconstruct_hz", "pictures_at")
 """Options that name files, or that are not about runs; with one of them nothing is kept."""
+_BLOCK_BYTES = 512
+_LARGE_BYTES = 100_000_000
+_LEAST_STORED = 0.05
+"""Share of a large file that is stored at least; file systems that compress may store a tenth."""
 _LIBRARIES = ("numpy", "scipy", "numba", "opencv-python-headless", "h5py", "pydantic")
 
 
@@ -127,9 +132,19 @@ def _day(runs: Sequence[Path]) -> str | None:
 
 
 def _content(run: Path) -> dict[str, str]:
-    """Return the hashes of all files of a run by their names."""
+    """Return the hashes of all files of a run by their names. Raises OSError."""
     files = sorted(path for path in run.rglob("*") if path.is_file())
+    for path in files:
+        _refuse_holes(path)
     return {path.relative_to(run).as_posix(): sha256_of(path) for path in files}
+
+
+def _refuse_holes(path: Path) -> None:
+    """Refuse a large file that was hardly written, before hours go into its hash. Raises OSError."""
+    found = path.stat()
+    stored = getattr(found, "st_blocks", found.st_size) * _BLOCK_BYTES
+    if found.st_size > _LARGE_BYTES and stored < _LEAST_STORED * found.st_size:
+        raise OSError(errno.EINVAL, "This file has holes", str(path))
 
 
 def _version(library: str) -> str:

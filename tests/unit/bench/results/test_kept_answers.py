@@ -50,6 +50,15 @@ def test_the_key_covers_every_file_the_options_and_the_program(run, monkeypatch)
     assert answer_key([run / "captures" / "one.raw"], {}) is None
 
 
+def test_a_large_file_that_was_never_written_is_not_hashed(run, monkeypatch):
+    monkeypatch.setattr(kept_answers, "sha256_of", lambda path: str(path.stat().st_size))
+    with (run / "captures" / "two.raw").open("wb") as file:
+        file.truncate(99_000_000)
+        assert answer_key([run], {}) is not None
+        file.truncate(10_000_000_000)
+    assert answer_key([run], {}) is None
+
+
 def test_an_answer_holds_on_other_days_unless_a_passport_can_expire(run, monkeypatch):
     def keys():
         found = []
