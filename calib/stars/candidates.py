@@ -12,9 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.errors import StarsUnnamed, TargetNotFound
-from calib.model.homography import apply_homography
+from calib.model.homography import apply_homography, fit_homography
 from calib.stars.growth import GrowthStart, StarGrid, grow_star_grid, start_at_tag
-from calib.stars.labelling import label_by_pose, label_by_tag
+from calib.stars.labelling import StarLabels, label_by_pose, label_by_tag
 from calib.stars.lattice import find_lattice
 from calib.stars.tag import find_tag
 from calib.target import StarTarget
@@ -23,6 +23,8 @@ from calib.target import StarTarget
 MIN_STARS = 12
 #: Largest share of the stars found without the tag that may lie where none is printed.
 MAX_STRAY = 0.02
+#: Least distance of a corner of the tag from the image, px, by a homography, for the tag to be cut.
+CUT_PX = 10.0
 
 NamedBy = Literal["tag", "part of the tag", "expected pose"]
 
@@ -96,9 +98,14 @@ def find_candidates(
     TargetNotFound
         If the image shows no stars, a wrong tag, or the tag more than once.
     """
-    tag = find_tag(image, target, name=name)
+    tag = find_tag(image, target, name=name, reduced_only=True)
     if tag is None:
-        return _candidates_without_tag(smoothed, target, expected, name)
+        # The pictures of full size take long, and never show a tag that the border of the image cuts.
+        found = _find_without_tag(smoothed, target, expected, name)
+        if not _is_tag_cut(smoothed, found, target):
+            tag = find_tag(image, target, name=name)
+    if tag is None:
+        return _label_without_tag(found, target, expected, name)
     grown = grow_star_grid(smoothed, start_at_tag(tag, target), target.segments, _printed(target))
     return Candidates(grown.nodes(), grown.places()), tag.sign, "tag"
 
@@ -108,10 +115,18 @@ def _printed(target: StarTarget) -> Callable[[NDArray[np.int64]], NDArray[np.boo
     return lambda nodes: np.asarray(target.id_at(nodes[:, 0], nodes[:, 1]) >= 0)
 
 
-def _candidates_without_tag(
+class _Unlabelled(NamedTuple):
+    """Stars on a relative grid, where growth started (None if nowhere), and their labels by a part of the tag."""
+
+    grown: StarGrid
+    start: GrowthStart | None
+    labels: StarLabels | StarsUnnamed | None
+
+
+def _find_without_tag(
     image: NDArray[np.float32], target: StarTarget, expected: NDArray[np.float64] | None, name: str
-) -> tuple[Candidates, float, NamedBy]:
-    """Find possible stars starting at any of them, and label them by the visible part of the tag or by the pose."""
+) -> _Unlabelled:
+    """Find possible stars starting at any of them, and label them by the visible part of the tag if possible."""
     start = find_lattice(image, target.segments)
     starts = [start] if start is not None else _starts_as_expected(image, expected)
     size = max(target.columns, target.rows)
@@ -123,17 +138,39 @@ def _candidates_without_tag(
         if len(found.points) > len(grown.points):
             start, grown = tried, found
     if start is None or len(grown.points) < MIN_STARS:
+        return _Unlabelled(grown, None, None)
+    try:
+        return _Unlabelled(grown, start, label_by_tag(image, grown, start.sign, target, name=name))
+    except StarsUnnamed as unnamed:
+        return _Unlabelled(grown, start, unnamed)
+
+
+def _is_tag_cut(image: NDArray[np.float32], found: _Unlabelled, target: StarTarget) -> bool:
+    """Return whether the stars tell that a corner of the tag lies clearly outside of the image."""
+    if not isinstance(found.labels, StarLabels):
+        return False
+    nodes = found.labels.apply(found.grown.nodes()).astype(float)
+    homography = fit_homography(nodes, found.grown.places())
+    corners = apply_homography(homography, target.tag_corners_mm / target.pitch_mm)
+    last = np.array(image.shape[::-1]) - 1.0
+    return bool(((corners < -CUT_PX) | (corners > last + CUT_PX)).any())
+
+
+def _label_without_tag(
+    found: _Unlabelled, target: StarTarget, expected: NDArray[np.float64] | None, name: str
+) -> tuple[Candidates, float, NamedBy]:
+    """Return stars with their nodes, labelled by the visible part of the tag or by the pose."""
+    grown, start, labels = found
+    if start is None or labels is None:
         raise TargetNotFound(
             f"Tag {target.tag_id} of family {target.tag_family} is not in the image, and no stars are either.",
             where=f"view {name}",
             remedy="Turn the camera so that the tag is in view; check focus, light and the target's description.",
         )
     named_by: NamedBy = "part of the tag"
-    try:
-        labels = label_by_tag(image, grown, start.sign, target, name=name)
-    except StarsUnnamed:
+    if isinstance(labels, StarsUnnamed):
         if expected is None:
-            raise
+            raise labels
         labels, named_by = label_by_pose(grown, expected, name=name), "expected pose"
     nodes = labels.apply(grown.nodes())
     printed = _printed(target)(nodes)

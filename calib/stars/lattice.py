@@ -122,9 +122,9 @@ def _response(image: NDArray[np.float32], scale: float, segments: int) -> NDArra
     kernels = [ring * wave(segments / 2 * angle) for wave in (np.cos, np.sin)]
     real, imaginary = (cv2.filter2D(small, cv2.CV_32F, k.astype(np.float32)) for k in kernels)
     mean, square = (cv2.filter2D(a, cv2.CV_32F, ring) for a in (small, small * small))
-    spread = np.sqrt(np.maximum(square - mean * mean, 0.0))
+    spread = cv2.sqrt(np.maximum(square - mean * mean, 0.0))
     floor = 0.1 * float(np.quantile(spread, 0.95)) + 1e-12
-    return np.asarray(np.hypot(real, imaginary) / np.maximum(spread, floor), np.float32)
+    return np.asarray(cv2.magnitude(real, imaginary) / np.maximum(spread, np.float32(floor)), np.float32)
 
 
 def _peaks(response: NDArray[np.float32]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

@@ -12,6 +12,7 @@ from calib.errors import InputMismatch, TargetNotFound, TooFewStars
 from calib.events.grey_image import to_uint8
 from calib.events.motion import half_windows, motion_between
 from calib.model.homography import apply_homography
+from calib.stars import tag as tag_module
 from calib.stars.detect import detect_stars, detect_view
 from calib.stars.labelling import grid_homography
 from calib.stars.tag import find_tag
@@ -242,6 +243,24 @@ def test_part_of_the_tag_is_enough(roll, shift):
     assert find_tag(image, TARGET, name="p") is None, "the tag is not meant to be readable"
     assert seen.named_by == "part of the tag"
     assert_found_where_drawn(seen.view, scene, rms_px=0.05)
+
+
+@pytest.mark.parametrize(("shift", "cut"), [((370, 0), True), ((0, 0), False)])
+def test_a_tag_that_is_cut_is_not_searched_in_pictures_of_full_size(monkeypatch, shift, cut):
+    """They take four fifths of the time of the search. A tag that is whole, but cannot be read, is searched in all."""
+    scene, clean = drawn(roll=20, pitch_px=48.0, size=(800, 700), shift=shift)
+    image = clean.copy()
+    if not cut:
+        cv2.circle(image, scene.project(TARGET.tag_corners_mm)[0].round().astype(int).tolist(), 30, 0.5, -1)
+    searched = []
+    read_tags = tag_module._read_tags
+    monkeypatch.setattr(
+        tag_module, "_read_tags", lambda *given: searched.append(given[1]) or read_tags(*given)
+    )
+    seen = detect_stars(image, TARGET)
+    assert seen.named_by == "part of the tag"
+    assert min(searched) == 0.25
+    assert (max(searched) < 1.0) == cut
 
 
 def out_of_focus(blur_px):
