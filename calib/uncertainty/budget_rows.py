@@ -146,9 +146,11 @@ def _rows(
     """Return the rows, as `budget_rows`."""
     own = rows.variances(applied.without_terms.covariance)
     found = {source: rows.variances(part) for source, part in parts.items()}
-    corners = sum(each[WORST_CORNER] for each in found.values())
-    for each in found.values():
-        each[WORST_CORNER] *= own[WORST_CORNER] / corners if corners > 0 else 0.0
+    for name, variance in own.items():
+        together = sum(each[name] for each in found.values())
+        # A parameter with few degrees of freedom is enlarged (`calib.uncertainty.type_b`), and so is each of its parts.
+        for each in found.values():
+            each[name] *= variance / together if together > 0 else 0.0
     whole = rows.variances(applied.uncertainty.covariance)
     answer = []
     for name, variances in found.items():

@@ -12,6 +12,7 @@ from calib.model.type_b_terms import TypeBTerm
 from calib.uncertainty.budget_parts import covariance_parts
 from calib.uncertainty.budget_rows import budget_rows, not_included, uncertainty_budget
 from calib.uncertainty.projection_uncertainty import projection_uncertainty
+from tests.support.drawn_benches import NINE, draw_bench
 
 CERTIFICATE = Passport.of_radius(255.0, 0.05)
 SCALE = TypeBTerm("scale of the print", "print_scale", 20e-6, "drawing 4711", "rectangular")
@@ -162,3 +163,19 @@ def test_one_view_with_a_certificate_has_a_budget(bench):
     assert {row.name: row for row in rows}["effective radius"].contribution["fx"] == pytest.approx(
         2, rel=0.05
     )
+
+
+def test_the_squares_add_up_where_a_parameter_is_enlarged():
+    """The principal point of inconsistent views has fewer degrees of freedom than the focal length."""
+    fit = fit_model(
+        draw_bench("like-bench", NINE, 1).views, CalibrationOptions(passport=CERTIFICATE), "radial"
+    )
+    applied, rows = budget_of(fit, [SCALE])
+    names = list(applied.uncertainty.names)
+    enlarged = applied.without_terms.covariance / fit.uncertainty.covariance
+    assert enlarged[names.index("cx"), names.index("cx")] > 1.05
+    for name in ROW_QUANTITIES[:4]:
+        at = names.index(name)
+        sigma = applied.uncertainty.covariance[at, at] ** 0.5
+        assert np.linalg.norm([row.contribution[name] for row in rows]) == pytest.approx(sigma, rel=1e-4)
+        assert sum(row.share[name] for row in rows) == pytest.approx(1, rel=1e-4)
