@@ -33,7 +33,7 @@ MOST_RUN_BYTES = 1 << 30
 @click.option(
     "--find-again",
     is_flag=True,
-    help="Find the stars and calculate, also where an earlier command has kept the result (docs/cluster.md).",
+    help="Do all work again; use nothing that an earlier command has kept (docs/cluster.md).",
 )
 @JSON
 def calibrate(

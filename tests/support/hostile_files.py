@@ -155,6 +155,8 @@ RAW = {
     "evt21": b"% evt 2.1\n% geometry 1280x720\n% end\n" + bytes(1000),
     "evt4": b"% evt 4.0\n% end\n",
     "dat": b"% Data file containing CD events.\n% Version 2\n% Width 1280\n% Height 720\n\x0c\x08"
+    + b"\xff" * 800,
+    "dat-of-empty-events": b"% Data file containing CD events.\n% Version 2\n% Height 720\n% Width 1280\n\x0c\0"
     + bytes(800),
     "size-0": b"% format EVT3;height=0;width=0\n% end\n",
     "size-huge": b"% format EVT3;height=999999999999;width=999999999999\n% end\n",
