@@ -127,12 +127,14 @@ def _find_step(normal: Any, right: Any, factor: Any, step: Any) -> bool:
     The matrix is scaled to a unit diagonal first, because the unit of some unknowns is the grey value. The scaling is
     that of van der Sluis (1969).
     """
-    scale = np.empty(SYMMETRY_UNKNOWNS)
+    scale, scaled = np.empty(SYMMETRY_UNKNOWNS), np.empty((SYMMETRY_UNKNOWNS, SYMMETRY_UNKNOWNS))
     for k in range(SYMMETRY_UNKNOWNS):
         if not normal[k, k] > 0.0:
             return False
         scale[k] = np.sqrt(normal[k, k])
-    scaled = normal / scale / scale.reshape((-1, 1))
+    for k in range(SYMMETRY_UNKNOWNS):
+        for m in range(SYMMETRY_UNKNOWNS):
+            scaled[k, m] = normal[k, m] / scale[k] / scale[m]
     if not _clearly_regular(scaled, factor):
         if not np.linalg.cond(scaled) < 1e12:
             return False
@@ -181,13 +183,18 @@ def _clearly_regular(scaled: Any, factor: Any) -> bool:
 @njit(cache=True, error_model="numpy")
 def _store_information(normal: Any, information: Any) -> None:
     """Store the (2, 2) information of the centre after elimination of the slopes, the last unknown first (Gauss)."""
-    left = normal.copy()
+    left = np.empty((SYMMETRY_UNKNOWNS, SYMMETRY_UNKNOWNS))
+    for q in range(SYMMETRY_UNKNOWNS):
+        for m in range(SYMMETRY_UNKNOWNS):
+            left[q, m] = normal[q, m]
     for p in range(SYMMETRY_UNKNOWNS - 1, 1, -1):
         for q in range(p):
             share = left[q, p] / left[p, p]
             for m in range(p):
                 left[q, m] -= share * left[p, m]
-    information[:] = left[:2, :2]
+    for q in range(2):
+        for m in range(2):
+            information[q, m] = left[q, m]
 
 
 @njit(cache=True, error_model="numpy")
