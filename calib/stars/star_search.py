@@ -17,6 +17,9 @@ from calib.stars.template import MIN_COVERED, StarTemplate
 #: Standard deviation, as a share of the brightness, up to which an image counts as flat: single precision is right to
 #: 6e-8.
 FLAT = 2e-6
+#: Relative error of a sum in single precision, with a margin: a variance that is smaller than this share of the squared
+#: mean is rounding.
+ROUNDED = 1e-6
 
 
 class _Places(NamedTuple):
@@ -89,7 +92,7 @@ def _correlation_inside(
     variance = squares / n - mean * mean
     if np.isnan(variance):
         return np.nan
-    flat = (FLAT * level) ** 2
+    flat = (FLAT * level) ** 2 + ROUNDED * mean * mean
     return (product - mean * balance) / n / np.sqrt(variance) if variance > flat else 0.0
 
 

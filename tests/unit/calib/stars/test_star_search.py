@@ -36,7 +36,9 @@ def test_no_place_is_found_outside_of_the_image():
 
 
 @pytest.mark.parametrize("brightness", [0.0, 0.1, 1.0, 255.0, 60000.0])
-def test_a_flat_image_shows_no_star(brightness):
+@pytest.mark.parametrize("middle", [1.0, 0.37, 0.0])
+def test_a_flat_image_shows_no_star(brightness, middle):
     flat = np.full(IMAGE.shape, brightness, np.float32)
+    flat[45, 60] *= middle  # none of the samples lies there
     _, score = search_stars(flat, np.array([[60.2, 45.7]]), LINEAR[None], np.array([3.0]), TEMPLATE, 1.0)
     assert score[0] == 0.0

@@ -50,7 +50,9 @@ def expected_equations(centre):
     return (r**2).mean(), j @ j.T, j @ r
 
 
-@pytest.mark.parametrize("centre", [(35.3, 29.7), (35.0, 29.0), (12.2, 29.4), (35.1, 46.3)])
+@pytest.mark.parametrize(
+    "centre", [(35.3, 29.7), (35.0, 29.0), (12.2, 29.4), (57.4, 29.4), (35.1, 46.3), (35.1, 13.0)]
+)
 def test_equations_are_those_of_scipy(centre):
     square, normal, right = equations(centre)
     expected_square, expected_normal, expected_right = expected_equations(centre)
