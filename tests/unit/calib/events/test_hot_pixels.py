@@ -11,6 +11,9 @@ ON = random.poisson(2.0, (40, 50)).astype(np.uint32)
 OFF = random.poisson(3.0, (40, 50)).astype(np.uint32)
 for at in [(0, 0), (39, 49), (1, 20), (17, 0), (30, 30), (30, 31)]:
     ON[at] += 40
+ON.ravel()[random.choice(ON.size, 150, replace=False)] += (
+    np.arange(150, dtype=np.uint32) // 6
+)  # near the limits
 
 
 @pytest.mark.parametrize("allowed", [0, 3, 8])
