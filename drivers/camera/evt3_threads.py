@@ -31,12 +31,12 @@ MOST_THREADS: Final = 4
 """More do not help: the threads take their blocks one after the other."""
 LEAST_BYTES: Final = 1 << 22
 """Smallest file for which several threads pay."""
-LEAST_BLOCK_WORDS: Final = 1 << 16
-MOST_BLOCK_WORDS: Final = 1 << 20
-"""Lengths of blocks: a block costs as much as some 50,000 words besides, and two million bytes fit into a cache."""
+LEAST_BLOCK_WORDS: Final = 1 << 17
+MOST_BLOCK_WORDS: Final = 1 << 21
+"""Lengths of blocks. Between them, a block is a thread's share of the words that are left: so all threads end together.
 
-_SHARE: Final = 2
-"""A block is at most a thread's share of the words that are left, divided by this: so all threads end together."""
+A block costs as much as some 50,000 words besides: threads wait for each other to take it.
+"""
 
 Words = NDArray[np.uint16]
 Read = Callable[[Words, int], int]
@@ -134,7 +134,7 @@ class _Work:
         self._decoder = decoder
         self._read = read
         self._events = events
-        self._shares = _SHARE * threads
+        self._threads = threads
         self._left = total_words
         self._taking = threading.Lock()
         self._stopped = False
@@ -163,7 +163,7 @@ class _Work:
         """Read the next block into ``words``; None if the stream ends, or a thread has failed."""
         with self._taking:
             self._finish_first()
-            most = min(max(self._left // self._shares, LEAST_BLOCK_WORDS), MOST_BLOCK_WORDS)
+            most = min(max(self._left // self._threads, LEAST_BLOCK_WORDS), MOST_BLOCK_WORDS)
             length = 0 if self._stopped else self._read(words[:most], self._next_byte)
             if not length:
                 return None

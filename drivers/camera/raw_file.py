@@ -359,6 +359,6 @@ def _unreadable(path: Path, error: OSError) -> RecordingFileError:
 def _read_words(file: RawIOBase, words: Words) -> int:
     """Read words until the array is full or the file ends; return their number."""
     room, done = words.data.cast("B"), 0
-    while count := file.readinto(room[done:]):
+    while done < len(room) and (count := file.readinto(room[done:])):
         done += count
     return done // 2
