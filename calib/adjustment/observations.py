@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -10,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.errors import InputMismatch
+from calib.model.median import median
 from calib.view import View
 
 Array = NDArray[np.float64]
@@ -102,7 +104,7 @@ class Observations:
     @cached_property
     def sigmas_per_px(self) -> float:
         """The factor from px to standard deviations of the typical star."""
-        return float(np.sqrt(np.median(np.abs(self.factors[0] * self.factors[2]))))
+        return math.sqrt(median(np.abs(self.factors[0] * self.factors[2])))
 
     def remembered(self, given: tuple[object, ...], of: Callable[[], Array]) -> Array:
         """Return the result of a function; the last one is kept and returned for the same objects.

