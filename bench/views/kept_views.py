@@ -44,6 +44,7 @@ DETECTOR_SOURCES = (
     "calib/view.py",
     "calib/model/homography.py",
     "calib/model/local_consistency.py",
+    "calib/model/median.py",
     "calib/model/neighbour_kernels.py",
     "calib/boards",
     "calib/events",

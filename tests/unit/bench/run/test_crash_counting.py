@@ -27,7 +27,9 @@ def crashed(tmp_path, monkeypatch):
         journal.append(Event.RUN_STARTED, id="run", ledger={"number": 1})
         journal.append(Event.ENTERING, state="slewing", pose=1)
     write_crash_log(tmp_path / "run", "Fatal Python error: Segmentation fault")
-    monkeypatch.setattr(launch, "_job_of", lambda _folder, entries: (None, replay(entries)))
+    job = SimpleNamespace(station=None)
+    monkeypatch.setattr(launch, "_job_of", lambda _folder, entries: (job, replay(entries)))
+    monkeypatch.setattr(launch, "run_software", lambda _station: {})
     monkeypatch.setattr(launch, "intentions", lambda *_: [])
     monkeypatch.setattr(
         launch, "ledger_of", lambda _: SimpleNamespace(home=tmp_path / "home", end=lambda *_, **__: None)
