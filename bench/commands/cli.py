@@ -135,12 +135,13 @@ def resume(run_folder: Path, dry_run: bool, secrets_revoked: bool, as_json: bool
 
 
 def _shown(end: RunEnd, *, as_json: bool) -> int:
-    """Print how a run ended, then keep what `calibrate` will say about it. Ctrl-C no longer changes the exit status."""
+    """Print how a run ended, then keep what `calibrate` will say about it. No signal changes the exit status now."""
     from bench.commands.calibration_output import show_run
+    from bench.terminal.signals import stop_on_signals
 
     status = show_run(end, as_json=as_json)
     if end.how == "finished" and end.outcome is not None:
-        with suppress(KeyboardInterrupt):
+        with suppress(KeyboardInterrupt), stop_on_signals(lambda _reason: None):
             keep_answer_of_run(end.folder)
     return status
 
