@@ -110,9 +110,14 @@ def ticks(low: float, high: float, most: int = 5) -> list[float]:
         return [low]
     rough = (high - low) / most
     power = 10.0 ** math.floor(math.log10(rough))
-    step = next(s * power for s in _STEPS if s * power >= rough * (1 - 1e-9))
-    first = math.ceil(low / step - 1e-9)
-    return [(first + n) * step for n in range(int((high / step - first) + 1e-9) + 1)]
+    wide = next(i for i, s in enumerate(_STEPS) if s * power >= rough * (1 - 1e-9))
+    return _multiples(low, high, _STEPS[wide] * power) or _multiples(low, high, _STEPS[wide - 1] * power)
+
+
+def _multiples(low: float, high: float, step: float) -> list[float]:
+    """Return the multiples of a step in a range. A range of more than half a step may hold none."""
+    first, last = math.ceil(low / step - 1e-9), math.floor(high / step + 1e-9)
+    return [number * step for number in range(first, last + 1)]
 
 
 def log_ticks(low: float, high: float, most: int = 5) -> list[float]:
