@@ -58,7 +58,7 @@ class DriverError(Exception):
 
 
 def _one_stop(text: str) -> str:
-    """Return a sentence that quotes another one at its end without the second full stop."""
+    """Return a text with one full stop at its end, where it has two because it ends with a quoted sentence."""
     return text[:-1] if text.endswith("..") and not text.endswith("...") else text
 
 

@@ -37,8 +37,9 @@ class LensAndMount:
 class SimulatedHands:
     """Hands of a person at the lens and the mount of the simulated camera. A real bench has none.
 
-    Each method returns what lens and mount show afterwards, and raises `SimulationError` if the simulated bench refuses
-    (the ring does not reach that distance, say) or has ended. The image changes at once, also during a recording.
+    Each method returns what lens and mount show afterwards. It raises `SimulationError` if the simulated bench has
+    ended or refuses: for example, the focus ring does not reach that distance. The image changes at once, also during a
+    recording.
 
     Parameters
     ----------

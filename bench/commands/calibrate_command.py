@@ -14,6 +14,7 @@ from bench.commands.engine_commands import views_and_options
 from bench.commands.options import JSON, OutputFolder
 
 if TYPE_CHECKING:
+    from bench.results.kept_answers import KeptAnswers
     from bench.results.offline import OfflineResult
 
 MOST_RUN_BYTES = 1 << 30
@@ -54,13 +55,13 @@ def calibrate(
     from bench.results.kept_answers import KeptAnswers, answer_key
 
     answers = KeptAnswers.of_bench()
-    key = None if output or compare or find_again else answer_key(paths, {**options, "as_json": as_json})
-    if key is not None and (known := answers.answer(key)) is not None:
+    key = None if output or compare or find_again else answer_key(paths, options)
+    if key is not None and (known := answers.answer(key, as_json=as_json)) is not None:
         click.echo(known, nl=False)
         return 0
-    text = _calibrated(paths, compare, output, no_seal, find_again, as_json=as_json, **options)
-    if key is not None and text:
-        answers.keep(key, text)
+    result = _calibrated(paths, compare, output, no_seal, find_again, as_json=as_json, **options)
+    if key is not None:
+        _keep(answers, key, result)
     for remark in answers.remarks:
         click.echo(remark, err=True)
     return 0
@@ -87,11 +88,15 @@ def keep_answer_of_run(folder: Path) -> None:
         result = _calculated((folder,), find_again=False, options=options)
     except (BenchError, CalibrationError, OSError):
         return  # `calibrate` says the same, to somebody who asks
-    answers = KeptAnswers.of_bench()
-    for as_json in (False, True):
-        key = answer_key((folder,), {**options, "as_json": as_json})
-        if key is not None and not result.skipped:
-            answers.keep(key, _printed(result, compare=False, as_json=as_json))
+    if (key := answer_key((folder,), options)) is not None:
+        _keep(KeptAnswers.of_bench(), key, result)
+
+
+def _keep(answers: KeptAnswers, key: str, result: OfflineResult) -> None:
+    """Keep both forms of an answer, unless a file was left out: the reason is printed elsewhere."""
+    if not result.skipped:
+        text, as_json = (_printed(result, compare=False, as_json=form) for form in (False, True))
+        answers.keep(key, text, as_json)
 
 
 def _calibrated(
@@ -103,8 +108,8 @@ def _calibrated(
     *,
     as_json: bool,
     **options: Any,
-) -> str:
-    """Calibrate and print; return what was printed, or nothing if a file was left out."""
+) -> OfflineResult:
+    """Calibrate, write and seal the results where an output folder is given, and print."""
     from bench.commands.keys_output import key_or_draft
     from bench.records.run_folder import REPORT
 
@@ -116,11 +121,10 @@ def _calibrated(
     result = _calculated(paths, find_again=find_again, options=options)
     if output is not None:
         write_offline_results(result, output, key)
-    printed = _printed(result, compare=compare, as_json=as_json)
-    click.echo(printed, nl=False)
+    click.echo(_printed(result, compare=compare, as_json=as_json), nl=False)
     if output is not None and not as_json:
         click.echo(f"Report: {output / REPORT}")
-    return "" if result.skipped else printed
+    return result
 
 
 def _calculated(paths: tuple[Path, ...], *, find_again: bool, options: Mapping[str, Any]) -> OfflineResult:

@@ -22,9 +22,10 @@ from bench.records.run_folder import JOURNAL, PASSPORT_COPY
 from bench.records.storage import sha256_of
 from bench.results.forms import forms
 
-FORMAT = "starbench/kept-answer/1"
+FORMAT = "starbench/kept-answer/2"
 FOLDER = "kept-answers"
 MOST_BYTES = 1 << 26
+_TEXT, _JSON = "text", "json"
 _OF_FILES = ("passport", "station", "board", "reconstruct_hz", "pictures_at")
 """Options that name files, or that are not about runs; with one of them nothing is kept."""
 _BLOCK_BYTES = 512
@@ -52,13 +53,15 @@ class KeptAnswers(KeptEntries):
         """
         return cls(home_folder() / FOLDER, MOST_BYTES)
 
-    def answer(self, key: str) -> str | None:
+    def answer(self, key: str, *, as_json: bool) -> str | None:
         """Return what was printed.
 
         Parameters
         ----------
         key
             As `answer_key` returns it.
+        as_json
+            Whether the form for programs is asked for, not that for people.
 
         Returns
         -------
@@ -71,19 +74,19 @@ class KeptAnswers(KeptEntries):
         if hashlib.sha256(key.encode() + body).hexdigest().encode() != stated:
             self.drop_entry(key, "its hash does not match")
             return None
-        return body.decode()
+        return str(json.loads(body)[_JSON if as_json else _TEXT])
 
-    def keep(self, key: str, text: str) -> None:
-        """Keep what was printed.
+    def keep(self, key: str, text: str, as_json: str) -> None:
+        """Keep what is printed.
 
         Parameters
         ----------
         key
             As `answer_key` returns it.
-        text
-            The text.
+        text, as_json
+            The form for people, and that for programs.
         """
-        body = text.encode()
+        body = json.dumps({_TEXT: text, _JSON: as_json}).encode()
         self.write_entry(key, hashlib.sha256(key.encode() + body).hexdigest().encode() + b"\n" + body)
 
 

@@ -193,7 +193,9 @@ def check_numbers(stored: Mapping[str, Any], again: Mapping[str, Any], found: Fi
     if len(seen) > _MOST_SHOWN:
         found.fault("results", RESULTS, f"{len(seen) - _MOST_SHOWN} further values differ")
     if seen and other:
-        found.remarks.append(f"the results were made with {other}; they differ by more than that explains")
+        found.remarks.append(
+            f"another program made the results: {other}; but the difference is too large to come from that alone"
+        )
     rounded = [one for one in rounded if one.kind == "value" and not isinstance(one.stored, str)]
     if not seen and not excused and rounded:
         found.remarks.append(

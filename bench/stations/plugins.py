@@ -50,7 +50,7 @@ class Plugin:
     trouble
         Why it cannot be used; empty if it can.
     distribution, version
-        Name and version of the package, apart; empty if no package states them.
+        Name of the package, and its version; both are empty if no package is known.
     """
 
     kind: Kind

@@ -70,7 +70,7 @@ def render_star(target: StarTarget, pitch_px: float) -> NDArray[np.float32]:
     Returns
     -------
     array
-        (S, S) float32, brightness, 0 to 1, point symmetric about the centre.
+        (S, S) float32, brightness from 0 to 1. Half a turn about the centre does not change it.
     """
     columns, rows = np.meshgrid(np.arange(1, target.columns - 1), np.arange(1, target.rows - 1))
     surrounded = np.ones(columns.shape, bool)

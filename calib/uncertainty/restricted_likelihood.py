@@ -55,7 +55,7 @@ class PoseForms:
         self._inverse = blocks, rows, rows
 
     def __call__(self, variances: Array) -> tuple[Array, Array]:
-        """Return the forms of each component with given variances, times the variance.
+        """Return the quadratic forms of each component, each multiplied by the variance of the component.
 
         Parameters
         ----------
@@ -109,7 +109,7 @@ class DenseForms:
     parts
         For each of K components the (C, C) float64 covariance of z for a unit variance.
     noise
-        (C, C) float64 covariance of z from all other causes.
+        (C, C) float64 part of the covariance of z that the components do not explain.
     """
 
     def __init__(self, z: Array, parts: Sequence[Array], noise: Array) -> None:

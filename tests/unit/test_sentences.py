@@ -48,7 +48,9 @@ def errors_of(path):
 def messages():
     files = [path for package in PACKAGES for path in (ROOT / package).rglob("*.py")]
     return [
-        (f"{path.relative_to(ROOT)}:{line}", *texts) for path in files for *texts, line in errors_of(path)
+        (f"{path.relative_to(ROOT)}:{line}", what, remedy)
+        for path in files
+        for what, remedy, line in errors_of(path)
     ]
 
 

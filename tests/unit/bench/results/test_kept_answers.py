@@ -2,6 +2,7 @@
 
 import shutil
 from datetime import datetime
+from types import SimpleNamespace
 
 import pytest
 from click.testing import CliRunner
@@ -82,11 +83,12 @@ def test_an_answer_holds_on_other_days_unless_a_passport_can_expire(run, monkeyp
 
 def test_a_changed_answer_is_calculated_again_and_told(run):
     answers, key = KeptAnswers.of_bench(), "ab" * 32
-    answers.keep(key, "fx 3345 ± 1 px\n")
-    assert KeptAnswers.of_bench().answer(key) == "fx 3345 ± 1 px\n"
+    answers.keep(key, "fx 3345 ± 1 px\n", "{}\n")
+    assert KeptAnswers.of_bench().answer(key, as_json=False) == "fx 3345 ± 1 px\n"
+    assert KeptAnswers.of_bench().answer(key, as_json=True) == "{}\n"
     (entry,) = answers.folder.glob("*/*.json")
     entry.write_bytes(entry.read_bytes().replace(b"3345", b"3346"))
-    assert answers.answer(key) is None
+    assert answers.answer(key, as_json=False) is None
     assert "it is calculated again" in answers.remarks[0]
     assert not entry.exists()
 
@@ -94,24 +96,28 @@ def test_a_changed_answer_is_calculated_again_and_told(run):
 def test_the_command_calculates_once(run, monkeypatch):
     calls = []
 
-    def calibrated(paths, *_, **__):
+    def calculated(paths, **_):
         calls.append(paths)
-        return "the answer\n"
+        return SimpleNamespace(skipped=())
 
-    monkeypatch.setattr(calibrate_command, "_calibrated", calibrated)
+    def printed(_result, *, compare, as_json):
+        return f"answer, JSON {as_json}, compared {compare}\n"
+
+    monkeypatch.setattr(calibrate_command, "_calculated", calculated)
+    monkeypatch.setattr(calibrate_command, "_printed", printed)
 
     def say(*words):
         return CliRunner().invoke(cli, ["calibrate", str(run), *words], standalone_mode=False).stdout
 
-    assert (say(), say(), say()) == ("", "the answer\n", "the answer\n")
+    assert {say(), say(), say()} == {"answer, JSON False, compared False\n"}
+    assert say("--json") == "answer, JSON True, compared False\n"
     assert len(calls) == 1
     say("--find-again")
-    say("--compare")
-    say("--json")
-    assert len(calls) == 4
+    assert say("--compare") == "answer, JSON False, compared True\n"
+    assert len(calls) == 3
     (run / "captures" / "one.raw").write_bytes(b"other")
     say()
-    assert len(calls) == 5
+    assert len(calls) == 4
 
 
 def keep_views(folder):
