@@ -208,7 +208,7 @@ def reading_notes(gimbal: GimbalEstimate | None) -> tuple[str, ...]:
 
 
 _SHARED = {
-    False: ". An error that all views have in common, as a bow of the reticle, does not show in them.",
+    False: ". They do not show an error that all views have in common, such as a bow of the reticle.",
     True: ", and errors that all views share, as far as the residuals show them.",
 }
 """End of a note: whether the uncertainties include errors that all views share."""

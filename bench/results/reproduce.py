@@ -194,7 +194,7 @@ def check_numbers(stored: Mapping[str, Any], again: Mapping[str, Any], found: Fi
         found.fault("results", RESULTS, f"{len(seen) - _MOST_SHOWN} further values differ")
     if seen and other:
         found.remarks.append(
-            f"another program made the results: {other}; but the difference is too large to come from that alone"
+            f"the results were made with {other}, but the differences are too large to come from that alone"
         )
     rounded = [one for one in rounded if one.kind == "value" and not isinstance(one.stored, str)]
     if not seen and not excused and rounded:
