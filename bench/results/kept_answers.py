@@ -16,6 +16,7 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any, ClassVar
 
+from bench.base.bounded_json import parse_json
 from bench.base.home import home_folder
 from bench.records.kept_entries import KeptEntries
 from bench.records.run_folder import JOURNAL, PASSPORT_COPY
@@ -74,7 +75,7 @@ class KeptAnswers(KeptEntries):
         if hashlib.sha256(key.encode() + body).hexdigest().encode() != stated:
             self.drop_entry(key, "its hash does not match")
             return None
-        return str(json.loads(body)[_JSON if as_json else _TEXT])
+        return str(parse_json(body)[_JSON if as_json else _TEXT])
 
     def keep(self, key: str, text: str, as_json: str) -> None:
         """Keep what is printed.
