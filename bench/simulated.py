@@ -37,22 +37,9 @@ _START_TIMEOUT_S = 120.0
 class SimulatedBench:
     """A simulated bench in a process of its own, which the constructor starts.
 
-    Parameters
-    ----------
-    config
-        The station file's ``simulation`` section.
-    seed
-        Random seed of the simulated bench.
-
-    Attributes
-    ----------
-    endpoints
-        Ports by name of the device; a station file calls the port of ``light`` ``sim:light``.
-
-    Raises
-    ------
-    SimulationError
-        When it does not start; the message has the last line of its log.
+    config: The station file's ``simulation`` section.
+    endpoints: Ports by name of the device; a station file calls the port of ``light`` ``sim:light``.
+    Raises SimulationError: When it does not start; the message has the last line of its log.
     """
 
     def __init__(self, config: Mapping[str, Any], seed: int) -> None:
@@ -139,20 +126,8 @@ class SimulatedBench:
     def order(self, line: str) -> str:
         """Order a fault of a simulated device (docs/simulated-bench.md).
 
-        Parameters
-        ----------
-        line
-            The order, as words or as JSON.
-
-        Returns
-        -------
-        str
-            The answer of the simulated bench: one line of JSON.
-
-        Raises
-        ------
-        SimulationError
-            When the process has ended.
+        line: The order, as words or as JSON.
+        Raises SimulationError: When the process has ended.
         """
         stdin, stdout = self._process.stdin, self._process.stdout
         assert stdin is not None
@@ -171,13 +146,7 @@ class SimulatedBench:
         return SimulatedHands(self.order)
 
     def truth(self) -> dict[str, Any]:
-        """Read the true parameters of the simulated bench, for the final comparison. No estimator may use them.
-
-        Returns
-        -------
-        dict
-            Parameters by part: camera, collimator, and so on.
-        """
+        """Read the true parameters of the simulated bench, for the final comparison. No estimator may use them."""
         truth: dict[str, Any] = json.loads(self._truth_path.read_text(encoding="utf-8"))
         return truth
 
@@ -209,22 +178,8 @@ class SimulatedBench:
 def make_rehearsed_world(config: Mapping[str, Any], seed: int) -> RehearsedWorld:
     """Make a simulated world for a rehearsal: without a process, ports or devices.
 
-    Parameters
-    ----------
-    config
-        The station file's ``simulation`` section.
-    seed
-        Random seed of the world.
-
-    Returns
-    -------
-    RehearsedWorld
-        The world; its time is passed in by the caller.
-
-    Raises
-    ------
-    SimulationError
-        When the configuration is not valid.
+    config: The station file's ``simulation`` section.
+    Raises SimulationError: When the configuration is not valid.
     """
     from simulators.errors import ConfigError
     from simulators.rehearsed_world import RehearsedWorld
@@ -240,22 +195,8 @@ def make_rehearsed_world(config: Mapping[str, Any], seed: int) -> RehearsedWorld
 def virtual_camera(section: Mapping[str, Any], seed: int) -> VirtualCamera:
     """Make a simulated camera that records at once, in this process and without devices.
 
-    Parameters
-    ----------
-    section
-        As the ``simulation`` section of a station file.
-    seed
-        Seed of camera and mounting.
-
-    Returns
-    -------
-    VirtualCamera
-        The camera.
-
-    Raises
-    ------
-    SimulationError
-        If the section is not valid.
+    section: As the ``simulation`` section of a station file.
+    Raises SimulationError: If the section is not valid.
     """
     from simulators.errors import ConfigError
     from simulators.virtual_capture import VirtualCamera

@@ -29,15 +29,8 @@ _ATTEMPTS = 5
 def warm_up() -> int:
     """Make one recording with the simulated bench and measure it.
 
-    Returns
-    -------
-    int
-        Number of stars found.
-
-    Raises
-    ------
-    drivers.errors.DriverError, SimulationError
-        When the simulated bench does not work on this computer.
+    Raises drivers.errors.DriverError, SimulationError: When the simulated bench does not work on this
+      computer.
     """
     remove_stale_kernels()
     station = load_station("simulated").value

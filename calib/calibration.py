@@ -120,47 +120,25 @@ class CalibrationOptions:
 
 @dataclass(frozen=True)
 class ViewSummary:
-    """Residuals of one view.
+    """Residuals of one view."""
 
-    Attributes
-    ----------
-    name
-        The view's name.
-    n
-        Number of stars used.
-    rms_px, mean_px
-        Root mean square and mean of the lengths of its residual vectors, px.
-    """
-
-    name: str
+    name: str  # The view's name
     n: int
+    # rms_px, mean_px: Root mean square and mean of the lengths of its residual vectors, px.
     rms_px: float
     mean_px: float
 
 
 @dataclass(frozen=True)
 class Candidate:
-    """A model that was compared while the data chose one.
-
-    Attributes
-    ----------
-    model
-        Name of the model.
-    parameters
-        Number of parameters, those of the views included.
-    rms_px
-        Root mean square of the lengths of the residual vectors, px.
-    left_out_rms_px
-        The same for left-out views, of which only the rotation was adjusted; None with two views.
-    bic
-        Bayesian information criterion (Schwarz, 1978); smaller is better.
-    """
+    """A model that was compared while the data chose one."""
 
     model: str
     parameters: int
-    rms_px: float
+    rms_px: float  # Root mean square of the lengths of the residual vectors, px
+    # The same for left-out views, of which only the rotation was adjusted; None with two views.
     left_out_rms_px: float | None
-    bic: float
+    bic: float  # Bayesian information criterion (Schwarz, 1978); smaller is better
 
 
 @dataclass(frozen=True)

@@ -36,15 +36,7 @@ _COMPARED_STARS = 150
 
 @dataclass(frozen=True)
 class LensComparison:
-    """Lens models with the same model of the collimator.
-
-    Attributes
-    ----------
-    candidates
-        The candidates by the name of the lens.
-    best
-        Name of the simplest lens that the data support.
-    """
+    """Lens models with the same model of the collimator."""
 
     candidates: Mapping[str, Candidate]
     best: str
@@ -52,15 +44,7 @@ class LensComparison:
     def sentence(self, used: str) -> str:
         """Return what the comparison shows, in words.
 
-        Parameters
-        ----------
-        used
-            Name of the lens that the result has.
-
-        Returns
-        -------
-        str
-            One sentence; empty if the data support the lens that was used.
+        Returns: One sentence; empty if the data support the lens that was used.
         """
         if self.best == used or used not in self.candidates:
             return ""
@@ -82,20 +66,6 @@ def choose_lens(
 
     The collimator's model is chosen with k1 and k2, then the lens, then the collimator's model again if the lens
     changed. Own procedure.
-
-    Parameters
-    ----------
-    views
-        Views of one camera.
-    options
-        Model, loss, passport and readings.
-    wrong
-        Stars with a gross error, for each view.
-
-    Returns
-    -------
-    Choice
-        The chosen fit, with all candidates and the reasons.
     """
     first = _with_lens(views, options, "k1k2", wrong)
     found = compare_lenses(options, first.fit)
@@ -112,18 +82,6 @@ def compare_lenses(options: CalibrationOptions, fitted: Fit) -> LensComparison:
 
     Left-out poses decide from six poses on, as for collimator models; with fewer the Bayesian information criterion
     (Schwarz, 1978) decides.
-
-    Parameters
-    ----------
-    options
-        Distortion, loss and passport.
-    fitted
-        Fit whose stars and whose model of the collimator are used.
-
-    Returns
-    -------
-    LensComparison
-        The candidates, and the simplest lens that the data support.
     """
     used = lens_name(options.distortion)
     first = dict.fromkeys((used, *_RICHEST))
@@ -178,15 +136,8 @@ def _best(found: Mapping[str, Candidate], *, few: bool) -> str:
 def lens_name(coefficients: str | Sequence[str]) -> str:
     """Return the name of a set of coefficients.
 
-    Parameters
-    ----------
-    coefficients
-        Names of the coefficients, in the order of their family.
-
-    Returns
-    -------
-    str
-        Name in `calib.model.camera.DISTORTION_SETS`; the joined coefficients if the set has no name.
+    coefficients: Names of the coefficients, in the order of their family.
+    Returns: Name in `calib.model.camera.DISTORTION_SETS`; the joined coefficients if the set has no name.
     """
     known = {names: name for name, names in DISTORTION_SETS.items()}
     return known.get(tuple(coefficients), "".join(coefficients))

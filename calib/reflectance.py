@@ -19,17 +19,9 @@ def reflectance_at(x_mm: float, y_mm: float, layout: Any) -> float:
 
     Own definition of the pattern: see `calib.target`. Tag: Olson (2011).
 
-    Parameters
-    ----------
-    x_mm, y_mm
-        X and Y of the point on the target plane, mm.
-    layout
-        Pattern, from `StarTarget.layout`.
-
-    Returns
-    -------
-    float
-        0 (black) or 1 (white).
+    x_mm, y_mm: X and Y of the point on the target plane, mm.
+    layout: Pattern, from `StarTarget.layout`.
+    Returns: 0 (black) or 1 (white).
     """
     column, row = x_mm / layout.pitch_mm, y_mm / layout.pitch_mm
     tag_x, tag_y = column - layout.tag_column, row - layout.tag_row
@@ -53,17 +45,9 @@ def reflectance_at(x_mm: float, y_mm: float, layout: Any) -> float:
 def reflectances_at(x_mm: Any, y_mm: Any, layout: Any) -> Any:
     """Return the printed brightness at several points.
 
-    Parameters
-    ----------
-    x_mm, y_mm
-        (N,) float64, X and Y of the points on the target plane, mm.
-    layout
-        Pattern, from `StarTarget.layout`.
-
-    Returns
-    -------
-    array
-        (N,) float64, 0 (black) or 1 (white).
+    x_mm, y_mm: (N,) float64, X and Y of the points on the target plane, mm.
+    layout: Pattern, from `StarTarget.layout`.
+    Returns: (N,) float64, 0 (black) or 1 (white).
     """
     values = np.empty(x_mm.size)
     for i in range(x_mm.size):

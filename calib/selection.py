@@ -43,21 +43,11 @@ _KEPT_RADIAL = (
 
 @dataclass(frozen=True)
 class Choice:
-    """A model that the data chose.
-
-    Attributes
-    ----------
-    fit
-        The chosen fit.
-    candidates
-        All models that were compared.
-    notes
-        Which models could not be compared, and the reason for the choice.
-    """
+    """A model that the data chose."""
 
     fit: Fit
     candidates: tuple[Candidate, ...] = ()
-    notes: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()  # Which models could not be compared, and the reason for the choice
 
 
 def choose(views: Sequence[View], options: CalibrationOptions, wrong: Sequence[GrossStars] = ()) -> Choice:
@@ -66,24 +56,7 @@ def choose(views: Sequence[View], options: CalibrationOptions, wrong: Sequence[G
     With six or more views, that is the simplest model that predicts left-out views about as well as the best. With
     fewer views, it is the model of the ladder with the smallest Bayesian information criterion.
 
-    Parameters
-    ----------
-    views
-        Views of one camera.
-    options
-        Distortion, loss and guard band.
-    wrong
-        Stars with a gross error, for each view.
-
-    Returns
-    -------
-    Choice
-        The chosen fit, with all candidates and the reason.
-
-    Raises
-    ------
-    CalibrationError
-        If no model can be fitted: the error of the first one.
+    Raises CalibrationError: If no model can be fitted: the error of the first one.
     """
     discs = visible_discs(views)
     fits: list[Fit] = []
@@ -141,15 +114,7 @@ def _first(candidates: Sequence[Candidate], model: str) -> list[int]:
 def enough_poses(fitted: Fit) -> bool:
     """Tell whether there are enough poses to leave one out.
 
-    Parameters
-    ----------
-    fitted
-        A fitted model.
-
-    Returns
-    -------
-    bool
-        True from six poses on; repeats of a pose count once.
+    Returns: True from six poses on; repeats of a pose count once.
     """
     return max(fitted.bundle.poses or (0,)) + 1 >= _ENOUGH_VIEWS
 
@@ -158,16 +123,6 @@ def as_candidate(fitted: Fit) -> Candidate:
     """Summarise a fit for the comparison.
 
     The Bayesian information criterion (Schwarz, 1978) counts each residual component as one Gaussian measurement.
-
-    Parameters
-    ----------
-    fitted
-        A fitted model.
-
-    Returns
-    -------
-    Candidate
-        Its number of parameters, residuals and criterion.
     """
     residuals = fitted.bundle.residuals_px(fitted.parameters)
     shared = len(fitted.bundle.names)

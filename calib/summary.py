@@ -37,19 +37,9 @@ _BACKWARDS = (
 def summarize(fitted: Fit, options: CalibrationOptions, lens: str = "") -> Calibration:
     """Convert a fit to a calibration result, with the whole uncertainty budget.
 
-    Parameters
-    ----------
-    fitted
-        The fitted model.
-    options
-        Type B terms, and where the passport comes from.
-    lens
-        What a comparison of lens models shows, if another lens explains the views better; else empty.
-
-    Returns
-    -------
-    Calibration
-        Result without candidates.
+    options: Type B terms, and where the passport comes from.
+    lens: What a comparison of lens models shows, if another lens explains the views better; else empty.
+    Returns: Result without candidates.
     """
     parameters, whole, used = fitted.parameters, fitted.whole, fitted.used
     sources = {PASSPORT: options.passport_source} if options.passport_source else {}
@@ -103,17 +93,7 @@ def summarize(fitted: Fit, options: CalibrationOptions, lens: str = "") -> Calib
 def expanded_focal_px(fitted: Fit, options: CalibrationOptions) -> float:
     """Return the expanded uncertainty of fx that `summarize` would state.
 
-    Parameters
-    ----------
-    fitted
-        The fitted model.
-    options
-        Type B terms.
-
-    Returns
-    -------
-    float
-        Coverage factor times 1-sigma of fx with the type B terms, px.
+    Returns: Coverage factor times 1-sigma of fx with the type B terms, px.
     """
     estimate = fitted.uncertainty
     applied = apply_budget(
@@ -174,15 +154,8 @@ def _gimbal_estimate(fitted: Fit) -> GimbalEstimate | None:
 def reading_notes(gimbal: GimbalEstimate | None) -> tuple[str, ...]:
     """Return what a reader must know about the gimbal's readings.
 
-    Parameters
-    ----------
-    gimbal
-        What was found out about the gimbal; None if its readings took no part.
-
-    Returns
-    -------
-    tuple of str
-        Sentences; none if the readings agree with the stars as stated.
+    gimbal: What was found out about the gimbal; None if its readings took no part.
+    Returns: Sentences; none if the readings agree with the stars as stated.
     """
     if gimbal is None:
         return ()

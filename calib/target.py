@@ -30,18 +30,10 @@ MOST_SEGMENTS = 256
 
 
 class TagFamily(NamedTuple):
-    """A family of AprilTags (Olson 2011), as OpenCV has it.
-
-    Attributes
-    ----------
-    modules
-        Modules along a side, with the black border of one module.
-    tags
-        Number of tags: their numbers are 0 to ``tags - 1``.
-    """
+    """A family of AprilTags (Olson 2011), as OpenCV has it."""
 
     modules: int
-    tags: int
+    tags: int  # Number of tags: their numbers are 0 to ``tags - 1``
 
 
 #: Families of AprilTags by name. The number after the h is the least number of bits in which two tags of it differ.
@@ -54,31 +46,16 @@ TAG_FAMILIES: Mapping[str, TagFamily] = {
 
 
 class TargetLayout(NamedTuple):
-    """The pattern as `calib.reflectance` takes it: plain numbers and one small array, which numba can compile.
+    """The pattern as `calib.reflectance` takes it: plain numbers and one small array, which numba can compile."""
 
-    Attributes
-    ----------
-    pitch_mm
-        Distance of neighbouring stars, mm.
-    columns, rows
-        Number of columns and rows of nodes.
-    segments
-        Number of segments of a star.
-    tag_column, tag_row
-        Node at the upper left corner of the tag.
-    tag_squares
-        Side of the tag, squares.
-    tag_modules
-        (M, M) uint8, modules of the tag with its border: 1 is white; M as the family has it (8 for 36h11).
-    """
-
-    pitch_mm: float
+    pitch_mm: float  # Distance of neighbouring stars, mm
     columns: int
     rows: int
-    segments: int
+    segments: int  # Number of segments of a star
     tag_column: int
     tag_row: int
     tag_squares: int
+    # (M, M) uint8, modules of the tag with its border: 1 is white; M as the family has it (8 for 36h11).
     tag_modules: NDArray[np.uint8]
 
 

@@ -18,26 +18,15 @@ T = TypeVar("T")
 class RimPoints:
     """The rim of the beam as the image of a pose shows it: points on the target's plane.
 
-    Attributes
-    ----------
-    points_mm
-        (K, 2) float64, mm, points at which the light ends; K is 0 if the rim is out of the frame.
-    sigmas_mm
-        (K,) float64, mm, 1-sigma of each point across the rim.
-    lit_mm
-        (L, 2) float64, mm, points at the border of the frame that are bright: the rim lies farther out.
-    level_sigma_mm
-        1-sigma of the rim's centre along each axis, mm, because the light is not even over the beam.
-
-    Raises
-    ------
-    InputMismatch
-        If shapes disagree, or a number is not finite.
+    Raises InputMismatch: If shapes disagree, or a number is not finite.
     """
 
+    # (K, 2) float64, mm, points at which the light ends; K is 0 if the rim is out of the frame.
     points_mm: NDArray[np.float64]
-    sigmas_mm: NDArray[np.float64]
+    sigmas_mm: NDArray[np.float64]  # (K,) float64, mm, 1-sigma of each point across the rim
+    # (L, 2) float64, mm, points at the border of the frame that are bright: the rim lies farther out.
     lit_mm: NDArray[np.float64]
+    # 1-sigma of the rim's centre along each axis, mm, because the light is not even over the beam.
     level_sigma_mm: float
 
     def __post_init__(self) -> None:

@@ -16,20 +16,14 @@ class Clock(Protocol):
     def monotonic(self) -> float:
         """Return the time since a fixed moment; it never goes back.
 
-        Returns
-        -------
-        float
-            Time, in seconds.
+        Returns: Time, in seconds.
         """
         ...
 
     def sleep(self, seconds: float) -> None:
         """Wait; the owner of the clock may interrupt the wait by an exception of its own.
 
-        Parameters
-        ----------
-        seconds
-            Length of the wait, in seconds.
+        seconds: Length of the wait, in seconds.
         """
         ...
 

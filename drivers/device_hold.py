@@ -28,10 +28,8 @@ FOLDER_VARIABLE: Final = "STARBENCH_LOCKS"
 def locks_folder() -> Path:
     """Return the folder of the lock files, the same one for all users of this computer.
 
-    Returns
-    -------
-    Path
-        The folder that ``STARBENCH_LOCKS`` names, else ``starbench-devices`` in the system's temporary folder.
+    Returns: The folder that ``STARBENCH_LOCKS`` names, else ``starbench-devices`` in the system's temporary
+      folder.
     """
     if folder := os.environ.get(FOLDER_VARIABLE):
         return Path(folder)
@@ -42,26 +40,12 @@ def locks_folder() -> Path:
 class DeviceHold:
     """A device reserved for this process, until ``release`` or the end of the process.
 
-    Parameters
-    ----------
-    device
-        Unique name of the device: family and serial number, or its real path.
-    folder
-        Folder of the lock file; None for ``locks_folder()``.
-
-    Attributes
-    ----------
-    BUSY, DENIED
-        Errors that are raised; a subclass may name errors of its own family.
-
-    Raises
-    ------
-    PortBusy
-        Another process, or another part of this one, holds the device.
-    PortDenied
-        The lock file cannot be made.
+    device: Unique name of the device: family and serial number, or its real path.
+    folder: Folder of the lock file; None for ``locks_folder()``.
+    Raises PortDenied: The lock file cannot be made.
     """
 
+    # BUSY, DENIED: Errors that are raised; a subclass may name errors of its own family.
     BUSY: ClassVar[type[DriverError]] = PortBusy
     DENIED: ClassVar[type[DriverError]] = PortDenied
 

@@ -36,17 +36,7 @@ from __future__ import annotations
 
 
 class DriverError(Exception):
-    """Base of all errors of drivers: what is wrong, where, and what to do.
-
-    Parameters
-    ----------
-    what
-        What is wrong, in one sentence.
-    where
-        Device, port or file that the error concerns.
-    remedy
-        What the operator should do, in one sentence.
-    """
+    """Base of all errors of drivers: what is wrong, where, and what to do."""
 
     def __init__(self, what: str, *, where: str = "", remedy: str = "") -> None:
         self.what = _one_stop(what)
@@ -89,12 +79,8 @@ class ReplyError(DriverError):
 class ReplyTimeout(ReplyError):
     """No complete reply came before the deadline.
 
-    Parameters
-    ----------
-    what, where, remedy
-        See `DriverError`.
-    late_s
-        How late a busy computer was during the wait, s; 0 where the computer is not to blame.
+    what, where, remedy: See `DriverError`.
+    late_s: How late a busy computer was during the wait, s; 0 where the computer is not to blame.
     """
 
     def __init__(self, what: str, *, where: str = "", remedy: str = "", late_s: float = 0.0) -> None:
@@ -189,12 +175,8 @@ class NotARecording(RecordingFileError):
 class RecordingCorrupt(RecordingFileError):
     """Data are malformed at a byte offset.
 
-    Parameters
-    ----------
-    what, where, remedy
-        See `DriverError`.
-    offset
-        Position of the first malformed word in the file, in bytes.
+    what, where, remedy: See `DriverError`.
+    offset: Position of the first malformed word in the file, in bytes.
     """
 
     def __init__(self, what: str, *, offset: int, where: str = "", remedy: str = "") -> None:

@@ -42,21 +42,9 @@ else:
 def lock(descriptor: int, *, shared: bool = False, wait: bool = False) -> None:
     """Lock an open file until it is closed. Locking the same descriptor again does no harm.
 
-    Parameters
-    ----------
-    descriptor
-        Descriptor of the open file; on Windows the file must be open for writing.
-    shared
-        Allow other shared locks of the same file.
-    wait
-        Wait, without limit, until no other process holds the lock.
-
-    Raises
-    ------
-    BlockingIOError
-        Another process holds the lock.
-    OSError
-        The file cannot be locked.
+    descriptor: Descriptor of the open file; on Windows the file must be open for writing.
+    wait: Wait, without limit, until no other process holds the lock.
+    Raises OSError: The file cannot be locked.
     """
     try:
         _take(descriptor, shared=shared, wait=wait)

@@ -37,15 +37,8 @@ REMEDY: Final = (
 class Lateness:
     """Adds up how late this process is woken.
 
-    Parameters
-    ----------
-    now_s
-        Returns the time, s.
-
-    Attributes
-    ----------
-    longest_s
-        Longest single delay, s.
+    now_s: Returns the time, s.
+    longest_s: Longest single delay, s.
     """
 
     def __init__(self, now_s: Callable[[], float] = time.monotonic) -> None:
@@ -69,13 +62,7 @@ class Lateness:
 
     @contextmanager
     def interpreter_held(self) -> Iterator[None]:
-        """Count no delay during the block: software of a maker runs in it that lets no other thread of Python run.
-
-        Yields
-        ------
-        None
-            During the block.
-        """
+        """Count no delay during the block: software of a maker runs in it that lets no other thread of Python run."""
         with self._noting:
             self._held += 1
         try:
@@ -88,10 +75,7 @@ class Lateness:
     def lost_s(self) -> float:
         """Return the time that this process has lost since it began to measure.
 
-        Returns
-        -------
-        float
-            Seconds, with a delay that has not ended yet.
+        Returns: Seconds, with a delay that has not ended yet.
         """
         with self._noting:
             overdue_s = 0.0 if self._held else self._now_s() - self._due_s
@@ -100,11 +84,8 @@ class Lateness:
     def histogram(self) -> Mapping[str, Any]:
         """Return the delays, as a journal and a status hold them.
 
-        Returns
-        -------
-        mapping
-            ``period_s``; ``bins_s``, upper ends of the classes; ``counts``, one more than ``bins_s``; ``lost_s``,
-            ``longest_s``; ``load``, of the last minute, or None where the system has none.
+        Returns: ``period_s``; ``bins_s``, upper ends of the classes; ``counts``, one more than ``bins_s``;
+          ``lost_s``, ``longest_s``; ``load``, of the last minute, or None where the system has none.
         """
         with self._noting:
             counts: Sequence[int] = tuple(self._counts)
@@ -127,13 +108,7 @@ def _load() -> float | None:
 
 @cache
 def own_lateness() -> Lateness:
-    """Return the measurement of this process; the first call begins it.
-
-    Returns
-    -------
-    Lateness
-        The same object at each call.
-    """
+    """Return the measurement of this process; the first call begins it."""
     lateness = Lateness()
 
     def wake() -> None:
@@ -153,40 +128,24 @@ _clocks: dict[str, Callable[[], float]] = {}
 def follow_clock(address: str, lived_s: Callable[[], float]) -> None:
     """Let the deadlines of a device follow the clock of the process that simulates it.
 
-    Parameters
-    ----------
-    address
-        Address of the device, as its driver opens it.
-    lived_s
-        Returns the time that the process could use, s. It stands still while the process waits for a processor.
+    lived_s: Returns the time that the process could use, s. It stands still while the process waits for a
+      processor.
     """
     _clocks[address] = lived_s
 
 
 def follow_no_clock(address: str) -> None:
-    """End what `follow_clock` began.
-
-    Parameters
-    ----------
-    address
-        Address of the device.
-    """
+    """End what `follow_clock` began."""
     _clocks.pop(address, None)
 
 
 class Deadline:
     """A deadline that counts only the time that the processes at both ends could use.
 
-    Parameters
-    ----------
-    seconds
-        Time until the deadline on an idle computer, s.
-    address
-        Address of the device; see `follow_clock`.
-    now_s
-        Returns the time, s.
-    lateness
-        Measurement of this process; by default `own_lateness`.
+    seconds: Time until the deadline on an idle computer, s.
+    address: Address of the device; see `follow_clock`.
+    now_s: Returns the time, s.
+    lateness: Measurement of this process; by default `own_lateness`.
     """
 
     def __init__(
@@ -206,13 +165,7 @@ class Deadline:
         self._peer_before_s = self._peer_s() if self._peer_s is not None else 0.0
 
     def late_s(self) -> float:
-        """Return the time since the beginning that one of the two processes could not use.
-
-        Returns
-        -------
-        float
-            Seconds; the larger of the two.
-        """
+        """Return the time since the beginning that one of the two processes could not use."""
         own_s = self._lateness.lost_s() - self._lost_before_s
         peer_s = 0.0
         if self._peer_s is not None:  # the peer's clock moves in steps of two periods at most
@@ -222,20 +175,14 @@ class Deadline:
     def left_s(self) -> float:
         """Return the time that is left.
 
-        Returns
-        -------
-        float
-            Seconds; 0 or less when the deadline is over.
+        Returns: Seconds; 0 or less when the deadline is over.
         """
         return self._seconds - (self._now_s() - self._began_s) + min(self.late_s(), MOST_STRETCH_S)
 
     def starved_s(self) -> float:
         """Return how late the computer was, where that may be why no reply came.
 
-        Returns
-        -------
-        float
-            Seconds; 0 where the computer is not to blame.
+        Returns: Seconds; 0 where the computer is not to blame.
         """
         late_s = self.late_s()
         waited_s = self._now_s() - self._began_s
@@ -245,15 +192,8 @@ class Deadline:
 def busy_text(late_s: float) -> str:
     """Return the sentence about a computer that is too busy.
 
-    Parameters
-    ----------
-    late_s
-        How late it was, s.
-
-    Returns
-    -------
-    str
-        The sentence, without a capital letter and without a full stop.
+    late_s: How late it was, s.
+    Returns: The sentence, without a capital letter and without a full stop.
 
     Examples
     --------

@@ -40,12 +40,7 @@ T = TypeVar("T")
 class ReplyReader:
     """Reads the reply to one request, up to its deadline. A ``read_reply`` function gets it from the link.
 
-    Parameters
-    ----------
-    link
-        The line, held by this thread.
-    deadline_s
-        Longest time for the whole reply, in seconds from now.
+    deadline_s: Longest time for the whole reply, in seconds from now.
     """
 
     def __init__(self, link: Link, deadline_s: float) -> None:
@@ -56,17 +51,8 @@ class ReplyReader:
     def read_line(self) -> bytes:
         """Read the next line that is no unsolicited message.
 
-        Returns
-        -------
-        bytes
-            The line with its terminator.
-
-        Raises
-        ------
-        ReplyTimeout
-            No complete line came before the deadline.
-        ReplyGarbled
-            The line is longer than ``LONGEST_LINE``.
+        Raises ReplyTimeout: No complete line came before the deadline.
+        Raises ReplyGarbled: The line is longer than ``LONGEST_LINE``.
         """
         while True:
             line = self._link.take_line()
@@ -78,20 +64,9 @@ class ReplyReader:
     def read_exactly(self, count: int) -> bytes:
         """Read a number of bytes.
 
-        Parameters
-        ----------
-        count
-            Number of bytes.
-
-        Returns
-        -------
-        bytes
-            The next ``count`` bytes.
-
-        Raises
-        ------
-        ReplyTimeout
-            Fewer bytes came before the deadline.
+        count: Number of bytes.
+        Returns: The next ``count`` bytes.
+        Raises ReplyTimeout: Fewer bytes came before the deadline.
         """
         while True:
             data = self._link.take(count)
@@ -128,10 +103,7 @@ class ReplyReader:
 def no_unsolicited(_line: bytes) -> bool:
     """Take no line as unsolicited: for protocols without such messages.
 
-    Returns
-    -------
-    bool
-        Always False.
+    Returns: Always False.
     """
     return False
 
@@ -139,26 +111,12 @@ def no_unsolicited(_line: bytes) -> bool:
 class Link:
     """A line to one device or a chain of devices. Threads share it; one exchange is made at a time.
 
-    Parameters
-    ----------
-    port
-        The open port.
-    clock
-        Gives the times in the wire log.
-    resynchronise
-        Brings the line back into step; see ``drivers.retry.resynchronise``. It is called with the lock held, may call
-        ``drain`` and make urgent exchanges, and raises ReplyError when it fails.
-    terminator
-        End of a line.
-    unsolicited
-        Gets each line; returns True when the line is a message that answers no request.
-    wire_log
-        Records every byte; None for no record.
-
-    Attributes
-    ----------
-    lock
-        While a thread holds it, no other thread can send.
+    resynchronise: Brings the line back into step; see ``drivers.retry.resynchronise``. It is called with the
+      lock held, may call ``drain`` and make urgent exchanges, and raises ReplyError when it fails.
+    terminator: End of a line.
+    unsolicited: Gets each line; returns True when the line is a message that answers no request.
+    wire_log: Records every byte; None for no record.
+    lock: While a thread holds it, no other thread can send.
     """
 
     def __init__(
@@ -201,28 +159,13 @@ class Link:
     ) -> T:
         """Send a request and read its reply, alone on the line.
 
-        Parameters
-        ----------
-        request
-            The bytes to send.
-        read_reply
-            Reads and parses the reply; raises ReplyGarbled when the bytes are no reply to this request.
-        deadline_s
-            Longest wait for the whole reply, in seconds.
-        urgent
-            Send at once, without resynchronising. For stops, whose reply cannot be mistaken for another one.
-
-        Returns
-        -------
-        T
-            What ``read_reply`` returned.
-
-        Raises
-        ------
-        ReplyTimeout, ReplyGarbled
-            The line is then resynchronised before the next request.
-        PortLost
-            The port is gone.
+        read_reply: Reads and parses the reply; raises ReplyGarbled when the bytes are no reply to this
+          request.
+        deadline_s: Longest wait for the whole reply, in seconds.
+        urgent: Send at once, without resynchronising. For stops, whose reply cannot be mistaken for another
+          one.
+        Returns: What ``read_reply`` returned.
+        Raises ReplyTimeout, ReplyGarbled: The line is then resynchronised before the next request.
         """
         with self.lock:
             if not urgent:
@@ -236,18 +179,7 @@ class Link:
             return reply
 
     def send(self, data: bytes) -> None:
-        """Send bytes that have no reply.
-
-        Parameters
-        ----------
-        data
-            The bytes to send.
-
-        Raises
-        ------
-        PortLost
-            The port is gone.
-        """
+        """Send bytes that have no reply."""
         with self.lock:
             self._note(">", data)
             self._port.write(data)
@@ -255,12 +187,7 @@ class Link:
     def bring_into_step(self) -> None:
         """Resynchronise when an old reply is unread, or may still come.
 
-        Raises
-        ------
-        ReplyError
-            The line could not be resynchronised.
-        PortLost
-            The port is gone.
+        Raises ReplyError: The line could not be resynchronised.
         """
         with self.lock:
             self._take_strays()
@@ -275,22 +202,9 @@ class Link:
     def drain(self, quiet_s: float, limit_s: float) -> bytes:
         """Throw away what arrives until the line is silent.
 
-        Parameters
-        ----------
-        quiet_s
-            How long nothing may arrive before the line counts as silent, in seconds.
-        limit_s
-            Longest wait for that silence, in seconds.
-
-        Returns
-        -------
-        bytes
-            What was thrown away.
-
-        Raises
-        ------
-        ReplyGarbled
-            The device did not fall silent.
+        quiet_s: How long nothing may arrive before the line counts as silent, in seconds.
+        limit_s: Longest wait for that silence, in seconds.
+        Raises ReplyGarbled: The device did not fall silent.
         """
         with self.lock:
             end = time.monotonic() + limit_s
@@ -316,20 +230,8 @@ class Link:
     def receive(self, timeout_s: float) -> bool:
         """Wait for bytes and keep them as unread.
 
-        Parameters
-        ----------
-        timeout_s
-            Longest wait for the first byte, in seconds.
-
-        Returns
-        -------
-        bool
-            Whether any byte came.
-
-        Raises
-        ------
-        PortLost
-            The port is gone.
+        timeout_s: Longest wait for the first byte, in seconds.
+        Returns: Whether any byte came.
         """
         data = self._port.read(timeout_s)
         self._clock.monotonic()
@@ -341,15 +243,8 @@ class Link:
     def take(self, count: int) -> bytes | None:
         """Take a number of unread bytes.
 
-        Parameters
-        ----------
-        count
-            Number of bytes.
-
-        Returns
-        -------
-        bytes or None
-            The bytes; None when fewer are unread.
+        count: Number of bytes.
+        Returns: The bytes; None when fewer are unread.
         """
         if len(self._buffer) < count:
             return None
@@ -360,15 +255,9 @@ class Link:
     def take_line(self) -> bytes | None:
         """Take one unread line.
 
-        Returns
-        -------
-        bytes or None
-            The line with its terminator; None when no complete line is unread.
-
-        Raises
-        ------
-        ReplyGarbled
-            The line is too long. It is thrown away, so that the next call does not find it again.
+        Returns: The line with its terminator; None when no complete line is unread.
+        Raises ReplyGarbled: The line is too long. It is thrown away, so that the next call does not find it
+          again.
         """
         end = self._buffer.find(self._terminator)
         if end < 0 and len(self._buffer) <= LONGEST_LINE:
@@ -386,15 +275,7 @@ class Link:
     def route_unsolicited(self, line: bytes) -> bool:
         """Pass a line to the handler of unsolicited messages.
 
-        Parameters
-        ----------
-        line
-            The line with its terminator.
-
-        Returns
-        -------
-        bool
-            Whether the handler took it.
+        Returns: Whether the handler took it.
         """
         return self._unsolicited(line)
 

@@ -24,15 +24,8 @@ _PROTOCOL = re.compile(r"([A-Za-z][A-Za-z0-9+.-]+)(?:[,:])")  # a single letter 
 def refused_port(address: str) -> str | None:
     """Return why an address cannot be a serial port.
 
-    Parameters
-    ----------
-    address
-        A device file, a port name of the system, or a URL.
-
-    Returns
-    -------
-    str or None
-        What is wrong; None if the address may be a port. `PORT_REMEDY` says what to write instead.
+    address: A device file, a port name of the system, or a URL.
+    Returns: What is wrong; None if the address may be a port. `PORT_REMEDY` says what to write instead.
 
     Examples
     --------
@@ -50,15 +43,8 @@ def refused_port(address: str) -> str | None:
 def refused_source(name: str) -> str | None:
     """Return why a name cannot be a video source.
 
-    Parameters
-    ----------
-    name
-        Number or path of a video device, path of a video, or a URL.
-
-    Returns
-    -------
-    str or None
-        What is wrong; None if the name may be a source. `SOURCE_REMEDY` says what to write instead.
+    name: Number or path of a video device, path of a video, or a URL.
+    Returns: What is wrong; None if the name may be a source. `SOURCE_REMEDY` says what to write instead.
 
     Examples
     --------

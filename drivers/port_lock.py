@@ -28,47 +28,19 @@ except ImportError:  # Windows opens every serial port exclusively by itself.
 else:
 
     def lock_exclusively(descriptor: int) -> None:
-        """Lock an open port. Locking the same descriptor again does no harm.
-
-        Parameters
-        ----------
-        descriptor
-            File descriptor of the open port.
-
-        Raises
-        ------
-        BlockingIOError
-            Another program has locked the port.
-        """
+        """Lock an open port. Locking the same descriptor again does no harm."""
         file_lock.lock(descriptor)
         # A device that is no terminal has no TIOCEXCL; the flock still holds.
         with contextlib.suppress(OSError):
             fcntl.ioctl(descriptor, termios.TIOCEXCL)
 
     def unlock(descriptor: int) -> None:
-        """Release the kernel's exclusive lock, which belongs to the terminal and not to the descriptor.
-
-        Parameters
-        ----------
-        descriptor
-            File descriptor of the open port.
-        """
+        """Release the kernel's exclusive lock, which belongs to the terminal and not to the descriptor."""
         with contextlib.suppress(OSError):
             fcntl.ioctl(descriptor, termios.TIOCNXCL)
 
     def disable_hang_up_on_close(descriptor: int) -> None:
-        """Clear HUPCL: closing then leaves DTR as it is, so a board that resets on DTR does not reset.
-
-        Parameters
-        ----------
-        descriptor
-            File descriptor of the open port.
-
-        Raises
-        ------
-        termios.error
-            The port is gone.
-        """
+        """Clear HUPCL: closing then leaves DTR as it is, so a board that resets on DTR does not reset."""
         attributes = termios.tcgetattr(descriptor)
         if attributes[2] & termios.HUPCL:
             attributes[2] &= ~termios.HUPCL

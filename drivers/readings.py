@@ -18,24 +18,7 @@ T = TypeVar("T")
 def read_until_agreed(read: Callable[[], T], *, what: str, where: str) -> T:
     """Read until two consecutive readings are equal, at most five times.
 
-    Parameters
-    ----------
-    read
-        Reads once.
-    what
-        Name of the value, for the message.
-    where
-        Name of the device, for the message.
-
-    Returns
-    -------
-    T
-        The value of the two equal readings.
-
-    Raises
-    ------
-    ReplyGarbled
-        No two consecutive readings are equal. Exceptions of ``read`` pass through.
+    Raises ReplyGarbled: No two consecutive readings are equal. Exceptions of ``read`` pass through.
 
     Examples
     --------
@@ -53,21 +36,11 @@ def read_until_agreed(read: Callable[[], T], *, what: str, where: str) -> T:
 
 
 class Reading(NamedTuple):
-    """One reading of an axis.
+    """One reading of an axis."""
 
-    Attributes
-    ----------
-    t_s
-        Time of the reading, in seconds.
-    position_deg
-        Position, in degrees.
-    moving
-        Whether the axis was moving.
-    """
-
-    t_s: float
-    position_deg: float
-    moving: bool
+    t_s: float  # Time of the reading, in seconds
+    position_deg: float  # Position, in degrees
+    moving: bool  # Whether the axis was moving
 
 
 def read_position_until_agreed(
@@ -78,28 +51,10 @@ def read_position_until_agreed(
     Of an axis at rest, two equal readings agree, or three within the tolerance (a servo trembles): the median counts.
     Of a moving axis, two readings agree when the axis can have moved from one to the other in the time between them.
 
-    Parameters
-    ----------
-    read
-        Reads once.
-    tolerance_deg
-        Largest tremble of an axis at rest, in degrees.
-    speed_deg_s
-        Highest speed of the axis, in degrees per second.
-    what
-        Name of the value, for the message.
-    where
-        Name of the device, for the message.
-
-    Returns
-    -------
-    float
-        Position, in degrees.
-
-    Raises
-    ------
-    ReplyGarbled
-        The readings do not agree. Exceptions of ``read`` pass through.
+    tolerance_deg: Largest tremble of an axis at rest, in degrees.
+    speed_deg_s: Highest speed of the axis, in degrees per second.
+    Returns: Position, in degrees.
+    Raises ReplyGarbled: The readings do not agree. Exceptions of ``read`` pass through.
     """
     readings = [read()]
     for _ in range(_MOST_READINGS - 1):

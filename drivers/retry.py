@@ -29,24 +29,10 @@ def repeat(
 ) -> T:
     """Call a function until it succeeds.
 
-    Parameters
-    ----------
-    attempt
-        Sends one request and returns what it reads. Another call is made only after a ReplyError.
-    tries
-        How often ``attempt`` is called in all, at least once; more often where the computer was too busy.
-    before_next
-        Called between a failure and the next attempt.
-
-    Returns
-    -------
-    T
-        What ``attempt`` returned.
-
-    Raises
-    ------
-    ReplyError
-        The one of the last attempt. Any other exception of ``attempt`` ends the loop at once.
+    attempt: Sends one request and returns what it reads. Another call is made only after a ReplyError.
+    tries: How often ``attempt`` is called in all, at least once; more often where the computer was too busy.
+    Returns: What ``attempt`` returned.
+    Raises ReplyError: The one of the last attempt. Any other exception of ``attempt`` ends the loop at once.
 
     Examples
     --------
@@ -99,35 +85,19 @@ def resynchronise(
     The proof is a marker: a request whose answer cannot be the answer to an older request. The line is in step when
     the marker is answered and, for a protocol without message ids, nothing follows its answer. Two attempts are made.
 
-    Parameters
-    ----------
-    link
-        The line, held by this thread.
-    exchange_marker
-        Sends the marker and returns whether its answer is the expected one; raises ReplyError for no valid answer.
-    quiet_s
-        How long nothing may arrive before the line counts as silent, in seconds.
-    limit_s
-        Longest wait for that silence, in seconds.
-    clear_device
-        Sends what makes the device forget the beginning of a command. Called after the line was silent.
-    inspect_old
-        Gets the old bytes before they are lost, for unsolicited messages in them.
-    silence_after
-        Whether nothing may follow the marker's answer.
-    once_if_silent
-        Whether a marker without an answer ends the attempts, unless the computer is too busy. For a caller that repeats
-        the request, and with it this, by itself: a device without power is then told sooner.
-
-    Returns
-    -------
-    bool
-        False when the last answer to the marker was unexpected, or something followed it.
-
-    Raises
-    ------
-    ReplyError
-        The marker was not answered at the last attempt, or the device does not fall silent.
+    exchange_marker: Sends the marker and returns whether its answer is the expected one; raises ReplyError
+      for no valid answer.
+    quiet_s: How long nothing may arrive before the line counts as silent, in seconds.
+    limit_s: Longest wait for that silence, in seconds.
+    clear_device: Sends what makes the device forget the beginning of a command. Called after the line was
+      silent.
+    inspect_old: Gets the old bytes before they are lost, for unsolicited messages in them.
+    silence_after: Whether nothing may follow the marker's answer.
+    once_if_silent: Whether a marker without an answer ends the attempts, unless the computer is too busy. For
+      a caller that repeats the request, and with it this, by itself: a device without power is then told
+      sooner.
+    Returns: False when the last answer to the marker was unexpected, or something followed it.
+    Raises ReplyError: The marker was not answered at the last attempt, or the device does not fall silent.
     """
     for tries_left in reversed(range(RESYNCHRONISE_TRIES)):
         inspect_old(link.drain(quiet_s, limit_s))

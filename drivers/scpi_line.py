@@ -21,18 +21,10 @@ _ERROR = re.compile(r'([+-]?\d+) ?, ?(?:"([^"]*)"|([^"]*))')
 
 
 class InstrumentError(NamedTuple):
-    """One entry of the error queue.
+    """One entry of the error queue."""
 
-    Attributes
-    ----------
-    code
-        Error number; 0 for an empty queue.
-    text
-        The instrument's own description.
-    """
-
-    code: int
-    text: str
+    code: int  # Error number; 0 for an empty queue
+    text: str  # The instrument's own description
 
     @property
     def is_command_error(self) -> bool:
@@ -46,24 +38,10 @@ class InstrumentError(NamedTuple):
 class ScpiLine(TextLine):
     """A line to an SCPI instrument. Opening asks ``*IDN?`` and ``SYST:ERR?``; it sets nothing.
 
-    Parameters
-    ----------
-    port
-        The open port.
-    clock, wire_log
-        See ``drivers.link.Link``.
-
-    Attributes
-    ----------
-    has_error_queue
-        False when the instrument does not answer ``SYST:ERR?``. A refused setting then shows only when it is read back.
-
-    Raises
-    ------
-    ReplyTimeout, ReplyGarbled
-        The instrument does not identify itself.
-    PortLost
-        The port is gone.
+    clock, wire_log: See ``drivers.link.Link``.
+    has_error_queue: False when the instrument does not answer ``SYST:ERR?``. A refused setting then shows
+      only when it is read back.
+    Raises ReplyTimeout, ReplyGarbled: The instrument does not identify itself.
     """
 
     def __init__(self, port: Port, *, clock: Clock, wire_log: WireLog | None = None) -> None:
@@ -87,14 +65,8 @@ class ScpiLine(TextLine):
     def query(self, query: str, *, deadline_s: float | None = None, tries: int = TRIES) -> str:
         """See `TextLine.query`. After a silence, also ask the error queue whether the query was refused.
 
-        Raises
-        ------
-        DeviceRefused
-            The error queue says that the instrument does not know the query.
-        ReplyTimeout, ReplyGarbled
-            No valid reply came at the last attempt.
-        PortLost
-            The port is gone.
+        Raises DeviceRefused: The error queue says that the instrument does not know the query.
+        Raises ReplyTimeout, ReplyGarbled: No valid reply came at the last attempt.
         """
         try:
             return super().query(query, deadline_s=deadline_s, tries=1)
@@ -108,22 +80,9 @@ class ScpiLine(TextLine):
     def command(self, command: str) -> list[InstrumentError]:
         """Send a command, once, and read the error queue.
 
-        Parameters
-        ----------
-        command
-            A command without reply.
-
-        Returns
-        -------
-        list of InstrumentError
-            Errors in the queue after the command, oldest first; empty without a queue.
-
-        Raises
-        ------
-        ReplyTimeout, ReplyGarbled
-            The error queue could not be read.
-        PortLost
-            The port is gone.
+        command: A command without reply.
+        Returns: Errors in the queue after the command, oldest first; empty without a queue.
+        Raises ReplyTimeout, ReplyGarbled: The error queue could not be read.
         """
         self.send(command)
         return self.read_errors()
@@ -131,17 +90,8 @@ class ScpiLine(TextLine):
     def read_errors(self) -> list[InstrumentError]:
         """Empty the error queue.
 
-        Returns
-        -------
-        list of InstrumentError
-            Errors that were in the queue, oldest first; empty without a queue.
-
-        Raises
-        ------
-        ReplyTimeout, ReplyGarbled
-            The queue could not be read, or has no end.
-        PortLost
-            The port is gone.
+        Returns: Errors that were in the queue, oldest first; empty without a queue.
+        Raises ReplyTimeout, ReplyGarbled: The queue could not be read, or has no end.
         """
         found: list[InstrumentError] = []
         while self.has_error_queue:

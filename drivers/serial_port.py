@@ -48,26 +48,13 @@ class Port(Protocol):
     def read(self, timeout_s: float) -> bytes:
         """Return the bytes that have arrived.
 
-        Parameters
-        ----------
-        timeout_s
-            Longest wait for the first byte, in seconds.
-
-        Returns
-        -------
-        bytes
-            What has arrived; empty when nothing came in time.
+        timeout_s: Longest wait for the first byte, in seconds.
+        Returns: What has arrived; empty when nothing came in time.
         """
         ...
 
     def write(self, data: bytes) -> None:
-        """Send bytes.
-
-        Parameters
-        ----------
-        data
-            The bytes; all of them are sent.
-        """
+        """Send bytes."""
         ...
 
     def close(self) -> None:
@@ -80,26 +67,13 @@ class SerialPort:
 
     Opening sends nothing and leaves the modem lines as the system sets them. It uses 8 data bits and no parity.
 
-    Parameters
-    ----------
-    address
-        A device file, preferably below ``/dev/serial/by-id/``, a port name of the system, ``socket://host:port`` or
-        ``rfc2217://host:port``. Other URLs of pyserial are refused.
-    baudrate
-        Bits per second.
-    stopbits
-        Number of stop bits, 1 or 2.
-    rtscts
-        Whether the device uses the lines RTS and CTS to hold the sender; only devices that need it have it.
-
-    Raises
-    ------
-    PortNotFound
-        There is no such port, or it is no serial port.
-    PortBusy
-        Another program holds the port.
-    PortDenied
-        The user may not open the port.
+    address: A device file, preferably below ``/dev/serial/by-id/``, a port name of the system,
+      ``socket://host:port`` or ``rfc2217://host:port``. Other URLs of pyserial are refused.
+    stopbits: Number of stop bits, 1 or 2.
+    rtscts: Whether the device uses the lines RTS and CTS to hold the sender; only devices that need it have
+      it.
+    Raises PortNotFound: There is no such port, or it is no serial port.
+    Raises PortDenied: The user may not open the port.
     """
 
     def __init__(self, address: str, *, baudrate: int, stopbits: int = 1, rtscts: bool = False) -> None:
@@ -113,13 +87,7 @@ class SerialPort:
         return self._name
 
     def read(self, timeout_s: float) -> bytes:
-        """See `Port.read`.
-
-        Raises
-        ------
-        PortLost
-            The port is gone.
-        """
+        """See `Port.read`."""
         end = time.monotonic() + timeout_s
         while True:
             data = self._try(self._read_slice, end - time.monotonic() > 0)
@@ -127,13 +95,7 @@ class SerialPort:
                 return data
 
     def write(self, data: bytes) -> None:
-        """See `Port.write`. The bytes are handed to the system.
-
-        Raises
-        ------
-        PortLost
-            The port is gone.
-        """
+        """See `Port.write`. The bytes are handed to the system."""
         self._try(self._serial.write, data)
 
     def close(self) -> None:

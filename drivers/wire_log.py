@@ -17,16 +17,8 @@ class WireLog(Protocol):
     def record(self, t_s: float, port: str, direction: Direction, data: bytes) -> None:
         """Record bytes. This never raises, because a full disk must not keep a stop from being sent.
 
-        Parameters
-        ----------
-        t_s
-            Time on the bench's monotonic clock, in seconds.
-        port
-            Name of the port.
-        direction
-            Whether the bytes go to the device or come from it.
-        data
-            The bytes.
+        t_s: Time on the bench's monotonic clock, in seconds.
+        direction: Whether the bytes go to the device or come from it.
         """
         ...
 
@@ -37,20 +29,10 @@ class WireLogFile:
     Bytes are written as Latin-1 text, so every byte is one character and text stays readable. A file that would
     exceed ``max_bytes`` is renamed to ``<name>.1`` (older ones to ``.2`` ...) and a new one is begun.
 
-    Parameters
-    ----------
-    path
-        The file; its folder must exist. An existing file is continued.
-    max_bytes
-        Largest size of a file, in bytes.
-    kept
-        Number of full files that are kept beside the present one; older ones are deleted.
-
-    Attributes
-    ----------
-    fault
-        Why logging ended; None while it works. A log that cannot be written does not stop a device from being
-        controlled; the bench reports this text instead.
+    path: The file; its folder must exist. An existing file is continued.
+    max_bytes: Largest size of a file, in bytes.
+    fault: Why logging ended; None while it works. A log that cannot be written does not stop a device from
+      being controlled; the bench reports this text instead.
     """
 
     def __init__(self, path: Path, *, max_bytes: int = 8_000_000, kept: int = 3) -> None:

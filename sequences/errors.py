@@ -12,17 +12,7 @@ from sequences.tree import Fault, Tree
 
 
 class SequencesError(Exception):
-    """What is wrong, where, and what to do about it.
-
-    Parameters
-    ----------
-    what
-        One sentence: what is wrong.
-    where
-        The file, and the place in it.
-    remedy
-        One sentence: what the operator should do.
-    """
+    """What is wrong, where, and what to do about it."""
 
     def __init__(self, what: str, *, where: str = "", remedy: str = "") -> None:
         self.what = _one_stop(what)
@@ -44,12 +34,9 @@ class DocumentFaults(SequencesError):
     The message has one line for each fault. Of a single fault, ``what`` is its message and ``where`` its place; of
     several, ``what`` holds all lines, each with its own place. ``remedy`` is empty: each message says what to write.
 
-    Parameters
-    ----------
-    faults
-        Every fault found, at least one; kept once each, in the order of their places.
-    tree
-        The document as far as it could be read, for a caller with more to check; None if nothing could be read.
+    faults: Every fault found, at least one; kept once each, in the order of their places.
+    tree: The document as far as it could be read, for a caller with more to check; None if nothing could be
+      read.
     """
 
     def __init__(self, faults: Iterable[Fault], tree: Tree | None = None) -> None:

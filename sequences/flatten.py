@@ -60,21 +60,9 @@ MOST_FAULTS = 1000
 def flatten(document: Located[Sequence]) -> tuple[Step, ...]:
     """Unfold a sequence into the steps to run, numbered from 1.
 
-    Parameters
-    ----------
-    document
-        The checked sequence.
-
-    Returns
-    -------
-    tuple of Step
-        The steps in the order in which they run.
-
-    Raises
-    ------
-    DocumentFaults
-        With every fault: an unknown set of poses, a ``move`` without a pose, a ``record`` before any move,
-        too many steps.
+    Returns: The steps in the order in which they run.
+    Raises DocumentFaults: With every fault: an unknown set of poses, a ``move`` without a pose, a ``record``
+      before any move, too many steps.
     """
     steps, faults = unfold(document)
     if faults:
@@ -83,18 +71,7 @@ def flatten(document: Located[Sequence]) -> tuple[Step, ...]:
 
 
 def unfold(document: Located[Sequence]) -> tuple[tuple[Step, ...], list[Fault]]:
-    """Unfold a sequence as far as possible, for a caller that adds its own faults.
-
-    Parameters
-    ----------
-    document
-        The checked sequence.
-
-    Returns
-    -------
-    steps, faults
-        The valid steps, and every fault once.
-    """
+    """Unfold a sequence as far as possible, for a caller that adds its own faults."""
     unfolding = _Unfolding(document)
     try:
         unfolding.add_all(document.value.steps, ("steps",), here=None)
@@ -107,15 +84,8 @@ def unfold(document: Located[Sequence]) -> tuple[tuple[Step, ...], list[Fault]]:
 def grid_angles(grid: Grid) -> Iterator[dict[str, float]]:
     """Yield the angles of a grid's poses in the order of the visits.
 
-    Parameters
-    ----------
-    grid
-        Angles by axis, and the order.
-
-    Yields
-    ------
-    dict
-        Angle by axis, degrees.
+    grid: Angles by axis, and the order.
+    Yields: Angle by axis, degrees.
 
     Examples
     --------

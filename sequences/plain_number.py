@@ -21,15 +21,8 @@ _ODD = re.compile(r"[+-]?[0-9][0-9_]*(?:\.[0-9_]*)?(?:[eE][+-]?[0-9_]+)?")
 def is_plain_number(text: str) -> bool:
     """Return whether a text is a plain decimal number.
 
-    Parameters
-    ----------
-    text
-        The text.
-
-    Returns
-    -------
-    bool
-        False for leading zeros, underscores, spaces, ``inf``, ``nan``, hexadecimal digits and digits of other scripts.
+    Returns: False for leading zeros, underscores, spaces, ``inf``, ``nan``, hexadecimal digits and digits of
+      other scripts.
 
     Examples
     --------
@@ -42,20 +35,9 @@ def is_plain_number(text: str) -> bool:
 def require_plain_number(value: Any) -> Any:
     """Refuse a text that Python would read as a number, but that is not a plain decimal number.
 
-    Parameters
-    ----------
-    value
-        A value of a document; only texts are checked.
-
-    Returns
-    -------
-    Any
-        The value, unchanged.
-
-    Raises
-    ------
-    PydanticCustomError
-        For a text such as ``074`` or ``6_0``. A text that is no number at all is left to the field's own check.
+    value: A value of a document; only texts are checked.
+    Raises PydanticCustomError: For a text such as ``074`` or ``6_0``. A text that is no number at all is left
+      to the field's own check.
     """
     if not isinstance(value, str) or is_plain_number(value):
         return value
@@ -71,22 +53,12 @@ def require_plain_number(value: Any) -> Any:
 
 @dataclass(frozen=True)
 class Within:
-    """The range of a number, for ``Annotated``: a message names both ends of it.
-
-    Attributes
-    ----------
-    lowest, highest
-        Ends of the range; both are allowed.
-    unit
-        Unit of the number, for the message; empty for none.
-    either_sign
-        Whether the range holds for the size of the number, whatever its sign.
-    """
+    """The range of a number, for ``Annotated``: a message names both ends of it."""
 
     lowest: float
     highest: float
-    unit: str = ""
-    either_sign: bool = False
+    unit: str = ""  # Unit of the number, for the message; empty for none
+    either_sign: bool = False  # Whether the range holds for the size of the number, whatever its sign
 
     def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
         """Add the check of the range after the check of the type."""
@@ -101,23 +73,7 @@ class Within:
         return {**shown, "minimum": lowest, "maximum": self.highest}
 
     def check(self, number: float) -> float:
-        """Refuse a number outside the range.
-
-        Parameters
-        ----------
-        number
-            The number.
-
-        Returns
-        -------
-        float
-            The number, unchanged.
-
-        Raises
-        ------
-        PydanticCustomError
-            With the range.
-        """
+        """Refuse a number outside the range."""
         size = abs(number) if self.either_sign else number
         if self.lowest <= size <= self.highest:
             return number
@@ -136,18 +92,7 @@ class Within:
 
 
 def with_plain_numbers(schema: Any) -> Any:
-    """Return a schema of pydantic in which every number that is given as text must be a plain decimal number.
-
-    Parameters
-    ----------
-    schema
-        A core schema, or a part of one.
-
-    Returns
-    -------
-    Any
-        A changed copy.
-    """
+    """Return a schema of pydantic in which every number that is given as text must be a plain decimal number."""
     if isinstance(schema, list):
         return [with_plain_numbers(part) for part in schema]
     if isinstance(schema, tuple):

@@ -71,10 +71,7 @@ class JobFile(JobConfig):
     def job(self) -> JobConfig:
         """Return the job in the form of a queue's jobs.
 
-        Returns
-        -------
-        JobConfig
-            The same settings, without ``format``.
+        Returns: The same settings, without ``format``.
         """
         return JobConfig(**self.model_dump(exclude={"format"}))
 

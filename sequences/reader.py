@@ -24,46 +24,22 @@ Model = TypeVar("Model", bound=BaseModel)
 
 @dataclass(frozen=True)
 class Located(Generic[Model]):
-    """A checked document, with the place of each value in its file.
-
-    Attributes
-    ----------
-    value
-        The document as its model.
-    text
-        The document's bytes, unchanged.
-    file
-        The file's name, as the caller gave it.
-    tree
-        The document as text, with places.
-    folder
-        Folder of the file; None for a document that is not in a file.
-    set_paths
-        Dotted paths whose values were given by settings, not by the file.
-    """
+    """A checked document, with the place of each value in its file."""
 
     value: Model
-    text: bytes
-    file: str
+    text: bytes  # The document's bytes, unchanged
+    file: str  # The file's name, as the caller gave it
     tree: Tree
-    folder: Path | None = None
-    set_paths: tuple[str, ...] = ()
+    folder: Path | None = None  # Folder of the file; None for a document that is not in a file
+    set_paths: tuple[str, ...] = ()  # Dotted paths whose values were given by settings, not by the file
 
     def file_at(self, path: DocumentPath, name: str) -> Path:
         """Return the file that a value of the document names.
 
-        Parameters
-        ----------
-        path
-            The value's path.
-        name
-            Path of a file, as the value gives it.
-
-        Returns
-        -------
-        Path
-            The path, relative to the document's folder; relative to the working directory if a setting gave the value,
-            or if the document is not in a file.
+        path: The value's path.
+        name: Path of a file, as the value gives it.
+        Returns: The path, relative to the document's folder; relative to the working directory if a setting
+          gave the value, or if the document is not in a file.
         """
         dotted = ".".join(map(str, path)) + "."
         if self.folder is None or any(dotted.startswith(f"{given}.") for given in self.set_paths):
@@ -73,30 +49,17 @@ class Located(Generic[Model]):
     def position(self, path: DocumentPath) -> Spot:
         """Return where the value at a path begins.
 
-        Parameters
-        ----------
-        path
-            The value's path; the document need not contain it.
-
-        Returns
-        -------
-        Spot
-            The place of the value, or of the nearest value around it if the document does not contain the path.
+        path: The value's path; the document need not contain it.
+        Returns: The place of the value, or of the nearest value around it if the document does not contain
+          the path.
         """
         return self.tree.spot(path)
 
     def where(self, path: DocumentPath) -> str:
         """Return where the value at a path begins, as text.
 
-        Parameters
-        ----------
-        path
-            As `position` takes it.
-
-        Returns
-        -------
-        str
-            ``file:line:column``.
+        path: As `position` takes it.
+        Returns: ``file:line:column``.
         """
         spot = self.position(path)
         return f"{self.file}:{spot.line}:{spot.column}"
@@ -104,17 +67,7 @@ class Located(Generic[Model]):
     def fault(self, path: DocumentPath, message: str) -> Fault:
         """Return a fault of the value at a path.
 
-        Parameters
-        ----------
-        path
-            As `position` takes it.
-        message
-            What is wrong and what to write instead.
-
-        Returns
-        -------
-        Fault
-            The fault at the place of the value.
+        path: As `position` takes it.
         """
         spot = self.position(path)
         return Fault(self.file, spot.line, spot.column, path_text(path), message)
@@ -125,25 +78,9 @@ def read_document(
 ) -> Located[Model]:
     """Read and check a YAML file.
 
-    Parameters
-    ----------
-    path
-        The file.
-    model
-        The pydantic model that checks the document.
-    settings
-        Values that replace the file's own (`sequences.settings`); the returned text contains them.
-
-    Returns
-    -------
-    Located
-        The checked document.
-
-    Raises
-    ------
-    DocumentFaults
-        With every fault found: a file that cannot be opened, text that is not plain YAML, values that the model
-        refuses.
+    settings: Values that replace the file's own (`sequences.settings`); the returned text contains them.
+    Raises DocumentFaults: With every fault found: a file that cannot be opened, text that is not plain YAML,
+      values that the model refuses.
     """
     data = with_settings(_bytes_of(Path(path)), str(path), settings or {})
     read = check_document(data, file_with_settings(str(path), settings or {}), model)
@@ -155,24 +92,7 @@ def check_document(data: bytes, file: str, model: type[Model]) -> Located[Model]
 
     The model's validators find the whole mapping, as text, under ``document`` in their context.
 
-    Parameters
-    ----------
-    data
-        The document; UTF-8.
-    file
-        The name that faults carry.
-    model
-        The pydantic model that checks the document.
-
-    Returns
-    -------
-    Located
-        The checked document.
-
-    Raises
-    ------
-    DocumentFaults
-        With every fault found.
+    data: The document; UTF-8.
     """
     tree = parse(data, file)
     faults = list(tree.faults)
@@ -191,23 +111,11 @@ def check_document(data: bytes, file: str, model: type[Model]) -> Located[Model]
 def find_document(name_or_path: str, shipped: Path) -> Path:
     """Find a file by its path, or a shipped file by its bare name.
 
-    Parameters
-    ----------
-    name_or_path
-        A path, or a name without folder and ending.
-    shipped
-        The folder of the shipped ``*.yaml`` files.
-
-    Returns
-    -------
-    Path
-        The shipped file if a bare name was given and no file of that name exists; else the path itself, which need not
-        exist.
-
-    Raises
-    ------
-    DocumentFaults
-        If a bare name is neither a file nor shipped; the message lists the shipped names.
+    name_or_path: A path, or a name without folder and ending.
+    shipped: The folder of the shipped ``*.yaml`` files.
+    Returns: The shipped file if a bare name was given and no file of that name exists; else the path itself,
+      which need not exist.
+    Raises DocumentFaults: If a bare name is neither a file nor shipped; the message lists the shipped names.
     """
     path = Path(name_or_path)
     if path.name != name_or_path or path.suffix or path.exists():

@@ -71,10 +71,7 @@ class MoveConfig(StrictModel):
     def angles_deg(self) -> dict[str, float]:
         """Return the angles that are given.
 
-        Returns
-        -------
-        dict
-            Angle by axis, degrees.
+        Returns: Angle by axis, degrees.
         """
         given = {axis: getattr(self, f"{axis}_deg") for axis in AXES}
         return {axis: angle for axis, angle in given.items() if angle is not None}
@@ -100,10 +97,7 @@ class Span(StrictModel):
     def angles_deg(self) -> list[float]:
         """Return the angles of the span.
 
-        Returns
-        -------
-        list of float
-            ``count`` angles, degrees; a single angle is the middle.
+        Returns: ``count`` angles, degrees; a single angle is the middle.
 
         Examples
         --------
@@ -146,10 +140,7 @@ class Grid(StrictModel):
     def angles_deg(self) -> dict[str, list[float]]:
         """Return the angles of the axes that are given.
 
-        Returns
-        -------
-        dict
-            List of angles by axis, degrees.
+        Returns: List of angles by axis, degrees.
         """
         given = {axis: getattr(self, f"{axis}_deg") for axis in AXES}
         return {
@@ -300,10 +291,7 @@ class UntilConfig(StrictModel):
     def goals(self) -> dict[str, float]:
         """Return the goals that are given.
 
-        Returns
-        -------
-        dict
-            Largest expanded uncertainty allowed, px, by the name of the goal.
+        Returns: Largest expanded uncertainty allowed, px, by the name of the goal.
         """
         given = {"expanded_fx_px": self.expanded_fx_px, "worst_corner_px": self.worst_corner_px}
         return {name: goal for name, goal in given.items() if goal is not None}

@@ -23,49 +23,25 @@ are spread over the period, so that the events alone give the frequency less wel
 
 @dataclass(frozen=True)
 class Flicker:
-    """A waveform for the light.
+    """A waveform for the light."""
 
-    Attributes
-    ----------
-    waveform
-        Shape of the light's level over time.
-    frequency_hz
-        Periods in a second.
-    duty_percent
-        Part of a period in which the light is bright.
-    level_percent
-        Bright level, in percent of the brightest level that the station allows.
-    """
-
-    waveform: Waveform
-    frequency_hz: float
-    duty_percent: float
+    waveform: Waveform  # Shape of the light's level over time
+    frequency_hz: float  # Periods in a second
+    duty_percent: float  # Part of a period in which the light is bright
     level_percent: float
 
 
 @dataclass(frozen=True)
 class Pose:
-    """A direction of the camera.
+    """A direction of the camera."""
 
-    Attributes
-    ----------
-    index
-        Number of the pose's recording, from 1 over the run; 0 if nothing is recorded at the pose.
-    name
-        Unique among the poses of a run.
-    angles_deg
-        Angle by axis, for every axis that the sequence names anywhere; empty for a pose that the run will choose.
-    chosen_in_run
-        Whether the run chooses the angles while it measures (``until``).
-    placed
-        Whether a person places a board for it (``place``).
-    """
-
-    index: int
-    name: str
+    index: int  # Number of the pose's recording, from 1 over the run; 0 if nothing is recorded at the pose
+    name: str  # Unique among the poses of a run
+    # Angle by axis, for every axis that the sequence names anywhere; empty for a pose that the run will
+    # choose.
     angles_deg: Mapping[str, float]
-    chosen_in_run: bool = False
-    placed: bool = False
+    chosen_in_run: bool = False  # Whether the run chooses the angles while it measures (``until``)
+    placed: bool = False  # Whether a person places a board for it (``place``)
 
     @property
     def key(self) -> str:
@@ -75,23 +51,12 @@ class Pose:
 
 @dataclass(frozen=True)
 class Gates:
-    """Conditions that a recording must meet to be accepted.
+    """Conditions that a recording must meet to be accepted."""
 
-    Attributes
-    ----------
-    min_stars
-        Stars that must be found, at least.
-    max_event_rate_mev_s
-        Highest event rate allowed, million events per second.
-    require_triggers
-        Whether every flicker period must have its sync edge.
-    limits
-        Lower (``min_...``) and upper (``max_...``) limits of the recording's other numbers, by name.
-    """
-
-    min_stars: int
+    min_stars: int  # Stars that must be found, at least
     max_event_rate_mev_s: float
-    require_triggers: bool
+    require_triggers: bool  # Whether every flicker period must have its sync edge
+    # Lower (``min_...``) and upper (``max_...``) limits of the recording's other numbers, by name.
     limits: Mapping[str, float] = field(
         default_factory=lambda: Gates.from_settings(dict(GateConfig())).limits
     )
@@ -100,17 +65,9 @@ class Gates:
     def from_settings(cls, settings: Mapping[str, Any], waveform: Waveform = "square") -> Gates:
         """Make gates from a sequence's settings.
 
-        Parameters
-        ----------
-        settings
-            The fields of a `GateConfig` by name.
-        waveform
-            Waveform of the light; it chooses the defaults of `WAVEFORM_LIMITS`.
-
-        Returns
-        -------
-        Gates
-            The gates; other settings that are None set no limit.
+        settings: The fields of a `GateConfig` by name.
+        waveform: Waveform of the light; it chooses the defaults of `WAVEFORM_LIMITS`.
+        Returns: The gates; other settings that are None set no limit.
         """
         usual = WAVEFORM_LIMITS.get(waveform, WAVEFORM_LIMITS["square"])
         every: dict[str, Any] = {
@@ -123,31 +80,17 @@ class Gates:
 
 @dataclass(frozen=True)
 class Until:
-    """What an ``until`` step asks for, and the steps and poses that it unfolds into.
+    """What an ``until`` step asks for, and the steps and poses that it unfolds into."""
 
-    Attributes
-    ----------
-    first, last
-        Numbers of its first and last step.
-    goals
-        Largest expanded uncertainties allowed, px: ``expanded_fx_px``, ``worst_corner_px``.
-    at_most
-        Largest number of accepted recordings.
-    minutes
-        Time after which no further pose is chosen, minutes; None for no limit.
-    poses
-        Numbers of its poses: first those of its ``start``, then those that the run may choose.
-    starts
-        How many of the poses are those of its ``start``.
-    """
-
+    # first, last: Numbers of its first and last step.
     first: int
     last: int
+    # Largest expanded uncertainties allowed, px: ``expanded_fx_px``, ``worst_corner_px``.
     goals: Mapping[str, float]
     at_most: int
-    minutes: float | None
-    poses: range
-    starts: int
+    minutes: float | None  # Time after which no further pose is chosen, minutes; None for no limit
+    poses: range  # Numbers of its poses: first those of its ``start``, then those that the run may choose
+    starts: int  # How many of the poses are those of its ``start``
 
 
 # Every step has the same first three fields:

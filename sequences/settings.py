@@ -17,50 +17,22 @@ from sequences.yaml_text import parse
 
 
 class OptionSettings(dict[str, str]):
-    """Settings given by an option of a command; messages then name the option.
-
-    Parameters
-    ----------
-    values
-        YAML texts by path.
-    option
-        Name of the option.
-    """
+    """Settings given by an option of a command; messages then name the option."""
 
     def __init__(self, values: Mapping[str, str], option: str) -> None:
         super().__init__(values)
         self.option = option
 
     def part(self, values: Mapping[str, str]) -> OptionSettings:
-        """Return other settings given by the same option.
-
-        Parameters
-        ----------
-        values
-            YAML texts by path.
-
-        Returns
-        -------
-        OptionSettings
-            The settings.
-        """
+        """Return other settings given by the same option."""
         return OptionSettings(values, self.option)
 
 
 def file_with_settings(file: str, settings: Mapping[str, str]) -> str:
     """Return the name of a file in messages; it says so if settings replace values of the file.
 
-    Parameters
-    ----------
-    file
-        The file.
-    settings
-        Settings by path; may be empty.
-
-    Returns
-    -------
-    str
-        Name without a line number.
+    settings: Settings by path; may be empty.
+    Returns: Name without a line number.
 
     Examples
     --------
@@ -82,25 +54,12 @@ _Plain.add_representer(type(None), lambda dumper, _: dumper.represent_scalar("ta
 def with_settings(data: bytes, file: str, settings: Mapping[str, str]) -> bytes:
     """Replace values in a YAML document.
 
-    Parameters
-    ----------
-    data
-        The document, as `reader.check_document` takes it.
-    file
-        The name that faults carry.
-    settings
-        YAML texts by path. Dots separate the keys of a path; list elements count from 0. Missing mappings on the way
-        are created.
-
-    Returns
-    -------
-    bytes
-        The new document, without the comments of the old one; ``data`` itself if there are no settings.
-
-    Raises
-    ------
-    DocumentFaults
-        If the document or a value is not plain YAML, or if a path leads through a value that has no such part.
+    data: The document, as `reader.check_document` takes it.
+    settings: YAML texts by path. Dots separate the keys of a path; list elements count from 0. Missing
+      mappings on the way are created.
+    Returns: The new document, without the comments of the old one; ``data`` itself if there are no settings.
+    Raises DocumentFaults: If the document or a value is not plain YAML, or if a path leads through a value
+      that has no such part.
 
     Examples
     --------

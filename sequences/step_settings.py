@@ -20,15 +20,7 @@ from sequences.strict_model import StrictModel
 def axes_named(sequence: Sequence) -> tuple[str, ...]:
     """Return the axes that any pose of the sequence names.
 
-    Parameters
-    ----------
-    sequence
-        The checked sequence.
-
-    Returns
-    -------
-    tuple of str
-        The axes in the order pan, tilt, roll.
+    Returns: The axes in the order pan, tilt, roll.
     """
     named: set[str] = set()
     for poses in sequence.poses.values():
@@ -48,15 +40,8 @@ def distortion_terms(
 ) -> tuple[DistortionTerm, ...] | Literal["auto"]:
     """Return the lens coefficients that a solve step estimates.
 
-    Parameters
-    ----------
-    chosen
-        Name of a set, or coefficients of one lens model in any order.
-
-    Returns
-    -------
-    tuple of str, or "auto"
-        The coefficients in the order of their lens model; ``auto`` if the data are to choose them.
+    chosen: Name of a set, or coefficients of one lens model in any order.
+    Returns: The coefficients in the order of their lens model; ``auto`` if the data are to choose them.
 
     Examples
     --------
@@ -73,17 +58,7 @@ def distortion_terms(
 def merged(given: StrictModel, default: StrictModel) -> dict[str, Any]:
     """Return the settings of a step: its own settings, and the defaults for all others.
 
-    Parameters
-    ----------
-    given
-        The step as written.
-    default
-        The sequence's defaults for this kind of step.
-
-    Returns
-    -------
-    dict
-        Setting by name; nested mappings are merged too.
+    default: The sequence's defaults for this kind of step.
     """
     settings = {name: getattr(default, name) for name in type(default).model_fields}
     settings |= {name: getattr(given, name) for name in given.model_fields_set}

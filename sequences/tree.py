@@ -10,14 +10,9 @@ DocumentPath = tuple[str | int, ...]
 
 
 class Spot(NamedTuple):
-    """A place in a file.
+    """A place in a file."""
 
-    Attributes
-    ----------
-    line, column
-        Both count from 1; columns count characters, not bytes.
-    """
-
+    # line, column: Both count from 1; columns count characters, not bytes.
     line: int
     column: int
 
@@ -25,17 +20,6 @@ class Spot(NamedTuple):
 @dataclass(frozen=True, order=True)
 class Fault:
     """One fault at one place of a document.
-
-    Attributes
-    ----------
-    file
-        The file, under the name that the caller gave to the reader.
-    line, column
-        Both count from 1, columns in characters; 0 if the fault has no place inside the file.
-    path
-        Keys and indices from the top, for example ``steps[2].record.window_ms``; empty for the whole document.
-    message
-        What is wrong and, if the reader can know it, what to write instead.
 
     Examples
     --------
@@ -46,10 +30,12 @@ class Fault:
     """
 
     file: str
+    # line, column: Both count from 1, columns in characters; 0 if the fault has no place inside the file.
     line: int
     column: int
+    # Keys and indices from the top, for example ``steps[2].record.window_ms``; empty for the whole document.
     path: str
-    message: str
+    message: str  # What is wrong and, if the reader can know it, what to write instead
 
     @property
     def where(self) -> str:
@@ -64,41 +50,24 @@ class Fault:
 
 @dataclass
 class Tree:
-    """The values of a document as text, with their places.
+    """The values of a document as text, with their places."""
 
-    Attributes
-    ----------
-    file
-        The file's name, for faults.
-    value
-        Nested dicts, lists, str and None.
-    complete
-        False if the reader stopped before the end of the document: a missing key may then stand in the part not read.
-    values, keys
-        Where each value, and each key of a mapping, begins.
-    faults
-        What the reader refused; ``value`` holds the rest.
-    """
-
-    file: str
-    value: Any = None
+    file: str  # The file's name, for faults
+    value: Any = None  # Nested dicts, lists, str and None
+    # False if the reader stopped before the end of the document: a missing key may then stand in the part not
+    # read.
     complete: bool = False
+    # values, keys: Where each value, and each key of a mapping, begins.
     values: dict[DocumentPath, Spot] = field(default_factory=dict)
     keys: dict[DocumentPath, Spot] = field(default_factory=dict)
-    faults: list[Fault] = field(default_factory=list)
+    faults: list[Fault] = field(default_factory=list)  # What the reader refused; ``value`` holds the rest
 
     def spot(self, path: DocumentPath) -> Spot:
         """Return where the value at a path begins.
 
-        Parameters
-        ----------
-        path
-            The value's path; the document need not contain it.
-
-        Returns
-        -------
-        Spot
-            The place of the value, or of the nearest value around it if the document does not contain the path.
+        path: The value's path; the document need not contain it.
+        Returns: The place of the value, or of the nearest value around it if the document does not contain
+          the path.
         """
         while path and path not in self.values:
             path = path[:-1]
@@ -107,14 +76,8 @@ class Tree:
     def add_fault(self, spot: Spot, path: DocumentPath, message: str) -> None:
         """Add a fault to ``faults``.
 
-        Parameters
-        ----------
-        spot
-            Where the fault is in the file.
-        path
-            Where the fault is in the document.
-        message
-            What is wrong and what to write instead.
+        spot: Where the fault is in the file.
+        path: Where the fault is in the document.
         """
         self.faults.append(Fault(self.file, spot.line, spot.column, path_text(path), message))
 
@@ -122,15 +85,7 @@ class Tree:
 def path_text(path: DocumentPath) -> str:
     """Write a path as text.
 
-    Parameters
-    ----------
-    path
-        Keys and list indices from the top.
-
-    Returns
-    -------
-    str
-        Keys joined by dots, indices in brackets; empty for the top of the document.
+    Returns: Keys joined by dots, indices in brackets; empty for the top of the document.
 
     Examples
     --------

@@ -57,19 +57,8 @@ MESSAGES = {
 def faults_of(error: ValidationError, tree: Tree, model: type[BaseModel]) -> list[Fault]:
     """Return the faults that a model found in a document.
 
-    Parameters
-    ----------
-    error
-        What the model's validation raised.
-    tree
-        The document that was validated, with its places.
-    model
-        The model that refused the document.
-
-    Returns
-    -------
-    list of Fault
-        One fault for each of pydantic's errors, in pydantic's order.
+    error: What the model's validation raised.
+    Returns: One fault for each of pydantic's errors, in pydantic's order.
     """
     return [_fault(issue, tree, model) for issue in error.errors(include_url=False)]
 
@@ -77,17 +66,7 @@ def faults_of(error: ValidationError, tree: Tree, model: type[BaseModel]) -> lis
 def did_you_mean(word: str, known: Iterable[str]) -> str:
     """Return a hint for an unknown word: the most similar known word, or a list of the known words.
 
-    Parameters
-    ----------
-    word
-        The word as written.
-    known
-        The words that are allowed.
-
-    Returns
-    -------
-    str
-        A sentence that begins with a space; empty if no words are known.
+    Returns: A sentence that begins with a space; empty if no words are known.
 
     Examples
     --------

@@ -31,17 +31,7 @@ class _Refused(Exception):
 def parse(data: bytes, file: str) -> Tree:
     """Read a document's bytes. Never raises: the faults are in the returned tree.
 
-    Parameters
-    ----------
-    data
-        The file's content; UTF-8.
-    file
-        Its name, for the messages.
-
-    Returns
-    -------
-    Tree
-        The values that could be read, their places, and every fault.
+    data: The file's content; UTF-8.
     """
     tree = Tree(file)
     with contextlib.suppress(_Refused):

@@ -52,30 +52,10 @@ from simulators.world.world import AxisMotion, AxisName, LightState, World
 class Bench:
     """A gimbal, a light and two cameras in one world; they answer inside a ``with`` block.
 
-    Parameters
-    ----------
-    folder
-        Folder for the links of the ports and for the truth file.
-    config
-        Devices and world; None for the defaults.
-    seed
-        Seed of all randomness.
-
-    Attributes
-    ----------
-    world
-        World of the bench.
-    truth_path
-        Path of the truth file. It is written again when somebody changes lens or mount.
-    hands
-        Hands at the camera's lens and mount.
-    endpoints
-        Addresses of the devices, by name of the port.
-
-    Raises
-    ------
-    SimulatorError
-        If a port or the truth file cannot be created.
+    config: Devices and world; None for the defaults.
+    truth_path: Path of the truth file. It is written again when somebody changes lens or mount.
+    hands: Hands at the camera's lens and mount.
+    Raises SimulatorError: If a port or the truth file cannot be created.
     """
 
     def __init__(self, folder: Path, config: BenchConfig | None = None, seed: int = 1) -> None:
@@ -133,15 +113,8 @@ class Bench:
     def inject(self, order: FaultOrder) -> None:
         """Inject a fault, at once or after the order's delay.
 
-        Parameters
-        ----------
-        order
-            The order.
-
-        Raises
-        ------
-        ConfigError
-            If this bench has no such device, or a parameter is invalid.
+        order: The order.
+        Raises ConfigError: If this bench has no such device, or a parameter is invalid.
         """
         action = fault_action(order, self._bench_parts)
         if order.after_s <= 0.0:
@@ -246,15 +219,8 @@ def _execute(bench: Bench, line: str) -> dict[str, Any]:
 def main(words: Sequence[str] | None = None) -> int:
     """Run the bench until it is told to stop.
 
-    Parameters
-    ----------
-    words
-        Command line; None for `sys.argv`.
-
-    Returns
-    -------
-    int
-        Exit status: 0, or 2 if the bench cannot start; one line on standard error then gives the reason.
+    words: Command line; None for `sys.argv`.
+    Returns: Exit status: 0, or 2 if the bench cannot start; one line on standard error then gives the reason.
     """
     arguments = _arguments(words)
     ending = threading.Event()

@@ -46,80 +46,34 @@ _AXES: Final[tuple[AxisName, ...]] = ("pan", "tilt", "roll")
 
 @dataclass(frozen=True)
 class AxisConfig:
-    """One axis of the gimbal.
-
-    Attributes
-    ----------
-    serial
-        Serial number of its controller.
-    limit_deg
-        Soft limit in both directions, as the controller is delivered; the end stops are 2 degrees further out.
-    start_deg
-        Angle at power-up, unknown to its controller.
-    microsteps_per_deg, speed_deg_s, acceleration_deg_s2
-        Scale, and ramp settings at power-up.
-    settle_s
-        Time constant of the load settling after a move.
-    backlash_deg
-        Play of the gear; section ``gimbal`` may give it instead.
-    encoder
-        Whether there is an encoder on the shaft.
-    """
+    """One axis of the gimbal."""
 
     serial: str
+    # Soft limit in both directions, as the controller is delivered; the end stops are 2 degrees further out.
     limit_deg: float
     start_deg: float = 0.0
     microsteps_per_deg: int = 6400
     speed_deg_s: float = 40.0
     acceleration_deg_s2: float = 200.0
-    settle_s: float = 0.02
-    backlash_deg: float = 0.0
-    encoder: bool = True
+    settle_s: float = 0.02  # Time constant of the load settling after a move
+    backlash_deg: float = 0.0  # Play of the gear; section ``gimbal`` may give it instead
+    encoder: bool = True  # Whether there is an encoder on the shaft
 
 
 @dataclass(frozen=True)
 class LightConfig:
-    """The light's driver.
+    """The light's driver."""
 
-    Attributes
-    ----------
-    kind
-        One of `LIGHT_KINDS`.
-    serial
-        Its serial number, if it has one.
-    error_queue
-        Whether it answers ``SYST:ERR?``, for instruments that may or may not.
-    """
-
-    kind: str = "keysight"
-    serial: str = "SG0042"
-    error_queue: bool = True
+    kind: str = "keysight"  # One of `LIGHT_KINDS`
+    serial: str = "SG0042"  # Its serial number, if it has one
+    error_queue: bool = True  # Whether it answers ``SYST:ERR?``, for instruments that may or may not
 
 
 @dataclass(frozen=True)
 class BenchConfig:
-    """A whole simulated bench.
+    """A whole simulated bench."""
 
-    Attributes
-    ----------
-    truth
-        Parameters of the world, before the mounting is drawn from the seed.
-    stage_kind, axes, light, camera_serial
-        The devices.
-    ports
-        Transport of the serial lines: "pty" or "tcp".
-    paced
-        Whether bytes are delayed as by the line's baud rate.
-    faults
-        Faults that are present from the start.
-    camera_seed
-        Seed of the camera's fixed pattern (thresholds, hot pixels); None: drawn from the bench's seed.
-    mounting_from_seed
-        Whether the camera's mounting on the gimbal is drawn from the bench's seed, about half a degree around a roll of
-        10 degrees, instead of taken from ``truth``. Stars of benches with different seeds then fall differently on
-        pixels.
-    """
-
+    # Parameters of the world, before the mounting is drawn from the seed.
     truth: Truth = field(default_factory=Truth)
     stage_kind: str = "zaber"
     axes: Mapping[AxisName, AxisConfig] = field(
@@ -131,24 +85,20 @@ class BenchConfig:
     light: LightConfig = field(default_factory=LightConfig)
     faults: tuple[FaultOrder, ...] = ()
     camera_serial: str = "00050423"
+    # Seed of the camera's fixed pattern (thresholds, hot pixels); None: drawn from the bench's seed.
     camera_seed: int | None = None
+    # Whether the camera's mounting on the gimbal is drawn from the bench's seed, about half a degree around a
+    # roll of 10 degrees, instead of taken from ``truth``. Stars of benches with different seeds then fall
+    # differently on pixels.
     mounting_from_seed: bool = True
-    ports: str = "pty" if hasattr(os, "openpty") else "tcp"
-    paced: bool = True
+    ports: str = "pty" if hasattr(os, "openpty") else "tcp"  # Transport of the serial lines: "pty" or "tcp"
+    paced: bool = True  # Whether bytes are delayed as by the line's baud rate
 
     def truth_for(self, seed: int) -> Truth:
         """Return the truth of a bench.
 
-        Parameters
-        ----------
-        seed
-            Seed of the bench.
-
-        Returns
-        -------
-        Truth
-            With the mounting drawn from the seed, if the configuration asks for that; with this seed for the gimbal's
-            errors, unless they have their own; and with the backlash of the axes.
+        Returns: With the mounting drawn from the seed, if the configuration asks for that; with this seed for
+          the gimbal's errors, unless they have their own; and with the backlash of the axes.
         """
         gimbal, axes = self.truth.gimbal, self.axes
         pan, tilt, roll = (axes[name].backlash_deg if name in axes else 0.0 for name in _AXES)
@@ -173,25 +123,13 @@ _Value = TypeVar("_Value", bool, int, float, str)
 def bench_config(given: Mapping[str, Any]) -> BenchConfig:
     """Read a configuration.
 
-    Parameters
-    ----------
-    given
-        Sections ``camera``, ``collimator``, ``target``, ``reticle``, ``optics``, ``noise``, ``thermal``, ``mount``,
-        ``gimbal`` and ``screen`` (see `truth`);
-        ``stage``, a mapping of the axes pan, tilt and roll in the order of their addresses, with an optional ``kind``;
-        ``light``; ``faults``, a list of fault orders (see `faults`) that are carried out from the start; and the values
-        ``camera_serial``, ``camera_seed``, ``ports`` ("pty" or "tcp") and ``paced`` (whether bytes are delayed as by
-        the line's baud rate). All are optional. ``rehearsal`` is read by `rehearsed_world` and ignored here.
-
-    Returns
-    -------
-    BenchConfig
-        Defaults, with the given keys replaced.
-
-    Raises
-    ------
-    ConfigError
-        If a key is unknown or its value is not valid; the error names the key.
+    given: Sections ``camera``, ``collimator``, ``target``, ``reticle``, ``optics``, ``noise``, ``thermal``,
+      ``mount``, ``gimbal`` and ``screen`` (see `truth`); ``stage``, a mapping of the axes pan, tilt and roll
+      in the order of their addresses, with an optional ``kind``; ``light``; ``faults``, a list of fault
+      orders (see `faults`) that are carried out from the start; and the values ``camera_serial``,
+      ``camera_seed``, ``ports`` ("pty" or "tcp") and ``paced`` (whether bytes are delayed as by the line's
+      baud rate). All are optional. ``rehearsal`` is read by `rehearsed_world` and ignored here.
+    Raises ConfigError: If a key is unknown or its value is not valid; the error names the key.
 
     Examples
     --------

@@ -11,14 +11,8 @@ from __future__ import annotations
 class SimulatorError(Exception):
     """Base class of the simulators' errors.
 
-    Parameters
-    ----------
-    what
-        What is wrong, as a sentence.
-    where
-        Key, file or port; empty if there is none.
-    remedy
-        What to do about it, as a sentence; empty if there is nothing to add.
+    where: Key, file or port; empty if there is none.
+    remedy: What to do about it, as a sentence; empty if there is nothing to add.
     """
 
     def __init__(self, what: str, *, where: str = "", remedy: str = "") -> None:

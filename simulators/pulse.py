@@ -19,13 +19,7 @@ PERIOD_S = 0.02
 
 
 class Pulse:
-    """The time that this process could use, in a file.
-
-    Parameters
-    ----------
-    path
-        The file; it is created.
-    """
+    """The time that this process could use, in a file."""
 
     def __init__(self, path: Path) -> None:
         path.write_bytes(bytes(8))

@@ -36,73 +36,38 @@ _REFERENCE_C = 40.0
 
 @dataclass(frozen=True)
 class Night:
-    """Conditions of a night: section ``rehearsal`` of the simulation's configuration.
+    """Conditions of a night: section ``rehearsal`` of the simulation's configuration."""
 
-    Attributes
-    ----------
-    star_sigma_px
-        Noise of a star's centre, in x and in y, 1 sigma.
-    room_c, room_c_per_h
-        Temperature of the room at the start, and its rate of change.
-    self_heating_c, warm_up_min
-        Final temperature of the camera above the room, and the time constant of its rise after switching on.
-    focal_ppm_per_c
-        Relative change of the focal length with the camera's temperature, 1e-6 per degree.
-    covered_share
-        Share of the recordings in which something covers the camera's view.
-    lost_share
-        Share of the recordings that the camera does not complete.
-    """
-
-    star_sigma_px: float = 0.03
+    star_sigma_px: float = 0.03  # Noise of a star's centre, in x and in y, 1 sigma
     room_c: float = 22.0
     room_c_per_h: float = 0.0
+    # self_heating_c, warm_up_min: Final temperature of the camera above the room, and the time constant of
+    # its rise after switching on.
     self_heating_c: float = 18.0
     warm_up_min: float = 20.0
+    # Relative change of the focal length with the camera's temperature, 1e-6 per degree.
     focal_ppm_per_c: float = 0.0
-    covered_share: float = 0.0
-    lost_share: float = 0.0
+    covered_share: float = 0.0  # Share of the recordings in which something covers the camera's view
+    lost_share: float = 0.0  # Share of the recordings that the camera does not complete
 
 
 @dataclass(frozen=True)
 class RehearsedView:
-    """Content of one recording.
+    """Content of one recording."""
 
-    Attributes
-    ----------
-    ids
-        (N,) int64, identities of the visible stars.
-    points_px
-        (N, 2) float64, star centres with noise.
-    sigma_px
-        Noise of the centres in x and in y, 1 sigma.
-    temperature_c
-        Temperature of the camera.
-    mishap
-        "covered", "lost" (there are no stars then), or empty.
-    """
-
-    ids: NDArray[np.int64]
-    points_px: NDArray[np.float64]
-    sigma_px: float
+    ids: NDArray[np.int64]  # (N,) int64, identities of the visible stars
+    points_px: NDArray[np.float64]  # (N, 2) float64, star centres with noise
+    sigma_px: float  # Noise of the centres in x and in y, 1 sigma
     temperature_c: float
-    mishap: Mishap
+    mishap: Mishap  # "covered", "lost" (there are no stars then), or empty
 
 
 class RehearsedWorld:
     """A simulated bench without its devices.
 
-    Parameters
-    ----------
-    config
-        The simulation's configuration; of devices and pixels, only serial numbers are used.
-    seed
-        Seed of all random numbers.
-
-    Raises
-    ------
-    ConfigError
-        If a key is unknown or its value is not valid, or there is a board; the error names the key.
+    config: The simulation's configuration; of devices and pixels, only serial numbers are used.
+    Raises ConfigError: If a key is unknown or its value is not valid, or there is a board; the error names
+      the key.
     """
 
     def __init__(self, config: Mapping[str, Any], seed: int) -> None:
@@ -122,43 +87,19 @@ class RehearsedWorld:
     def shift_camera(self, shift_mm: tuple[float, float]) -> None:
         """Move the camera across the beam, before the next recording.
 
-        Parameters
-        ----------
-        shift_mm
-            Displacement from where the camera was aligned, along the target's X and Y, mm; it replaces an earlier one.
+        shift_mm: Displacement from where the camera was aligned, along the target's X and Y, mm; it replaces
+          an earlier one.
         """
         self._truth = with_setup(self._truth, replace(setup_of(self._truth), shift_mm=shift_mm))
 
     def temperature_c(self, on_s: float) -> float:
-        """Return the temperature of the camera.
-
-        Parameters
-        ----------
-        on_s
-            Time since the camera was switched on.
-
-        Returns
-        -------
-        float
-            Degrees Celsius.
-        """
+        """Return the temperature of the camera."""
         night = self.night
         warm = -math.expm1(-max(0.0, on_s) / (60.0 * night.warm_up_min)) if night.warm_up_min else 1.0
         return night.room_c + night.room_c_per_h * on_s / 3600.0 + night.self_heating_c * warm
 
     def truth(self, on_s: float) -> Truth:
-        """Return the truth at a time: the lens follows the camera's temperature.
-
-        Parameters
-        ----------
-        on_s
-            Time since the camera was switched on.
-
-        Returns
-        -------
-        Truth
-            With focal lengths of that temperature.
-        """
+        """Return the truth at a time: the lens follows the camera's temperature."""
         stretch = 1.0 + 1e-6 * self.night.focal_ppm_per_c * (self.temperature_c(on_s) - _REFERENCE_C)
         camera = self._truth.camera
         return replace(self._truth, camera=replace(camera, fx=camera.fx * stretch, fy=camera.fy * stretch))
@@ -166,35 +107,12 @@ class RehearsedWorld:
     def truth_record(self, on_s: float) -> dict[str, Any]:
         """Return the truth at a time as plain numbers, as ``truth.json`` of a simulated bench holds it.
 
-        Parameters
-        ----------
-        on_s
-            Time since the camera was switched on.
-
-        Returns
-        -------
-        dict
-            Sections, each a dict by parameter; focal lengths are those of the lens's focus.
+        Returns: Sections, each a dict by parameter; focal lengths are those of the lens's focus.
         """
         return truth_record(self.truth(on_s))
 
     def record(self, angles_deg: Mapping[str, float], on_s: float, before: int) -> RehearsedView:
-        """Simulate one recording of the target.
-
-        Parameters
-        ----------
-        angles_deg
-            Angles of the axes by name, as read.
-        on_s
-            Time since the camera was switched on.
-        before
-            Number of earlier recordings of this bench; recordings at the same pose then differ in noise.
-
-        Returns
-        -------
-        RehearsedView
-            Stars, temperature, and what went wrong.
-        """
+        """Simulate one recording of the target."""
         drawn = np.random.default_rng((self._seed, before, *_words(angles_deg), round(on_s * 1000)))
         mishap = self._mishap(float(drawn.random()))
         truth = self.truth(on_s)

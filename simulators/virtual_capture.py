@@ -27,43 +27,22 @@ _MOVING_SUBSAMPLES = 2
 
 @dataclass(frozen=True)
 class VirtualCapture:
-    """Events of one recording.
+    """Events of one recording."""
 
-    Attributes
-    ----------
-    events
-        Events in the order in which they are read.
-    image_size
-        Width and height of the sensor, px.
-    light_hz
-        Frequency of the light, Hz.
-    first_edge_us
-        Time of the first rising edge of the light, us.
-    duration_us
-        Length of the recording, us.
-    """
-
-    events: Events
-    image_size: tuple[int, int]
-    light_hz: float
-    first_edge_us: float
-    duration_us: float
+    events: Events  # Events in the order in which they are read
+    image_size: tuple[int, int]  # Width and height of the sensor, px
+    light_hz: float  # Frequency of the light, Hz
+    first_edge_us: float  # Time of the first rising edge of the light, us
+    duration_us: float  # Length of the recording, us
 
 
 class VirtualCamera:
     """A simulated camera in its scene.
 
-    Parameters
-    ----------
-    section
-        As the ``simulation`` section of a station file.
-    seed
-        Seed of the gimbal's errors, of the mounting if the section does not state it, and of the camera's pixels.
-
-    Raises
-    ------
-    ConfigError
-        If the section is not valid.
+    section: As the ``simulation`` section of a station file.
+    seed: Seed of the gimbal's errors, of the mounting if the section does not state it, and of the camera's
+      pixels.
+    Raises ConfigError: If the section is not valid.
     """
 
     def __init__(self, section: Mapping[str, Any], seed: int) -> None:
@@ -75,20 +54,14 @@ class VirtualCamera:
     def truth(self) -> dict[str, Any]:
         """Return the true parameters by part, as the simulated bench writes them.
 
-        Returns
-        -------
-        dict
-            ``camera``, ``collimator`` and others.
+        Returns: ``camera``, ``collimator`` and others.
         """
         return truth_record(self._truth)
 
     def board_corners_px(self) -> NDArray[np.float64]:
         """Return the true image points of the inner corners of the board on the screen, at zero angles.
 
-        Returns
-        -------
-        (N, 2) float64
-            Image points, px, row by row.
+        Returns: Image points, px, row by row.
         """
         return scene.corners(self._truth, {})
 
@@ -97,21 +70,8 @@ class VirtualCamera:
     ) -> VirtualCapture:
         """Turn the camera and record whole periods of the light.
 
-        Parameters
-        ----------
-        angles_deg
-            Readings of the axes, degrees; the loads stand behind the play of their gears.
-        seed
-            Seed of the noise of this recording and of its start phase.
-        light_hz
-            Frequency of the light, Hz.
-        periods
-            Number of whole periods.
-
-        Returns
-        -------
-        VirtualCapture
-            The events.
+        angles_deg: Readings of the axes, degrees; the loads stand behind the play of their gears.
+        light_hz: Frequency of the light, Hz.
         """
         for axis, angle in angles_deg.items():
             moved = angle - self._last.get(axis, 0.0)
@@ -146,26 +106,12 @@ class VirtualCamera:
         The picture changes in steps. The events that a step causes are spread evenly over the time of the step, so it
         should move the picture by about one pixel.
 
-        Parameters
-        ----------
-        board_at
-            Returns position, mm, and turn, degrees, of the board at a time in us, as the section ``screen`` has them.
-        duration_us
-            Length of the recording, us.
-        seed
-            Seed of the noise of this recording.
-        frame_us
-            Length of a step, us.
-
-        Returns
-        -------
-        VirtualCapture
-            The events; there is no flicker, so ``light_hz`` is 0.
-
-        Raises
-        ------
-        SimulationMisuse
-            If the board is not wholly in front of the camera.
+        board_at: Returns position, mm, and turn, degrees, of the board at a time in us, as the section
+          ``screen`` has them.
+        duration_us: Length of the recording, us.
+        frame_us: Length of a step, us.
+        Returns: The events; there is no flicker, so ``light_hz`` is 0.
+        Raises SimulationMisuse: If the board is not wholly in front of the camera.
         """
         camera, light = self._truth.camera, _STEADY_LIGHT
         sensor = Sensor(
@@ -184,15 +130,8 @@ class VirtualCamera:
     ) -> NDArray[np.float64]:
         """Return the true image points of the inner corners of a board that was moved, at zero angles.
 
-        Parameters
-        ----------
-        placed
-            Position, mm, and turn, degrees, of the board.
-
-        Returns
-        -------
-        (N, 2) float64
-            Image points, px, row by row.
+        placed: Position, mm, and turn, degrees, of the board.
+        Returns: Image points, px, row by row.
         """
         return scene.corners(self._moved(placed), {})
 

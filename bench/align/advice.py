@@ -40,17 +40,7 @@ _ASIDE: Final = 0.04
 def advice_for(seen: Seen, setting: LiveSetting) -> list[str]:
     """Return what to do next.
 
-    Parameters
-    ----------
-    seen
-        What the slice showed.
-    setting
-        What is known of the bench.
-
-    Returns
-    -------
-    list of str
-        Sentences, the most important first; empty if nothing is to be improved.
+    Returns: Sentences, the most important first; empty if nothing is to be improved.
     """
     advice = [*_camera(seen.facts)]
     dark = list(_light(seen, setting))
@@ -74,15 +64,7 @@ def advice_for(seen: Seen, setting: LiveSetting) -> list[str]:
 def dropped_share(facts: RecordingFacts | FrameFacts | None) -> float | None:
     """Return the share of the events that the sensor's rate controller has dropped, by its own count.
 
-    Parameters
-    ----------
-    facts
-        What the driver states about the slice.
-
-    Returns
-    -------
-    float or None
-        0 to 1; None if the camera does not count.
+    Returns: 0 to 1; None if the camera does not count.
     """
     if (
         not isinstance(facts, RecordingFacts)

@@ -39,17 +39,8 @@ _FREE = frozenset({"stop", "take", "beat", "leave", "propose", "check"})
 def align_app(session: Session, files: PageFiles | None = None) -> Starlette:
     """Make the application of the align page.
 
-    Parameters
-    ----------
-    session
-        The session; the caller opens and closes it.
-    files
-        Where the page may write; None for the session's station file and the working directory.
-
-    Returns
-    -------
-    Starlette
-        The application, to be served by `bench.web.server`.
+    files: Where the page may write; None for the session's station file and the working directory.
+    Returns: The application, to be served by `bench.web.server`.
     """
     pages = _Pages(session, files or PageFiles(session.station.file))
     return page_app(
@@ -182,15 +173,7 @@ class _Stream:
 
 
 def stop_motion_of(session: Session, page: str) -> None:
-    """Stop the stage if a page that is gone has set it in motion.
-
-    Parameters
-    ----------
-    session
-        The session.
-    page
-        Id of the page.
-    """
+    """Stop the stage if a page that is gone has set it in motion."""
     if not session.is_open:
         return
     state = session.bench.stage.state

@@ -33,10 +33,7 @@ ANSWER_S = 20.0
 def bias_ranges() -> dict[str, tuple[int, int]]:
     """Return the lowest and highest offset of each bias.
 
-    Returns
-    -------
-    dict
-        Range by name, in the camera's own steps from the factory value.
+    Returns: Range by name, in the camera's own steps from the factory value.
 
     Examples
     --------
@@ -54,14 +51,7 @@ def bias_ranges() -> dict[str, tuple[int, int]]:
 class CameraControl:
     """The camera's identity and settings.
 
-    Parameters
-    ----------
-    camera
-        The open camera.
-    station
-        The station file.
-    on_change
-        Called after each change, by any thread.
+    on_change: Called after each change, by any thread.
     """
 
     def __init__(self, camera: Camera, station: Station, on_change: Callable[[], None]) -> None:
@@ -95,36 +85,15 @@ class CameraControl:
         return {name: self.settings.get(name) for name in ("exposure", "gain")}
 
     def use(self, loop: LiveLoop) -> None:
-        """Change settings through this loop from now on.
-
-        Parameters
-        ----------
-        loop
-            The loop that records.
-        """
+        """Change settings through this loop from now on."""
         self._loop = loop
 
     def set_bias(self, name: str, value: int) -> Mapping[str, int]:
         """Change one bias, and read all of them back.
 
-        Parameters
-        ----------
-        name
-            Name of the bias.
-        value
-            Offset from the factory value, in the camera's own steps.
-
-        Returns
-        -------
-        Mapping of str to int
-            Offsets as read back.
-
-        Raises
-        ------
-        ControlRefused
-            If there is no such bias, or the value is outside its range; nothing was sent.
-        DriverError
-            If the camera refuses the value, or is lost.
+        value: Offset from the factory value, in the camera's own steps.
+        Raises ControlRefused: If there is no such bias, or the value is outside its range; nothing was sent.
+        Raises DriverError: If the camera refuses the value, or is lost.
         """
         ranges = bias_ranges()
         if not self.is_event or name not in ranges:
@@ -158,24 +127,10 @@ class CameraControl:
     def set_frame(self, name: str, value: float) -> Mapping[str, float | None]:
         """Change exposure or gain of a frame camera, and read both back.
 
-        Parameters
-        ----------
-        name
-            ``exposure`` or ``gain``.
-        value
-            New value, in the units of the camera's driver.
-
-        Returns
-        -------
-        Mapping of str to float or None
-            Both as read back.
-
-        Raises
-        ------
-        ControlRefused
-            If this camera has no such setting; nothing was sent.
-        DriverError
-            If the camera refuses the value, or is lost.
+        name: ``exposure`` or ``gain``.
+        value: New value, in the units of the camera's driver.
+        Raises ControlRefused: If this camera has no such setting; nothing was sent.
+        Raises DriverError: If the camera refuses the value, or is lost.
         """
         if name not in self.frame_settings:
             raise ControlRefused(
@@ -193,13 +148,7 @@ class CameraControl:
         return self.frame_settings
 
     def as_data(self) -> dict[str, Any]:
-        """Return the camera as the page shows it.
-
-        Returns
-        -------
-        dict
-            Plain values: identity, biases with their ranges, exposure and gain, reasons against a run.
-        """
+        """Return the camera as the page shows it."""
         ranges = bias_ranges()
         identity = self.identity
         return {

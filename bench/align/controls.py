@@ -29,46 +29,23 @@ Work = Literal["move", "home"]
 
 @dataclass(frozen=True)
 class StageState:
-    """What is known of the stage.
+    """What is known of the stage."""
 
-    Attributes
-    ----------
-    position_deg
-        Last reading of the counters by axis, degrees; empty before the first one.
-    goal_deg
-        Where the axes are going, or went last, degrees.
-    homed
-        Whether every axis has a reference; None before it was asked.
-    work
-        ``move`` or ``home`` while the stage moves; None at rest.
-    by
-        Id of the page that asked for the motion; empty for the terminal.
-    faults
-        Faults that the controllers report.
-    failure
-        Why the last motion failed; None if nothing is wrong.
-    """
-
+    # Last reading of the counters by axis, degrees; empty before the first one.
     position_deg: Mapping[str, float] = field(default_factory=dict)
+    # Where the axes are going, or went last, degrees.
     goal_deg: Mapping[str, float] = field(default_factory=dict)
-    homed: bool | None = None
-    work: Work | None = None
-    by: str = ""
+    homed: bool | None = None  # Whether every axis has a reference; None before it was asked
+    work: Work | None = None  # ``move`` or ``home`` while the stage moves; None at rest
+    by: str = ""  # Id of the page that asked for the motion; empty for the terminal
     faults: tuple[str, ...] = ()
-    failure: Failure | None = None
+    failure: Failure | None = None  # Why the last motion failed; None if nothing is wrong
 
 
 class StageControl:
     """A stage in the hands of a person.
 
-    Parameters
-    ----------
-    stage
-        The open stage.
-    on_change
-        Called after each change of the state, by any thread.
-    say
-        Called with a sentence for the person.
+    on_change: Called after each change of the state, by any thread.
     """
 
     def __init__(self, stage: Stage, on_change: Callable[[], None], say: Callable[[str], None]) -> None:
@@ -108,20 +85,15 @@ class StageControl:
     def known_deg(self) -> Mapping[str, float]:
         """Return the present angles where they are known.
 
-        Returns
-        -------
-        Mapping of str to float
-            Degrees by axis; empty while the stage is not homed, because its counters then count from anywhere.
+        Returns: Degrees by axis; empty while the stage is not homed, because its counters then count from
+          anywhere.
         """
         return self._state.position_deg if self._state.homed else {}
 
     def as_data(self) -> dict[str, Any]:
         """Return the state as the page shows it.
 
-        Returns
-        -------
-        dict
-            Plain values; an entry an axis in ``axes``.
+        Returns: Plain values; an entry an axis in ``axes``.
         """
         state, limits = self._state, self._stage.limits
         failure = self.failure
@@ -149,24 +121,12 @@ class StageControl:
     def move_by(self, steps_deg: Mapping[str, float], by: str = "") -> dict[str, float]:
         """Turn axes by small steps. Steps given while the stage turns are added to its goal.
 
-        Parameters
-        ----------
-        steps_deg
-            Step of each axis that is to turn, degrees.
-        by
-            Id of the page that asks; empty for the terminal.
-
-        Returns
-        -------
-        dict
-            Goal of each of these axes, degrees. The move itself goes on after the return.
-
-        Raises
-        ------
-        ControlRefused
-            If a goal lies outside the limits, or the stage cannot move now. Nothing is moved.
-        DriverError
-            If the stage does not answer.
+        steps_deg: Step of each axis that is to turn, degrees.
+        by: Id of the page that asks; empty for the terminal.
+        Returns: Goal of each of these axes, degrees. The move itself goes on after the return.
+        Raises ControlRefused: If a goal lies outside the limits, or the stage cannot move now. Nothing is
+          moved.
+        Raises DriverError: If the stage does not answer.
         """
         self._check_steps(steps_deg)
         if not self.moving:
@@ -195,15 +155,8 @@ class StageControl:
     def home(self, by: str = "") -> None:
         """Search the references of all axes. The search goes on after the return.
 
-        Parameters
-        ----------
-        by
-            Id of the page that asks; empty for the terminal.
-
-        Raises
-        ------
-        ControlRefused
-            If the stage moves, or is not open. Nothing is moved then.
+        by: Id of the page that asks; empty for the terminal.
+        Raises ControlRefused: If the stage moves, or is not open. Nothing is moved then.
         """
         with self._lock:
             if self._silent is not None and self._silent.kind == StillOpening.__name__:
@@ -224,10 +177,7 @@ class StageControl:
     def stop(self) -> None:
         """Stop all axes now, on this thread, and drop every move that waits. For any thread, at any time.
 
-        Raises
-        ------
-        DriverError
-            If the stage does not confirm that it stands.
+        Raises DriverError: If the stage does not confirm that it stands.
         """
         with self._lock:
             self._generation = generation = self._generation + 1
@@ -254,15 +204,8 @@ class StageControl:
     def look(self, *, thoroughly: bool = True) -> None:
         """Read position, and on request reference and faults too.
 
-        Parameters
-        ----------
-        thoroughly
-            Whether to ask for reference and faults; not possible while the stage moves.
-
-        Raises
-        ------
-        DriverError
-            If the stage does not answer.
+        thoroughly: Whether to ask for reference and faults; not possible while the stage moves.
+        Raises DriverError: If the stage does not answer.
         """
         try:
             position_deg = dict(self._stage.position_deg())
@@ -283,10 +226,7 @@ class StageControl:
     def look_safely(self, *, thoroughly: bool) -> None:
         """Read as `look` does; a stage that does not answer becomes the state's failure.
 
-        Parameters
-        ----------
-        thoroughly
-            As for `look`.
+        thoroughly: As for `look`.
         """
         try:
             self.look(thoroughly=thoroughly)

@@ -48,30 +48,17 @@ _CLEARLY, _LEAST_NOISE_PX, _NOISE_OVER = 3.0, 0.01, 12
 
 @dataclass(frozen=True)
 class FocusFigures:
-    """How sharp a picture is. What was not measured is None.
+    """How sharp a picture is. What was not measured is None."""
 
-    Attributes
-    ----------
-    edge_width_px
-        Standard deviation of the edges' blur, px.
-    blur_circle_px
-        Diameter of the circle by which the print around the tag is blurred, px.
-    sharpness
-        Amount of detail in the beam, without unit; it depends on what is in the picture.
-    coarse_detail
-        Amount of coarse detail, likewise; it shows the direction far out of focus.
-    regions
-        Edge width of each region of `REGIONS`, px.
-    tilt
-        Which side of the field is less sharp, a sentence; empty if none is.
-    """
-
-    edge_width_px: float | None = None
+    edge_width_px: float | None = None  # Standard deviation of the edges' blur, px
+    # Diameter of the circle by which the print around the tag is blurred, px.
     blur_circle_px: float | None = None
+    # Amount of detail in the beam, without unit; it depends on what is in the picture.
     sharpness: float | None = None
     coarse_detail: float | None = None
+    # Edge width of each region of `REGIONS`, px.
     regions: Mapping[str, float | None] = field(default_factory=dict)
-    tilt: str = ""
+    tilt: str = ""  # Which side of the field is less sharp, a sentence; empty if none is
 
 
 def measure_focus(
@@ -85,25 +72,11 @@ def measure_focus(
 ) -> FocusFigures:
     """Measure how sharp a picture is.
 
-    Parameters
-    ----------
-    image
-        (H, W) float32, grey values.
-    beam
-        The beam's disc in it.
-    stars
-        Tag and stars in it; None if they were not searched.
-    target
-        The printed target.
-    before
-        Figures of a picture shortly before, whose regions are kept; None to measure all regions.
-    again
-        Regions that are measured again all the same.
-
-    Returns
-    -------
-    FocusFigures
-        With the sharpness alone if there are neither tag nor stars.
+    image: (H, W) float32, grey values.
+    beam: The beam's disc in it.
+    stars: Tag and stars in it; None if they were not searched.
+    before: Figures of a picture shortly before, whose regions are kept; None to measure all regions.
+    Returns: With the sharpness alone if there are neither tag nor stars.
     """
     detail = sharpness(image, beam.lit) if beam.share > 0.0 else None
     coarse = coarse_detail(image, beam.lit) if beam.share > 0.0 else None
@@ -124,15 +97,8 @@ def measure_focus(
 def tilt_of(regions: Mapping[str, float | None]) -> str:
     """Return which side of the field is less sharp.
 
-    Parameters
-    ----------
-    regions
-        Edge width of each region, px; None where it is unknown.
-
-    Returns
-    -------
-    str
-        A sentence; empty if no side is clearly less sharp, or a side is unknown.
+    regions: Edge width of each region, px; None where it is unknown.
+    Returns: A sentence; empty if no side is clearly less sharp, or a side is unknown.
 
     Examples
     --------
@@ -198,10 +164,7 @@ def _circle(image: NDArray[np.float32], stars: QuickStars, target: StarTarget) -
 class FocusCourse:
     """The focus figures over time, with the best seen. Times come from the caller's clock.
 
-    Parameters
-    ----------
-    kept_s
-        How long the course reaches back, s. The best values are kept until `forget`.
+    kept_s: How long the course reaches back, s. The best values are kept until `forget`.
     """
 
     def __init__(self, *, kept_s: float = 600.0) -> None:
@@ -218,12 +181,7 @@ class FocusCourse:
     def add(self, time_s: float, figures: FocusFigures) -> None:
         """Add the figures of a picture.
 
-        Parameters
-        ----------
-        time_s
-            Time of the picture, s; it does not decrease.
-        figures
-            Its figures.
+        time_s: Time of the picture, s; it does not decrease.
         """
         self._course.append((time_s, figures.edge_width_px, figures.sharpness, figures.coarse_detail))
         while self._course[0][0] < time_s - self._kept_s:
@@ -245,10 +203,7 @@ class FocusCourse:
         Own rule: the median of the last `_RECENT` values is worse by more than `_CLEARLY` standard deviations and by
         more than `_LEAST_BETTER`. The deviation is that of neighbouring values from each other (von Neumann, 1941).
 
-        Returns
-        -------
-        float or None
-            Best width, px; None if the present one is as good.
+        Returns: Best width, px; None if the present one is as good.
         """
         best, now = self._best_here_px, self._recent(1)
         widths = np.array([w for _, w, *_ in list(self._course)[-_NOISE_OVER:] if w is not None])
@@ -266,10 +221,7 @@ class FocusCourse:
     def edge_widths(self) -> list[tuple[float, float]]:
         """Return the course of the edge width.
 
-        Returns
-        -------
-        list of (float, float)
-            Time, s, and edge width, px.
+        Returns: Time, s, and edge width, px.
         """
         return [(t, width) for t, width, *_ in self._course if width is not None]
 
@@ -278,15 +230,8 @@ class FocusCourse:
 
         The edge width counts; without it, the coarse detail does.
 
-        Parameters
-        ----------
-        over_s
-            Length of the time that is compared, s.
-
-        Returns
-        -------
-        str
-            ``better``, ``worse`` or empty.
+        over_s: Length of the time that is compared, s.
+        Returns: ``better``, ``worse`` or empty.
         """
         if not self._course:
             return ""

@@ -20,12 +20,8 @@ _SAME_S: Final = 10.0
 class Happened:
     """The list of what happened.
 
-    Parameters
-    ----------
-    on_change
-        Called after each change, by any thread.
-    clock
-        Returns the time, s since 1970.
+    on_change: Called after each change, by any thread.
+    clock: Returns the time, s since 1970.
     """
 
     def __init__(self, on_change: Callable[[], None], clock: Callable[[], float] = time.time) -> None:
@@ -39,13 +35,8 @@ class Happened:
     def say(self, text: str, topic: str = "") -> None:
         """Add a sentence.
 
-        Parameters
-        ----------
-        text
-            The sentence.
-        topic
-            What it is about and who did it. If the entry before has the same topic and is some seconds old at most,
-            this one takes its place. Empty for an entry of its own.
+        topic: What it is about and who did it. If the entry before has the same topic and is some seconds old
+          at most, this one takes its place. Empty for an entry of its own.
         """
         now_s = self._clock()
         with self._lock:
@@ -60,10 +51,7 @@ class Happened:
     def as_data(self) -> list[dict[str, Any]]:
         """Return the newest entries.
 
-        Returns
-        -------
-        list of dict
-            Number, time (s since 1970) and text of each, the newest last.
+        Returns: Number, time (s since 1970) and text of each, the newest last.
         """
         with self._lock:
             return list(self._entries)[-SHOWN:]

@@ -16,15 +16,7 @@ _ALL_OPEN = "All devices are open. Nothing was moved, and the light was not swit
 
 
 def follow(bench: Bench, say: Callable[[str], None]) -> None:
-    """Say when stage and light are open too, or why they could not be opened.
-
-    Parameters
-    ----------
-    bench
-        The bench, with an open camera.
-    say
-        Called with a sentence for the person, by any thread.
-    """
+    """Say when stage and light are open too, or why they could not be opened."""
     if not bench.devices.late:
         say(_ALL_OPEN)
     for name, device in bench.devices.late.items():
@@ -34,15 +26,7 @@ def follow(bench: Bench, say: Callable[[str], None]) -> None:
 def try_again(bench: Bench) -> bool:
     """Begin to open again what could not be opened.
 
-    Parameters
-    ----------
-    bench
-        The bench.
-
-    Returns
-    -------
-    bool
-        Whether there was anything.
+    Returns: Whether there was anything.
     """
     failed = [device for device in bench.devices.late.values() if device.state == "failed"]
     for device in failed:
@@ -53,15 +37,7 @@ def try_again(bench: Bench) -> bool:
 def failures_of(bench: Bench) -> list[Failure]:
     """Return why stage or light cannot be used now.
 
-    Parameters
-    ----------
-    bench
-        The bench.
-
-    Returns
-    -------
-    list of Failure
-        Empty if both answer, or are still being opened.
+    Returns: Empty if both answer, or are still being opened.
     """
     return [one for one in _failures(bench) if one.kind != StillOpening.__name__]
 
@@ -69,15 +45,7 @@ def failures_of(bench: Bench) -> list[Failure]:
 def is_opening(bench: Bench) -> bool:
     """Return whether stage or light is still being opened, or has not been read since.
 
-    Parameters
-    ----------
-    bench
-        The bench.
-
-    Returns
-    -------
-    bool
-        False also if one of them could not be opened.
+    Returns: False also if one of them could not be opened.
     """
     if any(device.state == "opening" for device in bench.devices.late.values()):
         return True

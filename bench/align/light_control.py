@@ -24,42 +24,20 @@ RANGES = {"duty_percent": (1.0, 99.0), "level_percent": (0.1, 100.0)}
 
 @dataclass(frozen=True)
 class LightReading:
-    """What is known of the light.
+    """What is known of the light."""
 
-    Attributes
-    ----------
-    flicker
-        What was asked for last.
-    settings
-        Settings as the device reported them last; None before the first reading.
-    on
-        Whether the output is on, as the device reported; None if unknown.
-    faults
-        Faults that the device reports.
-    failure
-        Why the light does not answer or refuses; None if nothing is wrong.
-    """
-
-    flicker: Flicker
+    flicker: Flicker  # What was asked for last
+    # Settings as the device reported them last; None before the first reading.
     settings: LightSettings | None = None
-    on: bool | None = None
+    on: bool | None = None  # Whether the output is on, as the device reported; None if unknown
     faults: tuple[str, ...] = ()
-    failure: Failure | None = None
+    failure: Failure | None = None  # Why the light does not answer or refuses; None if nothing is wrong
 
 
 class LightControl:
     """A light in the hands of a person.
 
-    Parameters
-    ----------
-    light
-        The open light.
-    config
-        Its section of the station file.
-    for_camera
-        Turns a flicker into what the kind of camera needs: a frame camera needs steady light.
-    on_change
-        Called after each change, by any thread.
+    on_change: Called after each change, by any thread.
     """
 
     def __init__(
@@ -97,24 +75,11 @@ class LightControl:
     ) -> LightReading:
         """Change the light, and read back what it does.
 
-        Parameters
-        ----------
-        on
-            Whether the output is to be on; None leaves it as it is.
-        waveform, frequency_hz, duty_percent, level_percent
-            New values; None leaves a value as it is.
-
-        Returns
-        -------
-        LightReading
-            As the device reports it after the change.
-
-        Raises
-        ------
-        ControlRefused
-            If a value is outside its range; nothing was sent.
-        DriverError
-            If the light refuses or does not answer.
+        on: Whether the output is to be on; None leaves it as it is.
+        waveform, frequency_hz, duty_percent, level_percent: New values; None leaves a value as it is.
+        Returns: As the device reports it after the change.
+        Raises ControlRefused: If a value is outside its range; nothing was sent.
+        Raises DriverError: If the light refuses or does not answer.
         """
         changes = {
             "waveform": waveform,
@@ -144,10 +109,7 @@ class LightControl:
     def off(self) -> None:
         """Switch the light off, and check that it is off.
 
-        Raises
-        ------
-        DriverError
-            If the light does not confirm.
+        Raises DriverError: If the light does not confirm.
         """
         with self._lock:
             self._light.off()
@@ -167,13 +129,7 @@ class LightControl:
             self._on_change()
 
     def as_data(self) -> dict[str, Any]:
-        """Return the light as the page shows it.
-
-        Returns
-        -------
-        dict
-            Plain values: what was asked for, what the device reported, ranges.
-        """
+        """Return the light as the page shows it."""
         now = self.reading
         found = now.settings
         steady = self._for_camera(now.flicker).waveform == "steady"

@@ -22,49 +22,22 @@ _NEARLY: Final = 0.02
 
 
 class CountedSlice(NamedTuple):
-    """A slice as counted.
+    """A slice as counted."""
 
-    Attributes
-    ----------
-    counts
-        (2, H, W) uint16, number of OFF events, then of ON events, of each pixel in the whole periods, or in a slice
-        that is shorter than one.
-    periods
-        Number of whole periods from the start of the slice on; 0 if it is shorter than one.
-    triggers
-        Sync edges of the whole slice, with times from its first time word on.
-    statistics
-        Counts and times of the whole slice.
-    data_bytes
-        Length of the file without its header.
-    """
-
+    # (2, H, W) uint16, number of OFF events, then of ON events, of each pixel in the whole periods, or in a
+    # slice that is shorter than one.
     counts: NDArray[np.uint16]
-    periods: int
-    triggers: Triggers
+    periods: int  # Number of whole periods from the start of the slice on; 0 if it is shorter than one
+    triggers: Triggers  # Sync edges of the whole slice, with times from its first time word on
     statistics: StreamStatistics
-    data_bytes: int
+    data_bytes: int  # Length of the file without its header
 
 
 def count_slice(raw: RawFile, period_us: float) -> CountedSlice:
     """Count the events of a slice.
 
-    Parameters
-    ----------
-    raw
-        The slice.
-    period_us
-        Period of the flicker, us.
-
-    Returns
-    -------
-    CountedSlice
-        The counts.
-
-    Raises
-    ------
-    drivers.errors.RecordingFileError
-        If the file cannot be read, or a word is malformed.
+    period_us: Period of the flicker, us.
+    Raises drivers.errors.RecordingFileError: If the file cannot be read, or a word is malformed.
     """
     pieces = list(raw.words())
     words = pieces[0] if len(pieces) == 1 else np.concatenate([np.zeros(0, "<u2"), *pieces])
@@ -82,19 +55,9 @@ def count_slice(raw: RawFile, period_us: float) -> CountedSlice:
 def whole_periods(words: NDArray[np.uint16], period_us: float) -> tuple[int, int]:
     """Return where the last whole period ends.
 
-    Parameters
-    ----------
-    words
-        (N,) uint16, EVT3 words.
-    period_us
-        Period, us.
-
-    Returns
-    -------
-    end : int
-        Number of words of the whole periods.
-    periods : int
-        How many periods these are; 0 if there is no whole one.
+    words: (N,) uint16, EVT3 words.
+    period_us: Period, us.
+    Returns: How many periods these are; 0 if there is no whole one.
 
     Examples
     --------

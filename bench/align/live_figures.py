@@ -47,106 +47,60 @@ Corners = tuple[tuple[float, float], ...]
 
 @dataclass(frozen=True)
 class LiveFigures:
-    """Everything that one slice showed. A number that was not measured is None.
+    """Everything that one slice showed. A number that was not measured is None."""
 
-    Attributes
-    ----------
-    time_s
-        Time of the slice, s.
-    image_kind
-        Kind of image shown: ``fired-per-edge``, ``events-per-edge``, ``lock-in``, ``count``, ``picture`` or ``none``.
-    width_px, height_px
-        Size of the image, px.
-    events_per_s
-        Event rate, 1/s.
-    link_share
-        Data rate as a share of what the camera's link carries.
-    on_share
-        Share of ON events.
-    trigger_hz, event_hz
-        Flicker frequency by the sync triggers, and by the events alone, Hz.
-    jitter_us
-        Rms distance of the sync edges from an even train, us.
-    event_jitter_us
-        The same of the bursts of ON events, us; it takes three whole periods.
-    hot_pixels
-        Number of pixels that fire far more often than their surroundings.
-    temperature_c
-        Temperature of the sensor, deg C.
-    stars
-        Id, column and row, px, of each star found; id -1 if it is not known which star it is.
-    stars_time_s
-        Time of the slice in which the stars were measured, s. It may be an earlier slice than this one.
-    stars_followed
-        Whether these stars were found before, and only measured again at their places.
-    tag_id
-        Number of the target's tag if it was found.
-    tag_corners_px
-        Corners of the tag, px, in the order of the print.
-    square_centre_px, square_side_px
-        Centre (column, row) and side of a dark square that looks like the tag, px, if the tag was not read.
-    disc_centre_px, disc_radius_px
-        Centre (column, row) and radius of the beam's disc in the image, px.
-    rim_in_view
-        Whether some of the beam's rim is inside the frame.
-    beam_share
-        Share of the frame that the beam covers.
-    focus
-        Focus figures (`bench.align.focus_figure`) as plain values: ``edge_width_px``, ``best_edge_width_px``,
-        ``better_before_px``, ``blur_circle_px``, ``sharpness``, ``best_sharpness``, ``coarse_detail``,
-        ``best_coarse_detail``, ``trend``, ``regions``, ``tilt``.
-    contrast
-        Contrast of the pattern, 0 to 1.
-    saturation
-        Share of the pixels at the highest grey value; of an event camera, share of the events that its rate
-        controller has dropped.
-    turn
-        Where to turn, the plain values of `bench.align.where_to_turn.TurnFigures.to_json`.
-    advice
-        What to do, plain sentences, the most important first.
-    took_ms
-        Duration of each stage of the measurement, ms.
-    """
-
-    time_s: float = 0.0
+    time_s: float = 0.0  # Time of the slice, s
+    # Kind of image shown: ``fired-per-edge``, ``events-per-edge``, ``lock-in``, ``count``, ``picture`` or
+    # ``none``.
     image_kind: str = "none"
+    # width_px, height_px: Size of the image, px.
     width_px: int = 0
     height_px: int = 0
-    events_per_s: float | None = None
-    link_share: float | None = None
+    events_per_s: float | None = None  # Event rate, 1/s
+    link_share: float | None = None  # Data rate as a share of what the camera's link carries
     on_share: float | None = None
+    # trigger_hz, event_hz: Flicker frequency by the sync triggers, and by the events alone, Hz.
     trigger_hz: float | None = None
     event_hz: float | None = None
-    jitter_us: float | None = None
+    jitter_us: float | None = None  # Rms distance of the sync edges from an even train, us
+    # The same of the bursts of ON events, us; it takes three whole periods.
     event_jitter_us: float | None = None
-    hot_pixels: int | None = None
-    temperature_c: float | None = None
+    hot_pixels: int | None = None  # Number of pixels that fire far more often than their surroundings
+    temperature_c: float | None = None  # Temperature of the sensor, deg C
+    # Id, column and row, px, of each star found; id -1 if it is not known which star it is.
     stars: Sequence[tuple[int, float, float]] = ()
+    # Time of the slice in which the stars were measured, s. It may be an earlier slice than this one.
     stars_time_s: float | None = None
+    # Whether these stars were found before, and only measured again at their places.
     stars_followed: bool = False
-    tag_id: int | None = None
-    tag_corners_px: Corners | None = None
+    tag_id: int | None = None  # Number of the target's tag if it was found
+    tag_corners_px: Corners | None = None  # Corners of the tag, px, in the order of the print
+    # square_centre_px, square_side_px: Centre (column, row) and side of a dark square that looks like the
+    # tag, px, if the tag was not read.
     square_centre_px: tuple[float, float] | None = None
     square_side_px: float | None = None
+    # disc_centre_px, disc_radius_px: Centre (column, row) and radius of the beam's disc in the image, px.
     disc_centre_px: tuple[float, float] | None = None
     disc_radius_px: float | None = None
-    rim_in_view: bool | None = None
+    rim_in_view: bool | None = None  # Whether some of the beam's rim is inside the frame
     beam_share: float | None = None
+    # Focus figures (`bench.align.focus_figure`) as plain values: ``edge_width_px``, ``best_edge_width_px``,
+    # ``better_before_px``, ``blur_circle_px``, ``sharpness``, ``best_sharpness``, ``coarse_detail``,
+    # ``best_coarse_detail``, ``trend``, ``regions``, ``tilt``.
     focus: Mapping[str, Any] = field(default_factory=dict)
-    contrast: float | None = None
+    contrast: float | None = None  # Contrast of the pattern, 0 to 1
     saturation: float | None = None
+    # Where to turn, the plain values of `bench.align.where_to_turn.TurnFigures.to_json`.
     turn: Mapping[str, Any] = field(default_factory=dict)
-    advice: Sequence[str] = ()
+    advice: Sequence[str] = ()  # What to do, plain sentences, the most important first
+    # Duration of each stage of the measurement, ms.
     took_ms: Mapping[str, float] = field(default_factory=dict)
 
     def to_json(self) -> dict[str, Any]:
         """Return all figures as numbers, texts, lists and None, ready for JSON.
 
-        Returns
-        -------
-        dict
-            The attributes by name, except that ``tag`` is ``{id, corners_px}`` or None, ``disc`` is
-            ``{centre_px, radius_px}`` or None, and ``square`` is ``{centre_px, side_px}`` or None.
+        Returns: The attributes by name, except that ``tag`` is ``{id, corners_px}`` or None, ``disc`` is
+          ``{centre_px, radius_px}`` or None, and ``square`` is ``{centre_px, side_px}`` or None.
         """
         plain = {name: getattr(self, name) for name in self.__dataclass_fields__ if name not in _GROUPED}
         plain["stars"] = [[int(i), round(float(x), 2), round(float(y), 2)] for i, x, y in self.stars]
@@ -170,19 +124,7 @@ def measure_live(part: LiveSlice, setting: LiveSetting) -> tuple[NDArray[np.uint
     A slice that cannot be read, or shows nothing, gives a dark image and figures whose advice says why. No error of
     the recording or of the engine is passed on.
 
-    Parameters
-    ----------
-    part
-        The slice.
-    setting
-        What is known of the bench.
-
-    Returns
-    -------
-    image
-        (H, W) uint8, tone-mapped so that faint patterns show; white print is bright.
-    figures
-        What the slice showed.
+    Returns: (H, W) uint8, tone-mapped so that faint patterns show; white print is bright.
     """
     return LiveMeter(stars_every_s=0.0).measure(part, setting)
 
@@ -192,13 +134,10 @@ class LiveMeter:
 
     Not for several threads at once.
 
-    Parameters
-    ----------
-    stars_every_s
-        Shortest time between two searches for stars, s. In between, stars around the whole tag are measured again in
-        each picture, where they stand; if they have moved, they are searched at once. Other stars are shown again as
-        long as the picture is the same. If a search takes long, as without a tag, the next one waits longer, so that
-        pictures keep coming.
+    stars_every_s: Shortest time between two searches for stars, s. In between, stars around the whole tag are
+      measured again in each picture, where they stand; if they have moved, they are searched at once. Other
+      stars are shown again as long as the picture is the same. If a search takes long, as without a tag, the
+      next one waits longer, so that pictures keep coming.
     """
 
     def __init__(self, *, stars_every_s: float = 0.4) -> None:
@@ -211,19 +150,8 @@ class LiveMeter:
     def measure(self, part: LiveSlice, setting: LiveSetting) -> tuple[NDArray[np.uint8], LiveFigures]:
         """Measure the next slice. See `measure_live`.
 
-        Parameters
-        ----------
-        part
-            The slice.
-        setting
-            What is known of the bench; it may change from slice to slice.
-
-        Returns
-        -------
-        image
-            (H, W) uint8.
-        figures
-            What the slice showed.
+        setting: What is known of the bench; it may change from slice to slice.
+        Returns: (H, W) uint8.
         """
         watch = StopWatch()
         try:

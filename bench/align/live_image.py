@@ -33,53 +33,23 @@ _HOT_EVENTS: Final = 6
 
 
 class LiveImage(NamedTuple):
-    """Grey values of a slice, and what belongs to them.
+    """Grey values of a slice, and what belongs to them."""
 
-    Attributes
-    ----------
-    values
-        (H, W) float32, brighter where the target is brighter.
-    kind
-        Kind of image: ``fired-per-edge``, ``events-per-edge``, ``lock-in``, ``count`` or ``picture``.
-    least
-        Brightness of white print below which nothing counts as light, in the unit of the values.
-    signal
-        The signal; None for a frame camera.
-    hot_pixels
-        Number of hot pixels; None if unknown.
-    saturation
-        Share of the pixels at the highest grey value; None for an event camera.
-    """
-
-    values: NDArray[np.float32]
+    values: NDArray[np.float32]  # (H, W) float32, brighter where the target is brighter
+    # Kind of image: ``fired-per-edge``, ``events-per-edge``, ``lock-in``, ``count`` or ``picture``.
     kind: str
     least: float
-    signal: SignalFigures | None
-    hot_pixels: int | None
-    saturation: float | None
+    signal: SignalFigures | None  # The signal; None for a frame camera
+    hot_pixels: int | None  # Number of hot pixels; None if unknown
+    saturation: float | None  # Share of the pixels at the highest grey value; None for an event camera
 
 
 def read_image(path: Path, setting: LiveSetting, *, compare: bool = True) -> LiveImage:
     """Read a slice and make its image.
 
-    Parameters
-    ----------
-    path
-        RAW file, or file of frames.
-    setting
-        What is known of the bench: the kind of camera, the frequency.
-    compare
-        Whether the frequency is measured by the events also if the sync edges give it.
-
-    Returns
-    -------
-    LiveImage
-        Also of a slice without any light.
-
-    Raises
-    ------
-    drivers.errors.RecordingFileError
-        If the file cannot be read.
+    compare: Whether the frequency is measured by the events also if the sync edges give it.
+    Returns: Also of a slice without any light.
+    Raises drivers.errors.RecordingFileError: If the file cannot be read.
     """
     if setting.camera == "frame":
         return _read_frames(path)
@@ -92,15 +62,8 @@ def show(values: NDArray[np.float32]) -> NDArray[np.uint8]:
     Own tone map: 255 u^`GAMMA`, where u is the stretched value (gamma correction: Poynton, Digital
     Video and HD, 2012).
 
-    Parameters
-    ----------
-    values
-        (H, W) float32, grey values.
-
-    Returns
-    -------
-    ndarray
-        (H, W) uint8; all 0 if the values are all equal.
+    values: (H, W) float32, grey values.
+    Returns: (H, W) uint8; all 0 if the values are all equal.
     """
     sample = values[::4, ::4]
     low, high = (float(q) for q in np.quantile(sample, [_CLIPPED, 1.0 - _CLIPPED]))

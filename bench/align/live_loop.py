@@ -63,20 +63,10 @@ class _Slice:
 class LiveLoop:
     """Records and measures slices until it is closed.
 
-    Parameters
-    ----------
-    camera
-        The open camera; only this object uses it.
-    setting
-        Returns what is known of the bench at the moment, for the next slice.
-    reading_deg
-        Returns the present angles of the stage, degrees.
-    on_picture
-        Called after each new picture or fault, by any thread.
-    meter
-        Measures the slices; the loop closes it.
-    moving
-        Returns whether the stage turns.
+    camera: The open camera; only this object uses it.
+    reading_deg: Returns the present angles of the stage, degrees.
+    on_picture: Called after each new picture or fault, by any thread.
+    moving: Returns whether the stage turns.
     """
 
     def __init__(
@@ -125,18 +115,7 @@ class LiveLoop:
             thread.start()
 
     def on_camera(self, task: Callable[[], T]) -> Future[T]:
-        """Do something with the camera between two slices. The present slice ends early.
-
-        Parameters
-        ----------
-        task
-            What to do; called by the recording thread.
-
-        Returns
-        -------
-        Future
-            Its result, or its error.
-        """
+        """Do something with the camera between two slices. The present slice ends early."""
         future: Future[T] = Future()
         with self._wake:
             if self._closing:
@@ -155,40 +134,28 @@ class LiveLoop:
     def course(self) -> list[tuple[float, float]]:
         """Return the course of the focus.
 
-        Returns
-        -------
-        list of (float, float)
-            Time of each slice in which it was measured, s, and edge width, px.
+        Returns: Time of each slice in which it was measured, s, and edge width, px.
         """
         return list(self._course)
 
     def images_per_s(self) -> float:
         """Return how many pictures came in a second, over the last seconds.
 
-        Returns
-        -------
-        float
-            Pictures in a second.
+        Returns: Pictures in a second.
         """
         return rate_per_s(self._times_s)
 
     def stars_per_s(self) -> float:
         """Return how often stars were searched in a second, over the last seconds.
 
-        Returns
-        -------
-        float
-            Searches in a second.
+        Returns: Searches in a second.
         """
         return rate_per_s([at for at, _ in self._star_times_s])
 
     def close(self) -> bool:
         """End the recording and both threads, and remove the temporary folder.
 
-        Returns
-        -------
-        bool
-            Whether the recording thread has ended: the camera then records no more.
+        Returns: Whether the recording thread has ended: the camera then records no more.
         """
         with self._wake:
             self._closing = True

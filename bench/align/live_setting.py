@@ -25,41 +25,23 @@ from sequences.script import Gates
 
 @dataclass(frozen=True)
 class LiveSetting:
-    """What is known of the bench while slices are measured.
-
-    Attributes
-    ----------
-    target
-        The printed target.
-    camera
-        Kind of camera.
-    frequency_hz
-        Frequency of the light's flicker as set, Hz; None if unknown.
-    light_on
-        Whether the light is on by its own read-back; None if unknown. It is used for the wording of the advice only.
-    level_percent
-        Level of the light as asked for, percent; None if unknown.
-    limits_deg
-        Lowest and highest angle of each axis of the stage, degrees.
-    focal_px
-        Approximate focal length, px; None if the station does not state it.
-    half_angle_deg
-        Half angle of the beam, degrees; None if the station does not state it.
-    r_mm
-        Approximate focal length of the collimator, mm; None if the station does not state it.
-    gates
-        Gates that the recordings of a run will have to pass.
-    """
+    """What is known of the bench while slices are measured."""
 
     target: StarTarget
     camera: Literal["event", "frame"] = "event"
-    frequency_hz: float | None = None
+    frequency_hz: float | None = None  # Frequency of the light's flicker as set, Hz; None if unknown
+    # Whether the light is on by its own read-back; None if unknown. It is used for the wording of the advice
+    # only.
     light_on: bool | None = None
-    level_percent: float | None = None
+    level_percent: float | None = None  # Level of the light as asked for, percent; None if unknown
+    # Lowest and highest angle of each axis of the stage, degrees.
     limits_deg: Mapping[str, tuple[float, float]] = field(default_factory=dict)
-    focal_px: float | None = None
+    focal_px: float | None = None  # Approximate focal length, px; None if the station does not state it
+    # Half angle of the beam, degrees; None if the station does not state it.
     half_angle_deg: float | None = None
+    # Approximate focal length of the collimator, mm; None if the station does not state it.
     r_mm: float | None = None
+    # Gates that the recordings of a run will have to pass.
     gates: Gates = field(default_factory=lambda: Gates.from_settings(dict(GateConfig())))
 
     @property
@@ -89,23 +71,10 @@ class LiveSetting:
     ) -> LiveSetting:
         """Take from a station file what the figures need.
 
-        Parameters
-        ----------
-        station
-            The station file.
-        frequency_hz
-            Frequency of the light's flicker as set, Hz; None if unknown.
-        light_on
-            Whether the light is on by its own read-back; None if unknown.
-        level_percent
-            Level of the light as asked for, percent; None if unknown.
-        waveform
-            Waveform of the light; some gates depend on it.
-
-        Returns
-        -------
-        LiveSetting
-            With the gates that a sequence has by default.
+        frequency_hz: Frequency of the light's flicker as set, Hz; None if unknown.
+        light_on: Whether the light is on by its own read-back; None if unknown.
+        level_percent: Level of the light as asked for, percent; None if unknown.
+        Returns: With the gates that a sequence has by default.
         """
         expected, collimator = station.expected, station.collimator
         r_mm = collimator.nominal_r_mm or (expected.r_mm if expected else None)
@@ -127,24 +96,13 @@ class LiveSetting:
 
 @dataclass(frozen=True)
 class LiveSlice:
-    """A recorded slice.
+    """A recorded slice."""
 
-    Attributes
-    ----------
-    path
-        RAW file of an event camera, or picture file of a frame camera.
-    time_s
-        Time of the recording on any steady clock, s; the course of the focus is plotted over it.
-    facts
-        What the driver states about the recording; None if unknown.
-    reading_deg
-        Present angles of the stage by axis, degrees; empty if unknown.
-    moving
-        Whether the stage turned meanwhile.
-    """
-
-    path: Path
+    path: Path  # RAW file of an event camera, or picture file of a frame camera
+    # Time of the recording on any steady clock, s; the course of the focus is plotted over it.
     time_s: float = 0.0
+    # What the driver states about the recording; None if unknown.
     facts: RecordingFacts | FrameFacts | None = None
+    # Present angles of the stage by axis, degrees; empty if unknown.
     reading_deg: Mapping[str, float] = field(default_factory=dict)
-    moving: bool = False
+    moving: bool = False  # Whether the stage turned meanwhile

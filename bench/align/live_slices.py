@@ -22,15 +22,7 @@ _RATE_OVER_S = 4.0
 def slice_periods(setting: LiveSetting) -> int:
     """Return how many flicker periods a short slice holds.
 
-    Parameters
-    ----------
-    setting
-        What is known of the bench.
-
-    Returns
-    -------
-    int
-        At least 1; 0 if there is no flicker.
+    Returns: At least 1; 0 if there is no flicker.
     """
     if not setting.light_on or not setting.frequency_hz:
         return 0
@@ -40,17 +32,7 @@ def slice_periods(setting: LiveSetting) -> int:
 def with_signal_of(figures: LiveFigures, signal: LiveFigures) -> LiveFigures:
     """Return the figures of a short slice, completed by the figures that need a longer slice.
 
-    Parameters
-    ----------
-    figures
-        Figures of the short slice.
-    signal
-        Figures of the last slice of at least `bench.align.live_loop.SIGNAL_PERIODS`.
-
-    Returns
-    -------
-    LiveFigures
-        Flicker, and advice about it, are those of the longer slice.
+    signal: Figures of the last slice of at least `bench.align.live_loop.SIGNAL_PERIODS`.
     """
     kept = [one for one in signal.advice if any(word in one for word in _OF_THE_FLICKER)]
     return replace(
@@ -66,17 +48,9 @@ def with_signal_of(figures: LiveFigures, signal: LiveFigures) -> LiveFigures:
 def learnt_s(known_s: float, newest_s: float) -> float:
     """Return the expected duration after the newest one.
 
-    Parameters
-    ----------
-    known_s
-        Expected duration so far, s; 0 if none is known.
-    newest_s
-        The newest duration, s.
-
-    Returns
-    -------
-    float
-        Expected duration, s.
+    known_s: Expected duration so far, s; 0 if none is known.
+    newest_s: The newest duration, s.
+    Returns: Expected duration, s.
     """
     return newest_s if known_s == 0.0 else known_s + _LEARNT * (newest_s - known_s)
 
@@ -84,17 +58,8 @@ def learnt_s(known_s: float, newest_s: float) -> float:
 def slice_duration_s(setting: LiveSetting, periods: float) -> float:
     """Return the length of a slice.
 
-    Parameters
-    ----------
-    setting
-        What is known of the bench.
-    periods
-        Flicker periods that it holds; 0 without flicker.
-
-    Returns
-    -------
-    float
-        Length, s.
+    periods: Flicker periods that it holds; 0 without flicker.
+    Returns: Length, s.
     """
     if periods == 0 or not setting.frequency_hz:
         return SHORT_S
@@ -104,15 +69,8 @@ def slice_duration_s(setting: LiveSetting, periods: float) -> float:
 def rate_per_s(times_s: Iterable[float]) -> float:
     """Return how often something happened in the last seconds.
 
-    Parameters
-    ----------
-    times_s
-        Times on the monotonic clock, s, in their order.
-
-    Returns
-    -------
-    float
-        Times a second; 0 if it happened less than twice.
+    times_s: Times on the monotonic clock, s, in their order.
+    Returns: Times a second; 0 if it happened less than twice.
     """
     now_s = time.monotonic()
     recent = [at for at in list(times_s) if now_s - at < _RATE_OVER_S]

@@ -32,19 +32,9 @@ _ONE_THREAD: Final = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
 
 
 class Measured(NamedTuple):
-    """What a slice showed.
+    """What a slice showed."""
 
-    Attributes
-    ----------
-    image
-        (H, W) uint8.
-    jpeg
-        The same as JPEG.
-    figures
-        The figures.
-    """
-
-    image: NDArray[np.uint8]
+    image: NDArray[np.uint8]  # (H, W) uint8
     jpeg: bytes
     figures: LiveFigures
 
@@ -55,22 +45,7 @@ class Meter(Protocol):
     def measure(self, part: LiveSlice, setting: LiveSetting) -> Measured:
         """Measure a slice.
 
-        Parameters
-        ----------
-        part
-            The slice.
-        setting
-            What is known of the bench.
-
-        Returns
-        -------
-        Measured
-            Image and figures.
-
-        Raises
-        ------
-        BenchError
-            If the slice could not be measured; the next one may be.
+        Raises BenchError: If the slice could not be measured; the next one may be.
         """
         ...
 
@@ -167,12 +142,8 @@ class MeterProcess:
 def serve_measurements(requests: IO[bytes], answers: IO[bytes]) -> None:
     """Measure what is asked for until the requests end.
 
-    Parameters
-    ----------
-    requests
-        Where slices come from.
-    answers
-        Where the figures go.
+    requests: Where slices come from.
+    answers: Where the figures go.
     """
     meter = MeterHere()
     while True:

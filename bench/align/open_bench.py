@@ -28,40 +28,16 @@ OpenDevices = Callable[[Station, int, BenchClock], Devices]
 
 @dataclass(frozen=True)
 class Confirmation:
-    """What a device confirmed at the end.
+    """What a device confirmed at the end."""
 
-    Attributes
-    ----------
-    device
-        ``stage``, ``light`` or ``camera``.
-    safe
-        Whether it confirmed.
-    text
-        What it confirmed, or why not, as a sentence.
-    """
-
-    device: str
-    safe: bool
-    text: str
+    device: str  # ``stage``, ``light`` or ``camera``
+    safe: bool  # Whether it confirmed
+    text: str  # What it confirmed, or why not, as a sentence
 
 
 @dataclass(frozen=True)
 class Bench:
-    """The open devices of a session with their controls.
-
-    Attributes
-    ----------
-    devices
-        The devices.
-    clock
-        The clock of their waits.
-    stage, light, camera
-        The controls.
-    loop
-        Records and measures.
-    hands
-        Hands at the camera of a simulated bench.
-    """
+    """The open devices of a session with their controls."""
 
     devices: Devices
     clock: BenchClock
@@ -69,26 +45,11 @@ class Bench:
     light: LightControl
     camera: CameraControl
     loop: LiveLoop
-    hands: SimulatedHands
+    hands: SimulatedHands  # Hands at the camera of a simulated bench
 
 
 def open_devices(station: Station, seed: int, clock: BenchClock) -> Devices:
-    """Open a station's camera; stage and light open meanwhile. Nothing moves.
-
-    Parameters
-    ----------
-    station
-        The station file.
-    seed
-        Random seed of the simulated bench.
-    clock
-        The clock of all waits.
-
-    Returns
-    -------
-    Devices
-        With an open camera.
-    """
+    """Open a station's camera; stage and light open meanwhile. Nothing moves."""
     return SeparateDevices(station, seed=seed, clock=clock, wire_log=None)
 
 
@@ -103,32 +64,8 @@ def open_bench(
 ) -> Bench:
     """Open the devices and make their controls. The loop is not started yet.
 
-    Parameters
-    ----------
-    station
-        The station file.
-    seed
-        Random seed of the simulated bench.
-    opener
-        Opens the devices.
-    make_meter
-        Makes what measures the slices.
-    setting
-        Returns what is known of the bench at the moment.
-    on_change
-        Called after each change, by any thread.
-    say
-        Called with a sentence for the person.
-
-    Returns
-    -------
-    Bench
-        The open devices with their controls.
-
-    Raises
-    ------
-    DriverError, SimulationError
-        If a device cannot be opened; the others are then closed.
+    on_change: Called after each change, by any thread.
+    Raises DriverError, SimulationError: If a device cannot be opened; the others are then closed.
     """
     clock = BenchClock()
     meter = make_meter()  # first: its process starts while the devices open
@@ -153,18 +90,7 @@ def open_bench(
 
 
 def close_bench(bench: Bench) -> list[Confirmation]:
-    """Stop the stage, switch the light off, end the recording, and close all devices.
-
-    Parameters
-    ----------
-    bench
-        The open devices.
-
-    Returns
-    -------
-    list of Confirmation
-        What each device confirmed.
-    """
+    """Stop the stage, switch the light off, end the recording, and close all devices."""
     confirmed = [
         _confirm("stage", bench.stage.stop, "stopped; every axis stands."),
         _confirm("light", bench.light.off, "off, as it reports itself."),

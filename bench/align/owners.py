@@ -31,12 +31,8 @@ class _Page:
 class Owners:
     """The open pages, and which of them holds the controls.
 
-    Parameters
-    ----------
-    on_change
-        Called after each change, by any thread.
-    monotonic
-        Returns the time of a monotonic clock, s.
+    on_change: Called after each change, by any thread.
+    monotonic: Returns the time of a monotonic clock, s.
     """
 
     def __init__(
@@ -55,15 +51,7 @@ class Owners:
         return self._holder
 
     def enter(self, page: str, what: str) -> None:
-        """Note that a page has opened a stream. The first open page gets the controls.
-
-        Parameters
-        ----------
-        page
-            Id of the page.
-        what
-            Browser and address, for other pages to show.
-        """
+        """Note that a page has opened a stream. The first open page gets the controls."""
         with self._lock:
             found = self._page(page, what)
             found.streams += 1
@@ -74,15 +62,7 @@ class Owners:
     def leave(self, page: str) -> bool:
         """Note that a stream of a page has closed.
 
-        Parameters
-        ----------
-        page
-            Id of the page.
-
-        Returns
-        -------
-        bool
-            Whether that was the page's last stream: the page is closed, or its connection is lost.
+        Returns: Whether that was the page's last stream: the page is closed, or its connection is lost.
         """
         with self._lock:
             found = self._pages.get(page)
@@ -94,13 +74,7 @@ class Owners:
         return gone
 
     def beat(self, page: str) -> None:
-        """Note a heartbeat of a page.
-
-        Parameters
-        ----------
-        page
-            Id of the page.
-        """
+        """Note a heartbeat of a page."""
         with self._lock:
             found = self._pages.get(page)
             if found is not None:
@@ -109,12 +83,7 @@ class Owners:
     def take(self, page: str, what: str = "") -> None:
         """Give the controls to a page.
 
-        Parameters
-        ----------
-        page
-            Id of the page.
-        what
-            Browser and address, if the page is not known yet.
+        what: Browser and address, if the page is not known yet.
         """
         with self._lock:
             self._page(page, what)
@@ -124,15 +93,7 @@ class Owners:
     def require(self, page: str) -> None:
         """Check that a page holds the controls. If nobody does, it gets them.
 
-        Parameters
-        ----------
-        page
-            Id of the page.
-
-        Raises
-        ------
-        ControlRefused
-            If another open page holds them.
+        Raises ControlRefused: If another open page holds them.
         """
         with self._lock:
             if page == self._holder:
@@ -149,33 +110,14 @@ class Owners:
     def is_lost(self, page: str) -> bool:
         """Return whether a page has closed or gone silent.
 
-        Parameters
-        ----------
-        page
-            Id of the page.
-
-        Returns
-        -------
-        bool
-            True also for a page that is not known.
+        Returns: True also for a page that is not known.
         """
         with self._lock:
             found = self._pages.get(page)
             return found is None or self._monotonic() - found.beat_s > BEAT_LIMIT_S
 
     def name(self, page: str) -> str:
-        """Return how a page is called on other pages.
-
-        Parameters
-        ----------
-        page
-            Id of the page.
-
-        Returns
-        -------
-        str
-            Its number, browser and address.
-        """
+        """Return how a page is called on other pages."""
         with self._lock:
             found = self._pages.get(page)
             return _name(found) if found is not None else "A page"
@@ -183,10 +125,7 @@ class Owners:
     def as_data(self) -> dict[str, Any]:
         """Return the pages as a page shows them.
 
-        Returns
-        -------
-        dict
-            ``holder``: id, and ``pages``: number and description of each open page by id.
+        Returns: ``holder``: id, and ``pages``: number and description of each open page by id.
         """
         with self._lock:
             return {

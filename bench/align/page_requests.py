@@ -29,26 +29,17 @@ _AGAIN = "Load the page again."
 
 @dataclass(frozen=True)
 class PageFiles:
-    """The files that a page may read and write.
-
-    Attributes
-    ----------
-    station
-        The station file.
-    folder
-        The only folder for copies and for sequences that the page names.
-    """
+    """The files that a page may read and write."""
 
     station: str
+    # The only folder for copies and for sequences that the page names.
     folder: Path = field(default_factory=Path.cwd)
 
     def as_data(self) -> dict[str, Any]:
         """Return what the page shows of the files.
 
-        Returns
-        -------
-        dict
-            Station file, why it must be copied (or an empty text), folder, and the names of the sequences.
+        Returns: Station file, why it must be copied (or an empty text), folder, and the names of the
+          sequences.
         """
         here = sorted(path.name for path in self.folder.glob("*.yaml") if _is_sequence(path))
         return {
@@ -62,20 +53,9 @@ class PageFiles:
     def in_folder(self, name: str) -> Path:
         """Return the path of a file that the page names.
 
-        Parameters
-        ----------
-        name
-            Name of the file, without a folder; the ending ``.yaml`` is added if it is missing.
-
-        Returns
-        -------
-        Path
-            The file in ``folder``.
-
-        Raises
-        ------
-        ControlRefused
-            If the name is not a plain file name.
+        name: Name of the file, without a folder; the ending ``.yaml`` is added if it is missing.
+        Returns: The file in ``folder``.
+        Raises ControlRefused: If the name is not a plain file name.
         """
         if not _FILE_NAME.fullmatch(name) or ".." in name:
             raise ControlRefused(
@@ -87,20 +67,8 @@ class PageFiles:
     def sequence(self, name: str) -> Path:
         """Return the path of a sequence that the page names.
 
-        Parameters
-        ----------
-        name
-            Name of a file in ``folder``, or of a shipped sequence.
-
-        Returns
-        -------
-        Path
-            The file.
-
-        Raises
-        ------
-        ControlRefused
-            If there is no such sequence.
+        name: Name of a file in ``folder``, or of a shipped sequence.
+        Raises ControlRefused: If there is no such sequence.
         """
         here = self.in_folder(name)
         if here.is_file():
@@ -118,17 +86,7 @@ class PageFiles:
 def actions(session: Session, files: PageFiles) -> Mapping[str, Action]:
     """Return what the page can ask for.
 
-    Parameters
-    ----------
-    session
-        The session.
-    files
-        The files that the page may read and write.
-
-    Returns
-    -------
-    Mapping
-        Function by name of the request. It takes the id of the page and the request.
+    files: The files that the page may read and write.
     """
     return {
         **_stage_actions(session),
@@ -270,20 +228,7 @@ def _told(session: Session, page: str, what: str, topic: str = "") -> None:
 def read_page(body: Mapping[str, Any]) -> str:
     """Return the id of the page that sends a request.
 
-    Parameters
-    ----------
-    body
-        The request.
-
-    Returns
-    -------
-    str
-        The id.
-
-    Raises
-    ------
-    UsageError
-        If the request names no page.
+    Raises UsageError: If the request names no page.
     """
     page = body.get("page")
     if not isinstance(page, str) or not _PAGE_ID.fullmatch(page):

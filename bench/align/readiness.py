@@ -33,33 +33,15 @@ _SILENT = ("It did not answer in time.", "Check again. If this stays, press Try 
 
 @dataclass(frozen=True)
 class Check:
-    """One check and what it found.
+    """One check and what it found."""
 
-    Attributes
-    ----------
-    name
-        What was checked, in a few words.
-    verdict
-        Result.
-    found
-        What was found, as a sentence.
-    remedy
-        What to do; empty if nothing is to be done.
-    """
-
-    name: str
+    name: str  # What was checked, in a few words
     verdict: Verdict
     found: str
-    remedy: str = ""
+    remedy: str = ""  # What to do; empty if nothing is to be done
 
     def as_data(self) -> dict[str, str]:
-        """Return the check as the page shows it.
-
-        Returns
-        -------
-        dict
-            The attributes by name.
-        """
+        """Return the check as the page shows it."""
         return asdict(self)
 
 
@@ -68,24 +50,10 @@ def check_readiness(
 ) -> list[Check]:
     """Make all checks.
 
-    Parameters
-    ----------
-    session
-        The session with its open devices.
-    sequence
-        Sequence that shall run on the station; None checks the bench only.
-    station_file
-        Path or name of the station file; None for the one of the session.
-
-    Returns
-    -------
-    list of Check
-        In the order in which a run makes them.
-
-    Raises
-    ------
-    ControlRefused
-        If the devices are not open.
+    sequence: Sequence that shall run on the station; None checks the bench only.
+    station_file: Path or name of the station file; None for the one of the session.
+    Returns: In the order in which a run makes them.
+    Raises ControlRefused: If the devices are not open.
     """
     bench = session.bench
     checks = [_station(session), *_stage(bench), *_light(bench), *_camera(bench)]

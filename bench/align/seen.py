@@ -15,51 +15,22 @@ from drivers.camera.frames import FrameFacts
 
 @dataclass(frozen=True)
 class Seen:
-    """Everything that the advice is made from.
-
-    Attributes
-    ----------
-    image
-        Image and signal of the slice.
-    facts
-        What the driver states about it; None if unknown.
-    beam
-        The beam's disc.
-    stars
-        Tag and stars; None if they were not searched.
-    other_tag
-        What is wrong with the tags seen; empty if nothing is.
-    focus
-        Focus figures.
-    best_edge_width_px
-        Smallest edge width seen so far, px.
-    best_sharpness
-        Largest sharpness seen so far.
-    best_coarse_detail
-        Most coarse detail seen so far.
-    better_before_px
-        Best edge width since the camera was turned, px, if the present one is clearly worse; else None.
-    trend
-        Where the focus goes: ``better``, ``worse`` or empty.
-    contrast
-        Contrast inside the beam; None without light.
-    turn
-        Where to turn.
-    """
+    """Everything that the advice is made from."""
 
     image: LiveImage
-    facts: RecordingFacts | FrameFacts | None
-    beam: Beam
-    stars: QuickStars | None
-    other_tag: str
+    facts: RecordingFacts | FrameFacts | None  # What the driver states about it; None if unknown
+    beam: Beam  # The beam's disc
+    stars: QuickStars | None  # Tag and stars; None if they were not searched
+    other_tag: str  # What is wrong with the tags seen; empty if nothing is
     focus: FocusFigures
-    best_edge_width_px: float | None
+    best_edge_width_px: float | None  # Smallest edge width seen so far, px
     best_sharpness: float | None
     best_coarse_detail: float | None
+    # Best edge width since the camera was turned, px, if the present one is clearly worse; else None.
     better_before_px: float | None
-    trend: str
-    contrast: float | None
-    turn: TurnFigures
+    trend: str  # Where the focus goes: ``better``, ``worse`` or empty
+    contrast: float | None  # Contrast inside the beam; None without light
+    turn: TurnFigures  # Where to turn
 
     @property
     def count(self) -> int:

@@ -38,14 +38,9 @@ class SeenMotion:
     def add(self, reading_deg: Mapping[str, float], tag_px: tuple[float, float], focal_px: float) -> None:
         """Add a sighting of the tag.
 
-        Parameters
-        ----------
-        reading_deg
-            Angles of the stage, degrees.
-        tag_px
-            Centre of the tag (column, row), px.
-        focal_px
-            Focal length, px.
+        reading_deg: Angles of the stage, degrees.
+        tag_px: Centre of the tag (column, row), px.
+        focal_px: Focal length, px.
         """
         here = np.array(tag_px)
         before, self._last = self._last, (dict(reading_deg), here)
@@ -73,19 +68,10 @@ class SeenMotion:
         The motion of an axis that has not turned yet is taken to be rotated as that of the other one. Own procedure: a
         linear equation with the motions as columns.
 
-        Parameters
-        ----------
-        tag_px
-            Centre of the tag (column, row), px.
-        size
-            Width and height of the image, px.
-        focal_px
-            Focal length, px.
-
-        Returns
-        -------
-        tuple of float or None
-            Pan and tilt, degrees; None if the signs of the bench hold, as far as was seen.
+        tag_px: Centre of the tag (column, row), px.
+        size: Width and height of the image, px.
+        focal_px: Focal length, px.
+        Returns: Pan and tilt, degrees; None if the signs of the bench hold, as far as was seen.
         """
         rotations = {axis: _angle_deg(_UPRIGHT[axis], motion) for axis, motion in self._learnt.items()}
         if not any(abs(angle) > _UNUSUAL_DEG for angle in rotations.values()):

@@ -44,32 +44,14 @@ def align_on_page(
 ) -> int:
     """Serve the align page of a station until Ctrl-C.
 
-    Parameters
-    ----------
-    station
-        Station file, or name of a shipped one.
-    settings
-        Values that replace those of the file, as ``PATH=VALUE``.
-    seed
-        Random seed of the simulated bench.
-    host, port
-        Address and port of the page; port 0 takes a free one.
-    token_file
-        File with the token; None if the environment variable counts.
-    open_browser
-        Whether to open a browser of this computer.
-
-    Returns
-    -------
-    int
-        Exit status: 0 if every device confirmed a safe state, 1 if not.
-
-    Raises
-    ------
-    UsageError
-        If the port is in use, or other computers could use the page without a token.
-    DocumentFaults
-        If the station file is not valid.
+    station: Station file, or name of a shipped one.
+    settings: Values that replace those of the file, as ``PATH=VALUE``.
+    host, port: Address and port of the page; port 0 takes a free one.
+    token_file: File with the token; None if the environment variable counts.
+    open_browser: Whether to open a browser of this computer.
+    Returns: Exit status: 0 if every device confirmed a safe state, 1 if not.
+    Raises UsageError: If the port is in use, or other computers could use the page without a token.
+    Raises DocumentFaults: If the station file is not valid.
     """
     session = make_session(station, settings, seed=seed)
     path = find_document(station, SHIPPED_STATIONS)
@@ -102,19 +84,9 @@ def align_on_page(
 def align_in_terminal(station: str, settings: Sequence[str] = (), *, seed: int = 1) -> int:
     """Show the figures of a station in the terminal until Ctrl-C.
 
-    Parameters
-    ----------
-    station
-        Station file, or name of a shipped one.
-    settings
-        Values that replace those of the file, as ``PATH=VALUE``.
-    seed
-        Random seed of the simulated bench.
-
-    Returns
-    -------
-    int
-        Exit status: 0 if every device confirmed a safe state, 1 if not.
+    station: Station file, or name of a shipped one.
+    settings: Values that replace those of the file, as ``PATH=VALUE``.
+    Returns: Exit status: 0 if every device confirmed a safe state, 1 if not.
     """
     from bench.align.terminal_keys import HELP, TerminalKeys, keys_of_terminal
     from bench.align.text_view import show_in_terminal
@@ -141,28 +113,12 @@ def align_in_terminal(station: str, settings: Sequence[str] = (), *, seed: int =
 def make_session(station: str, settings: Sequence[str] = (), *, seed: int = 1) -> Session:
     """Read the station file and make a session; no device is opened yet.
 
-    Parameters
-    ----------
-    station
-        Station file, or name of a shipped one.
-    settings
-        Values that replace those of the file, as ``PATH=VALUE``; ``station.`` may stand before the path.
-    seed
-        Random seed of the simulated bench.
-
-    Returns
-    -------
-    Session
-        The session.
-
-    Raises
-    ------
-    UsageError
-        If a setting does not have the form ``PATH=VALUE``.
-    DocumentFaults
-        If the station file is not valid.
-    ScriptError
-        If values of the station file are not filled in yet.
+    station: Station file, or name of a shipped one.
+    settings: Values that replace those of the file, as ``PATH=VALUE``; ``station.`` may stand before the
+      path.
+    Raises UsageError: If a setting does not have the form ``PATH=VALUE``.
+    Raises DocumentFaults: If the station file is not valid.
+    Raises ScriptError: If values of the station file are not filled in yet.
     """
     given = {}
     for text in settings:
@@ -180,15 +136,7 @@ def make_session(station: str, settings: Sequence[str] = (), *, seed: int = 1) -
 def leave(session: Session) -> int:
     """Leave the bench safe, and print what each device confirmed.
 
-    Parameters
-    ----------
-    session
-        The session; it is closed.
-
-    Returns
-    -------
-    int
-        Exit status: 0 if every device confirmed, 1 if not.
+    Returns: Exit status: 0 if every device confirmed, 1 if not.
     """
     with _ignored_signals():
         confirmed = session.close()
@@ -200,15 +148,7 @@ def leave(session: Session) -> int:
 def confirmation_lines(confirmed: Sequence[Confirmation]) -> list[str]:
     """Return what each device confirmed, as lines for the terminal.
 
-    Parameters
-    ----------
-    confirmed
-        What the devices confirmed.
-
-    Returns
-    -------
-    list of str
-        One line a device; one line that says so if no device was open.
+    Returns: One line a device; one line that says so if no device was open.
 
     Examples
     --------

@@ -40,23 +40,7 @@ _LOOK_LIGHT_S = 2.0
 class Session:
     """One session of aligning.
 
-    Parameters
-    ----------
-    station
-        The station file.
-    seed
-        Random seed of the simulated bench.
-    opener
-        Opens the devices.
-    make_meter
-        Makes what measures the slices.
-
-    Attributes
-    ----------
-    owners
-        The open pages, and which of them holds the controls.
-    changes
-        Told after each change of what `state` returns, and after each new picture.
+    changes: Told after each change of what `state` returns, and after each new picture.
     """
 
     def __init__(
@@ -103,10 +87,7 @@ class Session:
     def open(self) -> Failure | None:
         """Open the devices, and begin to record. Nothing moves, and no light goes on.
 
-        Returns
-        -------
-        Failure or None
-            Why they cannot be opened; None if they are open.
+        Returns: Why they cannot be opened; None if they are open.
         """
         with self._lock:
             if self._bench is not None or self._opening or self._ended.is_set():
@@ -138,10 +119,7 @@ class Session:
     def reopen(self) -> Failure | None:
         """Open again what is not open; if that is not all, close the devices safely and open all of them again.
 
-        Returns
-        -------
-        Failure or None
-            Why they cannot be opened; None if they are open.
+        Returns: Why they cannot be opened; None if they are open.
         """
         bench = self._bench
         if bench is not None and bench.loop.failure is None and try_again(bench):
@@ -153,15 +131,8 @@ class Session:
     def wait_for_devices(self, timeout_s: float = 60.0) -> bool:
         """Wait until stage and light are open, or could not be opened.
 
-        Parameters
-        ----------
-        timeout_s
-            Longest wait, s.
-
-        Returns
-        -------
-        bool
-            Whether all devices are open and answer.
+        timeout_s: Longest wait, s.
+        Returns: Whether all devices are open and answer.
         """
         end_s = time.monotonic() + timeout_s
         while time.monotonic() < end_s and not self._ended.wait(_WATCH_S):
@@ -173,10 +144,7 @@ class Session:
     def failures(self) -> list[Failure]:
         """Return why stage or light cannot be used now, the camera's pictures apart.
 
-        Returns
-        -------
-        list of Failure
-            Empty if both answer, or are still being opened.
+        Returns: Empty if both answer, or are still being opened.
         """
         bench = self._bench
         return [] if bench is None else failures_of(bench)
@@ -184,10 +152,7 @@ class Session:
     def close(self) -> list[Confirmation]:
         """Leave the bench safe: stage stopped, light off, camera closed. A second call does nothing.
 
-        Returns
-        -------
-        list of Confirmation
-            What each device confirmed; empty if no device was open.
+        Returns: What each device confirmed; empty if no device was open.
         """
         if self._ended.is_set():
             return []
@@ -208,14 +173,8 @@ class Session:
     def latest(self) -> tuple[int, NDArray[np.uint8], LiveFigures]:
         """Return the newest picture.
 
-        Returns
-        -------
-        number : int
-            Counts the pictures, from 1; 0 before the first one.
-        image : ndarray
-            (H, W) uint8.
-        figures : LiveFigures
-            What the picture showed.
+        Returns: Counts the pictures, from 1; 0 before the first one.
+        Returns: (H, W) uint8.
         """
         picture = self.picture()
         return picture.number, picture.image, picture.figures
@@ -223,10 +182,7 @@ class Session:
     def picture(self) -> LivePicture:
         """Return the newest picture with its JPEG and times.
 
-        Returns
-        -------
-        LivePicture
-            Number 0 if there is none.
+        Returns: Number 0 if there is none.
         """
         bench = self._bench
         return bench.loop.latest if bench is not None else LivePicture()
@@ -234,10 +190,8 @@ class Session:
     def state(self) -> dict[str, Any]:
         """Return everything besides the picture, as plain values for JSON.
 
-        Returns
-        -------
-        dict
-            ``station``, ``devices``, ``stage``, ``light``, ``camera``, ``hands``, ``controls``, ``messages``.
+        Returns: ``station``, ``devices``, ``stage``, ``light``, ``camera``, ``hands``, ``controls``,
+          ``messages``.
         """
         bench, station = self._bench, self.station.value
         condition = (
@@ -277,12 +231,7 @@ class Session:
     def say(self, text: str, topic: str = "") -> None:
         """Show a sentence on the pages. See `Happened.say`.
 
-        Parameters
-        ----------
-        text
-            The sentence.
-        topic
-            What it is about; empty for an entry of its own.
+        topic: What it is about; empty for an entry of its own.
         """
         self._happened.say(text, topic)
 
@@ -291,44 +240,24 @@ class Session:
     def jog(self, axis: str, step_deg: float, by: str = "") -> dict[str, float]:
         """Turn one axis by a small step. See `StageControl.move_by`.
 
-        Parameters
-        ----------
-        axis
-            Name of the axis.
-        step_deg
-            Step, degrees.
-        by
-            Id of the page that asks; empty for the terminal.
-
-        Returns
-        -------
-        dict
-            Goal of the axis, degrees.
+        step_deg: Step, degrees.
+        by: Id of the page that asks; empty for the terminal.
+        Returns: Goal of the axis, degrees.
         """
         return self.bench.stage.move_by({axis: step_deg}, by)
 
     def home(self, by: str = "") -> None:
         """Search the references of the stage. See `StageControl.home`.
 
-        Parameters
-        ----------
-        by
-            Id of the page that asks; empty for the terminal.
+        by: Id of the page that asks; empty for the terminal.
         """
         self.bench.stage.home(by)
 
     def stop(self, why: str = "on request") -> None:
         """Stop the stage now. For any thread, at any time.
 
-        Parameters
-        ----------
-        why
-            Who or what asks, in a few words.
-
-        Raises
-        ------
-        DriverError
-            If the stage does not confirm that it stands.
+        why: Who or what asks, in a few words.
+        Raises DriverError: If the stage does not confirm that it stands.
         """
         bench = self._bench
         if bench is None:
@@ -343,15 +272,8 @@ class Session:
     def light(self, **changes: Any) -> dict[str, Any]:
         """Change the light. See `LightControl.set`.
 
-        Parameters
-        ----------
-        changes
-            ``on``, ``waveform``, ``frequency_hz``, ``duty_percent``, ``level_percent``.
-
-        Returns
-        -------
-        dict
-            The light, as `LightControl.as_data` gives it.
+        changes: ``on``, ``waveform``, ``frequency_hz``, ``duty_percent``, ``level_percent``.
+        Returns: The light, as `LightControl.as_data` gives it.
         """
         control = self.bench.light
         control.set(**changes)
@@ -360,17 +282,7 @@ class Session:
     def bias(self, name: str, value: int) -> Mapping[str, int]:
         """Change one bias of the camera. See `CameraControl.set_bias`.
 
-        Parameters
-        ----------
-        name
-            Name of the bias.
-        value
-            Offset from the factory value, in the camera's own steps.
-
-        Returns
-        -------
-        Mapping of str to int
-            All biases as read back.
+        value: Offset from the factory value, in the camera's own steps.
         """
         return self.bench.camera.set_bias(name, value)
 

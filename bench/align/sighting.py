@@ -22,51 +22,26 @@ _TURNED_DEG: Final = 0.02
 
 
 class Sighting(NamedTuple):
-    """What a picture showed, and where the stage stood.
+    """What a picture showed, and where the stage stood."""
 
-    Attributes
-    ----------
-    cells
-        (h, w) float32, the reduced picture, with mean 0 and a sum of squares of 1.
-    reading_deg
-        Angles of the stage, degrees; empty if unknown.
-    """
-
-    cells: NDArray[np.float32]
-    reading_deg: Mapping[str, float]
+    cells: NDArray[np.float32]  # (h, w) float32, the reduced picture, with mean 0 and a sum of squares of 1
+    reading_deg: Mapping[str, float]  # Angles of the stage, degrees; empty if unknown
 
     @classmethod
     def of(cls, values: NDArray[np.float32], reading_deg: Mapping[str, float]) -> Sighting:
         """Reduce a picture.
 
-        Parameters
-        ----------
-        values
-            (H, W) float32, grey values.
-        reading_deg
-            Angles of the stage, degrees; empty if unknown.
-
-        Returns
-        -------
-        Sighting
-            To compare later pictures with.
+        values: (H, W) float32, grey values.
+        reading_deg: Angles of the stage, degrees; empty if unknown.
         """
         return cls(_reduced(values), dict(reading_deg))
 
     def differs(self, values: NDArray[np.float32], reading_deg: Mapping[str, float]) -> bool:
         """Return whether a picture shows another view.
 
-        Parameters
-        ----------
-        values
-            (H, W) float32, grey values.
-        reading_deg
-            Angles of the stage, degrees; empty if unknown.
-
-        Returns
-        -------
-        bool
-            By the angles, or by the correlation of the pictures (Pearson's coefficient).
+        values: (H, W) float32, grey values.
+        reading_deg: Angles of the stage, degrees; empty if unknown.
+        Returns: By the angles, or by the correlation of the pictures (Pearson's coefficient).
         """
         turned = [abs(angle - self.reading_deg.get(axis, angle)) for axis, angle in reading_deg.items()]
         if max(turned, default=0.0) > _TURNED_DEG:

@@ -26,48 +26,25 @@ _SHORT_PERIODS: Final = 1.9
 
 @dataclass(frozen=True)
 class SignalFigures:
-    """Rates, flicker and quality of the events of a slice. A figure that was not measured is None.
-
-    Attributes
-    ----------
-    events
-        Number of events.
-    events_per_s
-        Event rate, 1/s.
-    on_share
-        Share of ON events.
-    link_share
-        Data rate as a share of what the link carries.
-    triggers, triggers_expected
-        Number of rising sync edges found, and expected by their frequency.
-    sync_edges
-        Number of sync edges of both directions.
-    flicker
-        The flicker that the image is made with; None if there is none. A slice too short to show one is taken to
-        have the frequency to which the light is set; then neither ``trigger_hz`` nor ``event_hz`` is known.
-    trigger_hz, event_hz
-        Frequency by the sync edges, and by the events alone, Hz.
-    jitter_us
-        Rms distance of the sync edges from an even train, us.
-    event_jitter_us
-        Rms distance of the ON bursts from an even train, us. It takes three whole periods.
-    sync_fault
-        What is wrong with the sync edges; empty if nothing is, or there are none.
-    """
+    """Rates, flicker and quality of the events of a slice. A figure that was not measured is None."""
 
     events: int = 0
-    events_per_s: float | None = None
+    events_per_s: float | None = None  # Event rate, 1/s
     on_share: float | None = None
     link_share: float | None = None
     triggers: int = 0
     triggers_expected: int = 0
     sync_edges: int = 0
+    # The flicker that the image is made with; None if there is none. A slice too short to show one is taken
+    # to have the frequency to which the light is set; then neither ``trigger_hz`` nor ``event_hz`` is known.
     flicker: Flicker | None = None
+    # trigger_hz, event_hz: Frequency by the sync edges, and by the events alone, Hz.
     trigger_hz: float | None = None
     event_hz: float | None = None
-    jitter_us: float | None = None
+    jitter_us: float | None = None  # Rms distance of the sync edges from an even train, us
+    # Rms distance of the ON bursts from an even train, us. It takes three whole periods.
     event_jitter_us: float | None = None
-    sync_fault: str = ""
+    sync_fault: str = ""  # What is wrong with the sync edges; empty if nothing is, or there are none
 
 
 def measure_signal(
@@ -75,22 +52,12 @@ def measure_signal(
 ) -> SignalFigures:
     """Measure the signal of a slice.
 
-    Parameters
-    ----------
-    events, triggers
-        The decoded slice, with times from 0 on.
-    data_bytes
-        Length of the file without its header.
-    expected_hz
-        Frequency to which the light is set, Hz; None if unknown.
-    compare
-        Whether the frequency is measured by the events also if the sync edges give it. That takes as long as a third of
-        the image.
-
-    Returns
-    -------
-    SignalFigures
-        Figures without a flicker if none is found.
+    events, triggers: The decoded slice, with times from 0 on.
+    data_bytes: Length of the file without its header.
+    expected_hz: Frequency to which the light is set, Hz; None if unknown.
+    compare: Whether the frequency is measured by the events also if the sync edges give it. That takes as
+      long as a third of the image.
+    Returns: Figures without a flicker if none is found.
     """
     ends = [int(a[-1]) for a in (events.t, triggers.t) if len(a)]
     duration_s = (max(ends) + 1) * 1e-6 if ends else 0.0
@@ -117,21 +84,9 @@ def signal_of_counts(
 ) -> SignalFigures | None:
     """Return the signal of a slice whose events were only counted.
 
-    Parameters
-    ----------
-    statistics
-        Counts and times of the slice.
-    triggers
-        Its sync edges, with times from its start on.
-    data_bytes
-        Length of the file without its header.
-    expected_hz
-        Frequency to which the light is set, Hz.
-
-    Returns
-    -------
-    SignalFigures or None
-        Without figures that need the times of events; None if only these can show the flicker.
+    data_bytes: Length of the file without its header.
+    expected_hz: Frequency to which the light is set, Hz.
+    Returns: Without figures that need the times of events; None if only these can show the flicker.
     """
     count, duration_s = statistics.events, statistics.duration_s
     by_triggers, fault = _by_triggers(triggers, expected_hz)
@@ -145,18 +100,7 @@ def signal_of_counts(
 
 
 def shows_flicker(signal: SignalFigures | None) -> bool:
-    """Return whether a slice is long enough for its events to show their frequency.
-
-    Parameters
-    ----------
-    signal
-        Its signal.
-
-    Returns
-    -------
-    bool
-        False for a slice of one period: its ON and its OFF burst could be two periods of twice the frequency.
-    """
+    """Return whether a slice is long enough for its events to show their frequency."""
     if signal is None or signal.flicker is None or not signal.events_per_s:
         return False
     return signal.events / signal.events_per_s * signal.flicker.frequency_hz >= _SHORT_PERIODS
@@ -167,17 +111,7 @@ def burst_jitter_us(events: Events, flicker: Flicker) -> float | None:
 
     Own estimate: the median time of the ON events of each period, against a straight line through these times.
 
-    Parameters
-    ----------
-    events
-        The slice.
-    flicker
-        Its flicker.
-
-    Returns
-    -------
-    float or None
-        Rms, us; None if the slice holds fewer than three whole periods.
+    Returns: Rms, us; None if the slice holds fewer than three whole periods.
     """
     if not len(events.t):
         return None

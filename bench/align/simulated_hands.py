@@ -27,10 +27,7 @@ ACTIONS: Mapping[str, tuple[str, ...]] = {
 class SimulatedHands:
     """Hands at the simulated camera.
 
-    Parameters
-    ----------
-    simulation
-        The running simulated bench; None on a real bench.
+    simulation: The running simulated bench; None on a real bench.
     """
 
     def __init__(self, simulation: SimulatedBench | None) -> None:
@@ -47,24 +44,11 @@ class SimulatedHands:
     def do(self, action: str, numbers: Mapping[str, float]) -> dict[str, Any]:
         """Do something with the hands.
 
-        Parameters
-        ----------
-        action
-            One of `ACTIONS`.
-        numbers
-            The action's numbers by name.
-
-        Returns
-        -------
-        dict
-            What a person would now see of lens and mount.
-
-        Raises
-        ------
-        ControlRefused
-            On a real bench, and if there is no such action or the simulated bench refuses it.
-        SimulationError
-            If the simulated bench has ended.
+        action: One of `ACTIONS`.
+        numbers: The action's numbers by name.
+        Raises ControlRefused: On a real bench, and if there is no such action or the simulated bench refuses
+          it.
+        Raises SimulationError: If the simulated bench has ended.
         """
         if self._simulation is None:
             raise ControlRefused(

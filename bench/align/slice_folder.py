@@ -19,10 +19,8 @@ _NAME = re.compile(r"starbench-align-(\d+)-\w+")
 def make_slice_folder() -> Path:
     """Make a folder that only this user can read; remove those of processes that have ended.
 
-    Returns
-    -------
-    Path
-        The new folder. In memory, if half a gigabyte is free there: hours of slices would wear out a disk.
+    Returns: The new folder. In memory, if half a gigabyte is free there: hours of slices would wear out a
+      disk.
     """
     in_memory = _MEMORY.is_dir() and os.access(_MEMORY, os.W_OK) and shutil.disk_usage(_MEMORY).free > _ROOM
     parent = _MEMORY if in_memory else Path(tempfile.gettempdir())

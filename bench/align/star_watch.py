@@ -25,39 +25,17 @@ _FOLLOWED: Final = 8.0
 
 
 class Found(NamedTuple):
-    """Stars and focus.
+    """Stars and focus."""
 
-    Attributes
-    ----------
-    time_s
-        Time of the slice in which they were measured, s.
-    stars
-        Tag and stars; None if none are known.
-    other_tag
-        What is wrong with the tags seen; empty if nothing is.
-    focus
-        Focus figures.
-    took_s
-        Duration of the last search, s.
-    square
-        A dark square that looks like the tag, if the tag was not read.
-    searched_s
-        Time of the slice of the last search, s.
-    followed
-        Whether the stars were measured again after a search.
-    seen
-        What the picture of the last search showed.
-    """
-
-    time_s: float
-    stars: QuickStars | None
-    other_tag: str
+    time_s: float  # Time of the slice in which they were measured, s
+    stars: QuickStars | None  # Tag and stars; None if none are known
+    other_tag: str  # What is wrong with the tags seen; empty if nothing is
     focus: FocusFigures
-    took_s: float
-    square: DarkSquare | None = None
-    searched_s: float = 0.0
-    followed: bool = False
-    seen: Sighting | None = None
+    took_s: float  # Duration of the last search, s
+    square: DarkSquare | None = None  # A dark square that looks like the tag, if the tag was not read
+    searched_s: float = 0.0  # Time of the slice of the last search, s
+    followed: bool = False  # Whether the stars were measured again after a search
+    seen: Sighting | None = None  # What the picture of the last search showed
 
 
 class StopWatch:
@@ -70,15 +48,7 @@ class StopWatch:
     def lap(self, stage: str) -> dict[str, float]:
         """Add the time since the last call to a stage.
 
-        Parameters
-        ----------
-        stage
-            Name of the stage.
-
-        Returns
-        -------
-        dict
-            All durations so far, ms.
+        Returns: All durations so far, ms.
         """
         now_s = time.perf_counter()
         self._took_ms[stage] = self._took_ms.get(stage, 0.0) + round(1e3 * (now_s - self._last_s), 1)
@@ -91,10 +61,7 @@ class StarWatch:
 
     Not for several threads at once.
 
-    Parameters
-    ----------
-    stars_every_s
-        As `bench.align.live_figures.LiveMeter` takes it.
+    stars_every_s: As `bench.align.live_figures.LiveMeter` takes it.
     """
 
     def __init__(self, *, stars_every_s: float) -> None:
@@ -109,26 +76,7 @@ class StarWatch:
     def look(
         self, part: LiveSlice, setting: LiveSetting, image: LiveImage, beam: Beam, watch: StopWatch
     ) -> Found:
-        """Search stars and measure the focus if it is time to; else measure the last stars again, where they stand.
-
-        Parameters
-        ----------
-        part
-            The slice.
-        setting
-            What is known of the bench.
-        image
-            Image of the slice.
-        beam
-            The beam in it.
-        watch
-            Gets the times of the stages.
-
-        Returns
-        -------
-        Found
-            Of this slice, or of an earlier one that showed the same.
-        """
+        """Search stars and measure the focus if it is time to; else measure the last stars again, where they stand."""
         last = self._found
         if beam.share <= 0.0 or (image.signal is not None and image.signal.flicker is None):
             self._found = None

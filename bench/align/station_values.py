@@ -24,30 +24,11 @@ def station_values(
 ) -> tuple[dict[DocumentPath, str], list[str]]:
     """Return what a station file must state, from what a session found.
 
-    Parameters
-    ----------
-    station
-        The station, as the devices were opened with it.
-    position_deg
-        Present angle by axis, degrees, which shall become zero; None leaves the zeros as they are.
-    biases
-        Offsets of the biases; None leaves them as they are.
-    frame
-        Exposure and gain of a frame camera by name; None leaves them as they are.
-    level_percent
-        Level of the light that shall become 100 %; None leaves it as it is.
-
-    Returns
-    -------
-    values : dict
-        YAML text by path.
-    notes : list of str
-        What the person should know, in sentences.
-
-    Raises
-    ------
-    ControlRefused
-        If the present position cannot become zero.
+    position_deg: Present angle by axis, degrees, which shall become zero; None leaves the zeros as they are.
+    biases: Offsets of the biases; None leaves them as they are.
+    frame: Exposure and gain of a frame camera by name; None leaves them as they are.
+    level_percent: Level of the light that shall become 100 %; None leaves it as it is.
+    Raises ControlRefused: If the present position cannot become zero.
     """
     values: dict[DocumentPath, str] = {}
     notes = []
@@ -99,17 +80,8 @@ def _zero_values(station: Station, name: str, angle_deg: float) -> dict[Document
 def plain_number(value: float, digits: int) -> str:
     """Return a number as a person writes it into a file.
 
-    Parameters
-    ----------
-    value
-        The number.
-    digits
-        Largest number of digits after the point.
-
-    Returns
-    -------
-    str
-        Without needless zeros.
+    digits: Largest number of digits after the point.
+    Returns: Without needless zeros.
 
     Examples
     --------

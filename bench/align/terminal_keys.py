@@ -43,14 +43,7 @@ _LOOK_S: Final = 0.05
 class TerminalKeys:
     """What the keys do.
 
-    Parameters
-    ----------
-    session
-        The session.
-    end
-        Called to end the program.
-    monotonic
-        Returns the time of a monotonic clock, s.
+    monotonic: Returns the time of a monotonic clock, s.
     """
 
     def __init__(
@@ -68,21 +61,12 @@ class TerminalKeys:
     def notice(self) -> str:
         """Return what the last key did, for some seconds.
 
-        Returns
-        -------
-        str
-            A sentence; empty if the last key was pressed long ago.
+        Returns: A sentence; empty if the last key was pressed long ago.
         """
         return self._notice if self._monotonic() - self._notice_s < _NOTICE_S else ""
 
     def press(self, key: bytes) -> None:
-        """Do what a key asks for. A stop is sent at once; anything else after what was asked for before.
-
-        Parameters
-        ----------
-        key
-            The bytes that the terminal sends for the key.
-        """
+        """Do what a key asks for. A stop is sent at once; anything else after what was asked for before."""
         if key in _STOPS:
             threading.Thread(target=self._do, args=(self._stop,), daemon=True).start()
         elif key in _ARROWS:
@@ -170,15 +154,7 @@ class TerminalKeys:
 def keys_of_terminal(keys: TerminalKeys) -> Iterator[bool]:
     """Read keys from the terminal while the block runs.
 
-    Parameters
-    ----------
-    keys
-        What they do; it is closed at the end.
-
-    Yields
-    ------
-    bool
-        Whether there are keys: standard input is a terminal that can send single keys.
+    Yields: Whether there are keys: standard input is a terminal that can send single keys.
     """
     closing = threading.Event()
     with suppress(ImportError):
@@ -222,16 +198,6 @@ def _read(number: int, keys: TerminalKeys, closing: threading.Event) -> None:
 
 def split_keys(data: bytes) -> list[bytes]:
     r"""Split what a terminal has sent into keys.
-
-    Parameters
-    ----------
-    data
-        The bytes.
-
-    Returns
-    -------
-    list of bytes
-        One entry a key.
 
     Examples
     --------

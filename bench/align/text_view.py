@@ -43,18 +43,9 @@ def show_in_terminal(
 ) -> None:
     """Show the figures of an open session until it shall end.
 
-    Parameters
-    ----------
-    session
-        The session with its open devices.
-    ended
-        Set by another thread, or by a signal, to end.
-    stream
-        Where to write; None for standard output.
-    notice
-        Returns what stands in the place of the advice for the moment; empty for the advice.
-    tail
-        Last line of the block.
+    stream: Where to write; None for standard output.
+    notice: Returns what stands in the place of the advice for the moment; empty for the advice.
+    tail: Last line of the block.
     """
     view = TextView(session.station.value.name, stream=stream, tail=tail)
     while not ended.wait(REDRAWN_EVERY_S):
@@ -72,16 +63,9 @@ def show_in_terminal(
 class TextView:
     """Shows one picture's figures after the other.
 
-    Parameters
-    ----------
-    name
-        Name of the station.
-    stream
-        Where to write; None for standard output.
-    clock
-        Returns the time, s; it counts pictures per second and spaces plain lines.
-    tail
-        Last line of the block.
+    stream: Where to write; None for standard output.
+    clock: Returns the time, s; it counts pictures per second and spaces plain lines.
+    tail: Last line of the block.
     """
 
     def __init__(
@@ -105,16 +89,9 @@ class TextView:
     def show(self, number: int, image: NDArray[np.uint8], figures: LiveFigures, *, trouble: str = "") -> None:
         """Show a picture's figures: as a block, or as a line if some time has passed since the last one.
 
-        Parameters
-        ----------
-        number
-            Number of the picture; 0 before the first one.
-        image
-            (H, W) uint8.
-        figures
-            What the picture showed.
-        trouble
-            Why there are no new pictures; empty while they come.
+        number: Number of the picture; 0 before the first one.
+        image: (H, W) uint8.
+        trouble: Why there are no new pictures; empty while they come.
         """
         if self._block.can_redraw:
             head = self._head(number, figures, trouble)
@@ -164,18 +141,7 @@ class TextView:
 
 
 def figure_lines(figures: LiveFigures) -> list[str]:
-    """Return the figures as lines of at most 80 characters. What was not measured is a dash.
-
-    Parameters
-    ----------
-    figures
-        The figures.
-
-    Returns
-    -------
-    list of str
-        One line a subject.
-    """
+    """Return the figures as lines of at most 80 characters. What was not measured is a dash."""
     f, focus, turn = figures, figures.focus, figures.turn
     rate = None if f.events_per_s is None else f.events_per_s / 1e6
     regions = focus.get("regions") or {}
@@ -226,18 +192,7 @@ def figure_lines(figures: LiveFigures) -> list[str]:
 
 
 def summary(figures: LiveFigures) -> str:
-    """Return the main figures in one line.
-
-    Parameters
-    ----------
-    figures
-        The figures.
-
-    Returns
-    -------
-    str
-        Stars, focus, rate, flicker, turn.
-    """
+    """Return the main figures in one line."""
     f, focus, turn = figures, figures.focus, figures.turn
     rate = None if f.events_per_s is None else f.events_per_s / 1e6
     parts = [
@@ -259,19 +214,9 @@ def picture_rows(
 ) -> list[str]:
     """Return a picture as rows of characters.
 
-    Parameters
-    ----------
-    image
-        (H, W) uint8.
-    columns
-        Number of characters in a row.
-    plain
-        Whether only ASCII characters are used.
-
-    Returns
-    -------
-    list of str
-        Rows of equal length.
+    image: (H, W) uint8.
+    columns: Number of characters in a row.
+    plain: Whether only ASCII characters are used.
     """
     height = max(1, round(columns * image.shape[0] / image.shape[1] / _CELL_ASPECT))
     small = cv2.resize(image, (columns, height), interpolation=cv2.INTER_AREA)

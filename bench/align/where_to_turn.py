@@ -36,48 +36,29 @@ Offset = tuple[float, float]
 
 @dataclass(frozen=True)
 class TurnFigures:
-    """Where to turn. What is not known is None.
+    """Where to turn. What is not known is None."""
 
-    Attributes
-    ----------
-    of
-        What the turn brings to the middle of the image: ``tag``, ``square`` (a dark square that looks like the tag) or
-        ``beam``; empty if none is seen.
-    unit
-        Unit of the turns: ``°``, or ``px`` if no focal length is known.
-    pan, tilt
-        Turn of each axis that brings it there, in this unit; in px: how far it has to move right and up. By the beam,
-        in steps of `BEAM_STEP_DEG` or `BEAM_STEP_PX`.
-    tag_off, beam_off
-        The same turns for the tag, and for the centre of the beam's disc, not rounded.
-    square_borders
-        Borders of the frame that the dark square touches; None if none is seen.
-    focal_px
-        Focal length used, px.
-    tag_px
-        Centre of the tag (column, row), px.
-    roll_deg
-        Angle of the pattern against the pixel rows or diagonals, degrees, -22.5 to 22.5; positive is clockwise.
-    roll_by_deg
-        Roll that brings this angle to `ROLL_WANTED_DEG`, degrees; 0 if it is large enough.
-    rim_poses
-        Which poses show the beam's rim, a sentence; empty if unknown.
-    beyond
-        Axes that would have to turn beyond their limits, with the angle that they would reach, degrees.
-    """
-
+    # What the turn brings to the middle of the image: ``tag``, ``square`` (a dark square that looks like the
+    # tag) or ``beam``; empty if none is seen.
     of: str = ""
-    unit: str = "°"
+    unit: str = "°"  # Unit of the turns: ``°``, or ``px`` if no focal length is known
+    # pan, tilt: Turn of each axis that brings it there, in this unit; in px: how far it has to move right and
+    # up. By the beam, in steps of `BEAM_STEP_DEG` or `BEAM_STEP_PX`.
     pan: float | None = None
     tilt: float | None = None
+    # tag_off, beam_off: The same turns for the tag, and for the centre of the beam's disc, not rounded.
     tag_off: Offset | None = None
     beam_off: Offset | None = None
+    # Borders of the frame that the dark square touches; None if none is seen.
     square_borders: tuple[Border, ...] | None = None
-    focal_px: float | None = None
-    tag_px: Offset | None = None
+    focal_px: float | None = None  # Focal length used, px
+    tag_px: Offset | None = None  # Centre of the tag (column, row), px
+    # Angle of the pattern against the pixel rows or diagonals, degrees, -22.5 to 22.5; positive is clockwise.
     roll_deg: float | None = None
+    # Roll that brings this angle to `ROLL_WANTED_DEG`, degrees; 0 if it is large enough.
     roll_by_deg: float | None = None
-    rim_poses: str = ""
+    rim_poses: str = ""  # Which poses show the beam's rim, a sentence; empty if unknown
+    # Axes that would have to turn beyond their limits, with the angle that they would reach, degrees.
     beyond: Mapping[str, float] = field(default_factory=dict)
 
     @property
@@ -91,12 +72,9 @@ class TurnFigures:
     def to_json(self) -> dict[str, object]:
         """Return the figures as plain values.
 
-        Returns
-        -------
-        dict
-            ``pan_deg`` and ``tilt_deg`` (None if no focal length is known; then ``right_px`` and ``up_px``),
-            ``roll_deg``, ``roll_by_deg``, ``of``, ``unit``, ``tag``, ``beam``,
-            ``square_borders``, ``focal_px``, ``rim_poses``, ``beyond``.
+        Returns: ``pan_deg`` and ``tilt_deg`` (None if no focal length is known; then ``right_px`` and
+          ``up_px``), ``roll_deg``, ``roll_by_deg``, ``of``, ``unit``, ``tag``, ``beam``, ``square_borders``,
+          ``focal_px``, ``rim_poses``, ``beyond``.
         """
         in_deg = self.unit == "°"
         return {
@@ -119,26 +97,16 @@ class TurnFigures:
 
 @dataclass(frozen=True)
 class Bench:
-    """What the bench knows for a turn.
+    """What the bench knows for a turn."""
 
-    Attributes
-    ----------
-    focal_px
-        Approximate focal length, px; None if unknown.
-    r_mm
-        Focal length of the collimator, mm; None if unknown. With the pitch of the stars it gives the focal length.
-    half_angle_deg
-        Half angle of the beam, degrees; None if unknown.
-    reading_deg
-        Present angles of the stage by axis, degrees.
-    limits_deg
-        Lowest and highest angle of each axis, degrees.
-    """
-
-    focal_px: float | None = None
+    focal_px: float | None = None  # Approximate focal length, px; None if unknown
+    # Focal length of the collimator, mm; None if unknown. With the pitch of the stars it gives the focal
+    # length.
     r_mm: float | None = None
-    half_angle_deg: float | None = None
+    half_angle_deg: float | None = None  # Half angle of the beam, degrees; None if unknown
+    # Present angles of the stage by axis, degrees.
     reading_deg: Mapping[str, float] = field(default_factory=dict)
+    # Lowest and highest angle of each axis, degrees.
     limits_deg: Mapping[str, tuple[float, float]] = field(default_factory=dict)
 
 
@@ -153,27 +121,11 @@ def where_to_turn(
 ) -> TurnFigures:
     """Find out where to turn.
 
-    Parameters
-    ----------
-    size
-        Width and height of the image, px.
-    beam
-        The beam's disc in it.
-    stars
-        Tag and stars in it; None if they were not searched.
-    target
-        The printed target.
-    bench
-        What the bench knows.
-    motion
-        How the pattern was seen to move; None to rely on the signs of the bench.
-    square
-        A dark square that looks like the tag, if no tag was recognised.
-
-    Returns
-    -------
-    TurnFigures
-        What is known of it.
+    size: Width and height of the image, px.
+    beam: The beam's disc in it.
+    stars: Tag and stars in it; None if they were not searched.
+    motion: How the pattern was seen to move; None to rely on the signs of the bench.
+    square: A dark square that looks like the tag, if no tag was recognised.
     """
     grid = grid_of(stars)
     named = stars is not None and (bool(stars.named_by) or stars.tag is not None)
@@ -237,21 +189,11 @@ def turn_to_centre(
     The direction d of the point satisfies d = G(pan, tilt) b. Wanted are angles with G b along the optical axis, for
     G = Rz(roll) Rx(tilt) Ry(pan); own solution of this equation.
 
-    Parameters
-    ----------
-    point_px
-        Column and row of the point, px.
-    size
-        Width and height of the image, px.
-    focal_px
-        Focal length, px; None if unknown.
-    reading_deg
-        Present angles of the stage, degrees; a missing axis is at 0.
-
-    Returns
-    -------
-    pan, tilt
-        Turns, degrees. Without a focal length: how far the point has to move right and up, px.
+    point_px: Column and row of the point, px.
+    size: Width and height of the image, px.
+    focal_px: Focal length, px; None if unknown.
+    reading_deg: Present angles of the stage, degrees; a missing axis is at 0.
+    Returns: Turns, degrees. Without a focal length: how far the point has to move right and up, px.
 
     Examples
     --------
@@ -272,17 +214,9 @@ def turn_to_centre(
 def roll_deg(grid: NDArray[np.float64] | None, size: tuple[int, int]) -> float | None:
     """Return the angle of the pattern against the pixel rows or diagonals in the middle of the image.
 
-    Parameters
-    ----------
-    grid
-        (3, 3) float64, from [column row 1] to [u v 1] px; None if unknown.
-    size
-        Width and height of the image, px.
-
-    Returns
-    -------
-    float or None
-        Degrees, -22.5 to 22.5; positive is clockwise.
+    grid: (3, 3) float64, from [column row 1] to [u v 1] px; None if unknown.
+    size: Width and height of the image, px.
+    Returns: Degrees, -22.5 to 22.5; positive is clockwise.
     """
     if grid is None:
         return None
@@ -295,15 +229,8 @@ def roll_deg(grid: NDArray[np.float64] | None, size: tuple[int, int]) -> float |
 def roll_by_deg(roll: float) -> float:
     """Return by how much to roll the pattern so that its angle against the pixels is `ROLL_WANTED_DEG`.
 
-    Parameters
-    ----------
-    roll
-        Present angle, degrees, -22.5 to 22.5.
-
-    Returns
-    -------
-    float
-        Degrees; positive turns the pattern clockwise. 0 if the angle is at least half of the wanted one.
+    roll: Present angle, degrees, -22.5 to 22.5.
+    Returns: Degrees; positive turns the pattern clockwise. 0 if the angle is at least half of the wanted one.
 
     Examples
     --------
@@ -322,23 +249,11 @@ def rim_poses(
     if the centre is not seen, from the tag. A tenth of the image beyond the rim has to be in view. The angles are whole
     degrees, rounded away from the middle.
 
-    Parameters
-    ----------
-    size
-        Width and height of the image, px.
-    focal_px
-        Focal length, px; None if unknown.
-    off
-        Turns of pan and tilt that centre the beam, degrees; None if unknown.
-    beam
-        The beam's disc.
-    bench
-        What the bench knows.
-
-    Returns
-    -------
-    str
-        A sentence; empty if it is not known.
+    size: Width and height of the image, px.
+    focal_px: Focal length, px; None if unknown.
+    off: Turns of pan and tilt that centre the beam, degrees; None if unknown.
+    beam: The beam's disc.
+    Returns: A sentence; empty if it is not known.
     """
     if focal_px is None or off is None or not bench.reading_deg:
         return ""  # without a reading, no angle of a pose is known
@@ -372,16 +287,9 @@ def rim_poses(
 def grid_of(stars: QuickStars | None) -> NDArray[np.float64] | None:
     """Return the homography of the grid: from the stars, or from the tag alone.
 
-    Parameters
-    ----------
-    stars
-        Tag and stars; None if they were not searched.
-
-    Returns
-    -------
-    ndarray or None
-        (3, 3) float64, from [column row 1] to [u v 1] px. Columns and rows are those of the target if the stars have
-        ids, else of any origin and quarter turn. None if there is nothing.
+    stars: Tag and stars; None if they were not searched.
+    Returns: (3, 3) float64, from [column row 1] to [u v 1] px. Columns and rows are those of the target if
+      the stars have ids, else of any origin and quarter turn. None if there is nothing.
     """
     if stars is None:
         return None

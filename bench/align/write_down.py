@@ -44,22 +44,10 @@ POSES = "aligned"
 
 @dataclass(frozen=True)
 class Proposal:
-    """A change of a file that is not written yet.
+    """A change of a file that is not written yet."""
 
-    Attributes
-    ----------
-    path
-        File that `write` makes or replaces.
-    source
-        File from which the proposal was made; the same as ``path`` unless a copy is made.
-    before, after
-        Contents of the source, and contents to write.
-    notes
-        What the person should know, in sentences.
-    """
-
-    path: Path
-    source: Path
+    path: Path  # File that `write` makes or replaces
+    source: Path  # File from which the proposal was made; the same as ``path`` unless a copy is made
     before: bytes
     after: bytes
     notes: tuple[str, ...] = ()
@@ -83,13 +71,7 @@ class Proposal:
         )
 
     def as_data(self) -> dict[str, Any]:
-        """Return the proposal as the page shows it.
-
-        Returns
-        -------
-        dict
-            Plain values.
-        """
+        """Return the proposal as the page shows it."""
         return {
             "file": str(self.path),
             "source": str(self.source),
@@ -102,17 +84,10 @@ class Proposal:
     def write(self, mark: str) -> None:
         """Write the file, in one step: at any moment it has its old contents or its new ones.
 
-        Parameters
-        ----------
-        mark
-            ``mark`` of the proposal that the person saw.
-
-        Raises
-        ------
-        ControlRefused
-            If the file or the values have changed since, or a copy would replace another file.
-        StorageError
-            If it cannot be written; the file then has its old contents.
+        mark: ``mark`` of the proposal that the person saw.
+        Raises ControlRefused: If the file or the values have changed since, or a copy would replace another
+          file.
+        Raises StorageError: If it cannot be written; the file then has its old contents.
         """
         where = str(self.path)
         if mark != self.mark:
@@ -134,28 +109,10 @@ def propose_values(
 ) -> Proposal:
     """Propose to set values of a file.
 
-    Parameters
-    ----------
-    source
-        The file.
-    values
-        YAML text by path. Missing keys are added at the end of their mapping.
-    model
-        Model that checks the new text.
-    target
-        New file to write instead; needed where the source must not be changed.
-
-    Returns
-    -------
-    Proposal
-        The change, not written.
-
-    Raises
-    ------
-    ControlRefused
-        If the file must not be changed and no new name is given, or cannot be edited.
-    ScriptError
-        If the new text is not valid, with every fault.
+    target: New file to write instead; needed where the source must not be changed.
+    Returns: The change, not written.
+    Raises ControlRefused: If the file must not be changed and no new name is given, or cannot be edited.
+    Raises ScriptError: If the new text is not valid, with every fault.
     """
     before = _read(source)
     document, yaml = _load(source, before)
@@ -175,32 +132,15 @@ def propose_pose(
 ) -> Proposal:
     """Propose to add a pose to a list of a sequence, and to set its light.
 
-    Parameters
-    ----------
-    source
-        The sequence file.
-    angles_deg
-        Angle by axis, degrees.
-    poses
-        Name of the list; None for the first list of the file. A list that does not exist is made.
-    name
-        Name of the pose; None for none.
-    light
-        YAML text by key of ``defaults.light``; None leaves the light as it is.
-    target
-        New file to write instead; needed where the source must not be changed.
-
-    Returns
-    -------
-    Proposal
-        The change, not written.
-
-    Raises
-    ------
-    ControlRefused
-        If the set of this name is a grid, or the file must not be changed and no new name is given.
-    ScriptError
-        If the new text is not valid, with every fault.
+    angles_deg: Angle by axis, degrees.
+    poses: Name of the list; None for the first list of the file. A list that does not exist is made.
+    name: Name of the pose; None for none.
+    light: YAML text by key of ``defaults.light``; None leaves the light as it is.
+    target: New file to write instead; needed where the source must not be changed.
+    Returns: The change, not written.
+    Raises ControlRefused: If the set of this name is a grid, or the file must not be changed and no new name
+      is given.
+    Raises ScriptError: If the new text is not valid, with every fault.
     """
     before = _read(source)
     document, yaml = _load(source, before)
@@ -237,15 +177,7 @@ def propose_pose(
 def must_be_copied(path: Path) -> str:
     """Return why a file must not be changed.
 
-    Parameters
-    ----------
-    path
-        The file.
-
-    Returns
-    -------
-    str
-        The reason, as a sentence; empty if the file may be changed.
+    Returns: The reason, as a sentence; empty if the file may be changed.
     """
     folder = path.resolve().parent
     if folder in {SHIPPED_STATIONS.resolve(), SHIPPED_SEQUENCES.resolve()}:

@@ -23,22 +23,8 @@ def parse_json(
 ) -> Any:
     """Parse JSON of a bounded depth and number of values.
 
-    Parameters
-    ----------
-    data
-        The JSON.
-    object_pairs_hook, parse_constant
-        As for `json.loads`.
-
-    Returns
-    -------
-    Any
-        Its content.
-
-    Raises
-    ------
-    ValueError
-        If it is not JSON, is nested too deeply, or has too many values; never RecursionError.
+    object_pairs_hook, parse_constant: As for `json.loads`.
+    Raises ValueError: If it is not JSON, is nested too deeply, or has too many values; never RecursionError.
     """
     marks: tuple[Any, ...] = (b",", b"[", b"{") if isinstance(data, bytes) else (",", "[", "{")
     if sum(data.count(mark) for mark in marks) > MOST_VALUES:

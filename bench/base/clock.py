@@ -26,10 +26,7 @@ from drivers.lateness import own_lateness
 class Aborted(Exception):
     """The operator or the system has asked the run to stop.
 
-    Parameters
-    ----------
-    reason
-        Who asked, in a few words.
+    reason: Who asked, in a few words.
     """
 
     def __init__(self, reason: str) -> None:
@@ -40,10 +37,7 @@ class Aborted(Exception):
 class Interrupted(Exception):
     """An interlock has asked the work to pause; the work continues afterwards.
 
-    Parameters
-    ----------
-    reason
-        Which interlock, in a few words.
+    reason: Which interlock, in a few words.
     """
 
     def __init__(self, reason: str) -> None:
@@ -104,13 +98,7 @@ class BenchClock:
         self._worker = threading.get_ident()
 
     def monotonic(self) -> float:
-        """Return the time of the system's monotonic clock, s.
-
-        Returns
-        -------
-        float
-            Seconds since an arbitrary moment.
-        """
+        """Return the time of the system's monotonic clock, s."""
         now_s = time.monotonic()
         if (
             threading.get_ident() == self._worker
@@ -119,31 +107,16 @@ class BenchClock:
         return now_s
 
     def utc_now(self) -> datetime:
-        """Return the system's time.
-
-        Returns
-        -------
-        datetime
-            With time zone UTC.
-        """
+        """Return the system's time."""
         return datetime.now(UTC)
 
     def sleep(self, seconds: float) -> None:
         """Wait. A request to stop or to pause ends the wait at once, unless the clock is shielded.
 
-        Parameters
-        ----------
-        seconds
-            Duration, s; a negative one is 0.
-
-        Raises
-        ------
-        Aborted
-            When a stop is requested.
-        Interrupted
-            When an interlock asks for a pause.
-        Exception
-            The error given to ``request_failure``.
+        seconds: Duration, s; a negative one is 0.
+        Raises Aborted: When a stop is requested.
+        Raises Interrupted: When an interlock asks for a pause.
+        Raises Exception: The error given to ``request_failure``.
         """
         self._asleep = True
         try:
@@ -158,10 +131,7 @@ class BenchClock:
     def check(self) -> None:
         """Obey a request to stop or to pause between two pieces of work, unless the clock is shielded.
 
-        Raises
-        ------
-        Aborted, Interrupted, Exception
-            As ``sleep``.
+        Raises Aborted, Interrupted, Exception: As ``sleep``.
         """
         self._used(time.monotonic())
         if self._requested.is_set() and not self._shields:
@@ -170,41 +140,26 @@ class BenchClock:
     def inactive_s(self) -> float:
         """Return for how long the work has neither waited, nor checked, nor read the time.
 
-        Returns
-        -------
-        float
-            Seconds; 0 while the work waits.
+        Returns: Seconds; 0 while the work waits.
         """
         return 0.0 if self._asleep else max(0.0, time.monotonic() - self._asked_s)
 
     def share(self, moment: WorkMoment) -> None:
-        """Write each use of the clock also to memory that another process can read.
-
-        Parameters
-        ----------
-        moment
-            The memory.
-        """
+        """Write each use of the clock also to memory that another process can read."""
         self._shared = moment
         self._used(self._asked_s)
 
     def lateness(self) -> Mapping[str, Any]:
         """Return how late a busy computer woke this process; the first call begins to measure.
 
-        Returns
-        -------
-        mapping
-            As `drivers.lateness.Lateness.histogram`; empty for a virtual clock.
+        Returns: As `drivers.lateness.Lateness.histogram`; empty for a virtual clock.
         """
         return own_lateness().histogram()
 
     def request_stop(self, reason: str) -> None:
         """Ask the run to stop at its next wait. Safe to call from a signal handler or another thread.
 
-        Parameters
-        ----------
-        reason
-            Who asks, in a few words. The first request counts.
+        reason: Who asks, in a few words. The first request counts.
         """
         if self._stop is None:
             self._stop = reason
@@ -213,10 +168,7 @@ class BenchClock:
     def request_failure(self, error: Exception) -> None:
         """Ask the run to end with an error at its next wait, because a thread beside the work has failed.
 
-        Parameters
-        ----------
-        error
-            The error that ``sleep`` and ``check`` then raise.
+        error: The error that ``sleep`` and ``check`` then raise.
         """
         if self._stop is None:
             self._failure = error
@@ -225,10 +177,7 @@ class BenchClock:
     def interrupt(self, reason: str) -> None:
         """Ask the work to pause at its next wait. A request to stop takes precedence.
 
-        Parameters
-        ----------
-        reason
-            Which interlock asks, in a few words.
+        reason: Which interlock asks, in a few words.
         """
         if self._interruption is None:
             self._interruption = reason
@@ -258,10 +207,7 @@ class BenchClock:
     def shielded(self) -> Iterator[None]:
         """Let no request end the waits in this block, in which the devices are made safe.
 
-        Yields
-        ------
-        None
-            Requests take effect at the first wait after the block.
+        Yields: Requests take effect at the first wait after the block.
         """
         self._shields += 1
         try:
@@ -273,10 +219,7 @@ class BenchClock:
 class VirtualClock(BenchClock):
     """A clock whose time passes only where the work waits, so that a simulated night takes only its computing time.
 
-    Parameters
-    ----------
-    begin
-        First moment of the clock, with its time zone.
+    begin: First moment of the clock, with its time zone.
 
     Examples
     --------
@@ -294,35 +237,19 @@ class VirtualClock(BenchClock):
     def monotonic(self) -> float:
         """Return the virtual time, s.
 
-        Returns
-        -------
-        float
-            Seconds since ``begin``.
+        Returns: Seconds since ``begin``.
         """
         return self._now_s
 
     def utc_now(self) -> datetime:
-        """Return the virtual time.
-
-        Returns
-        -------
-        datetime
-            With time zone UTC.
-        """
+        """Return the virtual time."""
         return self._begin + timedelta(seconds=self._now_s)
 
     def sleep(self, seconds: float) -> None:
         """Advance the virtual time; returns at once.
 
-        Parameters
-        ----------
-        seconds
-            Duration, s; a negative one is 0.
-
-        Raises
-        ------
-        Aborted, Interrupted, Exception
-            As `BenchClock.sleep`.
+        seconds: Duration, s; a negative one is 0.
+        Raises Aborted, Interrupted, Exception: As `BenchClock.sleep`.
         """
         self.check()
         self._now_s += max(0.0, seconds)

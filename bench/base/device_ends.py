@@ -30,21 +30,11 @@ _UNTOUCHED: Final[Mapping[DeviceName, str]] = {
 
 @dataclass(frozen=True)
 class DeviceEnd:
-    """How one device was left.
-
-    Attributes
-    ----------
-    device
-        The device.
-    state
-        What is known of it.
-    said
-        What it answered, or why it did not; empty if it was never opened.
-    """
+    """How one device was left."""
 
     device: DeviceName
     state: EndState
-    said: str = ""
+    said: str = ""  # What it answered, or why it did not; empty if it was never opened
 
     @property
     def text(self) -> str:
@@ -63,10 +53,7 @@ class DeviceEnd:
     def to_dict(self) -> dict[str, str]:
         """Return the state as the journal and JSON hold it.
 
-        Returns
-        -------
-        dict
-            ``device``, ``state``, ``said``.
+        Returns: ``device``, ``state``, ``said``.
         """
         return {"device": self.device, "state": self.state, "said": self.said}
 
@@ -74,15 +61,7 @@ class DeviceEnd:
     def from_dict(cls, data: Mapping[str, str]) -> DeviceEnd:
         """Read what `to_dict` wrote.
 
-        Parameters
-        ----------
-        data
-            ``device``, ``state`` and ``said``.
-
-        Returns
-        -------
-        DeviceEnd
-            The state.
+        data: ``device``, ``state`` and ``said``.
         """
         return cls(cast("DeviceName", data["device"]), cast("EndState", data["state"]), data.get("said", ""))
 
@@ -90,15 +69,7 @@ class DeviceEnd:
 def all_ends(known: Sequence[DeviceEnd]) -> list[DeviceEnd]:
     """Add the devices that were never opened.
 
-    Parameters
-    ----------
-    known
-        States of some devices.
-
-    Returns
-    -------
-    list of DeviceEnd
-        One for stage, light and camera, in this order.
+    Returns: One for stage, light and camera, in this order.
     """
     by_name = {end.device: end for end in known}
     return [by_name.get(name, DeviceEnd(name, "never opened")) for name in DEVICES]
@@ -107,15 +78,8 @@ def all_ends(known: Sequence[DeviceEnd]) -> list[DeviceEnd]:
 def lost_ends(why: str) -> list[DeviceEnd]:
     """Return the states of devices that cannot be asked any more.
 
-    Parameters
-    ----------
-    why
-        Why they cannot be asked.
-
-    Returns
-    -------
-    list of DeviceEnd
-        All of them not confirmed.
+    why: Why they cannot be asked.
+    Returns: All of them not confirmed.
     """
     return [DeviceEnd(name, "not confirmed", why) for name in DEVICES]
 
@@ -123,15 +87,7 @@ def lost_ends(why: str) -> list[DeviceEnd]:
 def unsafe_devices(ends: Iterable[DeviceEnd]) -> list[str]:
     """Return a sentence for stage and light each, if it did not confirm that it is safe.
 
-    Parameters
-    ----------
-    ends
-        What devices answered.
-
-    Returns
-    -------
-    list of str
-        Each sentence once. A camera is no reason to check the bench: it neither moves nor shines.
+    Returns: Each sentence once. A camera is no reason to check the bench: it neither moves nor shines.
     """
     unsure = [end.said for end in ends if end.state == "not confirmed" and end.device != "camera"]
     return list(dict.fromkeys(unsure))

@@ -21,22 +21,7 @@ from collections.abc import Sequence
 
 
 class BenchError(Exception):
-    """An error that states what is wrong, where, and what the operator should do.
-
-    Parameters
-    ----------
-    what
-        What is wrong, as a sentence.
-    where
-        The file, folder or device it concerns.
-    remedy
-        What the operator should do, as a sentence.
-
-    Attributes
-    ----------
-    exit_status
-        Exit status of the command line.
-    """
+    """An error that states what is wrong, where, and what the operator should do."""
 
     exit_status = 1
 
@@ -63,10 +48,7 @@ class UsageError(BenchError):
 class ScriptError(BenchError):
     """A sequence or station file that cannot be run, with every fault found.
 
-    Parameters
-    ----------
-    faults
-        Lines of the form ``file:line:column: what``.
+    faults: Lines of the form ``file:line:column: what``.
     """
 
     exit_status = 2

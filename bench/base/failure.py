@@ -19,24 +19,12 @@ FORESEEN = (BenchError, CalibrationError, DriverError, SequencesError)
 
 @dataclass(frozen=True)
 class Failure:
-    """Why something failed.
+    """Why something failed."""
 
-    Attributes
-    ----------
-    kind
-        The error's class, as in the tree at the head of each package's ``errors`` module.
-    what
-        What is wrong.
-    where
-        The device, port, file or view it concerns; empty where it concerns none.
-    remedy
-        What the operator should do; empty where nothing is known.
-    """
-
-    kind: str
+    kind: str  # The error's class, as in the tree at the head of each package's ``errors`` module
     what: str
-    where: str = ""
-    remedy: str = ""
+    where: str = ""  # The device, port, file or view it concerns; empty where it concerns none
+    remedy: str = ""  # What the operator should do; empty where nothing is known
 
     @property
     def message(self) -> str:
@@ -49,15 +37,7 @@ class Failure:
     def of(cls, error: BaseException) -> Failure:
         """Describe an error.
 
-        Parameters
-        ----------
-        error
-            A foreseen error, or any other exception, which is then a defect of the program.
-
-        Returns
-        -------
-        Failure
-            With the error's own place and remedy where it has them.
+        Returns: With the error's own place and remedy where it has them.
         """
         if isinstance(error, FORESEEN):
             return cls(type(error).__name__, error.what, error.where, error.remedy)
@@ -66,9 +46,6 @@ class Failure:
     def to_dict(self) -> dict[str, str]:
         """Return the failure as JSON holds it.
 
-        Returns
-        -------
-        dict
-            ``kind``, ``what``, ``where``, ``remedy``.
+        Returns: ``kind``, ``what``, ``where``, ``remedy``.
         """
         return asdict(self)

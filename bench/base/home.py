@@ -14,15 +14,7 @@ def home_folder(environ: Mapping[str, str] = os.environ) -> Path:
 
     It is ``$STARBENCH_HOME`` or, if that is not set, ``starbench`` in the user's configuration folder.
 
-    Parameters
-    ----------
-    environ
-        Environment variables of the process.
-
-    Returns
-    -------
-    Path
-        The folder; it may not exist yet.
+    Returns: The folder; it may not exist yet.
 
     Examples
     --------

@@ -25,17 +25,9 @@ def set_kernel_cache(environ: MutableMapping[str, str], *, beside: Path = _BESID
     If another user has taken its name, a new folder is made: a kernel is a program, and a program of another user must
     not be executed.
 
-    Parameters
-    ----------
-    environ
-        Environment variables of the process; a value that is already set is kept. Child processes inherit it.
-    beside
-        Folder with the sources of the kernels.
-
-    Raises
-    ------
-    OSError
-        When no folder can be made.
+    environ: Environment variables of the process; a value that is already set is kept. Child processes
+      inherit it.
+    Raises OSError: When no folder can be made.
     """
     if environ.get(VARIABLE) or _may_write(beside / "__pycache__") or _may_write(_user_cache(environ)):
         return
@@ -53,15 +45,7 @@ def remove_stale_kernels(root: Path = _ROOT) -> int:
     numba compares ages itself, with two gaps. It first unpickles the index of the kernels, which fails where a class
     that the index names was renamed. And it does not see that another compiled function, which a kernel calls, changed.
 
-    Parameters
-    ----------
-    root
-        Folder of the packages.
-
-    Returns
-    -------
-    int
-        Number of kernels removed; files that cannot be removed are left.
+    Returns: Number of kernels removed; files that cannot be removed are left.
     """
     removed = 0
     caches = (

@@ -11,26 +11,15 @@ from bench.base.errors import SimulationError
 
 @dataclass(frozen=True)
 class LensAndMount:
-    """What can be read from the simulated camera's lens and mount.
+    """What can be read from the simulated camera's lens and mount."""
 
-    Attributes
-    ----------
-    focus_distance_m
-        Distance on the scale of the focus ring; infinite for parallel light, negative beyond infinity.
-    ring_deg
-        Angle of the focus ring: 0 at infinity, 180 at the near stop, negative beyond infinity.
-    f_number
-        Aperture.
-    turn_deg
-        How far the camera was turned in its mount: pan, tilt and roll.
-    shift_mm
-        How far the camera was moved across the beam, along the target's X and Y.
-    """
-
+    # Distance on the scale of the focus ring; infinite for parallel light, negative beyond infinity.
     focus_distance_m: float
+    # Angle of the focus ring: 0 at infinity, 180 at the near stop, negative beyond infinity.
     ring_deg: float
     f_number: float
     turn_deg: tuple[float, float, float]
+    # How far the camera was moved across the beam, along the target's X and Y.
     shift_mm: tuple[float, float]
 
 
@@ -41,140 +30,60 @@ class SimulatedHands:
     ended or refuses: for example, the focus ring does not reach that distance. The image changes at once, also during a
     recording.
 
-    Parameters
-    ----------
-    order
-        Sends an order to the simulated bench and returns its answer: `SimulatedBench.order`.
+    order: Sends an order to the simulated bench and returns its answer: `SimulatedBench.order`.
     """
 
     def __init__(self, order: Callable[[str], str]) -> None:
         self._order = order
 
     def look(self) -> LensAndMount:
-        """Read lens and mount without a change.
-
-        Returns
-        -------
-        LensAndMount
-            As they stand.
-        """
+        """Read lens and mount without a change."""
         return self._do("lens", "turn", deg=0.0)
 
     def turn_focus(self, by_deg: float) -> LensAndMount:
         """Turn the focus ring, at most to its stop.
 
-        Parameters
-        ----------
-        by_deg
-            Angle; positive: focus nearer.
-
-        Returns
-        -------
-        LensAndMount
-            Afterwards.
+        by_deg: Angle; positive: focus nearer.
         """
         return self._do("lens", "turn", deg=by_deg)
 
     def set_focus_ring(self, to_deg: float) -> LensAndMount:
-        """Turn the focus ring to an angle, at most to its stop.
-
-        Parameters
-        ----------
-        to_deg
-            Angle from infinity.
-
-        Returns
-        -------
-        LensAndMount
-            Afterwards.
-        """
+        """Turn the focus ring to an angle, at most to its stop."""
         return self._do("lens", "ring", deg=to_deg)
 
     def focus_at(self, distance_m: float) -> LensAndMount:
         """Turn the focus ring until a distance is in focus.
 
-        Parameters
-        ----------
-        distance_m
-            The distance; ``math.inf`` for infinity.
-
-        Returns
-        -------
-        LensAndMount
-            Afterwards.
+        distance_m: The distance; ``math.inf`` for infinity.
         """
         return self._do("lens", "focus", distance_m=distance_m)
 
     def set_aperture(self, f_number: float) -> LensAndMount:
-        """Set the aperture.
-
-        Parameters
-        ----------
-        f_number
-            Focal length divided by the diameter of the aperture.
-
-        Returns
-        -------
-        LensAndMount
-            Afterwards.
-        """
+        """Set the aperture."""
         return self._do("lens", "aperture", f_number=f_number)
 
     def turn_camera(
         self, *, pan_deg: float = 0.0, tilt_deg: float = 0.0, roll_deg: float = 0.0
     ) -> LensAndMount:
-        """Loosen the camera in its mount and turn it, from how it stands.
-
-        Parameters
-        ----------
-        pan_deg, tilt_deg, roll_deg
-            Angles, each in the direction of the axis of that name.
-
-        Returns
-        -------
-        LensAndMount
-            Afterwards.
-        """
+        """Loosen the camera in its mount and turn it, from how it stands."""
         return self._do("mount", "turn", pan_deg=pan_deg, tilt_deg=tilt_deg, roll_deg=roll_deg)
 
     def shift_camera(self, x_mm: float, y_mm: float) -> LensAndMount:
         """Move the camera across the beam, to a distance from where it was aligned.
 
-        Parameters
-        ----------
-        x_mm, y_mm
-            Distance along the target's X and Y.
-
-        Returns
-        -------
-        LensAndMount
-            Afterwards.
+        x_mm, y_mm: Distance along the target's X and Y.
         """
         return self._do("mount", "shift", x_mm=x_mm, y_mm=y_mm)
 
     def place_board(self, number: int) -> LensAndMount:
         """Put the board of the simulated bench at a placement of its script.
 
-        Parameters
-        ----------
-        number
-            Number of the placement, from 1; the same number always gives the same place.
-
-        Returns
-        -------
-        LensAndMount
-            Afterwards.
+        number: Number of the placement, from 1; the same number always gives the same place.
         """
         return self._do("board", "place", number=number)
 
     def put_back(self) -> LensAndMount:
-        """Put lens and mount back to how they stood when the simulated bench started.
-
-        Returns
-        -------
-        LensAndMount
-            Afterwards.
-        """
+        """Put lens and mount back to how they stood when the simulated bench started."""
         self._do("mount", "mend")
         return self._do("lens", "mend")
 

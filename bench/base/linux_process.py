@@ -20,17 +20,8 @@ _RUNS_OR_WAITS = "R"
 def start_ticks(pid: int, proc: Path = PROC) -> int:
     """Return when a process started. With its number this identifies a process: numbers are used again.
 
-    Parameters
-    ----------
-    pid
-        Number of the process.
-    proc
-        Root of the process file system.
-
-    Returns
-    -------
-    int
-        Kernel clock ticks since the system booted, independent of the system time; 0 if there is no such process.
+    Returns: Kernel clock ticks since the system booted, independent of the system time; 0 if there is no such
+      process.
     """
     try:
         return int(_stat(proc / str(pid) / "stat")[_START_TIME])
@@ -41,19 +32,7 @@ def start_ticks(pid: int, proc: Path = PROC) -> int:
 def thread_waits_for_disk(pid: int, thread: int, proc: Path = PROC) -> bool:
     """Return whether a thread is in state D, an uninterruptible wait, which is usually a wait for the disk.
 
-    Parameters
-    ----------
-    pid
-        Number of the process.
-    thread
-        Number of the thread; that of the main thread is the number of the process.
-    proc
-        Root of the process file system.
-
-    Returns
-    -------
-    bool
-        False also if there is no such thread.
+    Returns: False also if there is no such thread.
     """
     return _is_waiting(proc / str(pid) / "task" / str(thread) / "stat")
 
@@ -61,17 +40,7 @@ def thread_waits_for_disk(pid: int, thread: int, proc: Path = PROC) -> bool:
 def waits_for_disk(pid: int, proc: Path = PROC) -> bool:
     """Return whether any thread of a process is in state D, an uninterruptible wait.
 
-    Parameters
-    ----------
-    pid
-        Number of the process.
-    proc
-        Root of the process file system.
-
-    Returns
-    -------
-    bool
-        False also if there is no such process.
+    Returns: False also if there is no such process.
     """
     return any(_is_waiting(path) for path in proc.glob(f"{pid}/task/*/stat"))
 
@@ -79,20 +48,8 @@ def waits_for_disk(pid: int, proc: Path = PROC) -> bool:
 def processor_times_s(pid: int, thread: int, proc: Path = PROC) -> tuple[float, float] | None:
     """Return how long a thread has computed, and how long it was ready to compute while others had the processors.
 
-    Parameters
-    ----------
-    pid
-        Number of the process.
-    thread
-        Number of the thread; that of the main thread is the number of the process.
-    proc
-        Root of the process file system.
-
-    Returns
-    -------
-    tuple of float or None
-        Time computed and time waited since the thread began, s. A wait counts when it has ended. None if there is no
-        such thread, or the kernel does not count (``schedstat``).
+    Returns: Time computed and time waited since the thread began, s. A wait counts when it has ended. None if
+      there is no such thread, or the kernel does not count (``schedstat``).
     """
     try:
         computed_ns, waited_ns = (
@@ -106,19 +63,7 @@ def processor_times_s(pid: int, thread: int, proc: Path = PROC) -> tuple[float, 
 def thread_is_ready(pid: int, thread: int, proc: Path = PROC) -> bool:
     """Return whether a thread computes, or waits for nothing but a processor (kernel state R).
 
-    Parameters
-    ----------
-    pid
-        Number of the process.
-    thread
-        Number of the thread.
-    proc
-        Root of the process file system.
-
-    Returns
-    -------
-    bool
-        False also if there is no such thread.
+    Returns: False also if there is no such thread.
     """
     with suppress(OSError, IndexError):
         return _stat(proc / str(pid) / "task" / str(thread) / "stat")[_STATE] == _RUNS_OR_WAITS
@@ -128,15 +73,7 @@ def thread_is_ready(pid: int, thread: int, proc: Path = PROC) -> bool:
 def out_of_memory_kills(path: Path = PROC / "vmstat") -> int:
     """Return how many processes the kernel has killed for lack of memory since it booted.
 
-    Parameters
-    ----------
-    path
-        Statistics of the virtual memory.
-
-    Returns
-    -------
-    int
-        The count; 0 if the kernel does not report it.
+    Returns: The count; 0 if the kernel does not report it.
     """
     with suppress(OSError):
         for line in path.read_text(encoding="ascii").splitlines():

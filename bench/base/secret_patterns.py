@@ -12,17 +12,7 @@ from typing import NamedTuple
 
 
 class SecretPattern:
-    """One form of a secret.
-
-    Parameters
-    ----------
-    literal
-        Text with which every match begins.
-    regex
-        The form.
-    kind
-        What it is, with its article.
-    """
+    """One form of a secret."""
 
     def __init__(self, literal: bytes, regex: re.Pattern[bytes], kind: str) -> None:
         self.literal = literal
@@ -32,15 +22,7 @@ class SecretPattern:
     def places(self, data: bytes) -> Iterator[int]:
         """Find the form in a text. The search for a literal text is quick; the form is compared only where it stands.
 
-        Parameters
-        ----------
-        data
-            The text.
-
-        Yields
-        ------
-        int
-            Where a match begins.
+        Yields: Where a match begins.
         """
         begin = data.find(self.literal)
         while begin >= 0:
@@ -112,16 +94,9 @@ PATTERNS = (
 
 
 class Secret(NamedTuple):
-    """A place in a text that has the form of a secret.
+    """A place in a text that has the form of a secret."""
 
-    Attributes
-    ----------
-    line, column
-        Where it begins; both count from 1, columns in bytes.
-    kind
-        What it is, with its article.
-    """
-
+    # line, column: Where it begins; both count from 1, columns in bytes.
     line: int
     column: int
     kind: str
@@ -130,17 +105,7 @@ class Secret(NamedTuple):
 def find_secrets(data: bytes, patterns: Iterable[SecretPattern] = PATTERNS) -> Iterator[Secret]:
     """Find the secrets in a text.
 
-    Parameters
-    ----------
-    data
-        The text.
-    patterns
-        The forms to look for.
-
-    Yields
-    ------
-    Secret
-        One for each place, in the order of the patterns.
+    Yields: One for each place, in the order of the patterns.
     """
     for pattern in patterns:
         for begin in pattern.places(data):

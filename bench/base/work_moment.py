@@ -27,10 +27,7 @@ _SIZE = struct.calcsize(_FORM)
 class WorkMoment:
     """The moment at which the work last used its clock, for other processes.
 
-    Attributes
-    ----------
-    number
-        Number of the file, by which another process finds it; ``NOT_SHARED`` if there is none.
+    number: Number of the file, by which another process finds it; ``NOT_SHARED`` if there is none.
     """
 
     def __init__(self) -> None:
@@ -44,20 +41,14 @@ class WorkMoment:
     def used(self, moment_s: float) -> None:
         """Note that the work uses its clock.
 
-        Parameters
-        ----------
-        moment_s
-            The present time by the monotonic clock, s.
+        moment_s: The present time by the monotonic clock, s.
         """
         self._values[0] = moment_s
 
     def entering(self, *, with_devices: bool) -> None:
         """Note the kind of the work that begins.
 
-        Parameters
-        ----------
-        with_devices
-            Whether devices may move, shine or record. Such work uses its clock many times a second.
+        with_devices: Whether devices may move, shine or record. Such work uses its clock many times a second.
         """
         self._values[1] = float(with_devices)
 
@@ -65,19 +56,9 @@ class WorkMoment:
 def read_work_moment(pid: int, number: int, proc: Path = PROC) -> float | None:
     """Read when the work of another process last used its clock.
 
-    Parameters
-    ----------
-    pid
-        Number of the process.
-    number
-        `WorkMoment.number` of that process.
-    proc
-        Root of the process file system.
-
-    Returns
-    -------
-    float or None
-        Moment by the monotonic clock, s. None while no device may move, shine or record, and where nothing can be read.
+    number: `WorkMoment.number` of that process.
+    Returns: Moment by the monotonic clock, s. None while no device may move, shine or record, and where
+      nothing can be read.
     """
     path = proc / str(pid) / "fd" / str(number)
     try:

@@ -44,21 +44,11 @@ RunWork = Callable[[Item, Path, Path], WorkerEnd]
 class Batch:
     """A batch in its folder, which this process locks.
 
-    Parameters
-    ----------
-    folder
-        A new or empty folder, or that of an interrupted batch.
-    queue
-        The runs to do. The folder keeps a copy and continues with no other queue.
-    clock
-        Clock of the batch. A stop requested from it ends the current run safely, and then the batch.
-    say
-        Receives the messages for the operator.
-    work
-        Does a run to its end; by default in its own process, under supervision.
-    rehearsal
-        Whether the batch is a rehearsal. A rehearsed batch never continues as a real one, and a real one never as a
-        rehearsed one.
+    folder: A new or empty folder, or that of an interrupted batch.
+    queue: The runs to do. The folder keeps a copy and continues with no other queue.
+    work: Does a run to its end; by default in its own process, under supervision.
+    rehearsal: Whether the batch is a rehearsal. A rehearsed batch never continues as a real one, and a real
+      one never as a rehearsed one.
     """
 
     def __init__(
@@ -83,17 +73,9 @@ class Batch:
     def run(self) -> dict[str, Any]:
         """Do every run that is not done yet.
 
-        Returns
-        -------
-        dict
-            The summary, as in ``summary.json``.
-
-        Raises
-        ------
-        RunFolderError
-            When the folder belongs to something else, or another process works on it.
-        StorageError
-            When a file cannot be written.
+        Returns: The summary, as in ``summary.json``.
+        Raises RunFolderError: When the folder belongs to something else, or another process works on it.
+        Raises StorageError: When a file cannot be written.
         """
         make_folder(self.folder / RUNS)
         lock = lock_folder(self.folder)
@@ -308,17 +290,7 @@ class Batch:
 def worker_command(item: Item, run: Path) -> list[str]:
     """Return the arguments of the command that begins a run, or resumes it if its folder has a journal.
 
-    Parameters
-    ----------
-    item
-        The run.
-    run
-        Its run folder.
-
-    Returns
-    -------
-    list of str
-        Arguments of ``starbench``.
+    Returns: Arguments of ``starbench``.
     """
     if (run / JOURNAL).exists():
         return ["resume", str(run)]

@@ -31,12 +31,7 @@ REPORTED_BY_BATCH = frozenset({"died", "hung", "failed"})
 class BatchMessages:
     """Messages of one batch.
 
-    Parameters
-    ----------
-    clock
-        Clock of the batch.
-    say
-        Receives reports about messages that could not be stored or sent; these do not end the batch.
+    say: Receives reports about messages that could not be stored or sent; these do not end the batch.
     """
 
     def __init__(self, clock: BenchClock, say: Callable[[str], None]) -> None:
@@ -47,18 +42,8 @@ class BatchMessages:
     def run_ended(self, key: str, station: str, run: Path, end: WorkerEnd, line: str) -> None:
         """Send a message about a run that failed, died or hung.
 
-        Parameters
-        ----------
-        key
-            Name of the run in the batch.
-        station
-            Station file of the run.
-        run
-            Run folder.
-        end
-            How the run's process ended.
-        line
-            Hash of the line in the batch's journal that records this end.
+        end: How the run's process ended.
+        line: Hash of the line in the batch's journal that records this end.
         """
         courier = self._courier(station)
         if courier is None or end.how not in REPORTED_BY_BATCH:
@@ -85,20 +70,8 @@ class BatchMessages:
     ) -> None:
         """Send a message about the end of the batch to all recipients of its runs.
 
-        Parameters
-        ----------
-        name
-            Name of the queue.
-        how, why
-            How the batch ended, and why.
-        runs
-            One line of text for each run.
-        folder
-            Folder of the batch.
-        line
-            Hash of the line in the batch's journal that records the end.
-        place
-            Number and line in the bench's ledger of the newest run of the batch; None if there is none.
+        line: Hash of the line in the batch's journal that records the end.
+        place: Number and line in the bench's ledger of the newest run of the batch; None if there is none.
         """
         what = f"{how}{': ' if why else ''}{why}"
         text = "\n".join([f"Batch {name}: {what}", "", *runs])
@@ -114,13 +87,7 @@ class BatchMessages:
             )
 
     def add_recipients(self, stations: Iterable[str]) -> None:
-        """Add the recipients that these stations name.
-
-        Parameters
-        ----------
-        stations
-            Station files of the runs.
-        """
+        """Add the recipients that these stations name."""
         for station in stations:
             self._courier(station)
 

@@ -29,15 +29,7 @@ WORKER_S = 2.5
 def is_queue(name: str) -> bool:
     """Whether a file says that it is a queue; `read_queue` checks whether it is a valid one.
 
-    Parameters
-    ----------
-    name
-        Path of the file.
-
-    Returns
-    -------
-    bool
-        False also if the file cannot be read.
+    Returns: False also if the file cannot be read.
     """
     try:
         if not Path(name).is_file():  # a pipe would never answer
@@ -52,20 +44,7 @@ def is_queue(name: str) -> bool:
 def read_queue(path: Path) -> Located[Queue]:
     """Read and check a queue file and all files that it names.
 
-    Parameters
-    ----------
-    path
-        The queue file.
-
-    Returns
-    -------
-    Located[Queue]
-        The queue. Its jobs have the full paths of their files, except for shipped ones.
-
-    Raises
-    ------
-    ScriptError
-        With every fault of the queue, and of the sequences and stations that it names.
+    Returns: The queue. Its jobs have the full paths of their files, except for shipped ones.
     """
     try:
         read = read_document(path, Queue)
@@ -84,20 +63,7 @@ def read_queue(path: Path) -> Located[Queue]:
 def read_job(path: Path) -> JobConfig:
     """Read and check a file with one job, and all files that it names.
 
-    Parameters
-    ----------
-    path
-        The job file.
-
-    Returns
-    -------
-    JobConfig
-        The job, with the full paths of its files, except for shipped ones.
-
-    Raises
-    ------
-    ScriptError
-        With every fault.
+    Returns: The job, with the full paths of its files, except for shipped ones.
     """
     try:
         read = read_document(path, JobFile)
@@ -141,15 +107,7 @@ def _beside(base: Path, name: str) -> str | None:
 def job_faults(job: JobConfig) -> list[str]:
     """Check the files that a job names.
 
-    Parameters
-    ----------
-    job
-        The job.
-
-    Returns
-    -------
-    list of str
-        Every fault; empty if there is none.
+    Returns: Every fault; empty if there is none.
     """
     try:
         return [
@@ -162,20 +120,7 @@ def job_faults(job: JobConfig) -> list[str]:
 def plan_of(job: JobConfig) -> Plan:
     """Plan one run of a job; the result is cached.
 
-    Parameters
-    ----------
-    job
-        The job.
-
-    Returns
-    -------
-    Plan
-        Plan of one run.
-
-    Raises
-    ------
-    ScriptError
-        When a file cannot be read.
+    Raises ScriptError: When a file cannot be read.
     """
     return _plan_of(*_key(job))
 
@@ -193,15 +138,7 @@ def _plan_of(sequence: str, station: str, settings: tuple[tuple[str, str], ...])
 def planned_duration_s(job: JobConfig) -> float:
     """Return the planned duration of one run of a job, with the start of its process, s.
 
-    Parameters
-    ----------
-    job
-        The job.
-
-    Returns
-    -------
-    float
-        Duration, s; 0 if its files cannot be read, because the run itself will report that.
+    Returns: Duration, s; 0 if its files cannot be read, because the run itself will report that.
     """
     try:
         return plan_of(job).duration_s + WORKER_S
@@ -211,26 +148,12 @@ def planned_duration_s(job: JobConfig) -> float:
 
 @dataclass(frozen=True)
 class BatchPlan:
-    """A batch before it is run.
-
-    Attributes
-    ----------
-    queue
-        The queue.
-    begun
-        Time at which the batch would begin.
-    bounds
-        Times between which it works.
-    slots
-        Expected times of each run; runs without time are last.
-    plans
-        Plan of one run of each job, by name of the job.
-    """
+    """A batch before it is run."""
 
     queue: Queue
     begun: datetime
     bounds: Bounds
-    slots: tuple[Slot, ...]
+    slots: tuple[Slot, ...]  # Expected times of each run; runs without time are last
     plans: dict[str, Plan]
 
     @property
@@ -251,25 +174,15 @@ class BatchPlan:
     def moment(self, at_s: float) -> datetime:
         """Convert seconds after the begin to a time.
 
-        Parameters
-        ----------
-        at_s
-            Seconds after the begin of the batch.
-
-        Returns
-        -------
-        datetime
-            The time, in the zone of `begun`.
+        at_s: Seconds after the begin of the batch.
+        Returns: The time, in the zone of `begun`.
         """
         return self.begun + timedelta(seconds=at_s)
 
     def to_dict(self) -> dict[str, Any]:
         """Return the plan as JSON holds it.
 
-        Returns
-        -------
-        dict
-            Object of schema ``starbench/night/1``; times in UTC.
+        Returns: Object of schema ``starbench/night/1``; times in UTC.
         """
         without_time = {item.key for item in self.without_time}
         return {
@@ -295,22 +208,7 @@ class BatchPlan:
 def plan_batch(queue: Queue, begun: datetime) -> BatchPlan:
     """Predict when each run of a queue begins and ends, if the batch begins at a given time.
 
-    Parameters
-    ----------
-    queue
-        The queue.
-    begun
-        Begin of the batch, with its time zone.
-
-    Returns
-    -------
-    BatchPlan
-        The expected times.
-
-    Raises
-    ------
-    ScriptError
-        When a file that the queue names cannot be read.
+    Raises ScriptError: When a file that the queue names cannot be read.
     """
     bounds = bounds_of(queue, begun)
     items = items_of(queue.jobs, begun, bounds.opens_s, queue.zone)

@@ -25,19 +25,11 @@ MOST_CUTS = 10
 
 @dataclass(frozen=True)
 class RunAttempt:
-    """One attempt at a run.
-
-    Attributes
-    ----------
-    begun, ended
-        Times at which its process began and ended.
-    how
-        How it ended, as in ``WorkerEnd``.
-    """
+    """One attempt at a run."""
 
     begun: datetime
     ended: datetime
-    how: str
+    how: str  # How it ended, as in ``WorkerEnd``
 
     @property
     def duration_s(self) -> float:
@@ -47,22 +39,12 @@ class RunAttempt:
 
 @dataclass(frozen=True)
 class ItemEnd:
-    """The last end of a run of a batch.
-
-    Attributes
-    ----------
-    how, why
-        How it ended, and why.
-    begun
-        Begin of its first attempt.
-    ended
-        End of its last attempt.
-    """
+    """The last end of a run of a batch."""
 
     how: str
     why: str
-    begun: datetime
-    ended: datetime
+    begun: datetime  # Begin of its first attempt
+    ended: datetime  # End of its last attempt
 
 
 @dataclass
@@ -98,13 +80,7 @@ class BatchRecord:
     why: str = ""
 
     def jobs(self) -> dict[str, list[Item]]:
-        """Group the runs by job, including withdrawn ones.
-
-        Returns
-        -------
-        dict
-            Runs by name of the job.
-        """
+        """Group the runs by job, including withdrawn ones."""
         found: dict[str, list[Item]] = {}
         for item in self.items.values():
             found.setdefault(item.job.name, []).append(item)
@@ -113,26 +89,16 @@ class BatchRecord:
     def pending(self) -> list[Item]:
         """List the runs that are still to begin or to resume.
 
-        Returns
-        -------
-        list of Item
-            In the order of the queue.
+        Returns: In the order of the queue.
         """
         return [item for item in self.items.values() if not self.is_done(item)]
 
     def is_done(self, item: Item) -> bool:
         """Whether a run needs no further attempt.
 
-        Parameters
-        ----------
-        item
-            The run.
-
-        Returns
-        -------
-        bool
-            True if it finished, was aborted or withdrawn, or its processes failed ``attempts`` times without a further
-            recorded pose. A power cut or a kill is no failure; after ``MOST_CUTS`` of them the run is given up, too.
+        Returns: True if it finished, was aborted or withdrawn, or its processes failed ``attempts`` times
+          without a further recorded pose. A power cut or a kill is no failure; after ``MOST_CUTS`` of them
+          the run is given up, too.
         """
         if item.key in self.withdrawn:
             return True
@@ -147,17 +113,8 @@ class BatchRecord:
     def expected_duration_s(self, item: Item, planned_duration_s: float) -> float:
         """Return the expected duration of a run: the mean of its job's finished runs, otherwise the planned duration.
 
-        Parameters
-        ----------
-        item
-            The run.
-        planned_duration_s
-            Planned duration, s.
-
-        Returns
-        -------
-        float
-            Expected duration, s. Only runs that finished in their first attempt enter the mean.
+        planned_duration_s: Planned duration, s.
+        Returns: Expected duration, s. Only runs that finished in their first attempt enter the mean.
         """
         took = [
             self.ended_attempts[key][0].duration_s
@@ -169,18 +126,7 @@ class BatchRecord:
         return fmean(took) if took else planned_duration_s
 
     def withdrawable(self, job: str) -> list[Item]:
-        """List the runs of a job that have not begun.
-
-        Parameters
-        ----------
-        job
-            Name of the job.
-
-        Returns
-        -------
-        list of Item
-            Runs that a request can still withdraw.
-        """
+        """List the runs of a job that have not begun."""
         return [
             item
             for item in self.jobs().get(job, [])
@@ -190,15 +136,7 @@ class BatchRecord:
     def seconds(self, moment: datetime) -> float:
         """Convert a time to seconds after the begin of the batch.
 
-        Parameters
-        ----------
-        moment
-            A time with its time zone.
-
-        Returns
-        -------
-        float
-            Seconds after the begin.
+        Returns: Seconds after the begin.
         """
         assert self.begun is not None
         return (moment - self.begun).total_seconds()
@@ -206,15 +144,7 @@ class BatchRecord:
     def apply(self, entry: Entry) -> None:
         """Update the state with one line of the journal.
 
-        Parameters
-        ----------
-        entry
-            The line.
-
-        Raises
-        ------
-        JournalBroken
-            When the line lacks a field.
+        Raises JournalBroken: When the line lacks a field.
         """
         try:
             self._apply(entry, datetime.fromisoformat(entry.utc))
@@ -285,15 +215,7 @@ class BatchRecord:
     def moment(self, at_s: float) -> datetime:
         """Convert seconds after the begin of the batch to a time.
 
-        Parameters
-        ----------
-        at_s
-            Seconds after the begin.
-
-        Returns
-        -------
-        datetime
-            The time.
+        at_s: Seconds after the begin.
         """
         assert self.begun is not None
         return self.begun + timedelta(seconds=at_s)
@@ -306,18 +228,7 @@ def _with_files(job: JobConfig, files: Mapping[str, str]) -> JobConfig:
 
 
 def resume_text(record: BatchRecord) -> str:
-    """Describe what an interrupted or ended batch does when it is called again.
-
-    Parameters
-    ----------
-    record
-        State of the batch.
-
-    Returns
-    -------
-    str
-        One line.
-    """
+    """Describe what an interrupted or ended batch does when it is called again."""
     pending = record.pending()
     again = [item.key for item in pending if item.key in record.attempts]
     fresh = [item.key for item in pending if item.key not in record.attempts]
@@ -335,22 +246,7 @@ def _shortened(keys: list[str], most: int = 8) -> str:
 def replay_batch(queue: Queue, entries: Iterable[Entry]) -> BatchRecord:
     """Compute the state of a batch from its journal.
 
-    Parameters
-    ----------
-    queue
-        The queue of the batch.
-    entries
-        Lines of the journal.
-
-    Returns
-    -------
-    BatchRecord
-        The state.
-
-    Raises
-    ------
-    JournalBroken
-        When a line lacks a field.
+    Raises JournalBroken: When a line lacks a field.
     """
     record = BatchRecord(queue)
     for entry in entries:

@@ -37,23 +37,12 @@ Word = Literal["add", "withdraw"]
 
 
 class Request(BaseModel):
-    """An operator's request to a batch.
-
-    Attributes
-    ----------
-    id
-        Unique id; the answer in the journal has the same id.
-    word, by
-        What is requested, and by whom.
-    job
-        The job to add.
-    name
-        Name of the job to withdraw.
-    """
+    """An operator's request to a batch."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
     format: Literal["starbench/request/1"] = "starbench/request/1"
+    # Unique id; the answer in the journal has the same id.
     id: str = Field(default_factory=lambda: uuid.uuid4().hex, min_length=1, max_length=64)
     word: Word
     by: str = Field(min_length=1, max_length=200)
@@ -70,17 +59,7 @@ class Request(BaseModel):
 def refusal(request: Request, record: BatchRecord) -> str:
     """Return why a request is refused.
 
-    Parameters
-    ----------
-    request
-        The request.
-    record
-        State of the batch.
-
-    Returns
-    -------
-    str
-        The reason; empty if the request is accepted.
+    Returns: The reason; empty if the request is accepted.
     """
     if request.word == "withdraw":
         assert request.name is not None
@@ -100,15 +79,9 @@ def refusal(request: Request, record: BatchRecord) -> str:
 class RequestInbox:
     """Answers the requests to a batch.
 
-    Parameters
-    ----------
-    folder
-        Folder of the batch, locked by this process.
-    answer
-        Decides on a request and writes the decision to the journal. It is called with None for a file that is not a
-        request, and with the name of the file.
-    clock
-        Is asked to stop when answers cannot be written to the journal any more.
+    answer: Decides on a request and writes the decision to the journal. It is called with None for a file
+      that is not a request, and with the name of the file.
+    clock: Is asked to stop when answers cannot be written to the journal any more.
     """
 
     def __init__(
@@ -122,10 +95,7 @@ class RequestInbox:
     def drain(self) -> None:
         """Answer all requests in the folder, oldest first.
 
-        Raises
-        ------
-        StorageError
-            When a request cannot be read or removed, or its answer cannot be written.
+        Raises StorageError: When a request cannot be read or removed, or its answer cannot be written.
         """
         self._inbox.drain(self._answer)
 
@@ -150,27 +120,11 @@ def _inbox_of(folder: Path) -> Inbox[Request]:
 def send_request(folder: Path, request: Request, *, patience_s: float = _PATIENCE_S) -> Requested | None:
     """Send a request to a batch, and wait for the answer if a process works on it.
 
-    Parameters
-    ----------
-    folder
-        Folder of the batch.
-    request
-        The request.
-    patience_s
-        Longest time to wait for the answer, s.
-
-    Returns
-    -------
-    dict or None
-        The answer in the journal: ``word by taken why`` and ``job`` or ``name``. None if there is no answer yet; the
-        request then stays until the batch continues.
-
-    Raises
-    ------
-    RunFolderError
-        When there is no batch in the folder, or it is a rehearsal that has ended.
-    StorageError
-        When the request cannot be written.
+    patience_s: Longest time to wait for the answer, s.
+    Returns: The answer in the journal: ``word by taken why`` and ``job`` or ``name``. None if there is no
+      answer yet; the request then stays until the batch continues.
+    Raises RunFolderError: When there is no batch in the folder, or it is a rehearsal that has ended.
+    Raises StorageError: When the request cannot be written.
     """
     if not (folder / JOURNAL).is_file() or not (folder / QUEUE_COPY).is_file():
         raise RunFolderError(
@@ -205,15 +159,7 @@ def _answer_in(folder: Path, request_id: str) -> Requested | None:
 def answer_text(answer: Requested | None) -> str:
     """Describe the answer to a request.
 
-    Parameters
-    ----------
-    answer
-        Answer from `send_request`.
-
-    Returns
-    -------
-    str
-        One line.
+    answer: Answer from `send_request`.
 
     Examples
     --------

@@ -31,52 +31,30 @@ _MOST_UPCOMING = 12
 
 @dataclass(frozen=True)
 class UpcomingRun:
-    """A run in progress or to come.
-
-    Attributes
-    ----------
-    item
-        Name of the run.
-    begin, end
-        Expected times; None if no time is left for it.
-    """
+    """A run in progress or to come."""
 
     item: str
+    # begin, end: Expected times; None if no time is left for it.
     begin: datetime | None
     end: datetime | None
 
 
 @dataclass(frozen=True)
 class BatchStatus:
-    """Status of a batch.
-
-    Attributes
-    ----------
-    folder, queue, zone
-        Folder of the batch, name of its queue, and time zone of the printed times.
-    running, rehearsal
-        Whether a process works on it; whether it is a rehearsal.
-    ended, why
-        How it ended, and why; empty if it has not ended.
-    done
-        Name, outcome and reason of each run that is done.
-    current_run
-        The run in progress, in words; empty between runs.
-    upcoming
-        Runs in progress and to come, in their order; runs without time are last.
-    withdrawn
-        Runs that were withdrawn.
-    """
+    """Status of a batch."""
 
     folder: str
     queue: str
     zone: tzinfo | None
+    # running, rehearsal: Whether a process works on it; whether it is a rehearsal.
     running: bool
     rehearsal: bool
+    # ended, why: How it ended, and why; empty if it has not ended.
     ended: str
     why: str
     done: tuple[tuple[str, str, str], ...]
-    current_run: str
+    current_run: str  # The run in progress, in words; empty between runs
+    # Runs in progress and to come, in their order; runs without time are last.
     upcoming: tuple[UpcomingRun, ...]
     withdrawn: tuple[str, ...]
 
@@ -88,10 +66,7 @@ class BatchStatus:
     def to_dict(self) -> dict[str, Any]:
         """Return the status as JSON holds it.
 
-        Returns
-        -------
-        dict
-            Object of schema ``starbench/batch-status/1``; times in UTC.
+        Returns: Object of schema ``starbench/batch-status/1``; times in UTC.
         """
         return {
             "schema": "starbench/batch-status/1",
@@ -117,22 +92,8 @@ def read_batch_status(
 ) -> BatchStatus:
     """Read the status of a batch; changes nothing and disturbs no process.
 
-    Parameters
-    ----------
-    folder
-        Folder of the batch.
-    utc_now
-        Returns the current time.
-
-    Returns
-    -------
-    BatchStatus
-        The status.
-
-    Raises
-    ------
-    RunFolderError, JournalBroken, StorageError
-        When there is no batch in the folder, or it cannot be read.
+    Raises RunFolderError, JournalBroken, StorageError: When there is no batch in the folder, or it cannot be
+      read.
     """
     running = is_locked(folder)  # before the journal: a batch that ends meanwhile does not appear as killed
     record = read_batch(folder)
@@ -161,19 +122,8 @@ def follow_batch(
 ) -> Iterator[BatchStatus]:
     """Read the status whenever a run begins or ends, until no process works on the batch.
 
-    Parameters
-    ----------
-    folder
-        Folder of the batch.
-    sleep
-        Waits for a number of seconds.
-    ticks
-        Whether to read it also when no run has begun or ended, for the course of the run in progress.
-
-    Yields
-    ------
-    BatchStatus
-        The status at each change, and at the end.
+    sleep: Waits for a number of seconds.
+    ticks: Whether to read it also when no run has begun or ended, for the course of the run in progress.
     """
     seen, waits = -1, 0
     while True:
@@ -230,18 +180,7 @@ def _current_run_text(folder: Path, record: BatchRecord) -> str:
 
 
 def batch_status_text(status: BatchStatus) -> str:
-    """Describe the status of a batch for the operator.
-
-    Parameters
-    ----------
-    status
-        The status.
-
-    Returns
-    -------
-    str
-        Several lines.
-    """
+    """Describe the status of a batch for the operator."""
     state = "running" if status.running else status.ended or "interrupted (killed or power lost)"
     state += f": {status.why}" if status.why else ""
     lines = [f"Batch {status.queue}{'  REHEARSAL' if status.rehearsal else ''}: {state}"]

@@ -39,22 +39,8 @@ _NO_PLACE = {"ledger_number": None, "ledger_head": None}
 def read_batch(folder: Path) -> BatchRecord:
     """Read the state of a batch from its folder; changes nothing and disturbs no process.
 
-    Parameters
-    ----------
-    folder
-        Folder of the batch.
-
-    Returns
-    -------
-    BatchRecord
-        State of the batch.
-
-    Raises
-    ------
-    RunFolderError
-        When there is no batch in the folder.
-    JournalBroken
-        When its journal is not intact.
+    Raises RunFolderError: When there is no batch in the folder.
+    Raises JournalBroken: When its journal is not intact.
     """
     if not is_batch(folder):
         raise RunFolderError(
@@ -76,22 +62,8 @@ def read_batch(folder: Path) -> BatchRecord:
 def write_summary(folder: Path, record: BatchRecord) -> dict[str, Any]:
     """Write ``summary.json`` and ``summary.html``.
 
-    Parameters
-    ----------
-    folder
-        Folder of the batch.
-    record
-        State of the batch.
-
-    Returns
-    -------
-    dict
-        Content of ``summary.json``.
-
-    Raises
-    ------
-    StorageError
-        When a file cannot be written.
+    Returns: Content of ``summary.json``.
+    Raises StorageError: When a file cannot be written.
     """
     summary = summarise(folder, record)
     write_atomic(folder / SUMMARY, (json.dumps(summary, indent=1, allow_nan=False) + "\n").encode())
@@ -102,17 +74,7 @@ def write_summary(folder: Path, record: BatchRecord) -> dict[str, Any]:
 def summarise(folder: Path, record: BatchRecord) -> dict[str, Any]:
     """Summarise a batch, finished or not.
 
-    Parameters
-    ----------
-    folder
-        Folder of the batch.
-    record
-        State of the batch.
-
-    Returns
-    -------
-    dict
-        Content of ``summary.json``.
+    Returns: Content of ``summary.json``.
     """
     runs: dict[str, IndexedRun] = {}
     details: dict[str, dict[str, Any]] = {}
@@ -156,15 +118,8 @@ def summarise(folder: Path, record: BatchRecord) -> dict[str, Any]:
 def newest_place(summary: Mapping[str, Any]) -> tuple[int, str] | None:
     """Return the place of the newest run of a batch in the bench's ledger.
 
-    Parameters
-    ----------
-    summary
-        From `summarise`.
-
-    Returns
-    -------
-    tuple of int and str
-        Number of the run, and hash of its line; None if no run is in a ledger.
+    summary: From `summarise`.
+    Returns: Number of the run, and hash of its line; None if no run is in a ledger.
     """
     places = [
         (item["ledger_number"], item["ledger_head"]) for item in summary["items"] if item["ledger_head"]

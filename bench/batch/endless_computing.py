@@ -26,39 +26,22 @@ _MOST_BETWEEN_LOOKS_S = 0.5
 class EndlessComputing:
     """Adds up processor time and elapsed time since the work was last seen to use its clock.
 
-    Parameters
-    ----------
-    times_s
-        Returns the times computed and waited of a thread, s (`processor_times_s`).
-    moment_s
-        Returns when the work of a process last used its clock (`read_work_moment`).
-
-    Attributes
-    ----------
-    computed_s
-        Processor time of the work's thread, s.
-    passed_s
-        Elapsed time, s.
+    times_s: Returns the times computed and waited of a thread, s (`processor_times_s`).
+    moment_s: Returns when the work of a process last used its clock (`read_work_moment`).
     """
 
     times_s: Callable[[int, int], tuple[float, float] | None] = processor_times_s
     moment_s: Callable[[int, int], float | None] = read_work_moment
-    computed_s: float = field(default=0.0, init=False)
-    passed_s: float = field(default=0.0, init=False)
+    computed_s: float = field(default=0.0, init=False)  # Processor time of the work's thread, s
+    passed_s: float = field(default=0.0, init=False)  # Elapsed time, s
     _seen: tuple[float, float, float] | None = field(default=None, init=False)
     """Moment of the last use, processor time, and time of the last look, s."""
 
     def look(self, pid: int, number: int, now_s: float) -> None:
         """Look at a process.
 
-        Parameters
-        ----------
-        pid
-            Number of the process; its main thread does the work.
-        number
-            Where it writes the moment (`bench.base.work_moment.WorkMoment.number`).
-        now_s
-            Time of this look, s.
+        number: Where it writes the moment (`bench.base.work_moment.WorkMoment.number`).
+        now_s: Time of this look, s.
         """
         moment_s, times = self.moment_s(pid, number), self.times_s(pid, pid)
         if moment_s is None or times is None:
@@ -79,14 +62,7 @@ class EndlessComputing:
     def is_endless(self, limit_s: float) -> bool:
         """Return whether the work does not come back.
 
-        Parameters
-        ----------
-        limit_s
-            Elapsed time that is given in any case, s.
-
-        Returns
-        -------
-        bool
-            False where it cannot be known.
+        limit_s: Elapsed time that is given in any case, s.
+        Returns: False where it cannot be known.
         """
         return self.computed_s >= COMPUTED_S and self.passed_s > limit_s

@@ -34,31 +34,12 @@ def rehearse_batch(
 ) -> dict[str, Any]:
     """Rehearse a batch from begin to end.
 
-    Parameters
-    ----------
-    queue
-        The runs to rehearse.
-    folder
-        A new or empty folder.
-    begin
-        Virtual time at which the batch begins, with its time zone.
-    seed
-        Random seed of the runs to which the queue gives none. The same seed and begin give the same journals, byte for
-        byte.
-    say
-        Receives the messages for the operator.
-
-    Returns
-    -------
-    dict
-        The summary, as in ``summary.json``.
-
-    Raises
-    ------
-    RunFolderError
-        When the folder is not empty, because a rehearsal cannot be continued.
-    StorageError
-        When a file cannot be written.
+    folder: A new or empty folder.
+    seed: Random seed of the runs to which the queue gives none. The same seed and begin give the same
+      journals, byte for byte.
+    Returns: The summary, as in ``summary.json``.
+    Raises RunFolderError: When the folder is not empty, because a rehearsal cannot be continued.
+    Raises StorageError: When a file cannot be written.
     """
     make_folder(folder)
     with storage_errors(folder):

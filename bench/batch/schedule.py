@@ -19,23 +19,12 @@ NEVER_S = math.inf
 
 @dataclass(frozen=True)
 class Item:
-    """One run of a batch.
-
-    Attributes
-    ----------
-    key
-        Its name in the batch: the name of the job and the number of the repetition.
-    job
-        The job, as in the queue.
-    number
-        Number of the repetition, from 0.
-    first_begin_s
-        Earliest begin of the job's first repetition, s after the begin of the batch.
-    """
+    """One run of a batch."""
 
     key: str
     job: JobConfig
-    number: int
+    number: int  # Number of the repetition, from 0
+    # Earliest begin of the job's first repetition, s after the begin of the batch.
     first_begin_s: float = 0.0
 
     @property
@@ -46,36 +35,18 @@ class Item:
 
 @dataclass(frozen=True)
 class Bounds:
-    """Times between which a batch works, s after its begin.
+    """Times between which a batch works, s after its begin."""
 
-    Attributes
-    ----------
-    opens_s
-        No run begins before this time.
-    last_begin_s
-        No run begins after this time.
-    done_by_s
-        No run begins that is expected to end after this time.
-    """
-
-    opens_s: float = 0.0
-    last_begin_s: float = NEVER_S
-    done_by_s: float = NEVER_S
+    opens_s: float = 0.0  # No run begins before this time
+    last_begin_s: float = NEVER_S  # No run begins after this time
+    done_by_s: float = NEVER_S  # No run begins that is expected to end after this time
 
     def fits(self, begin_s: float, expected_duration_s: float) -> bool:
         """Whether a run may begin at a time.
 
-        Parameters
-        ----------
-        begin_s
-            Begin, s after the begin of the batch.
-        expected_duration_s
-            Expected duration of the run, s.
-
-        Returns
-        -------
-        bool
-            False if it would begin or end too late.
+        begin_s: Begin, s after the begin of the batch.
+        expected_duration_s: Expected duration of the run, s.
+        Returns: False if it would begin or end too late.
         """
         return begin_s <= self.last_begin_s and begin_s + expected_duration_s <= self.done_by_s
 
@@ -96,19 +67,9 @@ DurationOf = Callable[[Item], float]
 def next_time(at: str, after: datetime, zone: str | None) -> datetime:
     """Find the next moment, strictly after another, at which clocks show a time of day.
 
-    Parameters
-    ----------
-    at
-        Hours and minutes, as ``22:30``.
-    after
-        Aware of its zone.
-    zone
-        Whose clocks; None for those of this machine.
-
-    Returns
-    -------
-    datetime
-        UTC. Where clocks are put forward over it, as much later as they are put forward.
+    at: Hours and minutes, as ``22:30``.
+    zone: Whose clocks; None for those of this machine.
+    Returns: UTC. Where clocks are put forward over it, as much later as they are put forward.
 
     Examples
     --------
@@ -132,17 +93,8 @@ def next_time(at: str, after: datetime, zone: str | None) -> datetime:
 def bounds_of(queue: Queue, begun: datetime) -> Bounds:
     """Return the times between which a batch works.
 
-    Parameters
-    ----------
-    queue
-        The queue of the batch.
-    begun
-        Begin of the batch, UTC.
-
-    Returns
-    -------
-    Bounds
-        The times, s after the begin.
+    begun: Begin of the batch, UTC.
+    Returns: The times, s after the begin.
     """
     opens = next_time(queue.start_at, begun, queue.zone) if queue.start_at else begun
     opens_s = (opens - begun).total_seconds()
@@ -159,22 +111,11 @@ def items_of(
 ) -> list[Item]:
     """List every run of some jobs.
 
-    Parameters
-    ----------
-    jobs
-        Jobs of the queue, or a job that was added to it.
-    begun
-        Begin of the batch, UTC.
-    now_s
-        Time from which these jobs may begin, s after the begin of the batch: the opening of the batch, or the time at
-        which they were added.
-    zone
-        Time zone of times of day; None for this computer's.
-
-    Returns
-    -------
-    list of Item
-        The repetitions of each job, in the order of the jobs.
+    begun: Begin of the batch, UTC.
+    now_s: Time from which these jobs may begin, s after the begin of the batch: the opening of the batch, or
+      the time at which they were added.
+    zone: Time zone of times of day; None for this computer's.
+    Returns: The repetitions of each job, in the order of the jobs.
     """
     items = []
     for job in jobs:
@@ -189,15 +130,7 @@ def items_of(
 def by_priority(items: Sequence[Item]) -> list[Item]:
     """Sort runs: higher priorities first, otherwise in the given order.
 
-    Parameters
-    ----------
-    items
-        Runs in the order of the queue.
-
-    Returns
-    -------
-    list of Item
-        The same runs.
+    items: Runs in the order of the queue.
     """
     return sorted(items, key=lambda item: -item.job.priority)
 
@@ -207,21 +140,11 @@ def choose_next(
 ) -> Item | float | None:
     """Decide what to do at a time.
 
-    Parameters
-    ----------
-    pending
-        Runs that are not done.
-    at_s
-        The time, s after the begin of the batch.
-    bounds
-        Times between which the batch works.
-    duration_of
-        Returns the expected duration of a run, s.
-
-    Returns
-    -------
-    Item, float or None
-        The run to begin now; the time to wait before the next decision, s; None if no more run can begin.
+    pending: Runs that are not done.
+    at_s: The time, s after the begin of the batch.
+    duration_of: Returns the expected duration of a run, s.
+    Returns: The run to begin now; the time to wait before the next decision, s; None if no more run can
+      begin.
     """
     return _choose(by_priority(pending), at_s, bounds, _once_a_job(duration_of))
 
@@ -256,21 +179,10 @@ def _choose(
 def look_ahead(pending: Sequence[Item], at_s: float, bounds: Bounds, duration_of: DurationOf) -> list[Slot]:
     """Predict when each run begins and ends.
 
-    Parameters
-    ----------
-    pending
-        Runs that are not done.
-    at_s
-        Time from which to predict, s after the begin of the batch.
-    bounds
-        Times between which the batch works.
-    duration_of
-        Returns the expected duration of a run, s.
-
-    Returns
-    -------
-    list of Slot
-        Runs in the order in which they will begin; runs without time are last.
+    pending: Runs that are not done.
+    at_s: Time from which to predict, s after the begin of the batch.
+    duration_of: Returns the expected duration of a run, s.
+    Returns: Runs in the order in which they will begin; runs without time are last.
 
     Examples
     --------

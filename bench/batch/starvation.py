@@ -14,63 +14,35 @@ from bench.base.linux_process import processor_times_s, thread_is_ready
 
 @dataclass
 class _Thread:
-    """Times of one thread when it was last looked at, and its present wait for a processor.
+    """Times of one thread when it was last looked at, and its present wait for a processor."""
 
-    Attributes
-    ----------
-    computed_s, waited_s
-        By the kernel, s.
-    open_s
-        Wait that was counted before the kernel counted it, s.
-    """
-
+    # computed_s, waited_s: By the kernel, s.
     computed_s: float
     waited_s: float
-    open_s: float = 0.0
+    open_s: float = 0.0  # Wait that was counted before the kernel counted it, s
 
 
 @dataclass
 class Starvation:
     """Adds up how long threads of a process waited for a processor, from the first look.
 
-    Parameters
-    ----------
-    times_s
-        Returns the times computed and waited of a thread, s (`processor_times_s`).
-    is_ready
-        Returns whether a thread computes or waits for a processor (`thread_is_ready`).
-
-    Attributes
-    ----------
-    starved_s
-        The sum, s.
-    is_counted
-        Whether the kernel counts these waits.
+    times_s: Returns the times computed and waited of a thread, s (`processor_times_s`).
+    is_ready: Returns whether a thread computes or waits for a processor (`thread_is_ready`).
     """
 
     times_s: Callable[[int, int], tuple[float, float] | None] = processor_times_s
     is_ready: Callable[[int, int], bool] = thread_is_ready
-    starved_s: float = field(default=0.0, init=False)
-    is_counted: bool = field(default=False, init=False)
+    starved_s: float = field(default=0.0, init=False)  # The sum, s
+    is_counted: bool = field(default=False, init=False)  # Whether the kernel counts these waits
     _threads: dict[int, _Thread] = field(default_factory=dict, init=False)
     _looked_s: float | None = field(default=None, init=False)
 
     def look(self, pid: int, threads: Sequence[int], now_s: float) -> float:
         """Look at a process, and add what its threads waited since the last look.
 
-        Parameters
-        ----------
-        pid
-            Number of the process.
-        threads
-            Numbers of the threads. The one that waited longest since the last look counts.
-        now_s
-            Time of this look, s.
-
-        Returns
-        -------
-        float
-            Time waited since the first look, s; 0 where the kernel does not count it.
+        threads: Numbers of the threads. The one that waited longest since the last look counts.
+        now_s: Time of this look, s.
+        Returns: Time waited since the first look, s; 0 where the kernel does not count it.
         """
         passed_s = now_s - self._looked_s if self._looked_s is not None else 0.0
         self._looked_s = now_s

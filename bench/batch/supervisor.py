@@ -57,20 +57,11 @@ _FROM_OUTSIDE = frozenset({"SIGKILL", "SIGTERM", "SIGHUP", "SIGINT", "SIGQUIT", 
 
 @dataclass(frozen=True)
 class Silence:
-    """How long a worker had been silent when it was ended.
+    """How long a worker had been silent when it was ended."""
 
-    Attributes
-    ----------
-    silent_s
-        Time without a sign of life, s; 0 if the worker ended by itself.
-    starved_s
-        Part of it in which the worker waited for nothing but a processor, s.
-    computed_s
-        Processor time that its work used without using its clock, s; 0 unless it was ended for this.
-    """
-
-    silent_s: float = 0.0
-    starved_s: float = 0.0
+    silent_s: float = 0.0  # Time without a sign of life, s; 0 if the worker ended by itself
+    starved_s: float = 0.0  # Part of it in which the worker waited for nothing but a processor, s
+    # Processor time that its work used without using its clock, s; 0 unless it was ended for this.
     computed_s: float = 0.0
 
     @property
@@ -93,42 +84,22 @@ class Silence:
     def end(self, devices: Sequence[DeviceEnd] = ()) -> WorkerEnd:
         """Return the end of the worker.
 
-        Parameters
-        ----------
-        devices
-            What its devices answered after its end.
-
-        Returns
-        -------
-        WorkerEnd
-            It hung, or the computer was too busy for it.
+        devices: What its devices answered after its end.
         """
         return WorkerEnd("hung", self.text, self.silent_s, devices, self.is_starved)
 
 
 @dataclass(frozen=True)
 class WorkerEnd:
-    """How a worker ended.
+    """How a worker ended."""
 
-    Attributes
-    ----------
-    how
-        ``finished``, ``aborted`` or ``failed``; ``died`` by a signal; ``hung`` and was ended.
-    why
-        The reason in words; the last message of the worker if it failed.
-    noticed_s
-        How long the worker had been silent when it was ended as hung, s; otherwise 0.
-    devices
-        What the devices of a dead worker answered after its end; empty if none was asked.
-    outside
-        Whether something else than the worker ended it: a signal of another process, or a computer that was too busy.
-        It is no failure of the run.
-    """
-
-    how: str
-    why: str
-    noticed_s: float = 0.0
+    how: str  # ``finished``, ``aborted`` or ``failed``; ``died`` by a signal; ``hung`` and was ended
+    why: str  # The reason in words; the last message of the worker if it failed
+    noticed_s: float = 0.0  # How long the worker had been silent when it was ended as hung, s; otherwise 0
+    # What the devices of a dead worker answered after its end; empty if none was asked.
     devices: Sequence[DeviceEnd] = ()
+    # Whether something else than the worker ended it: a signal of another process, or a computer that was too
+    # busy. It is no failure of the run.
     outside: bool = False
 
     @property
@@ -139,10 +110,7 @@ class WorkerEnd:
     def to_dict(self) -> dict[str, Any]:
         """Return the end as the journal holds it.
 
-        Returns
-        -------
-        dict
-            ``how``, ``why``, ``noticed_s``, ``unsafe``, ``outside``, ``devices``.
+        Returns: ``how``, ``why``, ``noticed_s``, ``unsafe``, ``outside``, ``devices``.
         """
         return {**asdict(self), "unsafe": self.unsafe, "devices": [end.to_dict() for end in self.devices]}
 
@@ -157,30 +125,10 @@ def supervise(
 ) -> WorkerEnd:
     """Run a worker to its end.
 
-    Parameters
-    ----------
-    command
-        Program and arguments of the worker.
-    folder
-        Run folder, created by the worker.
-    log
-        File to which the worker's output is appended.
-    clock
-        If a stop is requested from it, the worker is ended safely and the stop is raised again.
-    say
-        Receives what the operator must know.
-    environ
-        Environment of the worker; the process id of its supervisor is added.
-
-    Returns
-    -------
-    WorkerEnd
-        How the worker ended.
-
-    Raises
-    ------
-    Aborted
-        When a stop was requested; the worker has ended by then.
+    log: File to which the worker's output is appended.
+    clock: If a stop is requested from it, the worker is ended safely and the stop is raised again.
+    say: Receives what the operator must know.
+    Raises Aborted: When a stop was requested; the worker has ended by then.
     """
     killed_for_memory = out_of_memory_kills()
     try:
@@ -215,24 +163,11 @@ def supervise(
 def adopt(folder: Path, clock: BenchClock, say: Callable[[str], None]) -> WorkerEnd | None:
     """Supervise a worker that outlived its supervisor, to its end. Return at once if there is none.
 
-    Parameters
-    ----------
-    folder
-        Run folder; its lock shows whether a worker is alive. The folder records how the worker ended.
-    clock
-        If a stop is requested from it, the worker is ended safely and the stop is raised again.
-    say
-        Receives what the operator must know.
-
-    Returns
-    -------
-    WorkerEnd or None
-        How it was ended if it hung; None if it did not hang.
-
-    Raises
-    ------
-    Aborted
-        When a stop was requested; the worker has ended by then.
+    folder: Run folder; its lock shows whether a worker is alive. The folder records how the worker ended.
+    clock: If a stop is requested from it, the worker is ended safely and the stop is raised again.
+    say: Receives what the operator must know.
+    Returns: How it was ended if it hung; None if it did not hang.
+    Raises Aborted: When a stop was requested; the worker has ended by then.
     """
     if not is_locked(folder):
         return None
@@ -243,17 +178,7 @@ def adopt(folder: Path, clock: BenchClock, say: Callable[[str], None]) -> Worker
 def make_safe_after(folder: Path, clock: BenchClock) -> list[DeviceEnd]:
     """Make the devices of a dead worker safe.
 
-    Parameters
-    ----------
-    folder
-        Run folder of the worker.
-    clock
-        Clock for the devices' deadlines.
-
-    Returns
-    -------
-    list of DeviceEnd
-        What each device answered; empty if the devices are simulated and have ended with the worker.
+    Returns: What each device answered; empty if the devices are simulated and have ended with the worker.
     """
     if not (folder / STATION_COPY).is_file():  # it died before it could open a device
         return all_ends(())

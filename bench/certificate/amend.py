@@ -37,30 +37,9 @@ _MOST_CHARACTERS = 300
 def amend(old: Path, lab_file: Path, folder: Path, laboratory: Laboratory, *, reason: str) -> Issued:
     """Issue a certificate that replaces another one.
 
-    Parameters
-    ----------
-    old
-        Folder of the certificate to be replaced.
-    lab_file
-        The corrected lab.yaml.
-    folder
-        New folder.
-    laboratory
-        Ledger, key, clock and verifier.
-    reason
-        Reason of the amendment; it is printed.
-
-    Returns
-    -------
-    Issued
-        The new certificate.
-
-    Raises
-    ------
-    DocumentFaults, UsageError, StorageError
-        As `bench.certificate.issue.issue`.
-    EvidenceError
-        When the old certificate does not verify, is not the newest one, or nothing would change.
+    Raises DocumentFaults, UsageError, StorageError: As `bench.certificate.issue.issue`.
+    Raises EvidenceError: When the old certificate does not verify, is not the newest one, or nothing would
+      change.
     """
     require_libraries()
     refuse_occupied(folder)
@@ -81,20 +60,8 @@ def amend(old: Path, lab_file: Path, folder: Path, laboratory: Laboratory, *, re
 def changes_of(before: Certificate, after: Certificate) -> tuple[Change, ...]:
     """Return the fields that differ between two certificates, except number, time, software and what they amend.
 
-    Parameters
-    ----------
-    before, after
-        The certificates.
-
-    Returns
-    -------
-    tuple of Change
-        Each with its path, sorted as in certificate.json.
-
-    Raises
-    ------
-    EvidenceError
-        When nothing differs.
+    Returns: Each with its path, sorted as in certificate.json.
+    Raises EvidenceError: When nothing differs.
     """
     old, new = (_leaves(json.loads(one.to_json())) for one in (before, after))
     paths = dict.fromkeys([*old, *new])

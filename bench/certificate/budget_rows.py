@@ -39,19 +39,14 @@ _OVERLAP = (
 
 @dataclass(frozen=True)
 class RowSource:
-    """The certificate behind a row.
+    """The certificate behind a row."""
 
-    Attributes
-    ----------
-    number, date, sha256
-        Number and date of the certificate, and SHA-256 of it; empty where not stated.
-    value, divisor, unit
-        Uncertainty as the certificate states it, its divisor (coverage factor) and unit; None to take the engine's.
-    """
-
+    # number, date, sha256: Number and date of the certificate, and SHA-256 of it; empty where not stated.
     number: str = ""
     date: str = ""
     sha256: str = ""
+    # value, divisor, unit: Uncertainty as the certificate states it, its divisor (coverage factor) and unit;
+    # None to take the engine's.
     value: float | None = None
     divisor: float | None = None
     unit: str = ""
@@ -59,20 +54,13 @@ class RowSource:
 
 @dataclass(frozen=True)
 class Expanded:
-    """The uncertainty of a result with its own degrees of freedom.
+    """The uncertainty of a result with its own degrees of freedom."""
 
-    Attributes
-    ----------
-    u, nu_eff, k
-        Standard uncertainty, effective degrees of freedom (None for infinite), coverage factor.
-    growth
-        The factor by which results.json enlarges u; at least 1.
-    """
-
+    # u, nu_eff, k: Standard uncertainty, effective degrees of freedom (None for infinite), coverage factor.
     u: float
     nu_eff: float | None
     k: float
-    growth: float
+    growth: float  # The factor by which results.json enlarges u; at least 1
 
     @property
     def U(self) -> float:  # noqa: N802 - the field's symbol
@@ -83,15 +71,7 @@ class Expanded:
 def row_names(calibration: Json) -> list[str]:
     """Return the names of the rows, to which certificates can be assigned.
 
-    Parameters
-    ----------
-    calibration
-        ``calibration`` of results.json.
-
-    Returns
-    -------
-    list of str
-        The names.
+    calibration: ``calibration`` of results.json.
     """
     return [str(row["name"]) for row in calibration.get("budget_rows") or []]
 
@@ -102,17 +82,8 @@ def expanded(calibration: Json, symbol: str) -> Expanded:
     Formula of Welch and Satterthwaite (JCGM 100, G.4.1). The engine evaluates all sources of the adjustment that are
     not known beforehand together; they count as one source.
 
-    Parameters
-    ----------
-    calibration
-        ``calibration`` of results.json.
-    symbol
-        Name of the parameter.
-
-    Returns
-    -------
-    Expanded
-        The uncertainty; never with more degrees of freedom, nor a smaller U, than results.json states.
+    calibration: ``calibration`` of results.json.
+    Returns: The uncertainty; never with more degrees of freedom, nor a smaller U, than results.json states.
     """
     k = float(calibration["coverage_factor"])
     common = _common_freedom(calibration, k)
@@ -134,28 +105,9 @@ def budget_of(
 ) -> Budget:
     """Return the uncertainty budget of a result.
 
-    Parameters
-    ----------
-    calibration
-        ``calibration`` of results.json.
-    symbol, unit
-        Symbol of the result, and its unit.
-    sources
-        Certificates, by name of the row.
-    rounded
-        Expanded uncertainty as printed.
-    words
-        What the stars are called.
-
-    Returns
-    -------
-    Budget
-        The rows and their combination.
-
-    Raises
-    ------
-    EvidenceError
-        When the results have no budget, or its rows do not add up to the stated uncertainty.
+    calibration: ``calibration`` of results.json.
+    Raises EvidenceError: When the results have no budget, or its rows do not add up to the stated
+      uncertainty.
     """
     stated = expanded(calibration, symbol)
     spread = _freedom_of_views(

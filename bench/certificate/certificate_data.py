@@ -81,30 +81,17 @@ CERTIFICATE = "certificate.json"
 
 @dataclass(frozen=True)
 class Run:
-    """The sealed run that the certificate is made from.
-
-    Attributes
-    ----------
-    id, sequence, station
-        Name of the run, of its sequence and of its station.
-    ledger_number, ledger_head
-        Number of the run in the laboratory's ledger and the ledger's hash then; None and empty if it has none.
-    journal_head
-        Hash of the last line of its journal.
-    seal_sha256, results_sha256
-        SHA-256 of its SHA256SUMS and of its results.json.
-    signer, signer_fingerprint
-        Name and fingerprint of the key that sealed it.
-    software
-        Programs and versions: those of the run, then those that wrote the certificate.
-    """
+    """The sealed run that the certificate is made from."""
 
     id: str
     sequence: str
     station: str
+    # ledger_number, ledger_head: Number of the run in the laboratory's ledger and the ledger's hash then;
+    # None and empty if it has none.
     ledger_number: int | None
     ledger_head: str
-    journal_head: str
+    journal_head: str  # Hash of the last line of its journal
+    # seal_sha256, results_sha256: SHA-256 of its SHA256SUMS and of its results.json.
     seal_sha256: str
     results_sha256: str
     signer: str
@@ -114,14 +101,9 @@ class Run:
 
 @dataclass(frozen=True)
 class Change:
-    """A field that differs from the amended certificate.
+    """A field that differs from the amended certificate."""
 
-    Attributes
-    ----------
-    field, before, after
-        Path of the field, and its values as text; ``absent`` where there was or is none.
-    """
-
+    # field, before, after: Path of the field, and its values as text; ``absent`` where there was or is none.
     field: str
     before: str
     after: str
@@ -129,18 +111,9 @@ class Change:
 
 @dataclass(frozen=True)
 class Amends:
-    """The certificate that this one replaces (7.8.8).
+    """The certificate that this one replaces (7.8.8)."""
 
-    Attributes
-    ----------
-    number, sha256
-        Its number, and SHA-256 of its SHA256SUMS.
-    reason
-        Reason of the amendment.
-    changes
-        What changed, field by field.
-    """
-
+    # number, sha256: Its number, and SHA-256 of its SHA256SUMS.
     number: str
     sha256: str
     reason: str
@@ -149,68 +122,26 @@ class Amends:
 
 @dataclass(frozen=True)
 class Statement:
-    """A fixed text of the certificate.
+    """A fixed text of the certificate."""
 
-    Attributes
-    ----------
-    id
-        ``simulated``, ``authorisation``, ``accreditation``, ``items``, ``identity``, ``reproduction``, ``model``,
-        ``uncertainty``, ``notes``, ``not_included``, ``traceability``, ``verification``, ``adjustment``,
-        ``customer_data``, ``recalibration`` or ``also``.
-    text
-        The text.
-    """
-
+    # ``simulated``, ``authorisation``, ``accreditation``, ``items``, ``identity``, ``reproduction``,
+    # ``model``, ``uncertainty``, ``notes``, ``not_included``, ``traceability``, ``verification``,
+    # ``adjustment``, ``customer_data``, ``recalibration`` or ``also``.
     id: str
     text: str
 
 
 @dataclass(frozen=True)
 class Certificate:
-    """A certificate of calibration.
+    """A certificate of calibration."""
 
-    Attributes
-    ----------
-    format
-        ``starbench/certificate/1``.
-    language
-        Language of the texts: ``en``.
-    title, number, series
-        Title, unique number, and format of the series of numbers.
-    simulated
-        Whether any device of the run was simulated: every page then says SIMULATED.
-    laboratory, customer, item
-        Who calibrated, for whom, and what.
-    received, begun_utc, ended_utc, issued_utc
-        Date of receipt; begin and end of the calibration; time of issue.
-    method, deviations, conditions, traceability
-        How it was calibrated.
-    results, covariance, further
-        The results, their joint covariance, and numbers about them.
-    budgets
-        The uncertainty budget of each result, in their order.
-    before_adjustment
-        The calibration before this one; None if none is known.
-    conformity
-        Statements of conformity; empty if none was asked for.
-    customer_supplied, external, opinions
-        Data that the customer supplied, results of external providers, and opinions, each in words.
-    authorised_by
-        The person who is to authorise it.
-    run
-        The sealed run.
-    amends
-        The certificate that it replaces, if any.
-    statements
-        Fixed texts.
-    """
-
-    format: Literal["starbench/certificate/1"]
-    language: Literal["en"]
+    format: Literal["starbench/certificate/1"]  # ``starbench/certificate/1``
+    language: Literal["en"]  # Language of the texts: ``en``
+    # title, number, series: Title, unique number, and format of the series of numbers.
     title: str
     number: str
     series: str
-    simulated: bool
+    simulated: bool  # Whether any device of the run was simulated: every page then says SIMULATED
     laboratory: Laboratory
     customer: Customer
     item: Item
@@ -225,62 +156,33 @@ class Certificate:
     results: tuple[Result, ...]
     covariance: Covariance
     further: tuple[FurtherResult, ...]
-    budgets: tuple[Budget, ...]
-    before_adjustment: BeforeAdjustment | None
-    conformity: tuple[Conformity, ...]
+    budgets: tuple[Budget, ...]  # The uncertainty budget of each result, in their order
+    before_adjustment: BeforeAdjustment | None  # The calibration before this one; None if none is known
+    conformity: tuple[Conformity, ...]  # Statements of conformity; empty if none was asked for
     customer_supplied: tuple[str, ...]
     external: tuple[str, ...]
     opinions: tuple[str, ...]
     authorised_by: AuthorisedBy
     run: Run
-    amends: Amends | None
+    amends: Amends | None  # The certificate that it replaces, if any
     statements: tuple[Statement, ...]
 
     def to_json(self) -> bytes:
-        """Return the certificate as `certificate.json` holds it.
-
-        Returns
-        -------
-        bytes
-            JSON; the same certificate gives the same bytes.
-        """
+        """Return the certificate as `certificate.json` holds it."""
         return strict_json.to_json(self)
 
     @classmethod
     def from_json(cls, data: bytes, where: str = CERTIFICATE) -> Certificate:
         """Read a certificate. Unknown, missing and double keys and values of another type are refused.
 
-        Parameters
-        ----------
-        data
-            Content of `certificate.json`.
-        where
-            The file, for the message.
-
-        Returns
-        -------
-        Certificate
-            The certificate.
-
-        Raises
-        ------
-        EvidenceError
-            With the faults found.
+        data: Content of `certificate.json`.
         """
         return strict_json.from_json(data, cls, where)
 
     def statement(self, id: str) -> str:  # noqa: A002 - the field's name
         """Return a fixed text.
 
-        Parameters
-        ----------
-        id
-            Its id.
-
-        Returns
-        -------
-        str
-            The text; empty if the certificate does not have it.
+        Returns: The text; empty if the certificate does not have it.
         """
         return next((one.text for one in self.statements if one.id == id), "")
 
@@ -288,14 +190,6 @@ class Certificate:
 def sha256(data: bytes) -> str:
     """Return the SHA-256 of bytes.
 
-    Parameters
-    ----------
-    data
-        The bytes.
-
-    Returns
-    -------
-    str
-        64 hexadecimal digits.
+    Returns: 64 hexadecimal digits.
     """
     return hashlib.sha256(data).hexdigest()

@@ -37,22 +37,9 @@ _UNREADABLE = (ValueError, LookupError, TypeError, AttributeError, ArithmeticErr
 def check_certificate(folder: Path, ledger: Ledger | None = None) -> Findings:
     """Derive the files of a certificate again and compare every byte; compare number and run with the ledger.
 
-    Parameters
-    ----------
-    folder
-        The sealed folder of the certificate; its list of files is verified.
-    ledger
-        The laboratory's ledger; None, or one that does not have the number: nothing is compared with it.
-
-    Returns
-    -------
-    Findings
-        Faults, what could not be compared, and whether the certificate is superseded.
-
-    Raises
-    ------
-    OSError
-        When a file cannot be read.
+    ledger: The laboratory's ledger; None, or one that does not have the number: nothing is compared with it.
+    Returns: Faults, what could not be compared, and whether the certificate is superseded.
+    Raises OSError: When a file cannot be read.
     """
     found = Findings()
     names = {path.relative_to(folder).as_posix() for path in folder.rglob("*") if path.is_file()}

@@ -27,40 +27,18 @@ def _always_answered(lab: LabConfig, results: Json) -> Sequence[Path]:
 
 @dataclass(frozen=True)
 class Clause:
-    """A clause, and what answers it.
+    """A clause, and what answers it."""
 
-    Attributes
-    ----------
-    number
-        Number of the clause, such as ``7.8.2.1 e``.
-    item
-        What it asks for.
-    field
-        The fields of certificate.json that answer it.
-    origin
-        The key of lab.yaml that gives them, ``the sealed run``, ``fixed text`` or both.
-    missing
-        Returns the paths of lab.yaml that are missing.
-    """
-
-    number: str
+    number: str  # Number of the clause, such as ``7.8.2.1 e``
     item: str
     field: str
-    origin: str
+    origin: str  # The key of lab.yaml that gives them, ``the sealed run``, ``fixed text`` or both
     missing: Callable[[LabConfig, Json], Sequence[Path]] = _always_answered
 
 
 @dataclass(frozen=True)
 class Unanswered:
-    """A clause that is not answered.
-
-    Attributes
-    ----------
-    clause
-        The clause.
-    path
-        Path of the missing key in lab.yaml.
-    """
+    """A clause that is not answered."""
 
     clause: Clause
     path: Path
@@ -279,28 +257,12 @@ CLAUSES = (
 def unanswered(lab: LabConfig, results: Json) -> list[Unanswered]:
     """Return the clauses that lab.yaml and the run together leave open.
 
-    Parameters
-    ----------
-    lab
-        The configuration.
-    results
-        Content of results.json.
-
-    Returns
-    -------
-    list of Unanswered
-        In the order of the clauses, one for each missing key.
+    Returns: In the order of the clauses, one for each missing key.
     """
     return [Unanswered(clause, path) for clause in CLAUSES for path in clause.missing(lab, results)]
 
 
 def table() -> str:
-    """Return the table of the clauses in Markdown, as docs/certificates.md prints it.
-
-    Returns
-    -------
-    str
-        The table.
-    """
+    """Return the table of the clauses in Markdown, as docs/certificates.md prints it."""
     head = "| clause | asks for | field of certificate.json | comes from |\n| --- | --- | --- | --- |\n"
     return head + "".join(f"| {one.number} | {one.item} | {one.field} | {one.origin} |\n" for one in CLAUSES)

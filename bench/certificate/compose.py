@@ -53,53 +53,20 @@ Json = Mapping[str, Any]
 
 @dataclass(frozen=True)
 class Identity:
-    """What makes this certificate this one: everything that neither the run's results nor lab.yaml can give.
-
-    Attributes
-    ----------
-    number
-        Number in the series.
-    issued_utc
-        Time of issue.
-    run
-        The sealed run.
-    amends
-        The certificate that this one replaces, if any.
-    also
-        Why a second certificate is issued for the run; empty if it is the first one.
-    verified
-        What was verified before the issue, in words.
-    """
+    """What makes this certificate this one: everything that neither the run's results nor lab.yaml can give."""
 
     number: str
     issued_utc: str
     run: Run
-    amends: Amends | None = None
-    also: str = ""
-    verified: str = ""
+    amends: Amends | None = None  # The certificate that this one replaces, if any
+    also: str = ""  # Why a second certificate is issued for the run; empty if it is the first one
+    verified: str = ""  # What was verified before the issue, in words
 
 
 def compose(found: Json, lab: LabConfig, identity: Identity) -> Certificate:
     """Return the certificate of a run. Every clause is answered, and nothing contradicts the run (checked before).
 
-    Parameters
-    ----------
-    found
-        Content of results.json.
-    lab
-        Content of lab.yaml.
-    identity
-        Number, time of issue, run, and the certificate that it replaces.
-
-    Returns
-    -------
-    Certificate
-        The certificate.
-
-    Raises
-    ------
-    EvidenceError
-        When the uncertainty budget is missing or does not add up.
+    Raises EvidenceError: When the uncertainty budget is missing or does not add up.
     """
     simulated = bool(found["run"]["simulated"])
     supplied = frozenset(symbol for one in lab.customer_supplied or () for symbol in one.results)
@@ -156,20 +123,7 @@ def compose(found: Json, lab: LabConfig, identity: Identity) -> Certificate:
 
 
 def row_sources(found: Json, lab: LabConfig) -> dict[str, RowSource]:
-    """Return the certificates behind the rows of the budget: what the run states, then what lab.yaml adds.
-
-    Parameters
-    ----------
-    found
-        Content of results.json.
-    lab
-        Content of lab.yaml.
-
-    Returns
-    -------
-    dict
-        Certificate by name of the row.
-    """
+    """Return the certificates behind the rows of the budget: what the run states, then what lab.yaml adds."""
     sources = {}
     if in_run := found.get("passport"):
         value, divisor = _radius_uncertainty(found, in_run)

@@ -21,17 +21,8 @@ RULE = (
 def verdict_of(value: str, expanded: str, lower: float | None, upper: float | None) -> Verdict:
     """Return the verdict on a value.
 
-    Parameters
-    ----------
-    value, expanded
-        Value and expanded uncertainty as printed.
-    lower, upper
-        Limits; None where there is none.
-
-    Returns
-    -------
-    str
-        ``pass``, ``conditionalPass``, ``conditionalFail`` or ``fail``.
+    lower, upper: Limits; None where there is none.
+    Returns: ``pass``, ``conditionalPass``, ``conditionalFail`` or ``fail``.
 
     Examples
     --------
@@ -51,20 +42,7 @@ def verdict_of(value: str, expanded: str, lower: float | None, upper: float | No
 
 
 def conformity_of(rule: RuleConfig, result: Result) -> Conformity:
-    """Return the statement of conformity of a result.
-
-    Parameters
-    ----------
-    rule
-        Specification and limits.
-    result
-        The result.
-
-    Returns
-    -------
-    Conformity
-        The statement.
-    """
+    """Return the statement of conformity of a result."""
     return Conformity(
         symbol=result.symbol,
         specification=rule.specification,

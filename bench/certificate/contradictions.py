@@ -24,17 +24,7 @@ _OF_THE_RUN = frozenset({"camera temperature", "event rate", "illumination", "li
 def faults_of_lab(lab: Located[LabConfig], found: Json) -> list[Fault]:
     """Return what prevents a certificate: clauses that are not answered, and contradictions.
 
-    Parameters
-    ----------
-    lab
-        The configuration, with the place of each value.
-    found
-        Content of results.json.
-
-    Returns
-    -------
-    list of Fault
-        All of them: contradictions first, then the clauses in their order.
+    Returns: All of them: contradictions first, then the clauses in their order.
     """
     faults = [lab.fault(path, message) for path, message in _contradictions(lab.value, found)]
     for one in unanswered(lab.value, found):

@@ -37,24 +37,9 @@ if TYPE_CHECKING:
 def render_dcc(certificate: Certificate, versions: Versions = VERSIONS[0]) -> bytes:
     """Return a certificate as a digital calibration certificate, not signed.
 
-    Parameters
-    ----------
-    certificate
-        The certificate.
-    versions
-        Version of the DCC and of D-SI, one of `dcc_xml.VERSIONS`.
-
-    Returns
-    -------
-    bytes
-        The XML file; the same certificate gives the same bytes.
-
-    Raises
-    ------
-    UsageError
-        When lxml is not installed.
-    ValueError
-        When the pair of versions is not one of `dcc_xml.VERSIONS`.
+    versions: Version of the DCC and of D-SI, one of `dcc_xml.VERSIONS`.
+    Raises UsageError: When lxml is not installed.
+    Raises ValueError: When the pair of versions is not one of `dcc_xml.VERSIONS`.
     """
     if versions not in VERSIONS:
         raise ValueError(f"DCC {versions.dcc} with D-SI {versions.si} cannot be written")

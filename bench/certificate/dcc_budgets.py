@@ -17,18 +17,7 @@ _TOLERANCE = 0.01
 
 
 def budget_faults(root: _Element) -> Iterator[str]:
-    """Yield budgets whose rows do not add up, or whose sum is not the uncertainty of their result (JCGM 100:2008, 5.1).
-
-    Parameters
-    ----------
-    root
-        Root element of the DCC.
-
-    Yields
-    ------
-    str
-        A fault.
-    """
+    """Yield budgets whose rows do not add up, or not to the uncertainty of their result (JCGM 100:2008, 5.1)."""
     results = {one.id: one for one in stated_results(root) if one.id}
     for budget in root.iterfind(".//dcc:result[@refId]", NAMESPACES):
         named = results.get(budget.get("refId", ""))

@@ -43,24 +43,10 @@ _MOST_FAULTS = 200
 def check_dcc(data: bytes, where: str = "the DCC") -> list[str]:
     """Check the content of a digital calibration certificate.
 
-    Parameters
-    ----------
-    data
-        The DCC.
-    where
-        The file, for messages about a file that cannot be read.
-
-    Returns
-    -------
-    list of str
-        One line a fault; empty if none was found. At most 200.
-
-    Raises
-    ------
-    EvidenceError
-        When it cannot be read safely, is not a DCC, or has a version that is not known.
-    UsageError
-        When lxml is not installed.
+    where: The file, for messages about a file that cannot be read.
+    Returns: One line a fault; empty if none was found. At most 200.
+    Raises EvidenceError: When it cannot be read safely, is not a DCC, or has a version that is not known.
+    Raises UsageError: When lxml is not installed.
     """
     root = read_dcc(data, where)
     found = list(islice((fault for check in CHECKS for fault in check(root)), _MOST_FAULTS + 1))

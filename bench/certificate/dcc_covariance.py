@@ -26,16 +26,6 @@ def covariance_faults(root: _Element) -> Iterator[str]:
 
     A list of results with a matrix is also compared with the results that it names: labels, values, units, and U
     against k times the square root of the diagonal.
-
-    Parameters
-    ----------
-    root
-        Root element of the DCC.
-
-    Yields
-    ------
-    str
-        A fault.
     """
     for region in root.iter(*(qualified(f"si:{name}") for name in _REGIONS)):
         matrix = region.find("si:covarianceMatrix", NAMESPACES)

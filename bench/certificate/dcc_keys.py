@@ -29,24 +29,11 @@ _KEY_FORM = "Use a key in PEM: RSA of 2048 bits or more, or ECDSA on P-256, P-38
 def load_signing_key(path: Path, *, ask_passphrase: Callable[[Path], bytes] | None = None) -> PrivateKey:
     """Load the laboratory's key for signatures in XML.
 
-    Parameters
-    ----------
-    path
-        Its file, PEM, which only its owner can read.
-    ask_passphrase
-        Returns the passphrase of a protected key; None if nobody can be asked.
-
-    Returns
-    -------
-    RSAPrivateKey or EllipticCurvePrivateKey
-        The key.
-
-    Raises
-    ------
-    EvidenceError
-        When others can read the file, it is protected and nobody can be asked, or it is not a key that can sign.
-    StorageError
-        When it cannot be read.
+    path: Its file, PEM, which only its owner can read.
+    ask_passphrase: Returns the passphrase of a protected key; None if nobody can be asked.
+    Raises EvidenceError: When others can read the file, it is protected and nobody can be asked, or it is not
+      a key that can sign.
+    Raises StorageError: When it cannot be read.
     """
     with storage_errors(path):
         refuse_readable_by_others(path)
@@ -81,22 +68,9 @@ def _load_pem_key(secret: bytes, path: Path, ask_passphrase: Callable[[Path], by
 def load_certificates(path: Path) -> tuple[x509.Certificate, ...]:
     """Load certificates in PEM: the laboratory's chain, or certificates that a reader trusts.
 
-    Parameters
-    ----------
-    path
-        The file.
-
-    Returns
-    -------
-    tuple of Certificate
-        The certificates, in the order of the file.
-
-    Raises
-    ------
-    EvidenceError
-        When the file has none, more than ten, or one that cannot be read.
-    StorageError
-        When it cannot be read.
+    Returns: The certificates, in the order of the file.
+    Raises EvidenceError: When the file has none, more than ten, or one that cannot be read.
+    Raises StorageError: When it cannot be read.
     """
     with storage_errors(path):
         data = path.read_bytes()
@@ -120,22 +94,9 @@ def load_certificates(path: Path) -> tuple[x509.Certificate, ...]:
 def in_order(chain: Sequence[x509.Certificate], key: PrivateKey) -> list[x509.Certificate]:
     """Return a chain with the certificate of the key first, each followed by that of its issuer.
 
-    Parameters
-    ----------
-    chain
-        The certificates, in any order.
-    key
-        The private key of the first.
-
-    Returns
-    -------
-    list of Certificate
-        The same certificates.
-
-    Raises
-    ------
-    EvidenceError
-        When none belongs to the key, or one is no part of the chain.
+    chain: The certificates, in any order.
+    key: The private key of the first.
+    Raises EvidenceError: When none belongs to the key, or one is no part of the chain.
     """
     public = key.public_key()
     left = list(chain)
@@ -169,19 +130,7 @@ def _issued(certificate: x509.Certificate, issuer: x509.Certificate) -> bool:
 def refuse_unfit(certificate: x509.Certificate, when: datetime, where: str = "") -> None:
     """Refuse a signer's certificate that is not valid at a time or not meant for signatures (RFC 5280, 4.2.1.3).
 
-    Parameters
-    ----------
-    certificate
-        The certificate.
-    when
-        The time, with its time zone.
-    where
-        The file, for the message.
-
-    Raises
-    ------
-    EvidenceError
-        When it is one of these.
+    Raises EvidenceError: When it is one of these.
     """
     name = name_of(certificate.subject)
     if not certificate.not_valid_before_utc <= when <= certificate.not_valid_after_utc:
@@ -208,19 +157,9 @@ def leads_to(
 ) -> bool:
     """Return whether a chain leads to a trusted certificate (RFC 5280, 6.1, without names and policies).
 
-    Parameters
-    ----------
-    certificates
-        The signer's certificate, then others that came with it.
-    trusted
-        The certificates that the reader trusts.
-    when
-        Time at which the issuers must be valid, with its time zone.
-
-    Returns
-    -------
-    bool
-        True if it leads to one of them, or is one.
+    certificates: The signer's certificate, then others that came with it.
+    when: Time at which the issuers must be valid, with its time zone.
+    Returns: True if it leads to one of them, or is one.
     """
     current, left = certificates[0], list(certificates[1:])
     for _ in range(MOST_CERTIFICATES):
@@ -250,14 +189,6 @@ def _may_issue(certificate: x509.Certificate, when: datetime) -> bool:
 def name_of(name: x509.Name) -> str:
     """Return the name of a certificate's owner or issuer for messages.
 
-    Parameters
-    ----------
-    name
-        The name.
-
-    Returns
-    -------
-    str
-        The name, RFC 4514, cut if it is long.
+    Returns: The name, RFC 4514, cut if it is long.
     """
     return short(name.rfc4514_string()) or "nobody"

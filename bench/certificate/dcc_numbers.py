@@ -46,24 +46,9 @@ _LIST_UNCERTAINTIES = (
 
 @dataclass(frozen=True)
 class StatedResult:
-    """A result of a DCC as stated: a quantity with ``si:real`` and an expanded uncertainty, all readable.
+    """A result of a DCC as stated: a quantity with ``si:real`` and an expanded uncertainty, all readable."""
 
-    Attributes
-    ----------
-    id, label
-        Id of the quantity and label of the number; empty where there is none.
-    line
-        Line of the file.
-    value, U
-        Value and expanded uncertainty as written.
-    unit
-        Unit, D-SI.
-    k, p
-        Coverage factor and probability.
-    nu
-        Effective degrees of freedom; None if not stated.
-    """
-
+    # id, label: Id of the quantity and label of the number; empty where there is none.
     id: str
     label: str
     line: int
@@ -72,7 +57,7 @@ class StatedResult:
     unit: str
     k: float
     p: float
-    nu: float | None
+    nu: float | None  # Effective degrees of freedom; None if not stated
 
     @property
     def step(self) -> float:
@@ -89,15 +74,7 @@ class StatedResult:
 def line_of(element: _Element) -> int:
     """Return the line of an element in its file.
 
-    Parameters
-    ----------
-    element
-        The element.
-
-    Returns
-    -------
-    int
-        The line; 0 if it is not known.
+    Returns: The line; 0 if it is not known.
     """
     line = element.sourceline
     return line if isinstance(line, int) else 0
@@ -106,15 +83,7 @@ def line_of(element: _Element) -> int:
 def number(text: str | None) -> Decimal | None:
     """Return a number of D-SI.
 
-    Parameters
-    ----------
-    text
-        The text of an element.
-
-    Returns
-    -------
-    Decimal or None
-        The number; None if the text is not a finite number in decimal notation.
+    Returns: The number; None if the text is not a finite number in decimal notation.
     """
     try:
         found = Decimal((text or "").strip())
@@ -126,15 +95,7 @@ def number(text: str | None) -> Decimal | None:
 def stated_results(root: _Element) -> list[StatedResult]:
     """Return the results of a DCC that can be read.
 
-    Parameters
-    ----------
-    root
-        Root element of the DCC.
-
-    Returns
-    -------
-    list of StatedResult
-        The results, in their order; without those of statistics, budgets and earlier calibrations.
+    Returns: The results, in their order; without those of statistics, budgets and earlier calibrations.
     """
     found = []
     for quantity in root.iterfind(".//dcc:result//dcc:quantity", NAMESPACES):
@@ -181,18 +142,7 @@ def _needs_uncertainty(quantity: _Element) -> bool:
 
 
 def unit_faults(root: _Element) -> Iterator[str]:
-    """Yield the units that D-SI does not have. The second and further units of ``si:hybrid`` may be others.
-
-    Parameters
-    ----------
-    root
-        Root element of the DCC.
-
-    Yields
-    ------
-    str
-        A fault.
-    """
+    """Yield the units that D-SI does not have. The second and further units of ``si:hybrid`` may be others."""
     for element in root.iter(*_UNIT_TAGS):
         units = (element.text or "").split(" ") if element.tag.endswith("XMLList") else [element.text or ""]
         hybrid = next(element.iterancestors(qualified("si:hybrid")), None)
@@ -208,18 +158,7 @@ def unit_faults(root: _Element) -> Iterator[str]:
 
 
 def number_faults(root: _Element) -> Iterator[str]:
-    """Yield what should be a number and is none, such as NaN, infinity or a decimal comma.
-
-    Parameters
-    ----------
-    root
-        Root element of the DCC.
-
-    Yields
-    ------
-    str
-        A fault.
-    """
+    """Yield what should be a number and is none, such as NaN, infinity or a decimal comma."""
     for element in root.iter(*_NUMBER_TAGS):
         texts = (element.text or "").split() if element.tag.endswith("XMLList") else [element.text or ""]
         if not texts:
@@ -230,18 +169,7 @@ def number_faults(root: _Element) -> Iterator[str]:
 
 
 def missing_uncertainties(root: _Element) -> Iterator[str]:
-    """Yield the results that have no uncertainty, or one of zero, and a certificate without any result.
-
-    Parameters
-    ----------
-    root
-        Root element of the DCC.
-
-    Yields
-    ------
-    str
-        A fault.
-    """
+    """Yield the results that have no uncertainty, or one of zero, and a certificate without any result."""
     stated = 0
     for quantity in root.iterfind(".//dcc:result//dcc:quantity", NAMESPACES):
         if not _needs_uncertainty(quantity):
@@ -274,18 +202,7 @@ def _missing_in_real(real: _Element) -> Iterator[str]:
 
 
 def coverage_faults(root: _Element) -> Iterator[str]:
-    """Yield coverage factors and probabilities that cannot be, or do not belong together (JCGM 100:2008, annex G).
-
-    Parameters
-    ----------
-    root
-        Root element of the DCC.
-
-    Yields
-    ------
-    str
-        A fault.
-    """
+    """Yield coverage factors and probabilities that cannot be, or do not belong together (JCGM 100:2008, annex G)."""
     for tag, least, most in (("coverageFactor", 1.0, math.inf), ("coverageProbability", 0.0, 1.0)):
         for element in root.iter(qualified(f"si:{tag}"), qualified(f"si:{tag}XMLList")):
             for found in filter(None, map(number, (element.text or "").split())):
@@ -311,18 +228,7 @@ def coverage_faults(root: _Element) -> Iterator[str]:
 
 
 def digit_faults(root: _Element) -> Iterator[str]:
-    """Yield results whose uncertainty has too many digits, or whose value ends at another digit (JCGM 100:2008, 7.2.6).
-
-    Parameters
-    ----------
-    root
-        Root element of the DCC.
-
-    Yields
-    ------
-    str
-        A fault.
-    """
+    """Yield results whose U has too many digits, or whose value ends at another digit (JCGM 100:2008, 7.2.6)."""
     for one in stated_results(root):
         digits, exponent = list(one.U.as_tuple().digits), int(one.U.as_tuple().exponent)
         while exponent >= 0 and len(digits) > 1 and digits[-1] == 0:

@@ -50,31 +50,12 @@ _STATEMENT_NAMES = {
 
 
 def result_id(symbol: str) -> str:
-    """Return the id of a result.
-
-    Parameters
-    ----------
-    symbol
-        Symbol of the result.
-
-    Returns
-    -------
-    str
-        Its id in the DCC.
-    """
+    """Return the id of a result."""
     return f"result-{symbol}"
 
 
 def add_items(parent: _Element, certificate: Certificate) -> None:
-    """Add the calibrated item: the camera, and the lens that is calibrated with it.
-
-    Parameters
-    ----------
-    parent
-        The administrative data.
-    certificate
-        The certificate.
-    """
+    """Add the calibrated item: the camera, and the lens that is calibrated with it."""
     item, camera, lens = certificate.item, certificate.item.camera, certificate.item.lens
     mark = f"{SIMULATED}: " if certificate.simulated else ""
     items = add(parent, "dcc:items")
@@ -110,15 +91,7 @@ def add_items(parent: _Element, certificate: Certificate) -> None:
 
 
 def add_laboratory(parent: _Element, certificate: Certificate) -> None:
-    """Add the calibration laboratory.
-
-    Parameters
-    ----------
-    parent
-        The administrative data.
-    certificate
-        The certificate.
-    """
+    """Add the calibration laboratory."""
     laboratory = certificate.laboratory
     one = add(parent, "dcc:calibrationLaboratory")
     if laboratory.accreditation is not None:
@@ -128,15 +101,7 @@ def add_laboratory(parent: _Element, certificate: Certificate) -> None:
 
 
 def add_people(parent: _Element, certificate: Certificate) -> None:
-    """Add the person who authorises the certificate, and the customer.
-
-    Parameters
-    ----------
-    parent
-        The administrative data.
-    certificate
-        The certificate.
-    """
+    """Add the person who authorises the certificate, and the customer."""
     person = certificate.authorised_by
     one = add(add(parent, "dcc:respPersons"), "dcc:respPerson")
     add_text(add(one, "dcc:person"), "dcc:name", person.name)
@@ -154,15 +119,7 @@ def add_people(parent: _Element, certificate: Certificate) -> None:
 
 
 def add_statements(parent: _Element, certificate: Certificate) -> None:
-    """Add the statements: simulated devices, fixed texts, pixel, deviations, conformity, data of others, opinions.
-
-    Parameters
-    ----------
-    parent
-        The administrative data.
-    certificate
-        The certificate.
-    """
+    """Add the statements: simulated devices, fixed texts, pixel, deviations, conformity, data of others, opinions."""
     several = add(parent, "dcc:statements")
     fixed = {one.id: one.text for one in certificate.statements}
     if certificate.simulated:

@@ -28,21 +28,13 @@ _MOST_NAMED = 8
 
 @dataclass(frozen=True)
 class Length:
-    """A length that a DCC states as a result.
+    """A length that a DCC states as a result."""
 
-    Attributes
-    ----------
-    id, label, name
-        Id of the quantity, label and name of the number; empty where there is none.
-    value_mm, uncertainty_mm
-        Value and expanded uncertainty, mm.
-    k
-        Coverage factor.
-    """
-
+    # id, label, name: Id of the quantity, label and name of the number; empty where there is none.
     id: str
     label: str
     name: str
+    # value_mm, uncertainty_mm: Value and expanded uncertainty, mm.
     value_mm: float
     uncertainty_mm: float
     k: float
@@ -55,52 +47,25 @@ class Length:
 
 @dataclass(frozen=True)
 class Reference:
-    """What a station and a certificate need to know of a reference.
+    """What a station and a certificate need to know of a reference."""
 
-    Attributes
-    ----------
-    number, date, issuer
-        Number, date and laboratory of its certificate; the date is empty if it is not stated.
-    sha256
-        SHA-256 of the file.
-    length
-        The length.
-    temperature_c
-        Temperature that the DCC states, °C; None if it states none, or several.
-    """
-
+    # number, date, issuer: Number, date and laboratory of its certificate; the date is empty if it is not
+    # stated.
     number: str
     date: str
     issuer: str
-    sha256: str
+    sha256: str  # SHA-256 of the file
     length: Length
-    temperature_c: float | None
+    temperature_c: float | None  # Temperature that the DCC states, °C; None if it states none, or several
 
 
 def read_reference(data: bytes, where: str, *, wanted: str = "") -> Reference:
     """Read a length from a DCC.
 
-    Parameters
-    ----------
-    data
-        The DCC.
-    where
-        The file, for messages.
-    wanted
-        Id, label or name of the quantity; empty for the focal length, or for the only length.
-
-    Returns
-    -------
-    Reference
-        The length, and the certificate that states it.
-
-    Raises
-    ------
-    EvidenceError
-        When the DCC cannot be read, hides parts of values in comments, has no number, or does not state the length
-        unmistakably.
-    UsageError
-        When lxml is not installed.
+    wanted: Id, label or name of the quantity; empty for the focal length, or for the only length.
+    Raises EvidenceError: When the DCC cannot be read, hides parts of values in comments, has no number, or
+      does not state the length unmistakably.
+    Raises UsageError: When lxml is not installed.
     """
     root = read_dcc(data, where)
     if next(root.iter(library("lxml.etree").Comment), None) is not None:

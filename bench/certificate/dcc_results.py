@@ -42,15 +42,7 @@ _RANGE = re.compile(r"(-?\d+(?:\.\d+)?) to (-?\d+(?:\.\d+)?) (\S+)")
 
 
 def add_measurement(parent: _Element, certificate: Certificate) -> None:
-    """Add the measurement with its results.
-
-    Parameters
-    ----------
-    parent
-        The list of measurements.
-    certificate
-        The certificate.
-    """
+    """Add the measurement with its results."""
     one = add(parent, "dcc:measurementResult", refId=f"{CAMERA_ID} {LENS_ID}")
     add_text(one, "dcc:name", certificate.title)
     _add_methods(one, certificate)
@@ -202,20 +194,7 @@ def _add_result(parent: _Element, result: Result) -> None:
 def unit_of(unit: str) -> str:
     """Return the unit of a result in D-SI's notation.
 
-    Parameters
-    ----------
-    unit
-        The unit as Starbench prints it.
-
-    Returns
-    -------
-    str
-        The unit for the DCC.
-
-    Raises
-    ------
-    ValueError
-        When D-SI does not have it.
+    Raises ValueError: When D-SI does not have it.
     """
     written = d_si_unit(unit)
     if written is None:
@@ -265,19 +244,7 @@ def ellipsoid_factor(n: int, p: float, nu: float | None) -> float:
     With the multivariate t distribution (JCGM 102:2011, 5.3.2) the squared factor over n has an F distribution with n
     and nu degrees of freedom (Kotz and Nadarajah, Multivariate t Distributions and Their Applications, 2004).
 
-    Parameters
-    ----------
-    n
-        Number of quantities.
-    p
-        Probability of coverage.
-    nu
-        Degrees of freedom; None for the normal distribution.
-
-    Returns
-    -------
-    float
-        The factor.
+    nu: Degrees of freedom; None for the normal distribution.
 
     Examples
     --------

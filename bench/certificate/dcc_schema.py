@@ -36,17 +36,8 @@ _REMEDY = (
 def schema_folder(given: Path | None, environ: Mapping[str, str] = os.environ) -> Path | None:
     """Return the folder of the schemas.
 
-    Parameters
-    ----------
-    given
-        The folder that the user named; None for that of the environment.
-    environ
-        Environment variables of the process.
-
-    Returns
-    -------
-    Path or None
-        The folder; None if none is named.
+    given: The folder that the user named; None for that of the environment.
+    Returns: The folder; None if none is named.
     """
     if given is not None:
         return given
@@ -57,26 +48,9 @@ def schema_folder(given: Path | None, environ: Mapping[str, str] = os.environ) -
 def schema_faults(data: bytes, folder: Path, where: str) -> list[str]:
     """Check a DCC against the schemas of its version.
 
-    Parameters
-    ----------
-    data
-        The DCC.
-    folder
-        Folder of the schemas.
-    where
-        The file of the DCC, for messages.
-
-    Returns
-    -------
-    list of str
-        One line a fault, as ``line N: what``; empty if the DCC is valid. At most 50.
-
-    Raises
-    ------
-    EvidenceError
-        When the DCC cannot be read.
-    UsageError
-        When the folder has no schemas of the DCC's version, or lxml is not installed.
+    Returns: One line a fault, as ``line N: what``; empty if the DCC is valid. At most 50.
+    Raises EvidenceError: When the DCC cannot be read.
+    Raises UsageError: When the folder has no schemas of the DCC's version, or lxml is not installed.
     """
     root = read_dcc(data, where)
     schema = load_schema(folder, versions_of(root, where))
@@ -93,22 +67,9 @@ def schema_faults(data: bytes, folder: Path, where: str) -> list[str]:
 def load_schema(folder: Path, versions: Versions) -> XMLSchema:
     """Load the schemas of a folder.
 
-    Parameters
-    ----------
-    folder
-        The folder.
-    versions
-        The versions that the schemas must have.
-
-    Returns
-    -------
-    lxml.etree.XMLSchema
-        The compiled schema.
-
-    Raises
-    ------
-    UsageError
-        When a file is missing, is not a schema or has another version, or lxml is not installed.
+    versions: The versions that the schemas must have.
+    Raises UsageError: When a file is missing, is not a schema or has another version, or lxml is not
+      installed.
     """
     etree = library("lxml.etree")
     if not folder.is_dir():

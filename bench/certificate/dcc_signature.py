@@ -43,28 +43,15 @@ _TAMPERED = "The document was changed after it was signed, or the signature is n
 
 @dataclass(frozen=True)
 class DccSignature:
-    """A signature of a DCC that is valid.
+    """A signature of a DCC that is valid."""
 
-    Attributes
-    ----------
-    signer, issuer
-        Subject of the signer's certificate, and who issued it.
-    serial
-        Serial number of that certificate.
-    fingerprint
-        SHA-256 of that certificate, hexadecimal.
-    stated_utc
-        The time of signing that the signer states.
-    trusted
-        Whether the certificate was traced to one that the reader trusts.
-    """
-
+    # signer, issuer: Subject of the signer's certificate, and who issued it.
     signer: str
     issuer: str
     serial: int
-    fingerprint: str
+    fingerprint: str  # SHA-256 of that certificate, hexadecimal
     stated_utc: datetime
-    trusted: bool
+    trusted: bool  # Whether the certificate was traced to one that the reader trusts
 
 
 def signer_of_files(
@@ -72,28 +59,11 @@ def signer_of_files(
 ) -> Callable[[bytes, datetime], bytes]:
     """Load the laboratory's key and certificates, and return what signs a DCC with them.
 
-    Parameters
-    ----------
-    key_file
-        The key, PEM.
-    certificate_file
-        The certificate of the key and its chain, PEM.
-    ask_passphrase
-        Returns the passphrase of a protected key; None if nobody can be asked.
-
-    Returns
-    -------
-    callable
-        Takes a DCC and the time of signing; returns the signed DCC (see `sign_dcc`).
-
-    Raises
-    ------
-    EvidenceError
-        When key or certificates cannot be used, or do not belong together.
-    StorageError
-        When a file cannot be read.
-    UsageError
-        When signxml is not installed.
+    ask_passphrase: Returns the passphrase of a protected key; None if nobody can be asked.
+    Returns: Takes a DCC and the time of signing; returns the signed DCC (see `sign_dcc`).
+    Raises EvidenceError: When key or certificates cannot be used, or do not belong together.
+    Raises StorageError: When a file cannot be read.
+    Raises UsageError: When signxml is not installed.
     """
     library("signxml")
     key = load_signing_key(key_file, ask_passphrase=ask_passphrase)
@@ -106,29 +76,13 @@ def sign_dcc(
 ) -> bytes:
     """Sign a digital calibration certificate.
 
-    Parameters
-    ----------
-    data
-        The DCC as `bench.certificate.dcc.render_dcc` wrote it.
-    key
-        The laboratory's key.
-    chain
-        Its certificate, and those that lead to a certificate that readers trust, in any order.
-    signed_utc
-        Time of signing, with its time zone.
-
-    Returns
-    -------
-    bytes
-        The signed DCC; `without_signature` of it gives ``data`` again.
-
-    Raises
-    ------
-    EvidenceError
-        When the DCC is signed already or not written by Starbench, no certificate of the chain belongs to the key, or
-        that certificate is not valid at the time or not meant for signatures.
-    UsageError
-        When signxml is not installed.
+    data: The DCC as `bench.certificate.dcc.render_dcc` wrote it.
+    key: The laboratory's key.
+    chain: Its certificate, and those that lead to a certificate that readers trust, in any order.
+    Returns: The signed DCC; `without_signature` of it gives ``data`` again.
+    Raises EvidenceError: When the DCC is signed already or not written by Starbench, no certificate of the
+      chain belongs to the key, or that certificate is not valid at the time or not meant for signatures.
+    Raises UsageError: When signxml is not installed.
     """
     root = read_dcc(data, "the DCC")
     if next(root.iter(SIGNATURE), None) is not None:
@@ -200,20 +154,9 @@ def _repeatable(key: PrivateKey) -> Any:
 def without_signature(data: bytes) -> bytes:
     """Return a DCC without its signature, to compare it with one that is written anew.
 
-    Parameters
-    ----------
-    data
-        The DCC, signed or not.
-
-    Returns
-    -------
-    bytes
-        The DCC as it was before it was signed.
-
-    Raises
-    ------
-    EvidenceError
-        When it cannot be read.
+    data: The DCC, signed or not.
+    Returns: The DCC as it was before it was signed.
+    Raises EvidenceError: When it cannot be read.
     """
     root = read_dcc(data, "the DCC")
     for signature in root.findall(SIGNATURE):
@@ -233,28 +176,13 @@ def verify_signature(
 ) -> DccSignature | None:
     """Verify the signature of a DCC.
 
-    Parameters
-    ----------
-    data
-        The DCC.
-    where
-        The file, for messages.
-    trusted
-        Certificates that the reader trusts; empty to check only that the document belongs to the signature.
-    when
-        Time at which the certificates must be valid; None for the time of signing that the signer states.
-
-    Returns
-    -------
-    DccSignature or None
-        Who signed; None if the DCC has no signature.
-
-    Raises
-    ------
-    EvidenceError
-        When the signature is not valid, does not cover the whole document, or is not of a trusted certificate.
-    UsageError
-        When signxml is not installed.
+    trusted: Certificates that the reader trusts; empty to check only that the document belongs to the
+      signature.
+    when: Time at which the certificates must be valid; None for the time of signing that the signer states.
+    Returns: Who signed; None if the DCC has no signature.
+    Raises EvidenceError: When the signature is not valid, does not cover the whole document, or is not of a
+      trusted certificate.
+    Raises UsageError: When signxml is not installed.
     """
     root = read_dcc(data, where)
     signatures = list(root.iter(SIGNATURE))

@@ -81,15 +81,8 @@ _QUOTIENT = re.compile(r"\s*([^/()]+?)\s*(?:/\s*(?:\((.+)\)|(.+)))?\s*")
 def d_si_unit(unit: str) -> str | None:
     r"""Return the D-SI form of a unit that Starbench prints.
 
-    Parameters
-    ----------
-    unit
-        One of `OUR_UNITS`, a quotient of these such as ``px / (mm/K)``, or a unit in D-SI's notation.
-
-    Returns
-    -------
-    str or None
-        The unit in D-SI's notation; None if it has none.
+    unit: One of `OUR_UNITS`, a quotient of these such as ``px / (mm/K)``, or a unit in D-SI's notation.
+    Returns: The unit in D-SI's notation; None if it has none.
 
     Examples
     --------
@@ -108,15 +101,7 @@ def d_si_unit(unit: str) -> str | None:
 def product(first: str, second: str) -> str:
     r"""Return the product of two units, the unit of their covariance.
 
-    Parameters
-    ----------
-    first, second
-        Units of D-SI among the values of `OUR_UNITS` that have no power.
-
-    Returns
-    -------
-    str
-        The product.
+    first, second: Units of D-SI among the values of `OUR_UNITS` that have no power.
 
     Examples
     --------
@@ -159,15 +144,7 @@ def _written(powers: dict[str, int]) -> str:
 def unit_fault(unit: str) -> str | None:
     r"""Return why a text is not a unit of D-SI.
 
-    Parameters
-    ----------
-    unit
-        The text.
-
-    Returns
-    -------
-    str or None
-        The reason; None if it is a unit.
+    Returns: The reason; None if it is a unit.
 
     Examples
     --------
@@ -191,15 +168,7 @@ def unit_fault(unit: str) -> str | None:
 def unit_powers(unit: str) -> dict[str, int]:
     r"""Return the units in a unit of D-SI, each with its prefix and its power, to compare units.
 
-    Parameters
-    ----------
-    unit
-        The unit, with whole powers.
-
-    Returns
-    -------
-    dict
-        Power by unit, without ``\one``; empty for text that is not a unit of D-SI.
+    Returns: Power by unit, without ``\one``; empty for text that is not a unit of D-SI.
 
     Examples
     --------
@@ -273,17 +242,8 @@ def _unit_with_prefix_fault(prefix: str, unit: str) -> str | None:
 def length_mm(value: float, unit: str) -> float | None:
     r"""Return a length in millimetres.
 
-    Parameters
-    ----------
-    value
-        The length.
-    unit
-        Its unit in D-SI's notation: ``\metre``, with a prefix or without.
-
-    Returns
-    -------
-    float or None
-        The length, mm; None if the unit is not one of length.
+    unit: Its unit in D-SI's notation: ``\metre``, with a prefix or without.
+    Returns: The length, mm; None if the unit is not one of length.
 
     Examples
     --------

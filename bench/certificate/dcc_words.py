@@ -46,15 +46,8 @@ _RELEASE = re.compile(r"\d{1,3}(?:\.\d{1,3}){0,3}(?![0-9A-Za-z])")
 def joined(*parts: str) -> str:
     """Return texts as one.
 
-    Parameters
-    ----------
-    *parts
-        The texts; empty ones are left out.
-
-    Returns
-    -------
-    str
-        The text, with a semicolon between parts where there is no full stop.
+    parts: The texts; empty ones are left out.
+    Returns: The text, with a semicolon between parts where there is no full stop.
     """
     whole = ""
     for part in filter(None, map(str.strip, parts)):
@@ -66,15 +59,7 @@ def joined(*parts: str) -> str:
 def token(text: str) -> str:
     """Return text for an element that must not begin or end with a space.
 
-    Parameters
-    ----------
-    text
-        The text.
-
-    Returns
-    -------
-    str
-        The text with each run of spaces as one space; ``-`` if nothing is left.
+    Returns: The text with each run of spaces as one space; ``-`` if nothing is left.
     """
     return " ".join(text.split()) or "-"
 
@@ -82,21 +67,7 @@ def token(text: str) -> str:
 def add_text(parent: _Element, name: str, text: str, /, **attributes: str | None) -> _Element:
     """Add an element of the type ``textType`` or ``richContentType`` with one text.
 
-    Parameters
-    ----------
-    parent
-        The element that gets it.
-    name
-        Prefix and name of the element.
-    text
-        The text, in the language of the certificate.
-    **attributes
-        Attributes of the element; those that are None are left out.
-
-    Returns
-    -------
-    lxml.etree._Element
-        The new element.
+    attributes: Attributes of the element; those that are None are left out.
     """
     new = add(parent, name, **attributes)
     add(new, "dcc:content", text.strip() or "-", lang=LANGUAGE)
@@ -106,20 +77,7 @@ def add_text(parent: _Element, name: str, text: str, /, **attributes: str | None
 def number_text(value: float) -> str:
     """Return a number as D-SI writes it, with all its digits.
 
-    Parameters
-    ----------
-    value
-        The number.
-
-    Returns
-    -------
-    str
-        The shortest decimal that is read back as the same number.
-
-    Raises
-    ------
-    ValueError
-        When it is not finite.
+    Raises ValueError: When it is not finite.
 
     Examples
     --------
@@ -135,17 +93,7 @@ def number_text(value: float) -> str:
 def plain_number(value: float, digits: int) -> str:
     """Return a number without an exponent, as D-SI wants coverage factors and probabilities.
 
-    Parameters
-    ----------
-    value
-        The number.
-    digits
-        Most digits behind the point.
-
-    Returns
-    -------
-    str
-        The number, without zeros at its end.
+    Returns: The number, without zeros at its end.
 
     Examples
     --------
@@ -160,24 +108,11 @@ def add_real(
 ) -> _Element:
     """Add a number with its unit as ``si:real``.
 
-    Parameters
-    ----------
-    parent
-        The element that gets it.
-    value
-        The number in D-SI's notation.
-    unit
-        The unit in D-SI's notation.
-    label
-        Label of the number; empty for none.
-    expanded
-        Expanded uncertainty, coverage factor, probability of coverage and, if it is known, distribution; empty for a
-        number without uncertainty.
-
-    Returns
-    -------
-    lxml.etree._Element
-        The new element.
+    value: The number in D-SI's notation.
+    unit: The unit in D-SI's notation.
+    label: Label of the number; empty for none.
+    expanded: Expanded uncertainty, coverage factor, probability of coverage and, if it is known,
+      distribution; empty for a number without uncertainty.
     """
     real = add(parent, "si:real")
     if label:
@@ -195,18 +130,7 @@ def add_real(
 def add_number(parent: _Element, name: str, value: float, unit: str, ref_type: str) -> None:
     """Add a quantity without uncertainty: ``si:real`` if D-SI has its unit, else words.
 
-    Parameters
-    ----------
-    parent
-        The element that gets it.
-    name
-        Name of the quantity.
-    value
-        Its value.
-    unit
-        Its unit as Starbench prints it.
-    ref_type
-        The quantity's refType.
+    ref_type: The quantity's refType.
     """
     quantity = add(parent, "dcc:quantity", refType=ref_type)
     add_text(quantity, "dcc:name", name)
@@ -220,16 +144,7 @@ def add_number(parent: _Element, name: str, value: float, unit: str, ref_type: s
 def add_words(parent: _Element, name: str, text: str, ref_type: str) -> None:
     """Add a quantity that is stated in words.
 
-    Parameters
-    ----------
-    parent
-        The element that gets it.
-    name
-        Name of the quantity.
-    text
-        The words.
-    ref_type
-        The quantity's refType.
+    ref_type: The quantity's refType.
     """
     quantity = add(parent, "dcc:quantity", refType=ref_type)
     add_text(quantity, "dcc:name", name)
@@ -237,15 +152,7 @@ def add_words(parent: _Element, name: str, text: str, ref_type: str) -> None:
 
 
 def add_software(parent: _Element, programs: Sequence[Software]) -> None:
-    """Add programs to a list of software. A release is written as ``v1.2.3``, which PTB's rules want.
-
-    Parameters
-    ----------
-    parent
-        The list.
-    programs
-        The programs.
-    """
+    """Add programs to a list of software. A release is written as ``v1.2.3``, which PTB's rules want."""
     for one in programs:
         software = add(parent, "dcc:software")
         add_text(software, "dcc:name", one.name)
@@ -257,18 +164,7 @@ def add_software(parent: _Element, programs: Sequence[Software]) -> None:
 
 
 def software_of(certificate: Certificate) -> tuple[list[Software], list[Software]]:
-    """Return the programs of the run, and what wrote the certificate.
-
-    Parameters
-    ----------
-    certificate
-        The certificate; its list of software holds both.
-
-    Returns
-    -------
-    used, writers
-        Both lists.
-    """
+    """Return the programs of the run, and what wrote the certificate."""
     listed = list(certificate.run.software)
     at = next((at for at, one in enumerate(listed) if one.name == FORM), len(listed))
     return listed[:at], listed[at:]
@@ -277,13 +173,8 @@ def software_of(certificate: Certificate) -> tuple[list[Software], list[Software
 def identifications(parent: _Element, *found: tuple[str, str, str]) -> None:
     """Add identifications.
 
-    Parameters
-    ----------
-    parent
-        The element that gets the list.
-    *found
-        Issuer (a word of the DCC), value and name of each; those without a value are left out. A name of ``Serial
-        number`` gets PTB's refType.
+    found: Issuer (a word of the DCC), value and name of each; those without a value are left out. A name of
+      ``Serial number`` gets PTB's refType.
     """
     stated = [one for one in found if one[1].strip()]
     if not stated:

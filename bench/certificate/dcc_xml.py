@@ -36,14 +36,9 @@ SIGNATURE = f"{{{DS}}}Signature"
 
 @dataclass(frozen=True)
 class Versions:
-    """A version of the DCC and the version of D-SI that its schema imports. They are only valid together.
+    """A version of the DCC and the version of D-SI that its schema imports. They are only valid together."""
 
-    Attributes
-    ----------
-    dcc, si
-        Version of the DCC's schema and of D-SI's.
-    """
-
+    # dcc, si: Version of the DCC's schema and of D-SI's.
     dcc: str
     si: str
 
@@ -57,20 +52,7 @@ _DOCTYPE = re.compile(rb"<!(?:DOCTYPE|ENTITY)", re.IGNORECASE)
 def library(name: str) -> Any:
     """Import a library of the extra ``certificate``.
 
-    Parameters
-    ----------
-    name
-        Name of its module.
-
-    Returns
-    -------
-    module
-        The module.
-
-    Raises
-    ------
-    UsageError
-        When it is not installed.
+    Raises UsageError: When it is not installed.
     """
     try:
         return import_module(name)
@@ -84,24 +66,10 @@ def library(name: str) -> Any:
 def read_xml(data: bytes, where: str) -> _Element:
     """Read XML from a source that is not trusted.
 
-    Parameters
-    ----------
-    data
-        The file's content.
-    where
-        The file, for the message.
-
-    Returns
-    -------
-    lxml.etree._Element
-        The root element, with every space and comment kept.
-
-    Raises
-    ------
-    EvidenceError
-        When it is not well-formed XML in UTF-8, has a document type or an entity, or is too large.
-    UsageError
-        When lxml is not installed.
+    data: The file's content.
+    Raises EvidenceError: When it is not well-formed XML in UTF-8, has a document type or an entity, or is too
+      large.
+    Raises UsageError: When lxml is not installed.
     """
     etree = library("lxml.etree")
     if len(data) > MOST_BYTES:
@@ -135,24 +103,9 @@ def read_xml(data: bytes, where: str) -> _Element:
 def read_dcc(data: bytes, where: str) -> _Element:
     """Read a digital calibration certificate of a version in `VERSIONS`.
 
-    Parameters
-    ----------
-    data
-        The file's content.
-    where
-        The file, for the message.
-
-    Returns
-    -------
-    lxml.etree._Element
-        The root element.
-
-    Raises
-    ------
-    EvidenceError
-        When it cannot be read safely, is not a DCC, or has another version.
-    UsageError
-        When lxml is not installed.
+    data: The file's content.
+    Raises EvidenceError: When it cannot be read safely, is not a DCC, or has another version.
+    Raises UsageError: When lxml is not installed.
     """
     root = read_xml(data, where)
     if root.tag != ROOT:
@@ -168,22 +121,7 @@ def read_dcc(data: bytes, where: str) -> _Element:
 def versions_of(root: _Element, where: str) -> Versions:
     """Return the versions of a DCC.
 
-    Parameters
-    ----------
-    root
-        Its root element.
-    where
-        The file, for the message.
-
-    Returns
-    -------
-    Versions
-        The pair.
-
-    Raises
-    ------
-    EvidenceError
-        When the version is not in `VERSIONS`.
+    Raises EvidenceError: When the version is not in `VERSIONS`.
     """
     stated = root.get("schemaVersion", "")
     for one in VERSIONS:
@@ -200,17 +138,7 @@ def versions_of(root: _Element, where: str) -> Versions:
 def short(text: str, most: int = 80) -> str:
     """Return text of others for a message: printable, on one line, and not long.
 
-    Parameters
-    ----------
-    text
-        The text.
-    most
-        Most characters to return.
-
-    Returns
-    -------
-    str
-        The text with runs of spaces joined, unprintable characters as ``?``, cut with ``…``.
+    Returns: The text with runs of spaces joined, unprintable characters as ``?``, cut with ``…``.
     """
     joined = "".join(each if each.isprintable() else "?" for each in " ".join(text[: 8 * most].split()))
     return joined if len(joined) <= most else joined[: most - 1] + "…"
@@ -219,15 +147,7 @@ def short(text: str, most: int = 80) -> str:
 def qualified(name: str) -> str:
     """Return the name of an element as lxml writes it.
 
-    Parameters
-    ----------
-    name
-        Prefix and name, such as ``dcc:name``.
-
-    Returns
-    -------
-    str
-        The name with its namespace in braces.
+    name: Prefix and name, such as ``dcc:name``.
 
     Examples
     --------
@@ -241,21 +161,8 @@ def qualified(name: str) -> str:
 def add(parent: _Element, name: str, content: str | None = None, /, **attributes: str | None) -> _Element:
     """Add an element as the last child of another.
 
-    Parameters
-    ----------
-    parent
-        The element that gets it.
-    name
-        Its prefix and name.
-    content
-        Its text; None for none.
-    **attributes
-        Its attributes; those that are None are left out.
-
-    Returns
-    -------
-    lxml.etree._Element
-        The new element.
+    content: Its text; None for none.
+    attributes: Its attributes; those that are None are left out.
     """
     child = parent.makeelement(qualified(name), {key: value for key, value in attributes.items() if value})
     parent.append(child)
@@ -265,18 +172,7 @@ def add(parent: _Element, name: str, content: str | None = None, /, **attributes
 
 
 def printable(text: str) -> str:
-    """Return text that XML 1.0 can hold.
-
-    Parameters
-    ----------
-    text
-        The text.
-
-    Returns
-    -------
-    str
-        The text, with each control character, surrogate and noncharacter as U+FFFD.
-    """
+    """Return text that XML 1.0 can hold."""
     return _NOT_XML.sub("\ufffd", text)
 
 
@@ -286,15 +182,7 @@ _NOT_XML = re.compile("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
 def to_bytes(root: _Element) -> bytes:
     """Return a DCC as the bytes of its file. Spaces between its elements are written as they are.
 
-    Parameters
-    ----------
-    root
-        The root element.
-
-    Returns
-    -------
-    bytes
-        XML in UTF-8 with its declaration, and a line feed at its end.
+    Returns: XML in UTF-8 with its declaration, and a line feed at its end.
     """
     etree = library("lxml.etree")
     body: bytes = etree.tostring(root.getroottree(), encoding="UTF-8", xml_declaration=False)

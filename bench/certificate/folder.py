@@ -28,10 +28,7 @@ _UNFINISHED = ".tmp"
 def require_libraries() -> None:
     """Refuse to begin without the libraries of PDF and DCC.
 
-    Raises
-    ------
-    UsageError
-        When one is missing.
+    Raises UsageError: When one is missing.
     """
     try:
         import lxml.etree
@@ -55,30 +52,9 @@ def certificate_files(
 ) -> dict[str, bytes]:
     """Return the files of a certificate's folder, without those of its seal. Same input, same bytes.
 
-    Parameters
-    ----------
-    certificate
-        The certificate.
-    found
-        Content of results.json.
-    results, lab
-        Bytes of results.json and lab.yaml.
-    plots
-        SVG by name.
-    sign
-        Returns the DCC with a signature in it; None for none.
-
-    Returns
-    -------
-    dict
-        Content by name.
-
-    Raises
-    ------
-    EvidenceError
-        When the DCC does not pass its own checks.
-    UsageError
-        When a library is missing, or a text has characters that cannot be printed.
+    sign: Returns the DCC with a signature in it; None for none.
+    Raises EvidenceError: When the DCC does not pass its own checks.
+    Raises UsageError: When a library is missing, or a text has characters that cannot be printed.
     """
     from bench.certificate.dcc import render_dcc
     from bench.certificate.dcc_checks import check_dcc
@@ -106,15 +82,7 @@ def certificate_files(
 def refuse_occupied(folder: Path) -> None:
     """Refuse a name that is taken, or that lies in a sealed folder, before any number is taken.
 
-    Parameters
-    ----------
-    folder
-        Folder that the certificate is to have.
-
-    Raises
-    ------
-    UsageError
-        When something has this name, or a folder above it is sealed.
+    Raises UsageError: When something has this name, or a folder above it is sealed.
     """
     sealed = next((parent for parent in folder.absolute().parents if is_sealed(parent)), None)
     if sealed is not None:
@@ -134,26 +102,10 @@ def refuse_occupied(folder: Path) -> None:
 def write_sealed(folder: Path, files: Mapping[str, bytes], key: BenchKey) -> str:
     """Write and seal a folder; it has its final name only when it is complete.
 
-    Parameters
-    ----------
-    folder
-        The new folder.
-    files
-        Content by name.
-    key
-        The bench's key.
-
-    Returns
-    -------
-    str
-        SHA-256 of its SHA256SUMS.
-
-    Raises
-    ------
-    UsageError
-        When the name is taken.
-    StorageError
-        When a file cannot be written.
+    key: The bench's key.
+    Returns: SHA-256 of its SHA256SUMS.
+    Raises UsageError: When the name is taken.
+    Raises StorageError: When a file cannot be written.
     """
     part = unfinished(folder)
     make_folder(folder.parent)
@@ -172,33 +124,14 @@ def write_sealed(folder: Path, files: Mapping[str, bytes], key: BenchKey) -> str
 
 
 def unfinished(folder: Path) -> Path:
-    """Return the name of a folder while it is being made.
-
-    Parameters
-    ----------
-    folder
-        Its final name.
-
-    Returns
-    -------
-    Path
-        A hidden name beside it.
-    """
+    """Return the name of a folder while it is being made."""
     return folder.with_name(f".{folder.name}{_UNFINISHED}")
 
 
 def remove_unfinished(folder: Path) -> None:
     """Remove what a process left behind that was killed while it made this folder.
 
-    Parameters
-    ----------
-    folder
-        The final name.
-
-    Raises
-    ------
-    StorageError
-        When it cannot be removed.
+    Raises StorageError: When it cannot be removed.
     """
     part = unfinished(folder)
     if part.is_symlink() or not part.is_dir():

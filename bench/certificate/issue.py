@@ -38,82 +38,37 @@ from sequences.reader import Located
 
 @dataclass(frozen=True)
 class Laboratory:
-    """What a laboratory needs to issue certificates.
-
-    Attributes
-    ----------
-    ledger
-        Its ledger, with the series of numbers.
-    key
-        Returns the bench's key; called only when nothing speaks against the certificate.
-    utc_now
-        Returns the present time, with its time zone.
-    verify
-        Verifies a sealed folder.
-    sign_dcc
-        Signs a DCC with the laboratory's key, given the time of signing; None for DCCs without a signature.
-    """
+    """What a laboratory needs to issue certificates."""
 
     ledger: Ledger
+    # Returns the bench's key; called only when nothing speaks against the certificate.
     key: Callable[[], BenchKey]
     utc_now: Callable[[], datetime]
     verify: Verify
+    # Signs a DCC with the laboratory's key, given the time of signing; None for DCCs without a signature.
     sign_dcc: Callable[[bytes, datetime], bytes] | None = None
 
 
 @dataclass(frozen=True)
 class Issued:
-    """A certificate that was issued.
-
-    Attributes
-    ----------
-    certificate
-        The certificate.
-    folder
-        Its folder.
-    seal
-        SHA-256 of its SHA256SUMS.
-    completed
-        Numbers whose certificates a killed process had finished, and that were entered now.
-    """
+    """A certificate that was issued."""
 
     certificate: Certificate
     folder: Path
-    seal: str
+    seal: str  # SHA-256 of its SHA256SUMS
     completed: tuple[str, ...] = ()
 
 
 def issue(run: Path, lab_file: Path, folder: Path, laboratory: Laboratory, *, also: str = "") -> Issued:
     """Issue the certificate of a sealed run.
 
-    Parameters
-    ----------
-    run
-        The run folder.
-    lab_file
-        The file lab.yaml.
-    folder
-        New folder of the certificate.
-    laboratory
-        Ledger, key, clock and verifier.
-    also
-        Why a second certificate of the run is needed; empty: a second one is refused.
-
-    Returns
-    -------
-    Issued
-        The certificate.
-
-    Raises
-    ------
-    DocumentFaults
-        With all faults of lab.yaml: clauses without an answer, and contradictions to the run.
-    EvidenceError
-        When the run is refused, it has a certificate already, or the series of numbers is not in order.
-    UsageError
-        When the folder exists, or a library is missing.
-    StorageError
-        When a file cannot be read or written.
+    also: Why a second certificate of the run is needed; empty: a second one is refused.
+    Raises DocumentFaults: With all faults of lab.yaml: clauses without an answer, and contradictions to the
+      run.
+    Raises EvidenceError: When the run is refused, it has a certificate already, or the series of numbers is
+      not in order.
+    Raises UsageError: When the folder exists, or a library is missing.
+    Raises StorageError: When a file cannot be read or written.
     """
     require_libraries()
     refuse_occupied(folder)
@@ -135,32 +90,10 @@ def make_certificate(
 ) -> Issued:
     """Make, seal and enter a certificate of a run that was verified.
 
-    Parameters
-    ----------
-    source
-        The run.
-    lab
-        Content of lab.yaml.
-    folder
-        New folder of the certificate.
-    laboratory
-        Ledger, key and clock.
-    also
-        Why a second certificate of the run is needed; empty if it is the first one.
-    amended
-        Returns what the certificate amends, given the certificate without that; None if it amends none.
-    amends
-        Number of the certificate that it replaces; empty if none.
-
-    Returns
-    -------
-    Issued
-        The certificate.
-
-    Raises
-    ------
-    DocumentFaults, EvidenceError, UsageError, StorageError
-        As `issue`.
+    also: Why a second certificate of the run is needed; empty if it is the first one.
+    amended: Returns what the certificate amends, given the certificate without that; None if it amends none.
+    amends: Number of the certificate that it replaces; empty if none.
+    Raises DocumentFaults, EvidenceError, UsageError, StorageError: As `issue`.
     """
     folder = folder.absolute()
     try:
@@ -209,20 +142,8 @@ def _refuse_second_early(run: Path, ledger: Ledger, also: str) -> None:
 def complete_open(ledger: Ledger) -> list[str]:
     """Settle open numbers: enter those whose folder is complete, and remove the half made folders of the others.
 
-    Parameters
-    ----------
-    ledger
-        The laboratory's ledger.
-
-    Returns
-    -------
-    list of str
-        The numbers that were entered.
-
-    Raises
-    ------
-    EvidenceError, JournalBroken, StorageError
-        When the ledger is not valid or cannot be written.
+    ledger: The laboratory's ledger.
+    Raises EvidenceError, JournalBroken, StorageError: When the ledger is not valid or cannot be written.
     """
     done = []
     for one in open_numbers(numbers(ledger.entries())):
@@ -240,22 +161,9 @@ def complete_open(ledger: Ledger) -> list[str]:
 def finished_certificate(one: Numbered) -> Certificate | None:
     """Return the certificate that lies in the folder of a number, sealed.
 
-    Parameters
-    ----------
-    one
-        The number.
-
-    Returns
-    -------
-    Certificate or None
-        None if there is none, or if it has another number.
-
-    Raises
-    ------
-    EvidenceError
-        When its certificate.json is not of the expected form.
-    StorageError
-        When it cannot be read.
+    Returns: None if there is none, or if it has another number.
+    Raises EvidenceError: When its certificate.json is not of the expected form.
+    Raises StorageError: When it cannot be read.
     """
     folder = Path(one.folder)
     if not one.folder or not is_sealed(folder) or not (folder / CERTIFICATE).is_file():

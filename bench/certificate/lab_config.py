@@ -329,44 +329,13 @@ class LabConfig(StrictModel):
 
 
 def read_lab(path: Path | str) -> Located[LabConfig]:
-    """Read a file lab.yaml.
-
-    Parameters
-    ----------
-    path
-        The file.
-
-    Returns
-    -------
-    Located of LabConfig
-        The configuration, with the place of each value.
-
-    Raises
-    ------
-    DocumentFaults
-        With all faults of the file.
-    """
+    """Read a file lab.yaml."""
     return read_document(path, LabConfig)
 
 
 def lab_of(data: bytes, file: str = "lab.yaml") -> Located[LabConfig]:
     """Read the bytes of a lab.yaml, such as those in the folder of a certificate.
 
-    Parameters
-    ----------
-    data
-        The bytes.
-    file
-        The name that faults carry.
-
-    Returns
-    -------
-    Located of LabConfig
-        As `read_lab`.
-
-    Raises
-    ------
-    DocumentFaults
-        With all faults.
+    Returns: As `read_lab`.
     """
     return check_document(data, file, LabConfig)

@@ -14,15 +14,8 @@ _FORMAT = re.compile(
 def is_number_format(text: str) -> bool:
     """Return whether a text is the format of a series of numbers.
 
-    Parameters
-    ----------
-    text
-        The text.
-
-    Returns
-    -------
-    bool
-        Whether it has ``{number}`` or ``{number:05d}`` exactly once and otherwise only plain characters and ``{year}``.
+    Returns: Whether it has ``{number}`` or ``{number:05d}`` exactly once and otherwise only plain characters
+      and ``{year}``.
 
     Examples
     --------
@@ -35,24 +28,8 @@ def is_number_format(text: str) -> bool:
 def number_of(text: str, *, year: int, number: int) -> str:
     """Return a number of a series.
 
-    Parameters
-    ----------
-    text
-        Format of the series.
-    year
-        Year of issue.
-    number
-        The number in the series, from 1.
-
-    Returns
-    -------
-    str
-        The number as printed.
-
-    Raises
-    ------
-    ValueError
-        When this is not a format of a series.
+    number: The number in the series, from 1.
+    Raises ValueError: When this is not a format of a series.
 
     Examples
     --------
@@ -71,19 +48,7 @@ def number_of(text: str, *, year: int, number: int) -> str:
 def series_of(text: str, *, year: int, simulated: bool) -> str:
     """Return the name of a series: numbers count from 1 in each, and in each year if the format names the year.
 
-    Parameters
-    ----------
-    text
-        Format of the numbers.
-    year
-        Year of issue.
-    simulated
-        Whether devices were simulated.
-
-    Returns
-    -------
-    str
-        The format with its year in place.
+    simulated: Whether devices were simulated.
 
     Examples
     --------
@@ -96,20 +61,8 @@ def series_of(text: str, *, year: int, simulated: bool) -> str:
 def number_pattern(text: str) -> re.Pattern[str]:
     """Return what a number of a series looks like.
 
-    Parameters
-    ----------
-    text
-        Format of the series.
-
-    Returns
-    -------
-    Pattern
-        Matches the numbers of any year: a number may be used in the year after it was reserved.
-
-    Raises
-    ------
-    ValueError
-        When this is not a format of a series.
+    Returns: Matches the numbers of any year: a number may be used in the year after it was reserved.
+    Raises ValueError: When this is not a format of a series.
 
     Examples
     --------

@@ -10,20 +10,13 @@ PlaceKind = Literal["laboratory", "customer", "laboratoryBranch", "customerBranc
 
 @dataclass(frozen=True)
 class Address:
-    """A postal address.
+    """A postal address."""
 
-    Attributes
-    ----------
-    street, post_code, city
-        Street with its number, post code, city; empty where there is none.
-    country
-        Code of the country, two letters (ISO 3166-1).
-    """
-
+    # street, post_code, city: Street with its number, post code, city; empty where there is none.
     street: str
     post_code: str
     city: str
-    country: str
+    country: str  # Code of the country, two letters (ISO 3166-1)
 
     @property
     def lines(self) -> tuple[str, ...]:
@@ -33,14 +26,9 @@ class Address:
 
 @dataclass(frozen=True)
 class Contact:
-    """How to reach somebody.
+    """How to reach somebody."""
 
-    Attributes
-    ----------
-    name, email, phone
-        Person or office, mail address, telephone number; empty where there is none.
-    """
-
+    # name, email, phone: Person or office, mail address, telephone number; empty where there is none.
     name: str
     email: str
     phone: str
@@ -48,13 +36,7 @@ class Contact:
 
 @dataclass(frozen=True)
 class Accreditation:
-    """The accreditation of the laboratory.
-
-    Attributes
-    ----------
-    body, number, scope
-        Accreditation body, number of the accreditation, and the scope that covers this calibration.
-    """
+    """The accreditation of the laboratory."""
 
     body: str
     number: str
@@ -63,35 +45,20 @@ class Accreditation:
 
 @dataclass(frozen=True)
 class Laboratory:
-    """The laboratory that calibrated (ISO/IEC 17025, 7.8.2.1 b and c).
-
-    Attributes
-    ----------
-    name, address, contact
-        Name, address and contact.
-    accreditation
-        Its accreditation; None if it has none for this calibration.
-    place_kind, place
-        Kind of the place where it calibrated (a word of the DCC), and the place in words.
-    """
+    """The laboratory that calibrated (ISO/IEC 17025, 7.8.2.1 b and c)."""
 
     name: str
     address: Address
     contact: Contact
-    accreditation: Accreditation | None
+    accreditation: Accreditation | None  # Its accreditation; None if it has none for this calibration
+    # place_kind, place: Kind of the place where it calibrated (a word of the DCC), and the place in words.
     place_kind: PlaceKind
     place: str
 
 
 @dataclass(frozen=True)
 class Customer:
-    """The customer (7.8.2.1 e).
-
-    Attributes
-    ----------
-    name, contact, address
-        Name, contact and address.
-    """
+    """The customer (7.8.2.1 e)."""
 
     name: str
     contact: Contact
@@ -100,82 +67,47 @@ class Customer:
 
 @dataclass(frozen=True)
 class Camera:
-    """The calibrated camera, as it identified itself in the run.
+    """The calibrated camera, as it identified itself in the run."""
 
-    Attributes
-    ----------
-    maker, model, sensor, serial, firmware
-        What the camera reported; empty where it reports nothing.
-    image_size
-        Width and height, px.
-    biases
-        Biases and their values as text, sorted by name; empty for a frame camera.
-    biases_sha256
-        SHA-256 of the biases; empty for a frame camera.
-    """
-
+    # maker, model, sensor, serial, firmware: What the camera reported; empty where it reports nothing.
     maker: str
     model: str
     sensor: str
     serial: str
     firmware: str
-    image_size: tuple[int, ...]
-    biases: tuple[str, ...]
-    biases_sha256: str
+    image_size: tuple[int, ...]  # Width and height, px
+    biases: tuple[str, ...]  # Biases and their values as text, sorted by name; empty for a frame camera
+    biases_sha256: str  # SHA-256 of the biases; empty for a frame camera
 
 
 @dataclass(frozen=True)
 class Lens:
-    """The lens. Camera and lens are calibrated as one.
+    """The lens. Camera and lens are calibrated as one."""
 
-    Attributes
-    ----------
-    maker, model, serial
-        Identification; empty where there is none.
-    focus, aperture
-        Setting of focus and aperture, in words.
-    focus_locked, aperture_locked
-        Whether each is locked.
-    """
-
+    # maker, model, serial: Identification; empty where there is none.
     maker: str
     model: str
     serial: str
     focus: str
     aperture: str
+    # focus_locked, aperture_locked: Whether each is locked.
     focus_locked: bool
     aperture_locked: bool
 
 
 @dataclass(frozen=True)
 class Item:
-    """The calibrated item (7.8.2.1 g).
-
-    Attributes
-    ----------
-    camera, lens
-        Camera and lens.
-    customer_id
-        The customer's own number of the item; empty if there is none.
-    condition
-        Condition of the item on receipt, in words.
-    """
+    """The calibrated item (7.8.2.1 g)."""
 
     camera: Camera
     lens: Lens
-    customer_id: str
+    customer_id: str  # The customer's own number of the item; empty if there is none
     condition: str
 
 
 @dataclass(frozen=True)
 class Method:
-    """The method of calibration (7.8.2.1 f).
-
-    Attributes
-    ----------
-    id, version, text
-        Identification and version of the procedure, and what it does in words.
-    """
+    """The method of calibration (7.8.2.1 f)."""
 
     id: str
     version: str
@@ -184,70 +116,39 @@ class Method:
 
 @dataclass(frozen=True)
 class Deviation:
-    """A deviation from the method, an addition or an exclusion (7.8.2.1 n).
-
-    Attributes
-    ----------
-    text
-        The deviation.
-    source
-        ``run`` if the sealed run states it, ``laboratory`` if the laboratory does.
-    """
+    """A deviation from the method, an addition or an exclusion (7.8.2.1 n)."""
 
     text: str
+    # ``run`` if the sealed run states it, ``laboratory`` if the laboratory does.
     source: Literal["run", "laboratory"]
 
 
 @dataclass(frozen=True)
 class Condition:
-    """A condition that influences the result (7.8.4.1 b).
+    """A condition that influences the result (7.8.4.1 b)."""
 
-    Attributes
-    ----------
-    name
-        Name of the condition, such as ``room temperature``.
-    value
-        Its value; None if it is stated in words.
-    unit
-        Unit, ``1`` for none.
-    U, k
-        Expanded uncertainty and its coverage factor; None if not stated.
-    text
-        The condition in words; empty if it has a value.
-    source
-        ``run``, or the instrument with the number of its certificate.
-    """
-
-    name: str
-    value: float | None
-    unit: str
+    name: str  # Name of the condition, such as ``room temperature``
+    value: float | None  # Its value; None if it is stated in words
+    unit: str  # Unit, ``1`` for none
+    # U, k: Expanded uncertainty and its coverage factor; None if not stated.
     U: float | None
     k: float | None
-    text: str
-    source: str
+    text: str  # The condition in words; empty if it has a value
+    source: str  # ``run``, or the instrument with the number of its certificate
 
 
 @dataclass(frozen=True)
 class Traceability:
-    """A reference to which the results are traceable (7.8.4.1 c).
+    """A reference to which the results are traceable (7.8.4.1 c)."""
 
-    Attributes
-    ----------
-    what
-        The reference, such as ``focal length of the collimator``.
-    value, U, k, unit
-        Its value, expanded uncertainty, coverage factor and unit; None where not stated.
-    number, issuer, date, sha256
-        Number, issuer and date of its certificate, and SHA-256 of the certificate's file; empty where not stated.
-    statement
-        To what the reference itself is traceable, in words.
-    """
-
-    what: str
+    what: str  # The reference, such as ``focal length of the collimator``
+    # value, U, k, unit: Its value, expanded uncertainty, coverage factor and unit; None where not stated.
     value: float | None
     U: float | None
     k: float | None
     unit: str
+    # number, issuer, date, sha256: Number, issuer and date of its certificate, and SHA-256 of the
+    # certificate's file; empty where not stated.
     number: str
     issuer: str
     date: str
@@ -257,14 +158,9 @@ class Traceability:
 
 @dataclass(frozen=True)
 class AuthorisedBy:
-    """The person who is to authorise the certificate (7.8.2.1 o). The signature itself lies beside the seal.
+    """The person who is to authorise the certificate (7.8.2.1 o). The signature itself lies beside the seal."""
 
-    Attributes
-    ----------
-    name, role, key_fingerprint
-        Name, role, and fingerprint of the person's key (``SHA256:...``).
-    """
-
+    # name, role, key_fingerprint: Name, role, and fingerprint of the person's key (``SHA256:...``).
     name: str
     role: str
     key_fingerprint: str

@@ -54,28 +54,13 @@ def render_pdf(
 ) -> bytes:
     """Render a certificate as PDF/A-3a with its files attached.
 
-    Parameters
-    ----------
-    certificate
-        The certificate.
-    results
-        Content of the run's results.json.
-    attachments
-        Files to attach, by name: ``dcc.xml`` and ``results.json``.
-    plots
-        SVG by name, from `bench.certificate.pdf_plots.plots_of_run`; None to draw what follows from ``results`` alone.
-
-    Returns
-    -------
-    bytes
-        The file; the same for the same input and the same versions of typst and Matplotlib.
-
-    Raises
-    ------
-    UsageError
-        When typst is not installed, or the laboratory wrote characters that the fonts do not have.
-    BenchError
-        When typst refuses the document.
+    results: Content of the run's results.json.
+    attachments: Files to attach, by name: ``dcc.xml`` and ``results.json``.
+    plots: SVG by name, from `bench.certificate.pdf_plots.plots_of_run`; None to draw what follows from
+      ``results`` alone.
+    Raises UsageError: When typst is not installed, or the laboratory wrote characters that the fonts do not
+      have.
+    Raises BenchError: When typst refuses the document.
     """
     _typst()
     content = json.loads(certificate.to_json())
@@ -88,15 +73,7 @@ def render_pdf(
 def rendered_by(data: bytes) -> str:
     """Return the programs that rendered a PDF, as its metadata state them. Only the same ones give the same bytes.
 
-    Parameters
-    ----------
-    data
-        The PDF.
-
-    Returns
-    -------
-    str
-        Names and versions; empty if the file does not state them.
+    Returns: Names and versions; empty if the file does not state them.
     """
     found = _RENDERED.search(data)
     return found[1].decode("ascii", "replace") if found else ""

@@ -25,53 +25,21 @@ _PLAIN_FROM, _PLAIN_TO = 1e-4, 1e7
 def paragraph(text: str, tone: Literal["plain", "note", "lead"] = "plain", *, sticky: bool = False) -> Block:
     """Return a paragraph.
 
-    Parameters
-    ----------
-    text
-        Its text.
-    tone
-        ``note`` for small print, ``lead`` for the first line of the certificate.
-    sticky
-        Whether it stays on one page with the block after it.
-
-    Returns
-    -------
-    dict
-        The block.
+    tone: ``note`` for small print, ``lead`` for the first line of the certificate.
+    sticky: Whether it stays on one page with the block after it.
     """
     return {"kind": "paragraph", "text": text, "tone": tone, "sticky": sticky}
 
 
 def heading(text: str) -> Block:
-    """Return a heading of second rank.
-
-    Parameters
-    ----------
-    text
-        Its text.
-
-    Returns
-    -------
-    dict
-        The block.
-    """
+    """Return a heading of second rank."""
     return {"kind": "heading", "text": text}
 
 
 def notice(title: str, lines: Sequence[str], *, warning: bool = False) -> Block:
     """Return a box that a reader must not overlook.
 
-    Parameters
-    ----------
-    title, lines
-        Title and paragraphs.
-    warning
-        Whether it is a warning: red.
-
-    Returns
-    -------
-    dict
-        The block.
+    warning: Whether it is a warning: red.
     """
     return {"kind": "notice", "title": title, "lines": list(lines), "tone": "warning" if warning else "plain"}
 
@@ -79,19 +47,8 @@ def notice(title: str, lines: Sequence[str], *, warning: bool = False) -> Block:
 def pairs(rows: Iterable[tuple[Cell, Cell]], label_mm: float = 42.0, **layout: Any) -> Block:
     """Return names with their values; a row without a value is left out.
 
-    Parameters
-    ----------
-    rows
-        Name and value.
-    label_mm
-        Width of the names, mm.
-    **layout
-        ``columns`` and ``size`` (points).
-
-    Returns
-    -------
-    dict
-        The block.
+    label_mm: Width of the names, mm.
+    layout: ``columns`` and ``size`` (points).
     """
     return {"kind": "pairs", "rows": filled(rows), "label_mm": label_mm, **layout}
 
@@ -99,15 +56,7 @@ def pairs(rows: Iterable[tuple[Cell, Cell]], label_mm: float = 42.0, **layout: A
 def filled(rows: Iterable[tuple[Cell, Cell]]) -> list[tuple[Cell, Cell]]:
     """Return the rows that have a value.
 
-    Parameters
-    ----------
-    rows
-        Name and value.
-
-    Returns
-    -------
-    list of tuple
-        The rows whose value is not empty.
+    Returns: The rows whose value is not empty.
     """
     return [(name, value) for name, value in rows if value]
 
@@ -121,22 +70,10 @@ def table(
 ) -> Block:
     """Return a table; its head is repeated on every page.
 
-    Parameters
-    ----------
-    head, rows
-        Cells of the head and of the rows.
-    widths
-        ``auto``, or a share of the width that is left.
-    align
-        Alignment of each column; None for left everywhere.
-    **layout
-        ``size`` (points), ``gap`` and ``pad`` (space beside and above the text, mm), ``break`` (a word of this length
-        may break anywhere) and ``foot`` (text of a last row over all columns).
-
-    Returns
-    -------
-    dict
-        The block.
+    widths: ``auto``, or a share of the width that is left.
+    align: Alignment of each column; None for left everywhere.
+    layout: ``size`` (points), ``gap`` and ``pad`` (space beside and above the text, mm), ``break`` (a word of
+      this length may break anywhere) and ``foot`` (text of a last row over all columns).
     """
     assert all(len(row) == len(head) == len(widths) for row in rows)
     return {
@@ -150,100 +87,38 @@ def table(
 
 
 def bullets(items: Sequence[Cell]) -> Block:
-    """Return a list.
-
-    Parameters
-    ----------
-    items
-        Its items.
-
-    Returns
-    -------
-    dict
-        The block.
-    """
+    """Return a list."""
     return {"kind": "list", "items": list(items)}
 
 
 def together(*blocks: Block) -> Block:
-    """Return blocks that stay on one page.
-
-    Parameters
-    ----------
-    *blocks
-        The blocks; together they are shorter than a page.
-
-    Returns
-    -------
-    dict
-        The block.
-    """
+    """Return blocks that stay on one page."""
     return {"kind": "together", "blocks": list(blocks)}
 
 
 def mono(text: str) -> Cell:
     """Return a cell for a hash, a fingerprint or a file name.
 
-    Parameters
-    ----------
-    text
-        Its text.
-
-    Returns
-    -------
-    str or dict
-        The cell; an empty text stays empty.
+    Returns: The cell; an empty text stays empty.
     """
     return {"text": text, "mono": True} if text else ""
 
 
 def with_index(text: str, index: str) -> Cell:
-    """Return a cell with a lowered index.
-
-    Parameters
-    ----------
-    text, index
-        Text and index.
-
-    Returns
-    -------
-    dict
-        The cell.
-    """
+    """Return a cell with a lowered index."""
     return {"text": text, "sub": index}
 
 
 def with_note(text: str, note: str, **style: Any) -> Cell:
     """Return a cell with small print under its text.
 
-    Parameters
-    ----------
-    text, note
-        Text and small print.
-    **style
-        ``bold`` or ``mono``.
-
-    Returns
-    -------
-    dict
-        The cell.
+    style: ``bold`` or ``mono``.
     """
     return {"text": text, "note": note, **style}
 
 
 def at_the_point(texts: Sequence[str]) -> list[Cell]:
-    """Return cells of a column, aligned to the right, whose decimal points stand below each other.
-
-    Parameters
-    ----------
-    texts
-        Printed numbers.
-
-    Returns
-    -------
-    list
-        The cells.
-    """
+    """Return cells of a column, aligned to the right, whose decimal points stand below each other."""
     decimals = [len(text.partition(".")[2]) if _is_plain(text) else 0 for text in texts]
     most = max(decimals, default=0)
     cells: list[Cell] = []
@@ -261,15 +136,7 @@ def _is_plain(text: str) -> bool:
 def printed(text: str) -> str:
     """Return a printed number of the certificate with a true minus sign.
 
-    Parameters
-    ----------
-    text
-        The number, with ``-`` for minus.
-
-    Returns
-    -------
-    str
-        The number.
+    text: The number, with ``-`` for minus.
     """
     return MINUS + text[1:] if text.startswith("-") else text
 
@@ -277,17 +144,7 @@ def printed(text: str) -> str:
 def compact(value: float | None, digits: int = 3) -> str:
     """Print a computed number with a number of significant digits, as a power of ten where it is very small or large.
 
-    Parameters
-    ----------
-    value
-        The number; None is printed as a dash.
-    digits
-        Significant digits.
-
-    Returns
-    -------
-    str
-        The number with a true minus sign.
+    value: The number; None is printed as a dash.
 
     Examples
     --------
@@ -305,17 +162,7 @@ def compact(value: float | None, digits: int = 3) -> str:
 def stated(value: float | None, digits: int = 9) -> str:
     """Print a number that somebody stated, with all its digits.
 
-    Parameters
-    ----------
-    value
-        The number; None is printed as a dash.
-    digits
-        Largest number of significant digits.
-
-    Returns
-    -------
-    str
-        The number with a true minus sign.
+    value: The number; None is printed as a dash.
 
     Examples
     --------
@@ -334,17 +181,7 @@ def stated(value: float | None, digits: int = 9) -> str:
 def with_unit(text: str, unit: str) -> str:
     """Return a printed number with its unit.
 
-    Parameters
-    ----------
-    text
-        The number.
-    unit
-        The unit; ``1`` and an empty text are not printed.
-
-    Returns
-    -------
-    str
-        Number and unit.
+    unit: The unit; ``1`` and an empty text are not printed.
     """
     return text if unit in ("", "1") or text == NOTHING else f"{text} {unit}"
 
@@ -352,15 +189,7 @@ def with_unit(text: str, unit: str) -> str:
 def freedom(value: float | None) -> str:
     """Print degrees of freedom.
 
-    Parameters
-    ----------
-    value
-        The degrees of freedom; None for infinite.
-
-    Returns
-    -------
-    str
-        Three significant digits, or the sign of infinity.
+    value: The degrees of freedom; None for infinite.
     """
     return "∞" if value is None else compact(value)
 
@@ -368,15 +197,8 @@ def freedom(value: float | None) -> str:
 def percent(share: float) -> str:
     """Print a share in percent, with one decimal.
 
-    Parameters
-    ----------
-    share
-        The share, 0 to 1.
-
-    Returns
-    -------
-    str
-        The share; a share below 0.05 % as ``< 0.1``.
+    share: The share, 0 to 1.
+    Returns: The share; a share below 0.05 % as ``< 0.1``.
 
     Examples
     --------

@@ -31,18 +31,7 @@ _ONE_PAGE = 30
 
 
 def budgets(certificate: Certificate) -> list[Block]:
-    """Return one table for each result, and the list of the sources that they refer to.
-
-    Parameters
-    ----------
-    certificate
-        The certificate.
-
-    Returns
-    -------
-    list of dict
-        The blocks.
-    """
+    """Return one table for each result, and the list of the sources that they refer to."""
     sources = _sources(certificate.budgets)
     blocks: list[Block] = []
     common = _common(certificate.budgets)

@@ -15,18 +15,7 @@ _AUTHORISATION = "SHA256SUMS.authorised.sig"
 
 
 def state(certificate: Certificate) -> str:
-    """Return the state of the document, and what makes it a certificate (ISO/IEC 17025, 7.8.2.1 o).
-
-    Parameters
-    ----------
-    certificate
-        The certificate.
-
-    Returns
-    -------
-    str
-        The sentence.
-    """
+    """Return the state of the document, and what makes it a certificate (ISO/IEC 17025, 7.8.2.1 o)."""
     person = certificate.authorised_by
     return (
         f"SEALED; not a certificate until authorised by {person.name}, {person.role} (key {person.key_fingerprint})"
@@ -35,18 +24,7 @@ def state(certificate: Certificate) -> str:
 
 
 def authorisation(certificate: Certificate) -> list[Block]:
-    """Return who authorises the certificate, and where the signature is (ISO/IEC 17025, 7.8.2.1 o).
-
-    Parameters
-    ----------
-    certificate
-        The certificate.
-
-    Returns
-    -------
-    list of dict
-        The blocks.
-    """
+    """Return who authorises the certificate, and where the signature is (ISO/IEC 17025, 7.8.2.1 o)."""
     person = certificate.authorised_by
     rows: list[tuple[Cell, Cell]] = [
         ("Authorised by", {"text": person.name, "bold": True}),
@@ -63,20 +41,7 @@ def authorisation(certificate: Certificate) -> list[Block]:
 
 
 def verification(certificate: Certificate, attachments: Mapping[str, bytes]) -> list[Block]:
-    """Return the commands that verify the certificate, the sealed run, and the attached files.
-
-    Parameters
-    ----------
-    certificate
-        The certificate.
-    attachments
-        Content of the attached files, by name.
-
-    Returns
-    -------
-    list of dict
-        The blocks.
-    """
+    """Return the commands that verify the certificate, the sealed run, and the attached files."""
     run, person = certificate.run, certificate.authorised_by
     steps = [
         {

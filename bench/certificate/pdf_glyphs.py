@@ -35,13 +35,7 @@ CODE_NOTE = (
 
 
 def font_folder() -> Path:
-    """Return the folder of the fonts.
-
-    Returns
-    -------
-    Path
-        The folder, inside the installed Matplotlib.
-    """
+    """Return the folder of the fonts."""
     from matplotlib import get_data_path
 
     return Path(get_data_path()) / "fonts" / "ttf"
@@ -49,13 +43,7 @@ def font_folder() -> Path:
 
 @cache
 def printable() -> frozenset[int]:
-    """Return the characters that every font of the certificate has.
-
-    Returns
-    -------
-    frozenset of int
-        Code points.
-    """
+    """Return the characters that every font of the certificate has."""
     from matplotlib.ft2font import FT2Font
 
     found = [set(FT2Font(str(font_folder() / name)).get_charmap()) for name in _FONTS]
@@ -65,15 +53,7 @@ def printable() -> frozenset[int]:
 def missing(text: str) -> list[str]:
     """Return the characters of a text that cannot be printed.
 
-    Parameters
-    ----------
-    text
-        The text.
-
-    Returns
-    -------
-    list of str
-        The characters, each once, in the order of the text.
+    Returns: The characters, each once, in the order of the text.
     """
     return list(dict.fromkeys(one for one in text if not _is_printable(one)))
 
@@ -87,15 +67,7 @@ def _is_printable(one: str) -> bool:
 def with_codes(text: str) -> str:
     """Return a text with the code of each character that cannot be printed in its place.
 
-    Parameters
-    ----------
-    text
-        The text.
-
-    Returns
-    -------
-    str
-        The text; it has only characters that can be printed.
+    Returns: The text; it has only characters that can be printed.
 
     Examples
     --------
@@ -108,15 +80,8 @@ def with_codes(text: str) -> str:
 def faults(certificate: Mapping[str, Any]) -> list[str]:
     """Return what the laboratory must write in other letters.
 
-    Parameters
-    ----------
-    certificate
-        The certificate as `certificate.json` holds it.
-
-    Returns
-    -------
-    list of str
-        A line for each field, such as ``customer.name has 山 (U+5C71)``.
+    certificate: The certificate as `certificate.json` holds it.
+    Returns: A line for each field, such as ``customer.name has 山 (U+5C71)``.
     """
     return [
         f"{path} has {_named(found)}"
@@ -135,15 +100,7 @@ def _is_from_run(certificate: Mapping[str, Any], path: str) -> bool:
 def refuse_missing(certificate: Mapping[str, Any]) -> None:
     """Refuse a certificate in which the laboratory wrote characters that cannot be printed.
 
-    Parameters
-    ----------
-    certificate
-        The certificate as `certificate.json` holds it.
-
-    Raises
-    ------
-    UsageError
-        With every field and its characters.
+    certificate: The certificate as `certificate.json` holds it.
     """
     if found := faults(certificate):
         raise UsageError(

@@ -11,18 +11,7 @@ from bench.report.text import moment
 
 
 def opening(certificate: Certificate) -> list[Block]:
-    """Return what stands above the first section: item, state, parties, dates.
-
-    Parameters
-    ----------
-    certificate
-        The certificate.
-
-    Returns
-    -------
-    list of dict
-        The blocks.
-    """
+    """Return what stands above the first section: item, state, parties, dates."""
     blocks = [paragraph(subject(certificate), "lead")]
     if certificate.simulated:
         text = certificate.statement("simulated") or "The devices of this run were simulated."
@@ -37,18 +26,7 @@ def opening(certificate: Certificate) -> list[Block]:
 
 
 def subject(certificate: Certificate) -> str:
-    """Return the calibrated item in one line.
-
-    Parameters
-    ----------
-    certificate
-        The certificate.
-
-    Returns
-    -------
-    str
-        Camera and lens with their serial numbers.
-    """
+    """Return the calibrated item in one line."""
     camera, lens = certificate.item.camera, certificate.item.lens
     parts = [f"{camera.maker} {camera.model}".strip() or "Camera", f"serial {camera.serial}"]
     named = f"{lens.maker} {lens.model}".strip()

@@ -41,27 +41,13 @@ _CAPTIONS = {
 
 @dataclass(frozen=True)
 class Picture:
-    """A plot on a page.
-
-    Attributes
-    ----------
-    name
-        Its name.
-    svg
-        The plot.
-    alt
-        Description for readers who do not see it, with its numbers.
-    caption
-        Text below it.
-    wide
-        Whether it takes the width of the page.
-    """
+    """A plot on a page."""
 
     name: str
     svg: str
-    alt: str
+    alt: str  # Description for readers who do not see it, with its numbers
     caption: str
-    wide: bool
+    wide: bool  # Whether it takes the width of the page
 
     @property
     def file(self) -> str:
@@ -72,22 +58,9 @@ class Picture:
 def plots_of_run(run: Path, results: Mapping[str, Any]) -> dict[str, str]:
     """Draw the plots of a certificate from a run.
 
-    Parameters
-    ----------
-    run
-        The run's folder.
-    results
-        Content of its results.json.
-
-    Returns
-    -------
-    dict
-        SVG by name; without `views.h5`, the plots of the stars are missing.
-
-    Raises
-    ------
-    RunFolderError
-        If `views.h5` cannot be read.
+    run: The run's folder.
+    Returns: SVG by name; without `views.h5`, the plots of the stars are missing.
+    Raises RunFolderError: If `views.h5` cannot be read.
     """
     from bench.report.view_picture import ViewPicture
     from bench.views.views_file import VIEWS, read_views
@@ -105,17 +78,8 @@ def plots_of_run(run: Path, results: Mapping[str, Any]) -> dict[str, str]:
 def draw_plots(results: Mapping[str, Any], views: Sequence[ViewPicture] = ()) -> dict[str, str]:
     """Draw the plots of a certificate.
 
-    Parameters
-    ----------
-    results
-        Content of results.json.
-    views
-        The poses with their stars and residuals; without them the plots of the residuals are missing.
-
-    Returns
-    -------
-    dict
-        SVG by name; a plot without data is missing.
+    views: The poses with their stars and residuals; without them the plots of the residuals are missing.
+    Returns: SVG by name; a plot without data is missing.
     """
     seen = [view for view in views if len(view.detected)]
     drawn = _camera_plots(results, [view.detected for view in seen]) | (
@@ -177,19 +141,7 @@ def _star_plots(results: Mapping[str, Any], seen: Sequence[ViewPicture]) -> dict
 def pictures(certificate: Certificate, plots: Mapping[str, str], words: TargetWords = STARS) -> list[Picture]:
     """Return the plots with their descriptions.
 
-    Parameters
-    ----------
-    certificate
-        The certificate.
-    plots
-        SVG by name.
-    words
-        What the stars are called.
-
-    Returns
-    -------
-    list of Picture
-        The plots, in the order of `PLOTS`.
+    Returns: The plots, in the order of `PLOTS`.
     """
     numbers = "; ".join(f"{one.name}: {one.text}" for one in certificate.further)
     return [

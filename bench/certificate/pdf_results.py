@@ -52,18 +52,7 @@ _POWER = re.compile(r"\^(\d+)")
 
 
 def results(certificate: Certificate) -> list[Block]:
-    """Return the table of the results.
-
-    Parameters
-    ----------
-    certificate
-        The certificate.
-
-    Returns
-    -------
-    list of dict
-        The blocks.
-    """
+    """Return the table of the results."""
     found = certificate.results
     values = at_the_point([printed(one.printed_value) for one in found])
     expanded = at_the_point([printed(one.printed_uncertainty) for one in found])
@@ -103,18 +92,7 @@ def results(certificate: Certificate) -> list[Block]:
 
 
 def conformity(certificate: Certificate) -> list[Block]:
-    """Return the statements of conformity, each with its limits and its rule.
-
-    Parameters
-    ----------
-    certificate
-        The certificate.
-
-    Returns
-    -------
-    list of dict
-        The blocks.
-    """
+    """Return the statements of conformity, each with its limits and its rule."""
     found = certificate.conformity
     if not found:
         return [paragraph("No statement of conformity was asked for.")]
@@ -170,15 +148,7 @@ def _limits(one: Conformity) -> str:
 def projection(certificate: Certificate) -> list[Block]:
     """Return the numbers about the calibration as a whole.
 
-    Parameters
-    ----------
-    certificate
-        The certificate.
-
-    Returns
-    -------
-    list of dict
-        The blocks; none if the certificate has no such numbers.
+    Returns: The blocks; none if the certificate has no such numbers.
     """
     if not certificate.further:
         return []
@@ -188,18 +158,7 @@ def projection(certificate: Certificate) -> list[Block]:
 
 
 def covariance(certificate: Certificate) -> list[Block]:
-    """Return covariance and correlation of the results; a large matrix in several parts.
-
-    Parameters
-    ----------
-    certificate
-        The certificate.
-
-    Returns
-    -------
-    list of dict
-        The blocks.
-    """
+    """Return covariance and correlation of the results; a large matrix in several parts."""
     found = certificate.covariance
     units = ", ".join(
         f"{name} in {unit}" for name, unit in zip(found.names, found.units, strict=True) if unit != "1"
@@ -266,15 +225,7 @@ def _exponent(text: str) -> str:
 def before_adjustment(certificate: Certificate) -> list[Block]:
     """Return the earlier calibration beside the results, and the change since then.
 
-    Parameters
-    ----------
-    certificate
-        The certificate.
-
-    Returns
-    -------
-    list of dict
-        The blocks; none if no earlier calibration is known.
+    Returns: The blocks; none if no earlier calibration is known.
     """
     before = certificate.before_adjustment
     if before is None:

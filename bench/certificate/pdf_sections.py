@@ -60,22 +60,7 @@ _SYMBOLS: tuple[tuple[Cell, Cell], ...] = (
 def sections(
     certificate: Certificate, pictures: Sequence[Picture], attachments: Mapping[str, bytes]
 ) -> list[Section]:
-    """Return the sections of the certificate, in their order; a section without content is left out.
-
-    Parameters
-    ----------
-    certificate
-        The certificate.
-    pictures
-        Its plots.
-    attachments
-        Content of the attached files, by name.
-
-    Returns
-    -------
-    list of dict
-        Title and blocks of each.
-    """
+    """Return the sections of the certificate, in their order; a section without content is left out."""
     maps = [one for one in pictures if one.name in ("uncertainty", "direction", "coverage")]
     others = [one for one in pictures if one not in maps]
     if sum(not one.wide for one in others) % 2:  # they stand in pairs

@@ -16,20 +16,8 @@ _NEGLIGIBLE = Decimal("0.01")
 def round_expanded(expanded: float) -> Decimal:
     """Round an expanded uncertainty to two significant digits, up unless the difference is negligible.
 
-    Parameters
-    ----------
-    expanded
-        Expanded uncertainty, above zero.
-
-    Returns
-    -------
-    Decimal
-        The rounded uncertainty; its exponent is that of its last digit.
-
-    Raises
-    ------
-    ValueError
-        If it is not above zero.
+    Returns: The rounded uncertainty; its exponent is that of its last digit.
+    Raises ValueError: If it is not above zero.
 
     Examples
     --------
@@ -49,16 +37,6 @@ def round_expanded(expanded: float) -> Decimal:
 def printed(number: Decimal) -> str:
     """Return a decimal number without an exponent.
 
-    Parameters
-    ----------
-    number
-        The number.
-
-    Returns
-    -------
-    str
-        Its digits.
-
     Examples
     --------
     >>> printed(Decimal("1.1E+2"))
@@ -70,22 +48,7 @@ def printed(number: Decimal) -> str:
 def print_result(value: float, expanded: float) -> tuple[str, str]:
     """Return a value and its expanded uncertainty as printed, both to the same digit.
 
-    Parameters
-    ----------
-    value
-        The value.
-    expanded
-        Its expanded uncertainty, above zero.
-
-    Returns
-    -------
-    tuple of str
-        The value and the uncertainty.
-
-    Raises
-    ------
-    ValueError
-        If a number is not finite, or the uncertainty not above zero.
+    Raises ValueError: If a number is not finite, or the uncertainty not above zero.
 
     Examples
     --------
@@ -111,18 +74,6 @@ def _to_digit_of(exact: Decimal, uncertainty: Decimal) -> Decimal:
 def print_plain(value: float, digits: int = 2) -> str:
     """Return a number with some significant digits, without an exponent.
 
-    Parameters
-    ----------
-    value
-        The number.
-    digits
-        Number of significant digits.
-
-    Returns
-    -------
-    str
-        The number.
-
     Examples
     --------
     >>> [print_plain(one) for one in (0.61023, 0.08094, 174.05, 0.0)]
@@ -138,16 +89,6 @@ def print_plain(value: float, digits: int = 2) -> str:
 def with_unit(text: str, unit: str) -> str:
     """Return a number with its unit; nothing is written for the unit one.
 
-    Parameters
-    ----------
-    text
-        The number.
-    unit
-        ``px``, ``mm``, ``1`` or another unit.
-
-    Returns
-    -------
-    str
-        Both.
+    unit: ``px``, ``mm``, ``1`` or another unit.
     """
     return text if unit == "1" else f"{text} {unit}"

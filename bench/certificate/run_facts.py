@@ -45,17 +45,7 @@ _DEGREE = "\N{DEGREE SIGN}C"
 def results_of(found: Json, customer_supplied: frozenset[str] = frozenset()) -> tuple[Result, ...]:
     """Return the results: the camera's values, each with its expanded uncertainty.
 
-    Parameters
-    ----------
-    found
-        Content of results.json.
-    customer_supplied
-        Symbols of results that depend on data of the customer.
-
-    Returns
-    -------
-    tuple of Result
-        In the order of results.json.
+    Returns: In the order of results.json.
     """
     calibration = found["calibration"]
     return tuple(
@@ -67,15 +57,7 @@ def results_of(found: Json, customer_supplied: frozenset[str] = frozenset()) -> 
 def unit_of(symbol: str) -> str:
     """Return the unit of a result.
 
-    Parameters
-    ----------
-    symbol
-        Its symbol.
-
-    Returns
-    -------
-    str
-        ``px`` or ``1``.
+    Returns: ``px`` or ``1``.
     """
     return "px" if symbol in ("fx", "fy", "cx", "cy") else "1"
 
@@ -103,15 +85,7 @@ def _result(calibration: Json, symbol: str, value: float, *, supplied: bool) -> 
 def covariance_of(found: Json) -> Covariance:
     """Return the joint covariance of the results; its diagonal holds their standard uncertainties squared.
 
-    Parameters
-    ----------
-    found
-        Content of results.json.
-
-    Returns
-    -------
-    Covariance
-        That of results.json, without its enlargement of results with few degrees of freedom.
+    Returns: That of results.json, without its enlargement of results with few degrees of freedom.
     """
     calibration = found["calibration"]
     symbols = tuple(calibration["camera"])
@@ -131,15 +105,7 @@ def covariance_of(found: Json) -> Covariance:
 def further_of(found: Json) -> tuple[FurtherResult, ...]:
     """Return the numbers about the calibration: uncertainty of the projection, residuals, number of views.
 
-    Parameters
-    ----------
-    found
-        Content of results.json.
-
-    Returns
-    -------
-    tuple of FurtherResult
-        In the order of the certificate.
+    Returns: In the order of the certificate.
     """
     calibration, projection = found["calibration"], found.get("projection") or {}
     rows = _at_centre(calibration)
@@ -197,15 +163,7 @@ def _further(id_: str, name: str, value: float, unit: str) -> FurtherResult:
 def is_unnamed(found: Json) -> bool:
     """Return whether the camera did not report a serial number. The laboratory then identifies it.
 
-    Parameters
-    ----------
-    found
-        Content of results.json.
-
-    Returns
-    -------
-    bool
-        Whether it has none.
+    Returns: Whether it has none.
     """
     return not found["devices"]["camera"].get("serial")
 
@@ -213,17 +171,7 @@ def is_unnamed(found: Json) -> bool:
 def camera_identity(found: Json, item: ItemConfig) -> Camera:
     """Return the camera as it identified itself in the run, or else as the laboratory identified it.
 
-    Parameters
-    ----------
-    found
-        Content of results.json.
-    item
-        Section ``item`` of lab.yaml.
-
-    Returns
-    -------
-    Camera
-        The camera.
+    item: Section ``item`` of lab.yaml.
     """
     camera = dict(found["devices"]["camera"])
     if is_unnamed(found):
@@ -246,15 +194,7 @@ def camera_identity(found: Json, item: ItemConfig) -> Camera:
 def conditions_of(found: Json) -> tuple[Condition, ...]:
     """Return the conditions that the run recorded.
 
-    Parameters
-    ----------
-    found
-        Content of results.json.
-
-    Returns
-    -------
-    tuple of Condition
-        Temperatures, light, event rate, the board if the camera saw one, and settings of the camera.
+    Returns: Temperatures, light, event rate, the board if the camera saw one, and settings of the camera.
     """
     light = (found.get("conditions") or {}).get("light") or {}
     camera = (found.get("conditions") or {}).get("camera") or {}
@@ -332,15 +272,7 @@ def _range(name: str, values: list[float | None], unit: str) -> Condition | None
 def deviations_of(found: Json) -> tuple[Deviation, ...]:
     """Return what in the run differed from its sequence: deviations, failures, poses without result, failed gates.
 
-    Parameters
-    ----------
-    found
-        Content of results.json.
-
-    Returns
-    -------
-    tuple of Deviation
-        In the order of the run.
+    Returns: In the order of the run.
     """
     texts = [str(one) for one in found.get("deviations") or []]
     texts += [f"The run was interrupted: {one.get('what') or one}" for one in found.get("failures") or []]
@@ -369,15 +301,8 @@ def _gate_name(gate: Json, found: Json) -> str:
 def utc_seconds(moment: str) -> str:
     """Return a time in UTC to whole seconds.
 
-    Parameters
-    ----------
-    moment
-        A time in ISO 8601, with its zone.
-
-    Returns
-    -------
-    str
-        ``2026-03-31T09:15:00Z``.
+    moment: A time in ISO 8601, with its zone.
+    Returns: ``2026-03-31T09:15:00Z``.
 
     Examples
     --------

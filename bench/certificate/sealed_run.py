@@ -25,21 +25,7 @@ _MOST_NAMED = 5
 
 @dataclass(frozen=True)
 class Source:
-    """What a certificate is made from.
-
-    Attributes
-    ----------
-    found
-        Content of results.json.
-    results
-        Its bytes.
-    run
-        The run, as the certificate names it.
-    plots
-        SVG by name, for the PDF.
-    verified
-        What the verification covered, as the certificate states it.
-    """
+    """What a certificate is made from."""
 
     found: Json
     results: bytes
@@ -51,24 +37,10 @@ class Source:
 def read_sealed_run(folder: Path, verify: Verify) -> Source:
     """Verify a run, and read what a certificate needs.
 
-    Parameters
-    ----------
-    folder
-        The run folder.
-    verify
-        Verifies a sealed folder, as the command `verify` does.
-
-    Returns
-    -------
-    Source
-        Results, identity and plots of the run.
-
-    Raises
-    ------
-    EvidenceError
-        When the run is not sealed, does not verify, was not finished, is a rehearsal, or has no converged result.
-    RunFolderError, StorageError
-        When it is no run folder, or cannot be read.
+    verify: Verifies a sealed folder, as the command `verify` does.
+    Raises EvidenceError: When the run is not sealed, does not verify, was not finished, is a rehearsal, or
+      has no converged result.
+    Raises RunFolderError, StorageError: When it is no run folder, or cannot be read.
     """
     if not is_sealed(folder):
         raise EvidenceError(
@@ -116,21 +88,8 @@ def run_of(
 ) -> Run:
     """Return a run as a certificate names it: what results.json states, and what only the sealed folder can give.
 
-    Parameters
-    ----------
-    found
-        Content of results.json.
-    results
-        Its bytes.
-    journal_head, seal_sha256, signer, signer_fingerprint
-        As the attributes of `Run`.
-    written
-        What writes the certificate, from `bench.certificate.written_with`.
-
-    Returns
-    -------
-    Run
-        The run.
+    journal_head, seal_sha256, signer, signer_fingerprint: As the attributes of `Run`.
+    written: What writes the certificate, from `bench.certificate.written_with`.
     """
     run = found["run"]
     place = run.get("ledger") or {}

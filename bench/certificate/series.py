@@ -36,51 +36,23 @@ _MOST_BYTES = 1 << 20
 
 @dataclass(frozen=True)
 class Wanted:
-    """For what a number is wanted.
-
-    Attributes
-    ----------
-    number_format
-        Format of the numbers, from lab.yaml.
-    simulated
-        Whether devices were simulated: these certificates have a series of their own.
-    run_seal, run_id
-        The run.
-    folder
-        Folder that the certificate will have.
-    amends
-        Number of the certificate that it replaces; empty if none.
-    also
-        Why a second certificate of the run is issued; empty: a second one is refused.
-    """
+    """For what a number is wanted."""
 
     number_format: str
-    simulated: bool
+    simulated: bool  # Whether devices were simulated: these certificates have a series of their own
     run_seal: str
     run_id: str
     folder: str
-    amends: str = ""
-    also: str = ""
+    amends: str = ""  # Number of the certificate that it replaces; empty if none
+    also: str = ""  # Why a second certificate of the run is issued; empty: a second one is refused
 
 
 @contextmanager
 def one_at_a_time(home: Path) -> Iterator[None]:
     """Let one process at a time issue certificates. So an open number belongs to a process that has ended.
 
-    Parameters
-    ----------
-    home
-        The configuration folder.
-
-    Yields
-    ------
-    None
-        For the block; another process waits until it ends.
-
-    Raises
-    ------
-    StorageError
-        When the lock cannot be made.
+    Yields: For the block; another process waits until it ends.
+    Raises StorageError: When the lock cannot be made.
     """
     make_folder(home)
     with storage_errors(home / LOCK):
@@ -95,27 +67,11 @@ def one_at_a_time(home: Path) -> Iterator[None]:
 def reserve(ledger: Ledger, wanted: Wanted, now: datetime) -> Numbered:
     """Reserve the next number, or take the open one of the same run.
 
-    Parameters
-    ----------
-    ledger
-        The laboratory's ledger.
-    wanted
-        For what the number is wanted.
-    now
-        Time of issue.
-
-    Returns
-    -------
-    Numbered
-        The number, on the disk as reserved. Numbers that were lost before it are entered as lost.
-
-    Raises
-    ------
-    EvidenceError
-        When the clock was set back, another number is open, the run has a certificate already, or what is to be amended
-        is not the newest one.
-    JournalBroken, StorageError
-        When the ledger is not valid or cannot be written.
+    ledger: The laboratory's ledger.
+    Returns: The number, on the disk as reserved. Numbers that were lost before it are entered as lost.
+    Raises EvidenceError: When the clock was set back, another number is open, the run has a certificate
+      already, or what is to be amended is not the newest one.
+    Raises JournalBroken, StorageError: When the ledger is not valid or cannot be written.
     """
     with ledger.locked() as journal:
         found = numbers(journal.entries)
@@ -210,17 +166,7 @@ def _own_open_number(found: Mapping[str, Numbered], wanted: Wanted) -> Numbered 
 def refuse_second(found: Mapping[str, Numbered], wanted: Wanted) -> None:
     """Refuse a second certificate of a run without a reason, and an amendment of anything but the newest certificate.
 
-    Parameters
-    ----------
-    found
-        All numbers.
-    wanted
-        For what a number is wanted.
-
-    Raises
-    ------
-    EvidenceError
-        When it is refused.
+    Raises EvidenceError: When it is refused.
     """
     if wanted.amends:
         refuse_old(found, wanted.amends)
@@ -240,17 +186,7 @@ def refuse_second(found: Mapping[str, Numbered], wanted: Wanted) -> None:
 def refuse_old(found: Mapping[str, Numbered], number: str) -> None:
     """Refuse to amend a certificate that is not the newest one, or is not in this ledger.
 
-    Parameters
-    ----------
-    found
-        All numbers.
-    number
-        Number of the certificate that is to be amended.
-
-    Raises
-    ------
-    EvidenceError
-        When it is unknown, void or superseded.
+    Raises EvidenceError: When it is unknown, void or superseded.
     """
     old = found.get(number)
     if old is not None and old.is_newest:
@@ -282,21 +218,9 @@ def _refuse_clock(entries: Sequence[Entry], now: datetime, path: Path) -> None:
 def enter_issued(ledger: Ledger, number: str, *, seal: str, serial: str, customer: str) -> None:
     """Enter that a certificate is issued: its sealed folder has its final name.
 
-    Parameters
-    ----------
-    ledger
-        The laboratory's ledger.
-    number
-        Its number.
-    seal
-        SHA-256 of its SHA256SUMS.
-    serial, customer
-        Serial number of the camera, and name of the customer.
-
-    Raises
-    ------
-    EvidenceError, JournalBroken, StorageError
-        When the ledger is not valid or cannot be written.
+    ledger: The laboratory's ledger.
+    seal: SHA-256 of its SHA256SUMS.
+    Raises EvidenceError, JournalBroken, StorageError: When the ledger is not valid or cannot be written.
     """
     with ledger.locked() as journal:
         journal.append(ISSUED, number=number, seal=seal, serial=serial, customer=customer)
@@ -305,26 +229,9 @@ def enter_issued(ledger: Ledger, number: str, *, seal: str, serial: str, custome
 def declare_void(ledger: Ledger, number: str, *, reason: str, by: str) -> Numbered:
     """Declare void a number that was reserved and not issued.
 
-    Parameters
-    ----------
-    ledger
-        The laboratory's ledger.
-    number
-        The number.
-    reason, by
-        Why, and who says so.
-
-    Returns
-    -------
-    Numbered
-        The number, now void.
-
-    Raises
-    ------
-    EvidenceError
-        When there is no such number, or it is issued or void.
-    JournalBroken, StorageError
-        When the ledger is not valid or cannot be written.
+    ledger: The laboratory's ledger.
+    Raises EvidenceError: When there is no such number, or it is issued or void.
+    Raises JournalBroken, StorageError: When the ledger is not valid or cannot be written.
     """
     with ledger.locked() as journal:
         one = numbers(journal.entries).get(number)

@@ -24,46 +24,25 @@ How = Literal["reserved", "issued", "void", "lost"]
 
 @dataclass(frozen=True)
 class Numbered:
-    """A number of a series, and what became of it.
+    """A number of a series, and what became of it."""
 
-    Attributes
-    ----------
-    number, series, count
-        The number as printed, its series, and its count in that, from 1.
-    how
-        ``reserved``, ``issued``, ``void`` or ``lost``.
-    run_seal, run_id
-        SHA-256 of the run's SHA256SUMS, and name of the run.
-    folder
-        Folder of the certificate.
-    issued_utc
-        Time of issue.
-    amends
-        Number of the certificate that it replaces; empty if none.
-    superseded_by
-        Number of the certificate that replaces it; empty if none does.
-    seal
-        SHA-256 of the certificate's SHA256SUMS; empty before it is issued.
-    serial, customer
-        Serial number of the camera, and name of the customer; empty before it is issued.
-    reason
-        Why it is void; else empty.
-    """
-
+    # number, series, count: The number as printed, its series, and its count in that, from 1.
     number: str
     series: str
     count: int
-    how: How
+    how: How  # ``reserved``, ``issued``, ``void`` or ``lost``
+    # run_seal, run_id: SHA-256 of the run's SHA256SUMS, and name of the run.
     run_seal: str
     run_id: str
     folder: str
     issued_utc: str
-    amends: str = ""
-    superseded_by: str = ""
-    seal: str = ""
+    amends: str = ""  # Number of the certificate that it replaces; empty if none
+    superseded_by: str = ""  # Number of the certificate that replaces it; empty if none does
+    seal: str = ""  # SHA-256 of the certificate's SHA256SUMS; empty before it is issued
+    # serial, customer: Serial number of the camera, and name of the customer; empty before it is issued.
     serial: str = ""
     customer: str = ""
-    reason: str = ""
+    reason: str = ""  # Why it is void; else empty
 
     @property
     def is_newest(self) -> bool:
@@ -74,20 +53,9 @@ class Numbered:
 def numbers(entries: Iterable[Entry]) -> dict[str, Numbered]:
     """Return all numbers of all series.
 
-    Parameters
-    ----------
-    entries
-        Lines of the ledger.
-
-    Returns
-    -------
-    dict
-        By number, in the order of the reservations.
-
-    Raises
-    ------
-    JournalBroken
-        When a line about a certificate is not of the expected form, or a number is missing in a series.
+    Returns: By number, in the order of the reservations.
+    Raises JournalBroken: When a line about a certificate is not of the expected form, or a number is missing
+      in a series.
     """
     found: dict[str, Numbered] = {}
     counts: dict[str, int] = {}
@@ -135,14 +103,6 @@ def _replay(event: str, data: Mapping[str, Any], found: dict[str, Numbered], cou
 def open_numbers(found: Mapping[str, Numbered]) -> list[Numbered]:
     """Return the numbers that were reserved and neither issued nor declared void.
 
-    Parameters
-    ----------
-    found
-        All numbers.
-
-    Returns
-    -------
-    list of Numbered
-        The first reserved one first.
+    Returns: The first reserved one first.
     """
     return [one for one in found.values() if one.how == "reserved"]

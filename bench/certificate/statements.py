@@ -58,21 +58,8 @@ _FISHEYE = (
 def statements_of(found: Json, lab: LabConfig, *, also: str, verified: str) -> tuple[Statement, ...]:
     """Return the fixed texts of a certificate, in the order in which they are printed.
 
-    Parameters
-    ----------
-    found
-        Content of results.json.
-    lab
-        Content of lab.yaml.
-    also
-        Why a second certificate is issued for the run; empty if it is the first one.
-    verified
-        What was verified before the issue; empty if nothing is stated.
-
-    Returns
-    -------
-    tuple of Statement
-        The texts.
+    also: Why a second certificate is issued for the run; empty if it is the first one.
+    verified: What was verified before the issue; empty if nothing is stated.
     """
     calibration = found["calibration"]
     notes = " ".join(str(note) for note in calibration.get("notes") or [])

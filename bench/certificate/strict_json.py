@@ -25,20 +25,8 @@ _MOST_FAULTS = 20
 def to_json(data: Any) -> bytes:
     """Return a dataclass as JSON; the same data gives the same bytes.
 
-    Parameters
-    ----------
-    data
-        A dataclass of the types above.
-
-    Returns
-    -------
-    bytes
-        JSON, UTF-8, with a line feed at its end.
-
-    Raises
-    ------
-    ValueError
-        When a number is not finite.
+    Returns: JSON, UTF-8, with a line feed at its end.
+    Raises ValueError: When a number is not finite.
     """
     return (
         json.dumps(dataclasses.asdict(data), indent=1, allow_nan=False, ensure_ascii=False) + "\n"
@@ -48,25 +36,9 @@ def to_json(data: Any) -> bytes:
 def from_json(data: bytes, kind: type[Data], where: str) -> Data:
     """Read a dataclass from JSON.
 
-    Parameters
-    ----------
-    data
-        The JSON.
-    kind
-        The dataclass.
-    where
-        The file, for the message.
-
-    Returns
-    -------
-    dataclass
-        An instance of ``kind``.
-
-    Raises
-    ------
-    EvidenceError
-        When it is not JSON, a key is missing, unknown or double, or a value is not of its type; the message names up to
-        20 faults.
+    Returns: An instance of ``kind``.
+    Raises EvidenceError: When it is not JSON, a key is missing, unknown or double, or a value is not of its
+      type; the message names up to 20 faults.
     """
     faults: list[str] = []
     try:

@@ -33,11 +33,8 @@ _SHOWN = 16
 def written_with() -> tuple[Software, ...]:
     """Return what writes a certificate here.
 
-    Returns
-    -------
-    tuple of Software
-        ``certificate_form``, which is the first 16 characters of a SHA-256 over the files, and the libraries; those
-        that are not installed are missing.
+    Returns: ``certificate_form``, which is the first 16 characters of a SHA-256 over the files, and the
+      libraries; those that are not installed are missing.
     """
     import bench
 
@@ -63,15 +60,8 @@ def _installed() -> list[Software]:
 def other_writer(software: tuple[Software, ...]) -> str:
     """Return how the program that wrote a certificate differs from this one.
 
-    Parameters
-    ----------
-    software
-        The certificate's list of software.
-
-    Returns
-    -------
-    str
-        ``typst 0.14 (here 0.15)``, several with commas; empty if all are the same.
+    software: The certificate's list of software.
+    Returns: ``typst 0.14 (here 0.15)``, several with commas; empty if all are the same.
     """
     stated = {one.name: one.version for one in software}
     return ", ".join(

@@ -29,50 +29,21 @@ _PART = ".part-"
 
 @dataclass(frozen=True)
 class Converted:
-    """The end of one conversion.
-
-    Attributes
-    ----------
-    source
-        The file that was read.
-    target
-        The new file.
-    before
-        Whether an earlier command made it.
-    summary
-        What was written: ``events triggers moved_events cut_off``; empty if it failed.
-    failure
-        Why it failed; None if it did not.
-    """
+    """The end of one conversion."""
 
     source: Path
     target: Path
-    before: bool = False
+    before: bool = False  # Whether an earlier command made it
+    # What was written: ``events triggers moved_events cut_off``; empty if it failed.
     summary: Mapping[str, Any] | None = None
-    failure: Failure | None = None
+    failure: Failure | None = None  # Why it failed; None if it did not
 
 
 def plan_targets(sources: Sequence[Path], folder: Path, kind: str) -> list[tuple[Path, Path]]:
     """Return each source with its new file.
 
-    Parameters
-    ----------
-    sources
-        Event files.
-    folder
-        Folder of the new files.
-    kind
-        Their format, of `drivers.camera.formats.event_conversion.KINDS`.
-
-    Returns
-    -------
-    list of tuple
-        Source and new file.
-
-    Raises
-    ------
-    UsageError
-        If two new files would have the same name.
+    kind: Their format, of `drivers.camera.formats.event_conversion.KINDS`.
+    Raises UsageError: If two new files would have the same name.
     """
     pairs = [(source, folder / f"{source.stem}{_ENDINGS[kind]}") for source in dict.fromkeys(sources)]
     taken: dict[Path, Path] = {}
@@ -96,25 +67,9 @@ def convert_many(
 ) -> None:
     """Convert files. One that fails stops no other.
 
-    Parameters
-    ----------
-    pairs
-        Source and new file, of `plan_targets`.
-    kind
-        Format of the new files.
-    workers
-        Who does the work; they reach the files by the same paths.
-    kept
-        Rows of the folder.
-    ended
-        Called with the end of each conversion.
-
-    Raises
-    ------
-    WorkersLost
-        If nobody is left who could do the work.
-    StorageError
-        If a row cannot be kept, or a file not be named.
+    pairs: Source and new file, of `plan_targets`.
+    Raises WorkersLost: If nobody is left who could do the work.
+    Raises StorageError: If a row cannot be kept, or a file not be named.
     """
     folder, program = kept.path.parent, forms()["program"]
     for part in folder.glob(f"{_PART}*"):
@@ -146,30 +101,11 @@ def convert_one(
 ) -> tuple[dict[str, Any], bool]:
     """Convert one file on a worker, unless it is done already.
 
-    Parameters
-    ----------
-    source
-        The file to read.
-    target
-        The new file; it is written under a temporary name.
-    kind
-        Its format.
-    known
-        The row of an earlier conversion to the same name; None if there is none.
-    program
-        Hash of the program that hands out the work.
-
-    Returns
-    -------
-    tuple of (dict, bool)
-        The row, and whether the file was made before.
-
-    Raises
-    ------
-    BenchError
-        If this worker runs another program, or the name of the new file is taken by something else.
-    drivers.errors.DriverError
-        If the source cannot be converted.
+    known: The row of an earlier conversion to the same name; None if there is none.
+    Returns: The row, and whether the file was made before.
+    Raises BenchError: If this worker runs another program, or the name of the new file is taken by something
+      else.
+    Raises drivers.errors.DriverError: If the source cannot be converted.
     """
     require_program_of(program)
     with storage_errors(source):
@@ -194,15 +130,7 @@ def convert_one(
 def content_hash(path: Path) -> str:
     """Return the hash of a file, or of a folder's files and their names.
 
-    Parameters
-    ----------
-    path
-        The file or folder.
-
-    Returns
-    -------
-    str
-        64 hexadecimal digits.
+    Returns: 64 hexadecimal digits.
     """
     if not path.is_dir():
         return sha256_of(path)

@@ -24,15 +24,7 @@ from bench.records.storage import make_folder, storage_errors, write_all
 def content_key(parts: Mapping[str, Any]) -> str:
     """Return the hash of all that decides a result.
 
-    Parameters
-    ----------
-    parts
-        Values that JSON can hold.
-
-    Returns
-    -------
-    str
-        64 hexadecimal digits.
+    Returns: 64 hexadecimal digits.
 
     Examples
     --------
@@ -45,21 +37,10 @@ def content_key(parts: Mapping[str, Any]) -> str:
 class KeptRows:
     """The results in one file of a folder.
 
-    Parameters
-    ----------
-    folder
-        The folder; it is made if it does not exist.
-    name
-        Name of the file.
-
-    Raises
-    ------
-    UsageError
-        If the folder holds other things, but not the file.
-    RunFolderError
-        If another process works in the folder.
-    StorageError
-        If the file cannot be read or written.
+    folder: The folder; it is made if it does not exist.
+    Raises UsageError: If the folder holds other things, but not the file.
+    Raises RunFolderError: If another process works in the folder.
+    Raises StorageError: If the file cannot be read or written.
     """
 
     def __init__(self, folder: Path, name: str) -> None:
@@ -96,32 +77,15 @@ class KeptRows:
     def get(self, key: str) -> Any:
         """Return a result.
 
-        Parameters
-        ----------
-        key
-            Its key, of `content_key`.
-
-        Returns
-        -------
-        Any
-            The result, as JSON holds it; None if it is not known.
+        key: Its key, of `content_key`.
+        Returns: The result, as JSON holds it; None if it is not known.
         """
         return self._rows.get(key)
 
     def add(self, key: str, value: Any) -> None:
         """Keep a result.
 
-        Parameters
-        ----------
-        key
-            Its key.
-        value
-            The result, which JSON can hold.
-
-        Raises
-        ------
-        StorageError
-            If it cannot be written.
+        Raises StorageError: If it cannot be written.
         """
         line = (json.dumps({"key": key, "value": value}, allow_nan=False) + "\n").encode()
         with storage_errors(self.path):

@@ -28,34 +28,11 @@ def run_blocks(
 ) -> MonteCarloStudy:
     """Run a study.
 
-    Parameters
-    ----------
-    planned
-        The study.
-    runs
-        Number of calibrations.
-    workers
-        Who does the work.
-    kept
-        Blocks on the disk: those of an earlier command are used, new ones are kept; None for neither.
-    done
-        Called with the number of calibrations that are done more.
-
-    Returns
-    -------
-    MonteCarloStudy
-        The same, whoever does the work.
-
-    Raises
-    ------
-    WorkersLost
-        If nobody is left who could do the work.
-    BenchError
-        If a worker runs another program.
-    StorageError
-        If a block cannot be kept.
-    calib.errors.NotConverged
-        If no calibration has a result.
+    kept: Blocks on the disk: those of an earlier command are used, new ones are kept; None for neither.
+    Raises WorkersLost: If nobody is left who could do the work.
+    Raises BenchError: If a worker runs another program.
+    Raises StorageError: If a block cannot be kept.
+    Raises calib.errors.NotConverged: If no calibration has a result.
     """
     program = forms()["program"]
     blocks = [range(first, min(first + BLOCK, runs)) for first in range(0, runs, BLOCK)]
@@ -84,24 +61,7 @@ def run_blocks(
 def calibrate_block(planned: PlannedStudy, runs: range, program: str) -> list[Repetition]:
     """Do one block of a study.
 
-    Parameters
-    ----------
-    planned
-        The study.
-    runs
-        Numbers of the calibrations.
-    program
-        Hash of the program that hands out the work.
-
-    Returns
-    -------
-    list of Repetition
-        One for each.
-
-    Raises
-    ------
-    BenchError
-        If this worker runs another program.
+    Raises BenchError: If this worker runs another program.
     """
     require_program_of(program)
     return planned.calibrate(runs)

@@ -30,13 +30,7 @@ _SIDE_BY_SIDE = 8
 
 @dataclass(frozen=True)
 class Place:
-    """A folder with a run or with recordings.
-
-    Attributes
-    ----------
-    name
-        Path or URL, as people read it.
-    """
+    """A folder with a run or with recordings."""
 
     name: str
 
@@ -56,24 +50,10 @@ class Place:
     def folder(self, *captures: str, only: Collection[str] | None = None) -> Iterator[Path]:
         """Give the folder as a path on this computer.
 
-        Parameters
-        ----------
-        *captures
-            Names of the recordings that are needed, within the folder.
-        only
-            Names of the small files that are needed; None for all. On a disk all are there.
-
-        Yields
-        ------
-        Path
-            The folder itself; for a URL a copy, which exists only in the block.
-
-        Raises
-        ------
-        UsageError
-            If there is no such folder.
-        StorageError
-            If it cannot be read.
+        only: Names of the small files that are needed; None for all. On a disk all are there.
+        Yields: The folder itself; for a URL a copy, which exists only in the block.
+        Raises UsageError: If there is no such folder.
+        Raises StorageError: If it cannot be read.
         """
         if not self.is_remote:
             yield Path(self.name)
@@ -88,17 +68,8 @@ class Place:
     def said(self, text: str, folder: Path) -> str:
         """Return a text with the name of this place where it names the copy.
 
-        Parameters
-        ----------
-        text
-            Any text, such as an error's.
-        folder
-            The path that `folder` gave.
-
-        Returns
-        -------
-        str
-            The text.
+        text: Any text, such as an error's.
+        folder: The path that `folder` gave.
         """
         return text.replace(str(folder), self.name) if self.is_remote else text
 
@@ -106,22 +77,9 @@ class Place:
 def find_places(names: Sequence[str]) -> list[Place]:
     """Return the folders that hold runs or recordings.
 
-    Parameters
-    ----------
-    names
-        Paths and URLs: of runs, of folders with files, or of folders whose folders are runs.
-
-    Returns
-    -------
-    list of Place
-        Each once, in the order of the names; the runs of one folder in natural order.
-
-    Raises
-    ------
-    UsageError
-        If one does not exist, or is a file.
-    StorageError
-        If one cannot be listed.
+    Returns: Each once, in the order of the names; the runs of one folder in natural order.
+    Raises UsageError: If one does not exist, or is a file.
+    Raises StorageError: If one cannot be listed.
     """
     found: dict[str, Place] = {}
     for name in names:

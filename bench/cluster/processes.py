@@ -49,12 +49,8 @@ class _Worker:
 class Processes:
     """Workers on this computer.
 
-    Parameters
-    ----------
-    count
-        Number of processes; None for one for each processor.
-    memory_bytes
-        Memory that each may use; None for no limit. Only Linux limits it.
+    count: Number of processes; None for one for each processor.
+    memory_bytes: Memory that each may use; None for no limit. Only Linux limits it.
     """
 
     def __init__(self, count: int | None = None, memory_bytes: int | None = None) -> None:
@@ -152,10 +148,7 @@ def _serve(pipe: Connection, memory_bytes: int | None) -> None:
 def limit_memory(memory_bytes: int | None) -> None:
     """Limit the memory of this process; where the limit is reached, Python raises MemoryError.
 
-    Parameters
-    ----------
-    memory_bytes
-        The limit; None for none. Systems other than Linux ignore it.
+    memory_bytes: The limit; None for none. Systems other than Linux ignore it.
     """
     if memory_bytes is None:
         return
@@ -193,9 +186,6 @@ def _one_thread() -> Iterator[None]:
 def processors() -> int:
     """Return how many processors this process may use.
 
-    Returns
-    -------
-    int
-        At least 1.
+    Returns: At least 1.
     """
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

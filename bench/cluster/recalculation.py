@@ -49,21 +49,10 @@ class _Run:
 
 @dataclass
 class Counts:
-    """How far a recalculation is.
-
-    Attributes
-    ----------
-    runs
-        Number of all runs.
-    done, failed, skipped
-        Runs calibrated now, failed now, and done before.
-    recordings
-        Recordings measured, or taken from kept views.
-    kept
-        Of these, how many were kept.
-    """
+    """How far a recalculation is."""
 
     runs: int
+    # done, failed, skipped: Runs calibrated now, failed now, and done before.
     done: int = 0
     failed: int = 0
     skipped: int = 0
@@ -79,22 +68,9 @@ class Counts:
 class Recalculation:
     """Calibrates many runs again.
 
-    Parameters
-    ----------
-    places
-        The runs, each once.
-    task
-        What is to be done.
-    workers
-        Who does it.
-    output
-        The folder for results; None to write nothing.
-    ended
-        Called with the row of each run when it ends.
-    progress
-        Called with the counts, and the seconds left if known, when anything ends or time passes.
-    remark
-        Called with sentences for the user.
+    output: The folder for results; None to write nothing.
+    ended: Called with the row of each run when it ends.
+    progress: Called with the counts, and the seconds left if known, when anything ends or time passes.
     """
 
     def __init__(
@@ -122,17 +98,9 @@ class Recalculation:
     def run(self) -> list[Mapping[str, Any]]:
         """Calibrate all runs.
 
-        Returns
-        -------
-        list of dict
-            A row for each run, in their order.
-
-        Raises
-        ------
-        WorkersLost
-            If nobody is left who could do the work. The rows so far are in the table.
-        StorageError, EvidenceError
-            If results cannot be written or sealed.
+        Returns: A row for each run, in their order.
+        Raises WorkersLost: If nobody is left who could do the work. The rows so far are in the table.
+        Raises StorageError, EvidenceError: If results cannot be written or sealed.
         """
         source = listed_ahead(self._places, self._task)
         try:
@@ -256,18 +224,8 @@ class Recalculation:
 def listed_ahead(places: Iterable[Place], task: Task) -> Generator[_Next, None, None]:
     """List the recordings of the next runs in threads while earlier ones are calibrated, if they are behind URLs.
 
-    Parameters
-    ----------
-    places
-        The runs.
-    task
-        What is to be done.
-
-    Yields
-    ------
-    number, place, listed_by
-        Number of the run from 0, the run, and a function that returns what `list_recordings` returns, or raises what
-        it raises. A run on a disk is listed in that call.
+    Yields: Number of the run from 0, the run, and a function that returns what `list_recordings` returns, or
+      raises what it raises. A run on a disk is listed in that call.
     """
     pool = ThreadPoolExecutor(_AHEAD)
     waiting: deque[_Next] = deque()

@@ -33,23 +33,13 @@ _KEY_SHOWN = 8
 class ResultsFolders:
     """The folder of a recalculation; one process at a time works in it.
 
-    Parameters
-    ----------
-    folder
-        The folder; it is made if it does not exist. What an earlier, interrupted recalculation did is used.
-    key
-        The bench's key; None leaves the results drafts.
-    table_only
-        True writes the table alone, and no folder for a run.
-
-    Raises
-    ------
-    UsageError
-        If the folder holds something else.
-    RunFolderError
-        If another process works in it.
-    StorageError
-        If it cannot be read or written.
+    folder: The folder; it is made if it does not exist. What an earlier, interrupted recalculation did is
+      used.
+    key: The bench's key; None leaves the results drafts.
+    table_only: True writes the table alone, and no folder for a run.
+    Raises UsageError: If the folder holds something else.
+    Raises RunFolderError: If another process works in it.
+    Raises StorageError: If it cannot be read or written.
     """
 
     def __init__(self, folder: Path, key: BenchKey | None, *, table_only: bool = False) -> None:
@@ -82,17 +72,7 @@ class ResultsFolders:
     def done(self, place: str, key: str) -> dict[str, Any] | None:
         """Return the row of a calibration that is done already.
 
-        Parameters
-        ----------
-        place
-            Name of the folder that was calibrated.
-        key
-            Hash of all that decides the calibration.
-
-        Returns
-        -------
-        dict or None
-            None if it is to be done: it was not, or its results are not there as they were written.
+        Returns: None if it is to be done: it was not, or its results are not there as they were written.
         """
         row = self._rows.get(place)
         if row is None or row["state"] != DONE or row["key"] != key:
@@ -111,17 +91,8 @@ class ResultsFolders:
     def name_for(self, place_name: str, key: str) -> str:
         """Return a free name for a folder of results, which is not given out again.
 
-        Parameters
-        ----------
-        place_name
-            Last part of the name of the calibrated folder.
-        key
-            Hash of all that decides the calibration.
-
-        Returns
-        -------
-        str
-            The name: that of the calibrated folder, and the first digits of the key.
+        place_name: Last part of the name of the calibrated folder.
+        Returns: The name: that of the calibrated folder, and the first digits of the key.
         """
         name = f"{place_name}-{key[:_KEY_SHOWN]}"
         number = 1
@@ -134,21 +105,9 @@ class ResultsFolders:
     def write(self, name: str, files: Mapping[str, bytes], row: dict[str, Any]) -> None:
         """Write, seal and name a folder of results, and add its row.
 
-        Parameters
-        ----------
-        name
-            Its name, of `name_for`.
-        files
-            Its files.
-        row
-            Its row.
-
-        Raises
-        ------
-        EvidenceError
-            If it cannot be sealed.
-        StorageError
-            If a file cannot be written.
+        name: Its name, of `name_for`.
+        Raises EvidenceError: If it cannot be sealed.
+        Raises StorageError: If a file cannot be written.
         """
         part = self.folder / f"{_PART}{name}"
         try:
@@ -166,15 +125,7 @@ class ResultsFolders:
     def add(self, row: dict[str, Any]) -> None:
         """Add a row to the table, synced.
 
-        Parameters
-        ----------
-        row
-            The row.
-
-        Raises
-        ------
-        StorageError
-            If it cannot be written.
+        Raises StorageError: If it cannot be written.
         """
         with storage_errors(self._table):
             write_all(self._stream, _line(row))
@@ -184,15 +135,7 @@ class ResultsFolders:
     def finish(self, rows: Iterable[Mapping[str, Any]]) -> None:
         """Write the table again, in the order given; rows of folders that were not given this time stay behind them.
 
-        Parameters
-        ----------
-        rows
-            One row for each folder.
-
-        Raises
-        ------
-        StorageError
-            If it cannot be written.
+        Raises StorageError: If it cannot be written.
         """
         given = {str(row["folder"]): row for row in rows}
         others = [row for place, row in self._rows.items() if place not in given]

@@ -38,20 +38,11 @@ _REMEDY = "Start it, check the address, then repeat the command: what was done i
 class DaskWorkers:
     """Workers of a Dask scheduler.
 
-    Parameters
-    ----------
-    address
-        Address of the scheduler, as ``tcp://host:8786`` or ``tls://host:8786``. The certificates are those of
-        Dask's configuration.
-    without_worker_s
-        How long to wait while the scheduler has no worker, s.
-
-    Raises
-    ------
-    UsageError
-        If Dask is not installed.
-    WorkersLost
-        If nobody answers at the address.
+    address: Address of the scheduler, as ``tcp://host:8786`` or ``tls://host:8786``. The certificates are
+      those of Dask's configuration.
+    without_worker_s: How long to wait while the scheduler has no worker, s.
+    Raises UsageError: If Dask is not installed.
+    Raises WorkersLost: If nobody answers at the address.
     """
 
     def __init__(self, address: str, *, without_worker_s: float = _SILENCE_S) -> None:

@@ -38,29 +38,17 @@ _READ = (JOURNAL, "sequence.yaml", "station.yaml", "passport.json")
 
 @dataclass(frozen=True)
 class Task:
-    """What all pieces of work of one recalculation have in common.
-
-    Attributes
-    ----------
-    choices
-        Options of the calibration.
-    program
-        Hash of the program that hands out the work; a worker with another program refuses it.
-    kept
-        Folder for kept views on the workers; None for that of the worker's user, empty for none.
-    """
+    """What all pieces of work of one recalculation have in common."""
 
     choices: OfflineOptions
-    program: str
+    program: str  # Hash of the program that hands out the work; a worker with another program refuses it
+    # Folder for kept views on the workers; None for that of the worker's user, empty for none.
     kept: str | None = None
 
     def views(self) -> KeptViews | None:
         """Return the kept views of this worker.
 
-        Returns
-        -------
-        KeptViews or None
-            None if none are used.
+        Returns: None if none are used.
         """
         if self.kept is None:
             return KeptViews.of_bench()
@@ -69,15 +57,7 @@ class Task:
 
 @dataclass(frozen=True)
 class SealedBy:
-    """The public part of the bench's key, which results state.
-
-    Attributes
-    ----------
-    principal
-        Name of the signer.
-    fingerprint
-        Fingerprint of the public key.
-    """
+    """The public part of the bench's key, which results state."""
 
     principal: str
     fingerprint: str
@@ -85,81 +65,37 @@ class SealedBy:
 
 @dataclass(frozen=True)
 class Listed:
-    """The recordings of a place.
+    """The recordings of a place."""
 
-    Attributes
-    ----------
-    captures
-        Their names within the folder, in the order of the views.
-    key
-        Hash of all that decides the calibration: the recordings, the program, the options.
-    """
-
-    captures: Sequence[str]
+    captures: Sequence[str]  # Their names within the folder, in the order of the views
     key: str
 
 
 @dataclass(frozen=True)
 class FoundView:
-    """What a recording showed.
+    """What a recording showed."""
 
-    Attributes
-    ----------
-    view
-        The stars; None if it is left out.
-    size_bytes, sha256
-        Size and hash of the recording.
-    why
-        What is wrong, where, and the remedy, if it is left out.
-    remarks
-        Sentences about kept views.
-    kept
-        Whether the view was kept from an earlier calculation.
-    """
-
-    view: View | None
+    view: View | None  # The stars; None if it is left out
     size_bytes: int
     sha256: str
-    why: tuple[str, str, str] = ("", "", "")
+    why: tuple[str, str, str] = ("", "", "")  # What is wrong, where, and the remedy, if it is left out
     remarks: Sequence[str] = ()
-    kept: bool = False
+    kept: bool = False  # Whether the view was kept from an earlier calculation
 
 
 @dataclass(frozen=True)
 class Recalculated:
-    """A calibration as files, and its row in the table.
+    """A calibration as files, and its row in the table."""
 
-    Attributes
-    ----------
-    files
-        Contents by name within the folder; empty if no folder is written.
-    row
-        The row, values that can be written as JSON.
-    """
-
-    files: Mapping[str, bytes]
+    files: Mapping[str, bytes]  # Contents by name within the folder; empty if no folder is written
     row: Mapping[str, Any]
 
 
 def list_recordings(place: Place, task: Task) -> Listed:
     """Return the recordings of a place that have a view each, and the key of its calibration.
 
-    Parameters
-    ----------
-    place
-        The place.
-    task
-        What is to be done.
-
-    Returns
-    -------
-    Listed
-        The recordings.
-
-    Raises
-    ------
-    UsageError, BenchError, drivers.errors.DriverError, sequences.errors.SequencesError
-        If the place cannot be used.
+    Raises UsageError, BenchError, drivers.errors.DriverError, sequences.errors.SequencesError: If the place
+      cannot be used.
     """
     with place.folder(only=_READ) as folder:
         sources = list(view_sources(folder, task.choices))
@@ -174,17 +110,8 @@ def list_recordings(place: Place, task: Task) -> Listed:
 def calibration_key(content: Mapping[str, str], task: Task) -> str:
     """Return the hash of all that decides a calibration.
 
-    Parameters
-    ----------
-    content
-        SHA-256 of the files by name.
-    task
-        What is to be done.
-
-    Returns
-    -------
-    str
-        64 hexadecimal digits.
+    content: SHA-256 of the files by name.
+    Returns: 64 hexadecimal digits.
     """
     choices = task.choices
     passport = None if choices.passport is None else hashlib.sha256(choices.passport.data).hexdigest()
@@ -196,26 +123,9 @@ def calibration_key(content: Mapping[str, str], task: Task) -> str:
 def find_view(place: Place, number: int, capture: str, task: Task) -> FoundView:
     """Find the stars of one recording.
 
-    Parameters
-    ----------
-    place
-        Its place.
-    number
-        Number of its view, from 0.
-    capture
-        Its name.
-    task
-        What is to be done.
-
-    Returns
-    -------
-    FoundView
-        Its view, or why it is left out.
-
-    Raises
-    ------
-    BenchError, drivers.errors.DriverError
-        If the recording cannot be read, or is not the one that the journal names.
+    number: Number of its view, from 0.
+    Raises BenchError, drivers.errors.DriverError: If the recording cannot be read, or is not the one that the
+      journal names.
     """
     require_program_of(task.program)
     kept = task.views()
@@ -244,30 +154,11 @@ def calibrate_found(
 ) -> Recalculated:
     """Calibrate from the views of a place.
 
-    Parameters
-    ----------
-    place
-        The place.
-    found
-        The views, in the order of its recordings.
-    name
-        Name of the calibration.
-    sealed_by
-        Who will seal the results; None if nobody does.
-    task
-        What is to be done.
-    files
-        Whether the files of the results are wanted, which takes longer.
-
-    Returns
-    -------
-    Recalculated
-        Files and row.
-
-    Raises
-    ------
-    BenchError, calib.errors.CalibrationError
-        If the views do not determine the camera, or a file of the run cannot be read.
+    found: The views, in the order of its recordings.
+    sealed_by: Who will seal the results; None if nobody does.
+    files: Whether the files of the results are wanted, which takes longer.
+    Raises BenchError, calib.errors.CalibrationError: If the views do not determine the camera, or a file of
+      the run cannot be read.
     """
     require_program_of(task.program)
     with place.folder() as folder, _named(place, folder):

@@ -26,72 +26,31 @@ VERIFIED = "verified.jsonl"
 
 @dataclass(frozen=True)
 class Check:
-    """What is to be checked in every folder.
-
-    Attributes
-    ----------
-    trust
-        Whom the reader trusts.
-    at
-        Moment for which the keys must have been valid; None: when the folder was sealed.
-    camera_serial
-        Serial number that the calibrated camera must have; None for any.
-    again
-        Whether to calibrate again from the recordings too.
-    program
-        Hash of the program that hands out the work.
-    """
+    """What is to be checked in every folder."""
 
     trust: Trust
-    at: datetime | None
-    camera_serial: str | None
-    again: bool
+    at: datetime | None  # Moment for which the keys must have been valid; None: when the folder was sealed
+    camera_serial: str | None  # Serial number that the calibrated camera must have; None for any
+    again: bool  # Whether to calibrate again from the recordings too
     program: str
 
 
 @dataclass(frozen=True)
 class Checked:
-    """What one check found.
-
-    Attributes
-    ----------
-    verification
-        The result.
-    key
-        Hash of what the derived findings depend on; empty if nothing was derived.
-    derived
-        Findings of what was derived again, as JSON holds them.
-    before
-        Whether they are of an earlier command.
-    """
+    """What one check found."""
 
     verification: Verification
-    key: str = ""
+    key: str = ""  # Hash of what the derived findings depend on; empty if nothing was derived
     derived: Mapping[str, Any] | None = None
-    before: bool = False
+    before: bool = False  # Whether they are of an earlier command
 
 
 def check_one(folder: Path, check: Check, known: Mapping[str, Any] | None) -> Checked:
     """Check one sealed folder on a worker.
 
-    Parameters
-    ----------
-    folder
-        The folder. The ledger of the bench is not compared here, because only the bench has it.
-    check
-        What is to be checked.
-    known
-        Key and findings of an earlier command; None if there are none.
-
-    Returns
-    -------
-    Checked
-        What was found.
-
-    Raises
-    ------
-    BenchError
-        If this worker runs another program, or the folder cannot be read.
+    folder: The folder. The ledger of the bench is not compared here, because only the bench has it.
+    known: Key and findings of an earlier command; None if there are none.
+    Raises BenchError: If this worker runs another program, or the folder cannot be read.
     """
     require_program_of(check.program)
     made: list[Checked] = []
@@ -128,17 +87,8 @@ def _derive(folder: Path, *, check: Check, known: Mapping[str, Any] | None, made
 def derivations_of(folder: Path, *, again: bool) -> list[Derivation]:
     """Return what derives the files of a run, or of recalculated results, again.
 
-    Parameters
-    ----------
-    folder
-        The folder.
-    again
-        Whether to calibrate again from the recordings too.
-
-    Returns
-    -------
-    list of function
-        In the order in which they are called.
+    again: Whether to calibrate again from the recordings too.
+    Returns: In the order in which they are called.
     """
     from bench.evidence.instructions import kind_of
     from bench.results.derive_again import check_results_folder, check_run

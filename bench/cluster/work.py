@@ -28,43 +28,21 @@ class WorkersLost(BenchError):
 
 @dataclass(frozen=True)
 class Work:
-    """A piece of work.
+    """A piece of work."""
 
-    Attributes
-    ----------
-    key
-        Name of the work, unique among all that are handed out.
-    function
-        A function at the top of a module; workers import it by its name.
-    arguments
-        Its arguments; they and the result can be pickled.
-    """
-
-    key: str
-    function: Callable[..., Any]
+    key: str  # Name of the work, unique among all that are handed out
+    function: Callable[..., Any]  # A function at the top of a module; workers import it by its name
     arguments: tuple[Any, ...]
 
 
 @dataclass(frozen=True)
 class Finished:
-    """The end of a piece of work.
-
-    Attributes
-    ----------
-    key
-        Name of the work.
-    value
-        What the function returned; None if it failed.
-    failure
-        Why it failed; None if it did not.
-    defect
-        Traceback of an error that was not foreseen; else empty.
-    """
+    """The end of a piece of work."""
 
     key: str
-    value: Any = None
-    failure: Failure | None = None
-    defect: str = ""
+    value: Any = None  # What the function returned; None if it failed
+    failure: Failure | None = None  # Why it failed; None if it did not
+    defect: str = ""  # Traceback of an error that was not foreseen; else empty
 
 
 class Workers(Protocol):
@@ -75,31 +53,14 @@ class Workers(Protocol):
         """How many pieces can be in progress at once; at least 1."""
 
     def submit(self, work: Work) -> None:
-        """Hand out a piece of work.
-
-        Parameters
-        ----------
-        work
-            The work.
-        """
+        """Hand out a piece of work."""
 
     def finished(self, timeout_s: float) -> Sequence[Finished]:
         """Wait for the end of any piece of work.
 
-        Parameters
-        ----------
-        timeout_s
-            Longest time to wait, s.
-
-        Returns
-        -------
-        list of Finished
-            What ended; empty after the time.
-
-        Raises
-        ------
-        WorkersLost
-            If nobody is left who could do the work.
+        timeout_s: Longest time to wait, s.
+        Returns: What ended; empty after the time.
+        Raises WorkersLost: If nobody is left who could do the work.
         """
 
     def close(self) -> None:
@@ -107,18 +68,7 @@ class Workers(Protocol):
 
 
 def do(work: Work) -> Finished:
-    """Do a piece of work; every error becomes part of the result.
-
-    Parameters
-    ----------
-    work
-        The work.
-
-    Returns
-    -------
-    Finished
-        Its end.
-    """
+    """Do a piece of work; every error becomes part of the result."""
     try:
         return Finished(work.key, work.function(*work.arguments))
     except FORESEEN as error:
@@ -168,24 +118,9 @@ def map_work(
 ) -> Iterator[tuple[int, Finished]]:
     """Call a function for many items. Few items at a time are read and handed out, so there may be very many.
 
-    Parameters
-    ----------
-    function
-        A pure function at the top of a module.
-    items
-        Arguments of each call.
-    workers
-        Who does the work.
-
-    Yields
-    ------
-    tuple of (int, Finished)
-        Number of the item, from 0, and the end of its work, in the order in which the calls end.
-
-    Raises
-    ------
-    WorkersLost
-        If nobody is left who could do the work.
+    function: A pure function at the top of a module.
+    Yields: Number of the item, from 0, and the end of its work, in the order in which the calls end.
+    Raises WorkersLost: If nobody is left who could do the work.
 
     Examples
     --------
@@ -216,26 +151,10 @@ def results_of(
 ) -> Iterator[tuple[int, Any]]:
     """Call a function for many items, as `map_work`; the first call that fails ends it.
 
-    Parameters
-    ----------
-    function
-        A pure function at the top of a module.
-    items
-        Arguments of each call.
-    workers
-        Who does the work.
-
-    Yields
-    ------
-    tuple of (int, Any)
-        Number of the item, from 0, and what the function returned, in the order in which the calls end.
-
-    Raises
-    ------
-    WorkersLost
-        If nobody is left who could do the work.
-    BenchError
-        If a call fails.
+    function: A pure function at the top of a module.
+    Yields: Number of the item, from 0, and what the function returned, in the order in which the calls end.
+    Raises WorkersLost: If nobody is left who could do the work.
+    Raises BenchError: If a call fails.
     """
     for number, end in map_work(function, items, workers):
         if end.failure is not None:
@@ -247,15 +166,7 @@ def results_of(
 def most_handed_out(workers: Workers) -> int:
     """Return how many pieces of work to hand out at once, so that no worker waits and memory stays small.
 
-    Parameters
-    ----------
-    workers
-        Who does the work.
-
-    Returns
-    -------
-    int
-        At least 1.
+    Returns: At least 1.
     """
     return max(1, _AHEAD * workers.size) if workers.size > 1 else 1
 
@@ -263,10 +174,7 @@ def most_handed_out(workers: Workers) -> int:
 class TimeLeft:
     """Expected time to the end of many pieces of work.
 
-    Parameters
-    ----------
-    monotonic
-        Returns the time, s.
+    monotonic: Returns the time, s.
     """
 
     def __init__(self, monotonic: Callable[[], float] = time.monotonic) -> None:
@@ -276,17 +184,7 @@ class TimeLeft:
     def left_s(self, done: float, total: float) -> float | None:
         """Return the time left, from the time so far.
 
-        Parameters
-        ----------
-        done
-            Work done since the start, in any unit.
-        total
-            All work that was to do at the start, same unit.
-
-        Returns
-        -------
-        float or None
-            Seconds; None before anything is done.
+        Returns: Seconds; None before anything is done.
         """
         if done <= 0:
             return None

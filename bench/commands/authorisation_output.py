@@ -31,30 +31,13 @@ def authorise_folder(
 ) -> int:
     """Verify a folder, show it, ask, and sign its seal with a person's key.
 
-    Parameters
-    ----------
-    folder
-        The sealed folder.
-    key_name
-        File of the key, or fingerprint of a key in ssh-agent; None for the only key in ssh-agent.
-    allowed_signers
-        File of trusted keys; this bench's own where None.
-    yes
-        Whether not to ask.
-    as_json
-        Whether to print JSON.
-
-    Returns
-    -------
-    int
-        Exit status: 0 authorised, 3 not confirmed.
-
-    Raises
-    ------
-    UsageError
-        If JSON is wanted without ``yes``.
-    EvidenceError
-        If the folder or the key cannot be used; nothing is written.
+    key_name: File of the key, or fingerprint of a key in ssh-agent; None for the only key in ssh-agent.
+    allowed_signers: File of trusted keys; this bench's own where None.
+    yes: Whether not to ask.
+    as_json: Whether to print JSON.
+    Returns: Exit status: 0 authorised, 3 not confirmed.
+    Raises UsageError: If JSON is wanted without ``yes``.
+    Raises EvidenceError: If the folder or the key cannot be used; nothing is written.
     """
     from bench.evidence.authorisation import (
         authorise,
@@ -120,15 +103,7 @@ def _enter(folder: Path, person: str, fingerprint: str) -> bool:
 def facts_of(folder: Path) -> dict[str, str]:
     """Return what a person must see before signing: kind, number, item, run, and the seal's hash.
 
-    Parameters
-    ----------
-    folder
-        The sealed folder, which was verified.
-
-    Returns
-    -------
-    dict
-        Text by name, in the order in which it is shown.
+    Returns: Text by name, in the order in which it is shown.
     """
     from bench.evidence.instructions import kind_of
 

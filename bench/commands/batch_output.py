@@ -33,26 +33,10 @@ _K = 2.0
 def do_batch(queue: Path, folder: Path, *, as_json: bool) -> int:
     """Do a batch, then print how it ended: every run, and each camera's parameters over the batch.
 
-    Parameters
-    ----------
-    queue
-        Queue file.
-    folder
-        Folder of the batch; the batch continues if it has begun there.
-    as_json
-        Whether to print JSON.
-
-    Returns
-    -------
-    int
-        Exit status.
-
-    Raises
-    ------
-    UsageError
-        On a system other than Linux.
-    EvidenceError
-        If the signing key cannot be used by processes without a terminal; nothing has begun then.
+    folder: Folder of the batch; the batch continues if it has begun there.
+    as_json: Whether to print JSON.
+    Raises EvidenceError: If the signing key cannot be used by processes without a terminal; nothing has begun
+      then.
     """
     if sys.platform != "linux":
         raise UsageError(
@@ -76,17 +60,7 @@ def do_batch(queue: Path, folder: Path, *, as_json: bool) -> int:
 def summarise_again(folder: Path, *, as_json: bool) -> int:
     """Write and print the current summary of a batch.
 
-    Parameters
-    ----------
-    folder
-        Folder of the batch.
-    as_json
-        Whether to print JSON.
-
-    Returns
-    -------
-    int
-        Exit status.
+    as_json: Whether to print JSON.
     """
     return show_summary(folder, write_summary(folder, read_batch(folder)), as_json=as_json)
 
@@ -94,19 +68,8 @@ def summarise_again(folder: Path, *, as_json: bool) -> int:
 def show_summary(folder: Path, summary: Mapping[str, Any], *, as_json: bool) -> int:
     """Print how a batch ended.
 
-    Parameters
-    ----------
-    folder
-        Folder of the batch.
-    summary
-        Content of `summary.json`.
-    as_json
-        Whether to print JSON.
-
-    Returns
-    -------
-    int
-        Exit status.
+    summary: Content of `summary.json`.
+    as_json: Whether to print JSON.
     """
     status = {"finished": 0, "aborted": STOPPED}.get(summary["how"], 1)
     if as_json:
@@ -149,23 +112,9 @@ def _trend_lines(camera: Mapping[str, Any]) -> list[str]:
 def ask_batch(folder: Path, *, job: Path | None, name: str | None, by: str | None, as_json: bool) -> int:
     """Add a job to a batch or withdraw one, and print the answer.
 
-    Parameters
-    ----------
-    folder
-        Folder of the batch.
-    job
-        File of the job to add; None to withdraw one.
-    name
-        Name of the job to withdraw.
-    by
-        Name of the operator; user@host where None.
-    as_json
-        Whether to print JSON.
-
-    Returns
-    -------
-    int
-        Exit status.
+    job: File of the job to add; None to withdraw one.
+    by: Name of the operator; user@host where None.
+    as_json: Whether to print JSON.
     """
     from bench.batch.batch_requests import Request, answer_text, send_request
     from bench.run.control import operator_at_terminal
@@ -191,25 +140,9 @@ def do_rehearsal(
 ) -> int:
     """Rehearse a batch on a virtual clock, and print how it would end.
 
-    Parameters
-    ----------
-    queue
-        Queue file.
-    folder
-        New folder for the rehearsal.
-    begin
-        Time at which the night begins, in the time zone of the queue; now where None.
-    seed
-        Random seed of the rehearsed devices.
-    quiet
-        Whether to print only the summary.
-    as_json
-        Whether to print JSON.
-
-    Returns
-    -------
-    int
-        Exit status.
+    begin: Time at which the night begins, in the time zone of the queue; now where None.
+    quiet: Whether to print only the summary.
+    as_json: Whether to print JSON.
     """
     from bench.batch.rehearsed_night import rehearse_batch
 
@@ -233,19 +166,9 @@ def show_night(queue: Path, *, begin: datetime | None, as_json: bool) -> int:
 
     The expected uncertainty of each job is printed too.
 
-    Parameters
-    ----------
-    queue
-        Queue file.
-    begin
-        Time at which the night begins, in the time zone of the queue; now where None.
-    as_json
-        Whether to print JSON.
-
-    Returns
-    -------
-    int
-        Exit status, 0.
+    begin: Time at which the night begins, in the time zone of the queue; now where None.
+    as_json: Whether to print JSON.
+    Returns: Exit status, 0.
     """
     from bench.results.forecasts import expected_uncertainty
 
@@ -312,19 +235,9 @@ def _expected_text(forecast: Forecast) -> str:
 def refuse_extra(queue: Path, station: str | None, suggest: int) -> None:
     """Refuse options of a sequence that are given with a queue, because a queue names its stations itself.
 
-    Parameters
-    ----------
-    queue
-        Queue file.
-    station
-        Value of ``--station``.
-    suggest
-        Value of ``--suggest``.
-
-    Raises
-    ------
-    UsageError
-        If either option is given.
+    station: Value of ``--station``.
+    suggest: Value of ``--suggest``.
+    Raises UsageError: If either option is given.
     """
     if station or suggest:
         raise UsageError(

@@ -20,17 +20,8 @@ if TYPE_CHECKING:
 def show_devices(found: Discovery, *, as_json: bool) -> int:
     """Print the connected devices and the missing software.
 
-    Parameters
-    ----------
-    found
-        What the search for devices found.
-    as_json
-        Whether to print JSON.
-
-    Returns
-    -------
-    int
-        Exit status, 0.
+    as_json: Whether to print JSON.
+    Returns: Exit status, 0.
     """
     if as_json:
         print_json({**found.to_dict(), "plugins": _plugins()})
@@ -76,30 +67,9 @@ def write_station(
 ) -> int:
     """Write a new station file, never over an existing one.
 
-    Parameters
-    ----------
-    path
-        The new file.
-    name
-        Name of the bench.
-    stage
-        Kind of stage.
-    light
-        Kind of light.
-    camera
-        Kind of camera; the connected one where None.
-    found
-        What the search for devices found.
-
-    Returns
-    -------
-    int
-        Exit status, 0.
-
-    Raises
-    ------
-    UsageError
-        If the file exists.
+    camera: Kind of camera; the connected one where None.
+    Returns: Exit status, 0.
+    Raises UsageError: If the file exists.
     """
     from bench.records.storage import write_atomic
     from bench.stations.placeholders import UNKNOWN_SERIAL
@@ -120,15 +90,7 @@ def write_station(
 def print_schema(document: str) -> int:
     """Print the JSON Schema of a kind of file.
 
-    Parameters
-    ----------
-    document
-        Kind of file: sequence, station, queue, job or lab.
-
-    Returns
-    -------
-    int
-        Exit status, 0.
+    Returns: Exit status, 0.
     """
     from pydantic import BaseModel
 
@@ -151,22 +113,9 @@ def print_schema(document: str) -> int:
 def serve_simulated_bench(station_name: str, seed: int) -> int:
     """Keep a simulated bench running until it is stopped; each line of standard input orders a fault.
 
-    Parameters
-    ----------
-    station_name
-        Station file, or the name of a station that is included.
-    seed
-        Random seed of the simulated bench.
-
-    Returns
-    -------
-    int
-        Exit status, 0.
-
-    Raises
-    ------
-    BenchError
-        If the station has no simulation section, or the simulated bench ends unasked.
+    station_name: Station file, or the name of a station that is included.
+    Returns: Exit status, 0.
+    Raises BenchError: If the station has no simulation section, or the simulated bench ends unasked.
     """
     from bench.simulated import SimulatedBench
     from bench.stations.station import load_station

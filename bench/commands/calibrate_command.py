@@ -70,10 +70,7 @@ def calibrate(
 def keep_answer_of_run(folder: Path) -> None:
     """Keep what `calibrate` will print about a finished run, as text and as JSON, while the engine is loaded.
 
-    Parameters
-    ----------
-    folder
-        Folder of the sealed run. Of a run of more than `MOST_RUN_BYTES` nothing is kept.
+    folder: Folder of the sealed run. Of a run of more than `MOST_RUN_BYTES` nothing is kept.
     """
     from bench.base.errors import BenchError
     from bench.results.kept_answers import KeptAnswers, answer_key

@@ -23,17 +23,8 @@ _MOST_LISTED = 20
 def show_run(end: RunEnd, *, as_json: bool) -> int:
     """Print how a run ended.
 
-    Parameters
-    ----------
-    end
-        End of the run.
-    as_json
-        Whether to print JSON.
-
-    Returns
-    -------
-    int
-        Exit status: 0 finished, 3 stopped on request, 1 failed.
+    as_json: Whether to print JSON.
+    Returns: Exit status: 0 finished, 3 stopped on request, 1 failed.
     """
     status = {"finished": 0, "aborted": STOPPED}.get(end.how, 1)
     report = str(end.outcome.report) if end.outcome else None
@@ -118,14 +109,8 @@ def print_calibration(
 ) -> None:
     """Print a calibration made without devices, and other methods on the same points if there are any.
 
-    Parameters
-    ----------
-    result
-        The calibration.
-    baselines
-        Results of other methods; None if no comparison was asked for.
-    as_json
-        Whether to print JSON.
+    baselines: Results of other methods; None if no comparison was asked for.
+    as_json: Whether to print JSON.
     """
     if as_json:
         facts = result.to_dict()
@@ -170,17 +155,7 @@ def _distance_text(row: Mapping[str, Any]) -> str:
 def calibration_text(calibration: Mapping[str, Any], words: TargetWords) -> str:
     """Return a calibration as text: values with uncertainties first, reprojection error second.
 
-    Parameters
-    ----------
-    calibration
-        Calibration as `results.json` holds it.
-    words
-        What the stars are called.
-
-    Returns
-    -------
-    str
-        Lines of text.
+    calibration: Calibration as `results.json` holds it.
     """
     from bench.report.calibration_tables import coverage_factor
     from bench.report.text import exact, with_uncertainty
@@ -224,15 +199,7 @@ def _planar_text(calibration: Mapping[str, Any]) -> str:
 def unit_text(name: str) -> str:
     """Return the unit of a parameter, as it is printed after a number.
 
-    Parameters
-    ----------
-    name
-        Name of the parameter.
-
-    Returns
-    -------
-    str
-        The unit; empty for a number without unit.
+    Returns: The unit; empty for a number without unit.
     """
     from bench.report.text import unit_of
 
@@ -241,18 +208,7 @@ def unit_text(name: str) -> str:
 
 
 def baseline_dict(row: MethodResult | MethodFailure) -> dict[str, Any]:
-    """Return the result of one method for JSON output, or why it has none.
-
-    Parameters
-    ----------
-    row
-        Result or failure of the method.
-
-    Returns
-    -------
-    dict
-        Values that can be written as JSON.
-    """
+    """Return the result of one method for JSON output, or why it has none."""
     from calib.studies.reference_methods import MethodFailure
 
     if isinstance(row, MethodFailure):
@@ -268,18 +224,7 @@ def baseline_dict(row: MethodResult | MethodFailure) -> dict[str, Any]:
 
 
 def comparison_text(baselines: list[MethodResult | MethodFailure]) -> str:
-    """Return the results of several methods on the same points as a table.
-
-    Parameters
-    ----------
-    baselines
-        Result or failure of each method.
-
-    Returns
-    -------
-    str
-        Lines of text.
-    """
+    """Return the results of several methods on the same points as a table."""
     from calib.studies.reference_methods import MethodFailure
 
     head = f"  {'':<34}{'fx':>10}{'U(fx)':>9}{'cx':>10}{'cy':>10}{'rms px':>9}{'left out':>10}"

@@ -313,10 +313,7 @@ def _settings(texts: tuple[str, ...]) -> Mapping[str, str]:
 def main(arguments: list[str] | None = None) -> None:
     """Run the command line and exit. Every expected error is printed as one message, without a traceback.
 
-    Parameters
-    ----------
-    arguments
-        Arguments after the program's name; those of the process where None.
+    arguments: Arguments after the program's name; those of the process where None.
     """
     # Our matrices are small: several threads take three times as long as one. Must be set before numpy is imported.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")

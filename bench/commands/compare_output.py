@@ -33,28 +33,9 @@ def run_and_print(
 ) -> int:
     """Run a comparison, write its page and results, and print the table.
 
-    Parameters
-    ----------
-    spec
-        The specification.
-    text
-        Its bytes.
-    folder
-        Folder of the comparison.
-    workers
-        Who does the work; they are closed.
-    as_json
-        Whether to print JSON.
-
-    Returns
-    -------
-    int
-        Exit status: 0 done, 3 stopped by Ctrl-C.
-
-    Raises
-    ------
-    UsageError, StorageError, BenchError
-        As `bench.compare.run_comparison.compare`.
+    as_json: Whether to print JSON.
+    Returns: Exit status: 0 done, 3 stopped by Ctrl-C.
+    Raises UsageError, StorageError, BenchError: As `bench.compare.run_comparison.compare`.
     """
     try:
         with reliable_interrupts():
@@ -88,22 +69,7 @@ def _do_tasks(workers: Workers, tasks: Sequence[Task]) -> Iterator[dict[str, Row
 def do_task(task: Task, program: str) -> dict[str, Row]:
     """Do one task of a comparison, on a worker.
 
-    Parameters
-    ----------
-    task
-        The task.
-    program
-        Hash of the program that hands out the work.
-
-    Returns
-    -------
-    dict
-        Its rows by their keys.
-
-    Raises
-    ------
-    BenchError
-        If this worker runs another program.
+    Raises BenchError: If this worker runs another program.
     """
     require_program_of(program)
     return run_task(task)

@@ -16,13 +16,7 @@ _SHIPPED = {"station": _ROOT / "bench" / "stations", "sequence": _ROOT / "sequen
 
 
 class _NameOrFile(click.ParamType):
-    """Text that names a shipped file or any other file.
-
-    Parameters
-    ----------
-    folder
-        Folder of the shipped files.
-    """
+    """Text that names a shipped file or any other file."""
 
     name = "text"
 
@@ -46,13 +40,7 @@ class _NameOrFile(click.ParamType):
 
 
 def add_completion(group: click.Group) -> None:
-    """Let the shell complete stations and sequences of every command below a group.
-
-    Parameters
-    ----------
-    group
-        Command group; its commands are changed in place.
-    """
+    """Let the shell complete stations and sequences of every command below a group."""
     for command in group.commands.values():
         for param in command.params:
             if param.name in _SHIPPED and isinstance(param.type, click.types.StringParamType):

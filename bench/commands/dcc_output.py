@@ -21,30 +21,17 @@ DCC_FILE = "dcc.xml"
 
 @dataclass
 class _Found:
-    """What the checks of a DCC found.
-
-    Attributes
-    ----------
-    file
-        The file.
-    number, dcc_version, si_version
-        Number of the certificate, version of the DCC and of D-SI.
-    content, schema
-        Faults by our checks and by the schema; schema is None if there was none at hand.
-    signature
-        The valid signature; None if there is none or it is not valid.
-    signature_fault
-        Why the signature is not valid; empty if it is, or there is none.
-    """
+    """What the checks of a DCC found."""
 
     file: Path
     number: str
     dcc_version: str
     si_version: str
+    # content, schema: Faults by our checks and by the schema; schema is None if there was none at hand.
     content: list[str]
     schema: list[str] | None
-    signature: DccSignature | None
-    signature_fault: str
+    signature: DccSignature | None  # The valid signature; None if there is none or it is not valid
+    signature_fault: str  # Why the signature is not valid; empty if it is, or there is none
 
     @property
     def faults(self) -> list[str]:
@@ -59,30 +46,14 @@ class _Found:
 def show_check(path: Path, *, schemas: Path | None, trusted: Path | None, as_json: bool) -> int:
     """Check a digital calibration certificate and print the result.
 
-    Parameters
-    ----------
-    path
-        The XML file, or a folder with `dcc.xml`.
-    schemas
-        Folder of PTB's schemas; None for that of the environment.
-    trusted
-        Certificates that the reader trusts, PEM; None for none.
-    as_json
-        Whether to print JSON.
-
-    Returns
-    -------
-    int
-        Exit status: 0 if no fault was found.
-
-    Raises
-    ------
-    EvidenceError
-        When the file is no DCC that can be read.
-    UsageError
-        When the folder has no `dcc.xml`, or the folder of schemas cannot be used.
-    StorageError
-        When a file cannot be read.
+    path: The XML file, or a folder with `dcc.xml`.
+    schemas: Folder of PTB's schemas; None for that of the environment.
+    trusted: Certificates that the reader trusts, PEM; None for none.
+    as_json: Whether to print JSON.
+    Returns: Exit status: 0 if no fault was found.
+    Raises EvidenceError: When the file is no DCC that can be read.
+    Raises UsageError: When the folder has no `dcc.xml`, or the folder of schemas cannot be used.
+    Raises StorageError: When a file cannot be read.
     """
     found = _check(path, schemas, trusted)
     if as_json:
@@ -145,28 +116,13 @@ def _read(file: Path) -> bytes:
 def show_reference(path: Path, *, quantity: str, trusted: Path | None, as_json: bool) -> int:
     """Print what a station file and lab.yaml say of a reference that has a DCC.
 
-    Parameters
-    ----------
-    path
-        The XML file.
-    quantity
-        Id, label or name of the length; empty for the focal length.
-    trusted
-        Certificates that the reader trusts, PEM; None for none.
-    as_json
-        Whether to print JSON.
-
-    Returns
-    -------
-    int
-        Exit status, 0.
-
-    Raises
-    ------
-    EvidenceError
-        When the file is no DCC that can be read, does not state the length, or its signature is not valid.
-    StorageError
-        When a file cannot be read.
+    quantity: Id, label or name of the length; empty for the focal length.
+    trusted: Certificates that the reader trusts, PEM; None for none.
+    as_json: Whether to print JSON.
+    Returns: Exit status, 0.
+    Raises EvidenceError: When the file is no DCC that can be read, does not state the length, or its
+      signature is not valid.
+    Raises StorageError: When a file cannot be read.
     """
     from bench.certificate.dcc_keys import load_certificates
     from bench.certificate.dcc_reader import read_reference

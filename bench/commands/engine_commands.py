@@ -129,36 +129,14 @@ _OPTIONS = (
 
 
 def engine_options(command: _Command) -> _Command:
-    """Add the options that say how to calibrate to a command.
-
-    Parameters
-    ----------
-    command
-        The function of the command.
-
-    Returns
-    -------
-    function
-        The same, with the options.
-    """
+    """Add the options that say how to calibrate to a command."""
     for option in reversed(_OPTIONS):
         command = option(command)
     return command
 
 
 def views_and_options(command: _Command) -> _Command:
-    """Add the argument that names the views, and the options that say how to calibrate, to a command.
-
-    Parameters
-    ----------
-    command
-        The function of the command.
-
-    Returns
-    -------
-    function
-        The same, with the argument and the options.
-    """
+    """Add the argument that names the views, and the options that say how to calibrate, to a command."""
     command = engine_options(command)
     paths = click.argument("paths", nargs=-1, required=True, metavar="PATH...", type=ExistingPath())
     return paths(command)

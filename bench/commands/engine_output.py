@@ -19,19 +19,8 @@ from calib.studies.rig import RelativeRotation
 def show_passport(passport: Passport, data: bytes, *, as_json: bool) -> int:
     """Print the values of a passport with their uncertainties, the hash of its file and its seal.
 
-    Parameters
-    ----------
-    passport
-        The passport.
-    data
-        Bytes of its file.
-    as_json
-        Whether to print JSON.
-
-    Returns
-    -------
-    int
-        Exit status, 0.
+    as_json: Whether to print JSON.
+    Returns: Exit status, 0.
     """
     seal, sha256 = read_passport_seal(data), hashlib.sha256(data).hexdigest()
     if as_json:
@@ -61,19 +50,9 @@ def _condition_text(condition: object) -> str:
 def show_rig(rotation: RelativeRotation, skipped: Sequence[str], *, as_json: bool) -> int:
     """Print the rotation from one camera of a rig to the other.
 
-    Parameters
-    ----------
-    rotation
-        Rotation from the first camera to the second.
-    skipped
-        Reasons why views were left out.
-    as_json
-        Whether to print JSON.
-
-    Returns
-    -------
-    int
-        Exit status, 0.
+    rotation: Rotation from the first camera to the second.
+    as_json: Whether to print JSON.
+    Returns: Exit status, 0.
     """
     if as_json:
         print_json({**rotation.to_dict(), "skipped": list(skipped)})
@@ -105,17 +84,8 @@ def show_rig(rotation: RelativeRotation, skipped: Sequence[str], *, as_json: boo
 def show_study(study: MonteCarloStudy, *, as_json: bool) -> int:
     """Print what repeated simulated calibrations found.
 
-    Parameters
-    ----------
-    study
-        The finished study.
-    as_json
-        Whether to print JSON.
-
-    Returns
-    -------
-    int
-        Exit status, 0.
+    as_json: Whether to print JSON.
+    Returns: Exit status, 0.
     """
     low, high = study.coverage_band
     held = all(low <= share <= high for share in study.coverage.values())

@@ -22,17 +22,9 @@ NOT_COMPARED = 4
 def show_verification(verification: Verification, *, as_json: bool) -> int:
     """Print what the verification of a sealed folder found.
 
-    Parameters
-    ----------
-    verification
-        Result of the verification.
-    as_json
-        Whether to print JSON.
-
-    Returns
-    -------
-    int
-        Exit status: 0 no fault, and everything was compared; 1 a fault; 4 no fault, but not everything was compared.
+    as_json: Whether to print JSON.
+    Returns: Exit status: 0 no fault, and everything was compared; 1 a fault; 4 no fault, but not everything
+      was compared.
     """
     if as_json:
         print_json(verification.to_dict())
@@ -72,20 +64,8 @@ def _show_valid(found: Verification) -> None:
 def ask_passphrase(key: Path) -> bytes:
     """Ask for the passphrase of a key at the terminal.
 
-    Parameters
-    ----------
-    key
-        File of the key; shown in the question.
-
-    Returns
-    -------
-    bytes
-        The passphrase, UTF-8.
-
-    Raises
-    ------
-    EvidenceError
-        If there is no terminal.
+    Returns: The passphrase, UTF-8.
+    Raises EvidenceError: If there is no terminal.
     """
     if not sys.stdin.isatty():
         raise EvidenceError(

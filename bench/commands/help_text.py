@@ -218,12 +218,7 @@ class Sections(click.Group):
 def complete(group: click.Group, path: str = "") -> None:
     """Add examples and exit statuses to the help of every command below ``group``.
 
-    Parameters
-    ----------
-    group
-        Command group; its commands are changed in place.
-    path
-        Names of the groups above ``group``, separated by spaces; empty for the program itself.
+    path: Names of the groups above ``group``, separated by spaces; empty for the program itself.
     """
     if not path:
         group.epilog = f"Exit status: {_RUN}"

@@ -33,26 +33,10 @@ _MOST_GROUPS = 12
 def export_runs(choice: RunChoice, path: Path, *, as_json: bool) -> int:
     """Write the table of runs, and say what was written.
 
-    Parameters
-    ----------
-    choice
-        The runs.
-    path
-        The file.
-    as_json
-        Whether to print JSON.
-
-    Returns
-    -------
-    int
-        Exit status: 1 if ledgers and folders do not agree, else 0; the table is written in both cases.
-
-    Raises
-    ------
-    UsageError
-        When no table can be written under this name, or a named folder holds no ledger.
-    StorageError
-        When a file cannot be read or written.
+    as_json: Whether to print JSON.
+    Returns: Exit status: 1 if ledgers and folders do not agree, else 0; the table is written in both cases.
+    Raises UsageError: When no table can be written under this name, or a named folder holds no ledger.
+    Raises StorageError: When a file cannot be read or written.
     """
     require_writable_table(path)
     merged = find_runs(choice)
@@ -86,32 +70,15 @@ def chart_runs(
 ) -> int:
     """Write the page of control charts, and print the verdict.
 
-    Parameters
-    ----------
-    choice
-        The runs.
-    parameter
-        Name of the parameter; all where None.
-    by
-        ``camera`` or ``type``; both where None.
-    baseline
-        Number of first runs from which the limits come; all where None.
-    page
-        File of the page.
-    as_json
-        Whether to print JSON.
-
-    Returns
-    -------
-    int
-        Exit status: 1 if a parameter is out of control or drifts, or ledgers and folders do not agree; else 0.
-
-    Raises
-    ------
-    UsageError
-        When no run has a result or this parameter, or the page cannot be written under its name.
-    StorageError
-        When a file cannot be read or written.
+    parameter: Name of the parameter; all where None.
+    by: ``camera`` or ``type``; both where None.
+    baseline: Number of first runs from which the limits come; all where None.
+    as_json: Whether to print JSON.
+    Returns: Exit status: 1 if a parameter is out of control or drifts, or ledgers and folders do not agree;
+      else 0.
+    Raises UsageError: When no run has a result or this parameter, or the page cannot be written under its
+      name.
+    Raises StorageError: When a file cannot be read or written.
     """
     _require_page(page)
     merged = find_runs(choice)

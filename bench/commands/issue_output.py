@@ -35,20 +35,8 @@ NOT_FOUND = "NOT FOUND"
 def write_example(path: Path) -> int:
     """Write the example of lab.yaml.
 
-    Parameters
-    ----------
-    path
-        The new file.
-
-    Returns
-    -------
-    int
-        Exit status, 0.
-
-    Raises
-    ------
-    StorageError
-        If it cannot be written.
+    Returns: Exit status, 0.
+    Raises StorageError: If it cannot be written.
     """
     from bench.certificate.lab_config import EXAMPLE
 
@@ -65,21 +53,10 @@ def issue_certificate(
 ) -> int:
     """Issue a certificate, and print its number and results.
 
-    Parameters
-    ----------
-    run, lab_file, folder
-        The run, the configuration, and the new folder.
-    also
-        Why a further certificate of the run is issued; empty if it is the first one.
-    dcc_key
-        Files of the key and of the certificates that sign the DCC; None for a DCC without a signature.
-    as_json
-        Whether to print JSON.
-
-    Returns
-    -------
-    int
-        Exit status, 0.
+    also: Why a further certificate of the run is issued; empty if it is the first one.
+    dcc_key: Files of the key and of the certificates that sign the DCC; None for a DCC without a signature.
+    as_json: Whether to print JSON.
+    Returns: Exit status, 0.
     """
     from bench.certificate.issue import issue
 
@@ -93,26 +70,10 @@ def amend_certificate(
 ) -> int:
     """Amend a certificate, and print what changed.
 
-    Parameters
-    ----------
-    old, lab_file, folder
-        Folder of the certificate, the configuration, and the new folder.
-    reason
-        Reason of the amendment.
-    dcc_key
-        Files of the key and of the certificates that sign the DCC; None for a DCC without a signature.
-    as_json
-        Whether to print JSON.
-
-    Returns
-    -------
-    int
-        Exit status, 0.
-
-    Raises
-    ------
-    UsageError
-        If there is no reason.
+    dcc_key: Files of the key and of the certificates that sign the DCC; None for a DCC without a signature.
+    as_json: Whether to print JSON.
+    Returns: Exit status, 0.
+    Raises UsageError: If there is no reason.
     """
     from bench.certificate.amend import amend
 
@@ -125,26 +86,11 @@ def amend_certificate(
 def void_number(number: str, *, reason: str, by: str | None, as_json: bool) -> int:
     """Declare a number void.
 
-    Parameters
-    ----------
-    number
-        The number.
-    reason, by
-        Why, and who says so; user@host where None.
-    as_json
-        Whether to print JSON.
-
-    Returns
-    -------
-    int
-        Exit status, 0.
-
-    Raises
-    ------
-    UsageError
-        If there is no reason.
-    EvidenceError
-        If there is no such number, or it is issued or void.
+    reason, by: Why, and who says so; user@host where None.
+    as_json: Whether to print JSON.
+    Returns: Exit status, 0.
+    Raises UsageError: If there is no reason.
+    Raises EvidenceError: If there is no such number, or it is issued or void.
     """
     import getpass
     import socket
@@ -175,15 +121,8 @@ def void_number(number: str, *, reason: str, by: str | None, as_json: bool) -> i
 def list_certificates(*, as_json: bool) -> int:
     """List the numbers of the ledger.
 
-    Parameters
-    ----------
-    as_json
-        Whether to print JSON.
-
-    Returns
-    -------
-    int
-        Exit status, 0.
+    as_json: Whether to print JSON.
+    Returns: Exit status, 0.
     """
     from bench.certificate.series_numbers import numbers
 
@@ -223,24 +162,10 @@ def list_certificates(*, as_json: bool) -> int:
 def show_certificate(folder: Path, *, as_json: bool) -> int:
     """Show a certificate.
 
-    Parameters
-    ----------
-    folder
-        Its folder.
-    as_json
-        Whether to print JSON.
-
-    Returns
-    -------
-    int
-        Exit status, 0.
-
-    Raises
-    ------
-    UsageError
-        If the folder holds no certificate.
-    EvidenceError
-        If certificate.json is not of the expected form.
+    as_json: Whether to print JSON.
+    Returns: Exit status, 0.
+    Raises UsageError: If the folder holds no certificate.
+    Raises EvidenceError: If certificate.json is not of the expected form.
     """
     from bench.certificate.certificate_data import CERTIFICATE, Certificate
     from bench.certificate.series_numbers import numbers

@@ -23,10 +23,7 @@ if TYPE_CHECKING:
 def show_keys() -> int:
     """Print this bench's key and the keys that it trusts.
 
-    Returns
-    -------
-    int
-        Exit status, 0.
+    Returns: Exit status, 0.
     """
     from bench.evidence.keys import KEY_FILE
     from bench.evidence.public_key import load_public_key
@@ -55,15 +52,8 @@ def show_keys() -> int:
 def list_keys(*, as_json: bool) -> int:
     """Print all trusted keys with their validity.
 
-    Parameters
-    ----------
-    as_json
-        Whether to print JSON.
-
-    Returns
-    -------
-    int
-        Exit status, 0.
+    as_json: Whether to print JSON.
+    Returns: Exit status, 0.
     """
     from bench.evidence.ssh_keys import fingerprint
 
@@ -99,17 +89,9 @@ def list_keys(*, as_json: bool) -> int:
 def make_key(principal: str | None, *, protect: bool) -> int:
     """Create this bench's signing key.
 
-    Parameters
-    ----------
-    principal
-        Name of the signer, as name@place; bench@ and the host name where None.
-    protect
-        Whether to ask for a passphrase that protects the key.
-
-    Returns
-    -------
-    int
-        Exit status, 0.
+    principal: Name of the signer, as name@place; bench@ and the host name where None.
+    protect: Whether to ask for a passphrase that protects the key.
+    Returns: Exit status, 0.
     """
     from bench.evidence.keys import create_key
     from bench.evidence.signers import make_private_folder
@@ -132,24 +114,11 @@ def trust_key(
 ) -> int:
     """Trust the key of a bench or of a person.
 
-    Parameters
-    ----------
-    text
-        A line of allowed_signers, a public key, or a file that holds one of them.
-    person, bench
-        Name of the person or bench, as name@place, for a public key; at most one of both.
-    valid_after, valid_before
-        Period of validity, UTC without time zone; None where there is no limit.
-
-    Returns
-    -------
-    int
-        Exit status, 0.
-
-    Raises
-    ------
-    UsageError
-        If this is not a key, or a name is missing or not name@place.
+    text: A line of allowed_signers, a public key, or a file that holds one of them.
+    person, bench: Name of the person or bench, as name@place, for a public key; at most one of both.
+    valid_after, valid_before: Period of validity, UTC without time zone; None where there is no limit.
+    Returns: Exit status, 0.
+    Raises UsageError: If this is not a key, or a name is missing or not name@place.
     """
     from bench.evidence.signers import (
         AUTHORISATION_NAMESPACE,
@@ -202,17 +171,9 @@ def trust_key(
 def rotate_key(*, keep_old: bool, protect: bool) -> int:
     """Replace this bench's key.
 
-    Parameters
-    ----------
-    keep_old
-        Whether to keep the old private key; else it is deleted.
-    protect
-        Whether to ask for a passphrase that protects the new key.
-
-    Returns
-    -------
-    int
-        Exit status, 0.
+    keep_old: Whether to keep the old private key; else it is deleted.
+    protect: Whether to ask for a passphrase that protects the new key.
+    Returns: Exit status, 0.
     """
     from bench.evidence.rotation import rotate
 
@@ -230,24 +191,10 @@ def rotate_key(*, keep_old: bool, protect: bool) -> int:
 def revoke_key(text: str, *, reason: str, since: datetime | None) -> int:
     """Revoke a key.
 
-    Parameters
-    ----------
-    text
-        Fingerprint of a trusted key, or a public key or its file.
-    reason
-        Why, one line.
-    since
-        From when, UTC without time zone; now where None.
-
-    Returns
-    -------
-    int
-        Exit status, 0.
-
-    Raises
-    ------
-    UsageError
-        If the fingerprint is not that of a trusted key.
+    text: Fingerprint of a trusted key, or a public key or its file.
+    since: From when, UTC without time zone; now where None.
+    Returns: Exit status, 0.
+    Raises UsageError: If the fingerprint is not that of a trusted key.
     """
     from bench.evidence.keys import KEY_FILE
     from bench.evidence.revocation import REVOKED_FILE, RevokedKey, revoke
@@ -277,10 +224,7 @@ def revoke_key(text: str, *, reason: str, since: datetime | None) -> int:
 def key_or_draft() -> BenchKey | None:
     """Return the bench's key for results that may stay a draft; say on standard error why, if there is none.
 
-    Returns
-    -------
-    BenchKey or None
-        The key; None if there is no key on this computer, or it cannot be used.
+    Returns: The key; None if there is no key on this computer, or it cannot be used.
     """
     from bench.base.errors import BenchError
     from bench.evidence.keys import load_key, require_usable

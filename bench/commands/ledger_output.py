@@ -24,10 +24,7 @@ from bench.terminal.wording import counted
 def bench_ledger() -> Ledger:
     """Return the ledger of this bench.
 
-    Returns
-    -------
-    Ledger
-        The ledger; its file may not exist.
+    Returns: The ledger; its file may not exist.
     """
     clock = BenchClock()
     return Ledger(home_folder(), utc_now=clock.utc_now, monotonic=clock.monotonic)
@@ -36,17 +33,8 @@ def bench_ledger() -> Ledger:
 def ledger_findings(ledger: Ledger) -> tuple[list[str], list[str]]:
     """Compare the ledger with all places that know of it.
 
-    Parameters
-    ----------
-    ledger
-        The ledger.
-
-    Returns
-    -------
-    faults
-        Breaks that nobody has explained; the last one says what to do.
-    notes
-        Explained breaks, and places that could not be asked.
+    Returns: Breaks that nobody has explained; the last one says what to do.
+    Returns: Explained breaks, and places that could not be asked.
     """
     faults, explained = ledger.breaks(None, sealed_strangers(ledger.home))
     if faults:
@@ -55,33 +43,15 @@ def ledger_findings(ledger: Ledger) -> tuple[list[str], list[str]]:
 
 
 def explained_text(one: Break) -> str:
-    """Return an explained break as text.
-
-    Parameters
-    ----------
-    one
-        The break.
-
-    Returns
-    -------
-    str
-        What was found, and the reason that a person has stated.
-    """
+    """Return an explained break as text."""
     return f"{one} Reason, stated by {one.by}: {one.reason}"
 
 
 def show_check(*, as_json: bool) -> int:
     """Print the state of the ledger and every fault of it.
 
-    Parameters
-    ----------
-    as_json
-        Whether to print JSON.
-
-    Returns
-    -------
-    int
-        Exit status: 1 if there is a fault, else 0.
+    as_json: Whether to print JSON.
+    Returns: Exit status: 1 if there is a fault, else 0.
     """
     ledger = bench_ledger()
     faults, notes = ledger_findings(ledger)
@@ -130,24 +100,10 @@ def _second_places(ledger: Ledger) -> list[dict[str, Any]]:
 def explain_breaks(reason: str, *, by: str | None, as_json: bool) -> int:
     """State the reason of every break of the ledger that has none.
 
-    Parameters
-    ----------
-    reason
-        What happened.
-    by
-        Name of the person; user@host where None.
-    as_json
-        Whether to print JSON.
-
-    Returns
-    -------
-    int
-        Exit status, 0.
-
-    Raises
-    ------
-    UsageError
-        When there is nothing to explain.
+    by: Name of the person; user@host where None.
+    as_json: Whether to print JSON.
+    Returns: Exit status, 0.
+    Raises UsageError: When there is nothing to explain.
     """
     ledger, person = bench_ledger(), by or operator_at_terminal()
     found = ledger.explain(reason, person, strangers=sealed_strangers(ledger.home))
@@ -165,24 +121,9 @@ def explain_breaks(reason: str, *, by: str | None, as_json: bool) -> int:
 def forget_place(place: str, reason: str, *, by: str | None) -> int:
     """Write the ledger to a second place no longer.
 
-    Parameters
-    ----------
-    place
-        Path of the second place.
-    reason
-        Why.
-    by
-        Name of the person; user@host where None.
-
-    Returns
-    -------
-    int
-        Exit status, 0.
-
-    Raises
-    ------
-    UsageError
-        When it is no second place of the ledger.
+    by: Name of the person; user@host where None.
+    Returns: Exit status, 0.
+    Raises UsageError: When it is no second place of the ledger.
     """
     bench_ledger().forget_place(place, reason=reason, by=by or operator_at_terminal())
     click.echo(f"The ledger is no longer written to {place}; the reason is in the ledger.")

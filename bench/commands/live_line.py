@@ -17,10 +17,7 @@ _EVERY_ON_A_TERMINAL_S = 0.25
 class LiveLine:
     """A line on standard error.
 
-    Attributes
-    ----------
-    quiet
-        Whether nothing is shown.
+    quiet: Whether nothing is shown.
     """
 
     def __init__(self, *, quiet: bool = False) -> None:
@@ -32,10 +29,7 @@ class LiveLine:
     def due(self) -> bool:
         """Return whether it is time to show the line again.
 
-        Returns
-        -------
-        bool
-            True at most four times a second; without a terminal every half minute.
+        Returns: True at most four times a second; without a terminal every half minute.
         """
         now = time.monotonic()
         if self.quiet or now < self._next_s:
@@ -44,13 +38,7 @@ class LiveLine:
         return True
 
     def show(self, text: str) -> None:
-        """Show a text in place of the one before.
-
-        Parameters
-        ----------
-        text
-            One line.
-        """
+        """Show a text in place of the one before."""
         if self._live:
             click.echo(f"\r{text:<{self._width}}", nl=False, err=True)
             self._width = len(text)
@@ -67,16 +55,9 @@ class LiveLine:
 class CountLine(LiveLine):
     """Shows how many things of one kind are done, and the time left.
 
-    Parameters
-    ----------
-    total
-        Number of all things.
-    things
-        What they are called, such as ``files``.
-    before
-        How many were done before the command began.
-    quiet
-        Whether nothing is shown.
+    things: What they are called, such as ``files``.
+    before: How many were done before the command began.
+    quiet: Whether nothing is shown.
     """
 
     def __init__(self, total: int, things: str, *, before: int = 0, quiet: bool = False) -> None:
@@ -85,13 +66,7 @@ class CountLine(LiveLine):
         self._time = TimeLeft()
 
     def count(self, more: int = 1) -> None:
-        """Count what has been done, and show the line if it is time.
-
-        Parameters
-        ----------
-        more
-            How many are done more.
-        """
+        """Count what has been done, and show the line if it is time."""
         self.done += more
         if self.done < self._total and self.due():
             left = self._time.left_s(self.done - self._before, self._total - self._before)
@@ -100,9 +75,6 @@ class CountLine(LiveLine):
     def text(self) -> str:
         """Return the count in words.
 
-        Returns
-        -------
-        str
-            As ``3 of 10 files``.
+        Returns: As ``3 of 10 files``.
         """
         return f"{self.done} of {self._total} {self._things}"

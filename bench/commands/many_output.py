@@ -21,26 +21,8 @@ CONTINUES = "What is done is kept; the same command continues."
 def run_study(planned: PlannedStudy, runs: int, workers: Workers, folder: Path | None) -> MonteCarloStudy:
     """Run a study, with its progress.
 
-    Parameters
-    ----------
-    planned
-        The study.
-    runs
-        Number of calibrations.
-    workers
-        Who does the work; they are closed.
-    folder
-        Folder that keeps what is done; None to keep nothing.
-
-    Returns
-    -------
-    MonteCarloStudy
-        The study.
-
-    Raises
-    ------
-    BenchError, calib.errors.CalibrationError
-        As `bench.cluster.many_calibrations.run_blocks`.
+    folder: Folder that keeps what is done; None to keep nothing.
+    Raises BenchError, calib.errors.CalibrationError: As `bench.cluster.many_calibrations.run_blocks`.
     """
     from bench.cluster.kept_rows import KeptRows
     from bench.cluster.many_calibrations import STUDY, run_blocks

@@ -28,14 +28,9 @@ _CUTOFF_HZ = (0.01, 1000.0)
 class Number(click.ParamType):
     """Finite number between ``least`` and ``most``, as far as these are given.
 
-    Parameters
-    ----------
-    least
-        Smallest number allowed; any where None.
-    above
-        Whether ``least`` itself is refused.
-    most
-        Largest number allowed; any where None.
+    least: Smallest number allowed; any where None.
+    above: Whether ``least`` itself is refused.
+    most: Largest number allowed; any where None.
     """
 
     name = "number"
@@ -93,15 +88,7 @@ class ExistingFile(_Path):
     def check(self, path: Path) -> None:
         """Check that the file exists and is not a folder.
 
-        Parameters
-        ----------
-        path
-            Path to check.
-
-        Raises
-        ------
-        UsageError
-            If there is no such file, or it is a folder, a pipe or a device.
+        Raises UsageError: If there is no such file, or it is a folder, a pipe or a device.
         """
         if not path.exists():
             raise UsageError("There is no such file.", where=str(path), remedy="Check the path.")
@@ -114,13 +101,7 @@ class EventFile(ExistingFile):
     """A file of events, or the folder of a ROS 2 bag."""
 
     def check(self, path: Path) -> None:
-        """See `ExistingFile.check`; a folder with ``metadata.yaml`` is a bag.
-
-        Parameters
-        ----------
-        path
-            Path to check.
-        """
+        """See `ExistingFile.check`; a folder with ``metadata.yaml`` is a bag."""
         if not (path / "metadata.yaml").is_file():
             super().check(path)
 
@@ -134,15 +115,7 @@ class ExistingFolder(_Path):
     def check(self, path: Path) -> None:
         """Check that the folder exists.
 
-        Parameters
-        ----------
-        path
-            Path to check.
-
-        Raises
-        ------
-        UsageError
-            If there is no such folder, or it is a file.
+        Raises UsageError: If there is no such folder, or it is a file.
         """
         if not path.is_dir():
             what = "This is a file, not a folder." if path.exists() else "There is no such folder."
@@ -155,15 +128,7 @@ class ExistingPath(_Path):
     def check(self, path: Path) -> None:
         """Check that the file or folder exists.
 
-        Parameters
-        ----------
-        path
-            Path to check.
-
-        Raises
-        ------
-        UsageError
-            If there is no such file or folder, or it is a pipe or a device.
+        Raises UsageError: If there is no such file or folder, or it is a pipe or a device.
         """
         if not path.exists():
             raise UsageError("There is no such file or folder.", where=str(path), remedy="Check the path.")
@@ -178,15 +143,7 @@ class NewFile(_Path):
     def check(self, path: Path) -> None:
         """Check that the name is free and the folder exists.
 
-        Parameters
-        ----------
-        path
-            Path to check.
-
-        Raises
-        ------
-        UsageError
-            If the name is taken, or its folder does not exist.
+        Raises UsageError: If the name is taken, or its folder does not exist.
         """
         if path.exists() or path.is_symlink():
             raise UsageError(
@@ -209,15 +166,7 @@ class OutputFolder(_Path):
     def check(self, path: Path) -> None:
         """Check that neither the path nor a folder above it is a file.
 
-        Parameters
-        ----------
-        path
-            Path to check.
-
-        Raises
-        ------
-        UsageError
-            If the path, or what should be a folder above it, is a file.
+        Raises UsageError: If the path, or what should be a folder above it, is a file.
         """
         there = next((p for p in (path, *path.parents) if os.path.lexists(p)), None)
         if there is not None and not there.is_dir():
@@ -231,12 +180,8 @@ class OutputFolder(_Path):
 class RunFolder(_Path):
     """The folder of a run.
 
-    Parameters
-    ----------
-    batch
-        Whether the folder of a batch is accepted too.
-    journal
-        Whether the run must have begun: the folder holds a journal, or a process has it locked.
+    batch: Whether the folder of a batch is accepted too.
+    journal: Whether the run must have begun: the folder holds a journal, or a process has it locked.
     """
 
     name = "folder"
@@ -248,16 +193,8 @@ class RunFolder(_Path):
     def check(self, path: Path) -> None:
         """Check that the folder is a run, or a batch if that is accepted.
 
-        Parameters
-        ----------
-        path
-            Path to check.
-
-        Raises
-        ------
-        UsageError
-            If the path does not exist, is a file, is a batch where a run is needed, or is another kind of
-            folder.
+        Raises UsageError: If the path does not exist, is a file, is a batch where a run is needed, or is
+          another kind of folder.
         """
         from bench.records.folder_lock import is_locked
         from bench.records.run_folder import JOURNAL

@@ -38,15 +38,7 @@ _DISK_REMEDIES = {
 def print_json(value: Mapping[str, Any]) -> None:
     """Print one object on standard output.
 
-    Parameters
-    ----------
-    value
-        The object; every number in it is finite.
-
-    Raises
-    ------
-    ValueError
-        When a number is not finite.
+    Raises ValueError: When a number is not finite.
     """
     click.echo(json.dumps(value, indent=1, allow_nan=False))
 
@@ -54,19 +46,8 @@ def print_json(value: Mapping[str, Any]) -> None:
 def print_error(error: Exception, *, as_json: bool, debug: bool) -> int:
     """Print an error in plain words; with ``--json``, also as an object on standard output.
 
-    Parameters
-    ----------
-    error
-        What ended the command.
-    as_json
-        Whether programs read the output.
-    debug
-        Whether to print the traceback; it is always printed for a defect.
-
-    Returns
-    -------
-    int
-        The exit status.
+    as_json: Whether programs read the output.
+    debug: Whether to print the traceback; it is always printed for a defect.
     """
     if isinstance(error, DocumentFaults):
         error = ScriptError([str(fault) for fault in error.faults])
@@ -83,15 +64,7 @@ def print_error(error: Exception, *, as_json: bool, debug: bool) -> int:
 def error_object(failure: Failure) -> dict[str, str]:
     """Return an error as JSON output shows it, before a run and at the end of one.
 
-    Parameters
-    ----------
-    failure
-        The error.
-
-    Returns
-    -------
-    dict
-        ``kind``, ``message`` (all in one sentence or more), ``what``, ``where``, ``remedy``.
+    Returns: ``kind``, ``message`` (all in one sentence or more), ``what``, ``where``, ``remedy``.
     """
     return {"kind": failure.kind, "message": failure.message, **failure.to_dict()}
 

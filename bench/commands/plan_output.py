@@ -29,19 +29,8 @@ _SMALLEST_SHARE = 0.005
 def show_plan(planned: Plan, *, suggest: int, as_json: bool) -> int:
     """Print a plan, its expected uncertainty, and suggested additional poses.
 
-    Parameters
-    ----------
-    planned
-        The plan.
-    suggest
-        How many additional poses to suggest.
-    as_json
-        Whether to print JSON.
-
-    Returns
-    -------
-    int
-        Exit status: 0, or 2 if the files have faults.
+    as_json: Whether to print JSON.
+    Returns: Exit status: 0, or 2 if the files have faults.
     """
     if planned.faults:  # the engine is not needed, and it takes a second to load
         _print_plan(planned, None, [], [], as_json=as_json)

@@ -20,16 +20,8 @@ _ROUNDING_SIGMA = 1e-6
 def run_text(row: Mapping[str, Any]) -> str:
     """Return one line about a run.
 
-    Parameters
-    ----------
-    row
-        Its row in the table.
-
-    Returns
-    -------
-    str
-        Values with their expanded uncertainty and its k, and the largest change against the run's own results; or why
-        it failed.
+    Returns: Values with their expanded uncertainty and its k, and the largest change against the run's own
+      results; or why it failed.
     """
     from bench.commands.calibration_output import unit_text
     from bench.report.target_words import words_for
@@ -60,15 +52,7 @@ def run_text(row: Mapping[str, Any]) -> str:
 def change_text(row: Mapping[str, Any]) -> str:
     """Return the largest change of a value against the run's own results.
 
-    Parameters
-    ----------
-    row
-        Row of a run that is done.
-
-    Returns
-    -------
-    str
-        In units of the standard uncertainty that the run stated.
+    row: Row of a run that is done.
     """
     before = row["before"]
     if before is None:
@@ -92,12 +76,7 @@ class CountedProgress(LiveLine):
     def counted(self, counts: Counts, left_s: float | None) -> None:
         """Show the counts, if it is time.
 
-        Parameters
-        ----------
-        counts
-            How far the recalculation is.
-        left_s
-            Expected time to the end, s; None if unknown.
+        left_s: Expected time to the end, s; None if unknown.
         """
         if not self.due():
             return
@@ -107,18 +86,7 @@ class CountedProgress(LiveLine):
 
 
 def sum_text(counts: Counts) -> str:
-    """Return how a recalculation ended.
-
-    Parameters
-    ----------
-    counts
-        Its counts.
-
-    Returns
-    -------
-    str
-        One line.
-    """
+    """Return how a recalculation ended."""
     parts = [f"{counts.done} of {counts.runs} runs calibrated"]
     if counts.skipped:
         parts.append(f"{counts.skipped} were done before")

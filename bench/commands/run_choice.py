@@ -24,30 +24,16 @@ _MOST_SHOWN = 40
 
 @dataclass(frozen=True)
 class RunChoice:
-    """Which runs a command is about.
+    """Which runs a command is about."""
 
-    Attributes
-    ----------
-    folder
-        Folder whose runs to list; all runs of the ledger where None.
-    ledgers
-        Configuration folders of the benches whose ledgers to merge; this bench's own where empty.
-    camera
-        Serial number of the camera.
-    since, until
-        Only runs that began at or after ``since`` and before ``until``, UTC.
-    sequence
-        Text that the name of the sequence must contain.
-    how
-        Outcome or status of the runs.
-    """
-
-    folder: Path | None
+    folder: Path | None  # Folder whose runs to list; all runs of the ledger where None
+    # Configuration folders of the benches whose ledgers to merge; this bench's own where empty.
     ledgers: Sequence[Path] = ()
     camera: str | None = None
+    # since, until: Only runs that began at or after ``since`` and before ``until``, UTC.
     since: datetime | None = None
     until: datetime | None = None
-    sequence: str | None = None
+    sequence: str | None = None  # Text that the name of the sequence must contain
     how: str | None = None
 
     @property
@@ -59,22 +45,8 @@ class RunChoice:
 def find_runs(choice: RunChoice) -> MergedRuns:
     """Find runs by ledgers and folders, and name what does not agree.
 
-    Parameters
-    ----------
-    choice
-        The runs.
-
-    Returns
-    -------
-    MergedRuns
-        The runs, filtered.
-
-    Raises
-    ------
-    UsageError
-        When a named folder holds no ledger.
-    StorageError
-        When a file cannot be read.
+    Raises UsageError: When a named folder holds no ledger.
+    Raises StorageError: When a file cannot be read.
     """
     home, clock = home_folder(), BenchClock()
 
@@ -97,13 +69,7 @@ def find_runs(choice: RunChoice) -> MergedRuns:
 
 
 def print_findings(notes: Sequence[str], faults: Sequence[str]) -> None:
-    """Print notes and faults to the standard error stream; of very many, the first ones and their number.
-
-    Parameters
-    ----------
-    notes, faults
-        Sentences.
-    """
+    """Print notes and faults to the standard error stream; of very many, the first ones and their number."""
     for word, sentences in (("Note", notes), ("FAULT", faults)):
         for sentence in sentences[:_MOST_SHOWN]:
             click.echo(f"{word}: {sentence}", err=True)

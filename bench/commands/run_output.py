@@ -31,17 +31,8 @@ from bench.terminal.wording import counted
 def show_intentions(lines: Sequence[str], *, as_json: bool) -> int:
     """Print what resuming a run would do.
 
-    Parameters
-    ----------
-    lines
-        Sentences, one action each.
-    as_json
-        Whether to print JSON.
-
-    Returns
-    -------
-    int
-        Exit status, 0.
+    as_json: Whether to print JSON.
+    Returns: Exit status, 0.
     """
     if as_json:
         print_json({"schema": "starbench/intentions/1", "intentions": list(lines)})
@@ -53,28 +44,11 @@ def show_intentions(lines: Sequence[str], *, as_json: bool) -> int:
 def send_command(folder: Path, word: str, *, by: str | None, as_json: bool, **fields: Any) -> int:
     """Send a command to a run and print the answer.
 
-    Parameters
-    ----------
-    folder
-        Folder of the run.
-    word
-        Name of the command.
-    by
-        Name of the operator; user@host where None.
-    as_json
-        Whether to print JSON.
-    **fields
-        Other fields of `bench.run.control.Command`.
-
-    Returns
-    -------
-    int
-        Exit status: 0 accepted, 1 refused.
-
-    Raises
-    ------
-    UsageError
-        If the operator's name is not valid.
+    by: Name of the operator; user@host where None.
+    as_json: Whether to print JSON.
+    fields: Other fields of `bench.run.control.Command`.
+    Returns: Exit status: 0 accepted, 1 refused.
+    Raises UsageError: If the operator's name is not valid.
     """
     from bench.run.control import Command, command_text, operator_at_terminal, send
 
@@ -99,24 +73,10 @@ def send_command(folder: Path, word: str, *, by: str | None, as_json: bool, **fi
 def show_runs(choice: RunChoice, *, compare: bool, as_json: bool) -> int:
     """Print a list of runs, or compare their parameters.
 
-    Parameters
-    ----------
-    choice
-        The runs.
-    compare
-        Whether to compare the parameters.
-    as_json
-        Whether to print JSON.
-
-    Returns
-    -------
-    int
-        Exit status: 1 if the ledgers and the folders do not agree, else 0.
-
-    Raises
-    ------
-    UsageError
-        If a ledger is missing, or the runs cannot be compared.
+    compare: Whether to compare the parameters.
+    as_json: Whether to print JSON.
+    Returns: Exit status: 1 if the ledgers and the folders do not agree, else 0.
+    Raises UsageError: If a ledger is missing, or the runs cannot be compared.
     """
     if choice.ledgers:
         merged = find_runs(choice)
@@ -211,17 +171,9 @@ def _agreement_text(runs: Sequence[IndexedRun], compared: Sequence[Agreement]) -
 def show_messages(*, send_now: bool, as_json: bool) -> int:
     """Print the messages of this bench, after trying to send the waiting ones if asked to.
 
-    Parameters
-    ----------
-    send_now
-        Whether to try to send waiting messages now.
-    as_json
-        Whether to print JSON.
-
-    Returns
-    -------
-    int
-        Exit status: 1 if messages are still waiting after ``send_now``, else 0.
+    send_now: Whether to try to send waiting messages now.
+    as_json: Whether to print JSON.
+    Returns: Exit status: 1 if messages are still waiting after ``send_now``, else 0.
     """
     from bench.messaging.messages import send
     from bench.messaging.outbox import Outbox

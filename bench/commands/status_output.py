@@ -24,20 +24,10 @@ _ENDED = {"finished": 0, "aborted": STOPPED}
 def show_status(folder: Path, *, follow: bool, as_json: bool) -> int:
     """Print the status of a run or a batch.
 
-    Parameters
-    ----------
-    folder
-        Folder of the run or batch.
-    follow
-        Whether to follow it until it ends.
-    as_json
-        Whether to print JSON; with ``follow`` one line for each change.
-
-    Returns
-    -------
-    int
-        Exit status; with ``follow`` that of the run or batch, 130 after Ctrl-C, or 141 if the reader of the output has
-        gone.
+    follow: Whether to follow it until it ends.
+    as_json: Whether to print JSON; with ``follow`` one line for each change.
+    Returns: Exit status; with ``follow`` that of the run or batch, 130 after Ctrl-C, or 141 if the reader of
+      the output has gone.
     """
     from bench.records.run_index import is_batch
 

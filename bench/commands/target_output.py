@@ -12,17 +12,8 @@ from bench.commands.output import print_json
 def write_drawing(station_name: str, path: Path) -> int:
     """Write the drawing of a station's target, never over an existing file.
 
-    Parameters
-    ----------
-    station_name
-        Station file, or the name of a station that is included.
-    path
-        The new file.
-
-    Returns
-    -------
-    int
-        Exit status, 0.
+    station_name: Station file, or the name of a station that is included.
+    Returns: Exit status, 0.
     """
     from bench.records.storage import write_atomic
     from bench.stations.station import load_station
@@ -54,23 +45,12 @@ def show_target(
 ) -> int:
     """Print what a station's target is good for.
 
-    Parameters
-    ----------
-    station_name
-        Station file, or the name of a station that is included.
-    focal_length_mm
-        Focal length of the lens; None: that of the station.
-    r_mm
-        Focal length of the collimator; None: that of the station.
-    pixel_um
-        Side of a pixel; None: that of the IMX636.
-    as_json
-        Whether to print JSON.
-
-    Returns
-    -------
-    int
-        Exit status, 0.
+    station_name: Station file, or the name of a station that is included.
+    focal_length_mm: Focal length of the lens; None: that of the station.
+    r_mm: Focal length of the collimator; None: that of the station.
+    pixel_um: Side of a pixel; None: that of the IMX636.
+    as_json: Whether to print JSON.
+    Returns: Exit status, 0.
     """
     from dataclasses import asdict
 

@@ -26,21 +26,9 @@ _NAMES = {"seal": TIMESTAMP, "authorisation": AUTHORISATION_TIMESTAMP}
 def write_request(folder: Path, what: str | None, path: Path, *, as_json: bool) -> int:
     """Write a request for a time stamp, for a laboratory without a network.
 
-    Parameters
-    ----------
-    folder
-        The sealed folder.
-    what
-        ``seal`` or ``authorisation``; None for the authorisation if there is one.
-    path
-        New file for the request.
-    as_json
-        Whether to print JSON.
-
-    Returns
-    -------
-    int
-        Exit status, 0.
+    what: ``seal`` or ``authorisation``; None for the authorisation if there is one.
+    as_json: Whether to print JSON.
+    Returns: Exit status, 0.
     """
     from bench.evidence.tsa_client import make_request
     from bench.records.storage import write_atomic
@@ -69,31 +57,14 @@ def stamp_folder(
 ) -> int:
     """Add a time stamp beside the seal, after checking it.
 
-    Parameters
-    ----------
-    folder
-        The sealed folder.
-    what
-        ``seal`` or ``authorisation``; None for the authorisation if there is one, or for what the token is of.
-    tsa
-        Address of the authority to ask; None if there is a token.
-    token
-        File of the reply or token.
-    tsa_certificates
-        Root certificates of trusted authorities; this bench's own where None.
-    as_json
-        Whether to print JSON.
-
-    Returns
-    -------
-    int
-        Exit status, 0.
-
-    Raises
-    ------
-    EvidenceError
-        If the folder is not sealed or has the time stamp already, or if the time stamp is not a valid one of this
-        signature by a trusted authority; nothing is written.
+    what: ``seal`` or ``authorisation``; None for the authorisation if there is one, or for what the token is
+      of.
+    tsa: Address of the authority to ask; None if there is a token.
+    tsa_certificates: Root certificates of trusted authorities; this bench's own where None.
+    as_json: Whether to print JSON.
+    Returns: Exit status, 0.
+    Raises EvidenceError: If the folder is not sealed or has the time stamp already, or if the time stamp is
+      not a valid one of this signature by a trusted authority; nothing is written.
     """
     from bench.evidence.beside_seal import add_beside
     from bench.evidence.timestamp import UncheckedError, as_reply, read_authorities

@@ -105,15 +105,8 @@ def verify(
 def derivations(*, again: bool) -> dict[str, list[Derivation]]:
     """Return what derives the files of each kind of sealed folder again.
 
-    Parameters
-    ----------
-    again
-        Whether to calibrate again from the recordings too.
-
-    Returns
-    -------
-    dict
-        Functions by kind of folder, for `bench.evidence.verify.verify_folder`.
+    again: Whether to calibrate again from the recordings too.
+    Returns: Functions by kind of folder, for `bench.evidence.verify.verify_folder`.
     """
     from bench.results.derive_again import check_results_folder, check_run
     from bench.results.reproduce import check_recordings

@@ -36,32 +36,13 @@ def verify_many(
 ) -> int:
     """Check folders, and print what was found.
 
-    Parameters
-    ----------
-    folders
-        The folders.
-    check
-        What is to be checked.
-    workers
-        Who does the work; they are closed.
-    output
-        Folder that keeps what was derived again; None to keep nothing.
-    this_bench
-        Checks of a folder, by its path and kind, that only this bench can make.
-    as_json
-        Whether to print JSON.
-
-    Returns
-    -------
-    int
-        Exit status: 0 no fault, and everything was compared; 1 a fault; 4 no fault, but not everything was compared.
-
-    Raises
-    ------
-    WorkersLost
-        If nobody is left who could do the work.
-    StorageError
-        If findings cannot be kept.
+    output: Folder that keeps what was derived again; None to keep nothing.
+    this_bench: Checks of a folder, by its path and kind, that only this bench can make.
+    as_json: Whether to print JSON.
+    Returns: Exit status: 0 no fault, and everything was compared; 1 a fault; 4 no fault, but not everything
+      was compared.
+    Raises WorkersLost: If nobody is left who could do the work.
+    Raises StorageError: If findings cannot be kept.
     """
     chosen = list(dict.fromkeys(folder.absolute() for folder in folders))
     line = CountLine(len(chosen), "folders", quiet=as_json)

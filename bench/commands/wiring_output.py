@@ -14,26 +14,11 @@ from bench.commands.output import print_json
 def show_wiring(station_name: str, seed: int, *, yes: bool, as_json: bool) -> int:
     """Ask, test the wiring, and print the result.
 
-    Parameters
-    ----------
-    station_name
-        Name or path of the station file.
-    seed
-        Random seed of a simulated bench.
-    yes
-        Whether the person has agreed already.
-    as_json
-        Whether to print JSON.
-
-    Returns
-    -------
-    int
-        Exit status: 0 if the wiring is right, 1 if it is not, 3 if the person refused.
-
-    Raises
-    ------
-    UsageError
-        If nobody can be asked.
+    seed: Random seed of a simulated bench.
+    yes: Whether the person has agreed already.
+    as_json: Whether to print JSON.
+    Returns: Exit status: 0 if the wiring is right, 1 if it is not, 3 if the person refused.
+    Raises UsageError: If nobody can be asked.
     """
     from bench.run.wiring import FREQUENCY_HZ, check_wiring
     from bench.stations.devices import Devices

@@ -56,18 +56,7 @@ _OPTIONS = (
 
 
 def worker_options(command: _Command) -> _Command:
-    """Add ``--scheduler``, ``--workers`` and ``--memory`` to a command.
-
-    Parameters
-    ----------
-    command
-        The function of the command.
-
-    Returns
-    -------
-    function
-        The same, with the options.
-    """
+    """Add ``--scheduler``, ``--workers`` and ``--memory`` to a command."""
     for option in reversed(_OPTIONS):
         command = option(command)
     return command
@@ -78,29 +67,14 @@ def open_workers(
 ) -> Workers:
     """Return who does the work.
 
-    Parameters
-    ----------
-    scheduler
-        Address of a Dask scheduler; None for processes on this computer.
-    workers
-        Number of processes; None for one for each processor.
-    memory
-        Memory that each process may use, bytes.
-    most
-        Number of pieces of work, if it is known: no more processes are started. A single piece is done by the command
-        itself, unless a number of processes is asked for.
-
-    Returns
-    -------
-    Workers
-        They must be closed.
-
-    Raises
-    ------
-    UsageError
-        If both are given, or Dask is not installed.
-    WorkersLost
-        If nobody answers at the address.
+    scheduler: Address of a Dask scheduler; None for processes on this computer.
+    workers: Number of processes; None for one for each processor.
+    memory: Memory that each process may use, bytes.
+    most: Number of pieces of work, if it is known: no more processes are started. A single piece is done by
+      the command itself, unless a number of processes is asked for.
+    Returns: They must be closed.
+    Raises UsageError: If both are given, or Dask is not installed.
+    Raises WorkersLost: If nobody answers at the address.
     """
     from bench.base.errors import UsageError
 

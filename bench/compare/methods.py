@@ -42,19 +42,7 @@ _K = 2.0
 def solve(column: ColumnConfig, images: Images, seed: int) -> dict[str, Any]:
     """Calibrate by the method of a column, and compare with the truth.
 
-    Parameters
-    ----------
-    column
-        The column.
-    images
-        Views and truth.
-    seed
-        Seed of the values that a certificate and the bounds state.
-
-    Returns
-    -------
-    dict
-        Values, stated sigmas, errors and residuals; or ``error``, the reason why there is no result.
+    Returns: Values, stated sigmas, errors and residuals; or ``error``, the reason why there is no result.
     """
     row: dict[str, Any] = {"views": len(images.views), "missed": list(images.missed)}
     if len(images.views) < (1 if column.known_collimator or column.method == "angles" else _FEWEST_VIEWS):
@@ -92,22 +80,9 @@ def compare_with_truth(
     A camera that is rotated a little is the same camera: the best common rotation is removed before directions are
     compared.
 
-    Parameters
-    ----------
-    found, true
-        Calibrated and true camera.
-    sigma
-        Stated standard uncertainties.
-    k
-        Their coverage factor.
-    calibration
-        The calibration, if it states a covariance.
-
-    Returns
-    -------
-    dict
-        ``error``s by parameter; ``direction_rms_urad``, ``direction_worst_urad``, ``centre_urad``, ``corner_urad``
-        (largest); whether fx and the worst corner are ``covered`` by k sigma.
+    calibration: The calibration, if it states a covariance.
+    Returns: ``error``s by parameter; ``direction_rms_urad``, ``direction_worst_urad``, ``centre_urad``,
+      ``corner_urad`` (largest); whether fx and the worst corner are ``covered`` by k sigma.
     """
     offset = np.asarray(camera_difference(found, true, _ACROSS).offset_px)
     away = np.linalg.norm(offset, axis=2) / true.fx * 1e6

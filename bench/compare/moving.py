@@ -26,15 +26,7 @@ _TURN_DEG_S = 10.0
 def motion_of(column: ColumnConfig) -> MotionConfig:
     """Return the motion of a column of the method ``reconstruction``.
 
-    Parameters
-    ----------
-    column
-        The column.
-
-    Returns
-    -------
-    MotionConfig
-        That of the column, or the default.
+    Returns: That of the column, or the default.
     """
     return column.motion or MotionConfig()
 
@@ -42,15 +34,7 @@ def motion_of(column: ColumnConfig) -> MotionConfig:
 def reach_px(column: ColumnConfig) -> float:
     """Return how far the board moves in the picture to either side of its place.
 
-    Parameters
-    ----------
-    column
-        The column.
-
-    Returns
-    -------
-    float
-        Half of the way of one recording, px.
+    Returns: Half of the way of one recording, px.
     """
     return motion_of(column).way_px / 2.0
 
@@ -60,23 +44,10 @@ def record_moving(
 ) -> dict[bool, NDArray[np.float32]]:
     """Record a board that moves evenly through its placement, and reconstruct its picture there.
 
-    Parameters
-    ----------
-    column
-        The column.
-    section
-        Section ``simulation`` of a station, with the placement at the time of the picture.
-    focal_px
-        Focal length, px.
-    seed
-        Seed of the repetition.
-    number
-        Number of the picture, from 1.
-
-    Returns
-    -------
-    dict
-        (H, W) float32 pictures: two-sided (True), and of the filter as published (False).
+    section: Section ``simulation`` of a station, with the placement at the time of the picture.
+    focal_px: Focal length, px.
+    number: Number of the picture, from 1.
+    Returns: (H, W) float32 pictures: two-sided (True), and of the filter as published (False).
     """
     motion = motion_of(column)
     rng = np.random.default_rng((seed, 31, number))

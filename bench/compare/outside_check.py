@@ -29,15 +29,8 @@ _SMALLEST_TURN_DEG = 1.0
 def bench_time_s(column: ColumnConfig) -> float:
     """Return how long the images of a column keep a bench busy.
 
-    Parameters
-    ----------
-    column
-        The column.
-
-    Returns
-    -------
-    float
-        Time, s; for boards with the assumption of 20 s a placement, for a moving camera of 2 s a picture.
+    Returns: Time, s; for boards with the assumption of 20 s a placement, for a moving camera of 2 s a
+      picture.
     """
     if column.method in STAR_METHODS:
         return _BEFORE_S + column.images * _POSE_S
@@ -52,19 +45,8 @@ def gimbal_ratio_error(
     Rotation between two images by Kabsch (1976), from the rays of their common stars; the shares of all pairs of poses
     are weighted by the square of their angle.
 
-    Parameters
-    ----------
-    camera
-        The calibrated camera.
-    views
-        Its views.
-    readings_deg
-        Readings of the gimbal for each view, degrees; with pan and tilt about axes at right angles.
-
-    Returns
-    -------
-    float or None
-        Share, 0 if both agree; None without two views and readings.
+    readings_deg: Readings of the gimbal for each view, degrees; with pan and tilt about axes at right angles.
+    Returns: Share, 0 if both agree; None without two views and readings.
     """
     if len(readings_deg) != len(views):
         return None

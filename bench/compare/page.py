@@ -24,19 +24,7 @@ def render_page(
 ) -> str:
     """Render the page of a comparison.
 
-    Parameters
-    ----------
-    summary
-        From `bench.compare.summary.summarise`.
-    rows
-        All rows.
-    true
-        True values of the camera.
-
-    Returns
-    -------
-    str
-        HTML.
+    summary: From `bench.compare.summary.summarise`.
     """
     simulated = [column for column in summary["columns"] if not column["settings"]["data"]]
     methods = {column["settings"]["name"]: column["settings"]["method"] for column in simulated}

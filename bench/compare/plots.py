@@ -39,20 +39,7 @@ _COLOUR_OF = dict(
 
 
 def direction_plot(columns: Mapping[str, str], rows: Sequence[Row]) -> str:
-    """Draw the error of direction of each repetition, on a logarithmic scale.
-
-    Parameters
-    ----------
-    columns
-        Method by name of the column, from top to bottom.
-    rows
-        All rows.
-
-    Returns
-    -------
-    str
-        SVG.
-    """
+    """Draw the error of direction of each repetition, on a logarithmic scale."""
     values = [[row["direction_rms_urad"] for row in _solved(rows, name)] for name in columns]
     return _dots(
         columns,
@@ -65,20 +52,7 @@ def direction_plot(columns: Mapping[str, str], rows: Sequence[Row]) -> str:
 
 
 def focal_plot(columns: Mapping[str, str], rows: Sequence[Row]) -> str:
-    """Draw the error of fx of each repetition, with the mean expanded uncertainty that the method states.
-
-    Parameters
-    ----------
-    columns
-        Method by name of the column, from top to bottom.
-    rows
-        All rows.
-
-    Returns
-    -------
-    str
-        SVG.
-    """
+    """Draw the error of fx of each repetition, with the mean expanded uncertainty that the method states."""
     chosen = [_solved(rows, name) for name in columns]
     values = [[row["errors"]["fx"] for row in some] for some in chosen]
     stated = [
@@ -98,15 +72,8 @@ def focal_plot(columns: Mapping[str, str], rows: Sequence[Row]) -> str:
 def images_plot(columns: Sequence[Mapping[str, Any]]) -> str:
     """Draw the error of direction against the number of images, a line for columns that differ in nothing else.
 
-    Parameters
-    ----------
-    columns
-        Columns of the summary, from `bench.compare.summary.summarise`.
-
-    Returns
-    -------
-    str
-        SVG; empty if no line has three points.
+    columns: Columns of the summary, from `bench.compare.summary.summarise`.
+    Returns: SVG; empty if no line has three points.
     """
     series = _by_images(columns)
     if not series:

@@ -37,15 +37,7 @@ _NAMES = ("fx", "fy", "cx", "cy")
 def data_digest(data: DataConfig) -> str:
     """Return a hash of the files of recorded data, so that rows are made again when the data change.
 
-    Parameters
-    ----------
-    data
-        The data.
-
-    Returns
-    -------
-    str
-        Hexadecimal; ``missing`` if there is no such file or folder.
+    Returns: Hexadecimal; ``missing`` if there is no such file or folder.
     """
     files = _files(data)
     if not files:
@@ -60,22 +52,10 @@ def data_digest(data: DataConfig) -> str:
 def read_data(data: DataConfig) -> tuple[View, ...]:
     """Read all views.
 
-    Parameters
-    ----------
-    data
-        Where they are.
-
-    Returns
-    -------
-    tuple of View
-        In order of their names or numbers.
-
-    Raises
-    ------
-    BenchError
-        If there is no such data, or a file is not of the form.
-    StorageError
-        If a file cannot be read.
+    data: Where they are.
+    Returns: In order of their names or numbers.
+    Raises BenchError: If there is no such data, or a file is not of the form.
+    Raises StorageError: If a file cannot be read.
     """
     return _read(data.model_dump_json(), data_digest(data))
 
@@ -83,17 +63,9 @@ def read_data(data: DataConfig) -> tuple[View, ...]:
 def solve_data(column: ColumnConfig, seed: int) -> dict[str, Any]:
     """Calibrate two random disjoint subsets of recorded views.
 
-    Parameters
-    ----------
-    column
-        A column with ``data``.
-    seed
-        Seed of the repetition.
-
-    Returns
-    -------
-    dict
-        A row: camera, sigmas and residuals of the first subset, and its difference from the second; or ``error``.
+    column: A column with ``data``.
+    Returns: A row: camera, sigmas and residuals of the first subset, and its difference from the second; or
+      ``error``.
     """
     row: dict[str, Any] = {"views": 0, "missed": [], "images_cpu_s": 0.0}
     began = time.process_time()

@@ -35,37 +35,17 @@ _Result = TypeVar("_Result")
 
 @dataclass(frozen=True)
 class Task:
-    """The columns that share the images of one repetition.
-
-    Attributes
-    ----------
-    columns
-        The columns.
-    repetition
-        Number of the repetition, from 0.
-    seed
-        Its seed.
-    """
+    """The columns that share the images of one repetition."""
 
     columns: tuple[ColumnConfig, ...]
-    repetition: int
+    repetition: int  # Number of the repetition, from 0
     seed: int
 
 
 def row_key(column: ColumnConfig, seed: int) -> str:
     """Return the key of a repetition of a column: it changes with everything that the result depends on.
 
-    Parameters
-    ----------
-    column
-        The column; its name does not count.
-    seed
-        Seed of the repetition.
-
-    Returns
-    -------
-    str
-        Hexadecimal.
+    column: The column; its name does not count.
     """
     described: list[Any] = [column.model_dump(exclude={"name"}, exclude_none=True), seed, forms()["program"]]
     if column.data is not None:
@@ -87,34 +67,13 @@ def compare(
 ) -> list[Row]:
     """Run what is not done yet, and return all rows.
 
-    Parameters
-    ----------
-    spec
-        The specification.
-    text
-        Its bytes, kept in the folder.
-    folder
-        Folder of the comparison; made if it does not exist.
-    do_tasks
-        Does tasks by `run_task`, in any order, and yields the rows of each.
-    on_progress
-        Called with the number of rows done, of all rows, and the time left in seconds, if known.
-    monotonic
-        Clock of the time left.
-
-    Returns
-    -------
-    list of dict
-        One row for each repetition of each column, in their order.
-
-    Raises
-    ------
-    UsageError
-        If the folder holds something else.
-    StorageError
-        If a file cannot be read or written.
-    BenchError
-        If the tasks cannot be done.
+    folder: Folder of the comparison; made if it does not exist.
+    do_tasks: Does tasks by `run_task`, in any order, and yields the rows of each.
+    on_progress: Called with the number of rows done, of all rows, and the time left in seconds, if known.
+    Returns: One row for each repetition of each column, in their order.
+    Raises UsageError: If the folder holds something else.
+    Raises StorageError: If a file cannot be read or written.
+    Raises BenchError: If the tasks cannot be done.
     """
     _prepare(folder, text)
     done = _read_rows(folder / ROWS)
@@ -187,18 +146,7 @@ def _tasks(spec: ComparisonConfig, done: dict[str, Row]) -> Iterator[Task]:
 
 
 def run_task(task: Task) -> dict[str, Row]:
-    """Make the images of a task and apply the method of each of its columns.
-
-    Parameters
-    ----------
-    task
-        The task.
-
-    Returns
-    -------
-    dict
-        Rows by their keys. A repetition that fails is named in its row.
-    """
+    """Make the images of a task and apply the method of each of its columns."""
     began = time.process_time()
     rows, why = _guarded(lambda: _task_rows(task))
     if rows is not None:

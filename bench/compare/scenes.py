@@ -43,45 +43,20 @@ _REFERENCE_IMAGES, _OTHER_CAMERA = 9, 500_000
 
 @dataclass(frozen=True)
 class Images:
-    """Views of one repetition, and what is true.
-
-    Attributes
-    ----------
-    views
-        Views in which the target was found.
-    readings_deg
-        For each view the readings of the gimbal, degrees; empty for a board.
-    camera
-        The true camera, focused as before the collimator.
-    truth
-        True parameters by part.
-    missed
-        For each image without a view, the reason.
-    reference
-        Views of another camera before the same collimator, for its passport; None if they were not asked for.
-    """
+    """Views of one repetition, and what is true."""
 
     views: tuple[View, ...]
+    # For each view the readings of the gimbal, degrees; empty for a board.
     readings_deg: tuple[Mapping[str, float], ...]
-    camera: CameraModel
+    camera: CameraModel  # The true camera, focused as before the collimator
     truth: Mapping[str, Any]
-    missed: tuple[str, ...]
+    missed: tuple[str, ...]  # For each image without a view, the reason
+    # Views of another camera before the same collimator, for its passport; None if they were not asked for.
     reference: Images | None = None
 
 
 def recordings_key(column: ColumnConfig) -> tuple[Any, ...]:
-    """Return what the recordings of a column depend on; columns with the same key share their recordings.
-
-    Parameters
-    ----------
-    column
-        The column.
-
-    Returns
-    -------
-    tuple
-        Hashable.
-    """
+    """Return what the recordings of a column depend on; columns with the same key share their recordings."""
     if column.data is not None:
         return ("data", column.data.path)
     if column.method in STAR_METHODS:
@@ -95,68 +70,31 @@ def recordings_key(column: ColumnConfig) -> tuple[Any, ...]:
 
 
 def finding_key(column: ColumnConfig) -> tuple[Any, ...]:
-    """Return what the search for the target depends on, besides the recordings.
-
-    Parameters
-    ----------
-    column
-        The column.
-
-    Returns
-    -------
-    tuple
-        Hashable.
-    """
+    """Return what the search for the target depends on, besides the recordings."""
     return column.detector, column.method == "reconstruction" and motion_of(column).two_sided
 
 
 @dataclass(frozen=True)
 class Recordings:
-    """Event images of one repetition.
+    """Event images of one repetition."""
 
-    Attributes
-    ----------
-    images
-        (H, W) float32 event images.
-    one_sided
-        For a moving board the pictures of the filter as published; else empty.
-    names
-        Their names.
-    readings_deg
-        For each image the readings of the gimbal, degrees; empty for a board.
-    truth
-        True parameters by part; those of the camera are focused as before the collimator.
-    reference
-        Images of another camera before the same collimator; None if they were not asked for.
-    """
-
-    images: Sequence[NDArray[np.float32]]
+    images: Sequence[NDArray[np.float32]]  # (H, W) float32 event images
     names: Sequence[str]
+    # For each image the readings of the gimbal, degrees; empty for a board.
     readings_deg: Sequence[Mapping[str, float]]
+    # True parameters by part; those of the camera are focused as before the collimator.
     truth: Mapping[str, Any]
+    # Images of another camera before the same collimator; None if they were not asked for.
     reference: Recordings | None = None
+    # For a moving board the pictures of the filter as published; else empty.
     one_sided: Sequence[NDArray[np.float32]] = ()
 
 
 def record(column: ColumnConfig, seed: int) -> Recordings:
     """Record the images of one repetition.
 
-    Parameters
-    ----------
-    column
-        A column.
-    seed
-        Seed of the repetition.
-
-    Returns
-    -------
-    Recordings
-        The images, which all columns with the same `recordings_key` share.
-
-    Raises
-    ------
-    calib.errors.CalibrationError
-        If a board does not fit into the picture.
+    Returns: The images, which all columns with the same `recordings_key` share.
+    Raises calib.errors.CalibrationError: If a board does not fit into the picture.
     """
     if column.method not in STAR_METHODS:
         return _record_boards(column, seed)
@@ -168,20 +106,7 @@ def record(column: ColumnConfig, seed: int) -> Recordings:
 
 
 def find_targets(column: ColumnConfig, recorded: Recordings) -> Images:
-    """Find the targets of recorded images, as a column asks.
-
-    Parameters
-    ----------
-    column
-        The column.
-    recorded
-        Its recordings.
-
-    Returns
-    -------
-    Images
-        The views.
-    """
+    """Find the targets of recorded images, as a column asks."""
     chosen = column.board
     board = Board("checkerboard", chosen.columns, chosen.rows, chosen.square_mm)
     target, stars = StarTarget(), column.method in STAR_METHODS
@@ -209,15 +134,7 @@ def star_poses(count: int) -> list[tuple[float, float]]:
 
     Three poses are those of the sequence ``three_pose``; others lie on the sunflower spiral of Vogel (1979).
 
-    Parameters
-    ----------
-    count
-        Number of poses.
-
-    Returns
-    -------
-    list of tuple
-        Pan and tilt, degrees.
+    Returns: Pan and tilt, degrees.
     """
     if count == len(_THREE):
         return list(_THREE)
@@ -231,15 +148,7 @@ def star_poses(count: int) -> list[tuple[float, float]]:
 def gimbal_section(seed: int) -> dict[str, Any]:
     """Return the errors of the gimbal of a repetition, as the station states them in `bench.compare.methods`.
 
-    Parameters
-    ----------
-    seed
-        Seed of the repetition.
-
-    Returns
-    -------
-    dict
-        Section ``gimbal`` of a simulation.
+    Returns: Section ``gimbal`` of a simulation.
     """
     rng = np.random.default_rng((seed, 11))
     return {
@@ -351,15 +260,8 @@ def _event_image(camera: Any, angles_deg: Mapping[str, float], seed: int) -> NDA
 def true_camera(truth: Mapping[str, Any]) -> CameraModel:
     """Return the true camera as the engine describes cameras.
 
-    Parameters
-    ----------
-    truth
-        Section ``camera`` of the truth.
-
-    Returns
-    -------
-    CameraModel
-        With k1, k2, p1, p2 and k3.
+    truth: Section ``camera`` of the truth.
+    Returns: With k1, k2, p1, p2 and k3.
     """
     lens = {name: float(truth[name]) for name in ("k1", "k2", "p1", "p2", "k3")}
     fx, fy, cx, cy = (float(truth[name]) for name in ("fx", "fy", "cx", "cy"))

@@ -186,10 +186,7 @@ class ComparisonConfig(StrictModel):
 def shipped_names() -> list[str]:
     """Return the names of the included specifications.
 
-    Returns
-    -------
-    list of str
-        In alphabetical order.
+    Returns: In alphabetical order.
     """
     return sorted(path.stem for path in SHIPPED.glob("*.yaml"))
 
@@ -197,22 +194,8 @@ def shipped_names() -> list[str]:
 def read_spec(name: str) -> Located[ComparisonConfig]:
     """Read a specification.
 
-    Parameters
-    ----------
-    name
-        Path of a file, or name of an included specification.
-
-    Returns
-    -------
-    Located of ComparisonConfig
-        The specification.
-
-    Raises
-    ------
-    UsageError
-        If there is no such file.
-    ScriptError
-        With every fault of the file.
+    name: Path of a file, or name of an included specification.
+    Raises UsageError: If there is no such file.
     """
     path = SHIPPED / f"{name}.yaml" if name in shipped_names() else Path(name)
     if not path.is_file():

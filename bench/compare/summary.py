@@ -18,17 +18,7 @@ PARAMETERS = ("fx", "fy", "cx", "cy", "k1", "k2")
 def summarise(spec: ComparisonConfig, rows: Sequence[Row]) -> dict[str, Any]:
     """Summarise the rows of a comparison.
 
-    Parameters
-    ----------
-    spec
-        The specification.
-    rows
-        All rows.
-
-    Returns
-    -------
-    dict
-        ``columns``: for each column its statistics, in the order of the specification.
+    Returns: ``columns``: for each column its statistics, in the order of the specification.
     """
     return {
         "schema": "starbench/comparison-results/1",

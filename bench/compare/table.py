@@ -40,15 +40,8 @@ Summary = Mapping[str, Any]
 def table_rows(summary: Summary) -> list[list[str]]:
     """Return the cells of the table.
 
-    Parameters
-    ----------
-    summary
-        From `bench.compare.summary.summarise`.
-
-    Returns
-    -------
-    list of list of str
-        One row for each column of simulated images: its name, then a cell for each of `HEADS`.
+    summary: From `bench.compare.summary.summarise`.
+    Returns: One row for each column of simulated images: its name, then a cell for each of `HEADS`.
     """
     return [
         _cells(column, summary["repetitions"])
@@ -60,15 +53,8 @@ def table_rows(summary: Summary) -> list[list[str]]:
 def data_rows(summary: Summary) -> list[list[str]]:
     """Return the cells of the table of recorded data.
 
-    Parameters
-    ----------
-    summary
-        From `bench.compare.summary.summarise`.
-
-    Returns
-    -------
-    list of list of str
-        One row for each column of recorded data: its name, then a cell for each of `DATA_HEADS`.
+    summary: From `bench.compare.summary.summarise`.
+    Returns: One row for each column of recorded data: its name, then a cell for each of `DATA_HEADS`.
     """
     return [
         _data_cells(column, summary["repetitions"])
@@ -80,15 +66,8 @@ def data_rows(summary: Summary) -> list[list[str]]:
 def table_text(summary: Summary) -> str:
     """Return the table for a terminal.
 
-    Parameters
-    ----------
-    summary
-        From `bench.compare.summary.summarise`.
-
-    Returns
-    -------
-    str
-        Lines of text; the reasons of failures come last.
+    summary: From `bench.compare.summary.summarise`.
+    Returns: Lines of text; the reasons of failures come last.
     """
     blocks = [(HEADS, table_rows(summary)), (DATA_HEADS, data_rows(summary))]
     lines = [line for heads, rows in blocks if rows for line in _aligned([["", *heads], *rows])]
@@ -117,18 +96,6 @@ def _aligned(rows: Sequence[Sequence[str]]) -> list[str]:
 def shown(number: float | None, digits: int = 3) -> str:
     """Return a number with a few significant digits; a dash for none.
 
-    Parameters
-    ----------
-    number
-        The number.
-    digits
-        Significant digits.
-
-    Returns
-    -------
-    str
-        Plain decimal notation.
-
     Examples
     --------
     >>> shown(1234.5), shown(0.01234), shown(None)
@@ -143,15 +110,7 @@ def shown(number: float | None, digits: int = 3) -> str:
 def share(number: float | None) -> str:
     """Return a share as per cent; a dash for none.
 
-    Parameters
-    ----------
-    number
-        0 to 1.
-
-    Returns
-    -------
-    str
-        Per cent.
+    number: 0 to 1.
     """
     return "-" if number is None else f"{100 * number:.0f} %"
 
@@ -197,17 +156,8 @@ def _data_cells(column: Summary, repetitions: int) -> list[str]:
 def parameter_rows(summary: Summary, names: Sequence[str]) -> list[list[str]]:
     """Return mean and spread of the parameters, as the paper's Table 1 prints them.
 
-    Parameters
-    ----------
-    summary
-        From `bench.compare.summary.summarise`.
-    names
-        Parameters.
-
-    Returns
-    -------
-    list of list of str
-        One row for each column of the comparison: its name, then ``mean ± spread`` of each parameter.
+    summary: From `bench.compare.summary.summarise`.
+    Returns: One row for each column of the comparison: its name, then ``mean ± spread`` of each parameter.
     """
     rows = []
     for column in summary["columns"]:

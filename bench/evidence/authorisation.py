@@ -27,35 +27,21 @@ _CERTIFICATE = "certificate.json"
 
 @dataclass(frozen=True)
 class NamedPerson:
-    """The person whom a certificate names.
+    """The person whom a certificate names."""
 
-    Attributes
-    ----------
-    name, fingerprint
-        Name, and fingerprint of the person's key.
-    """
-
+    # name, fingerprint: Name, and fingerprint of the person's key.
     name: str
     fingerprint: str
 
 
 @dataclass(frozen=True)
 class AuthorisationCheck:
-    """The authorisation beside a seal, as checked.
+    """The authorisation beside a seal, as checked."""
 
-    Attributes
-    ----------
-    fault
-        Why it does not hold; empty if it holds, or if there is none.
-    remark
-        What a reader should know though it holds; empty if nothing.
-    person, fingerprint
-        Name of the signer in the list of trusted keys, and fingerprint of the key; None if there is no authorisation
-        or it does not hold.
-    """
-
-    fault: str = ""
-    remark: str = ""
+    fault: str = ""  # Why it does not hold; empty if it holds, or if there is none
+    remark: str = ""  # What a reader should know though it holds; empty if nothing
+    # person, fingerprint: Name of the signer in the list of trusted keys, and fingerprint of the key; None if
+    # there is no authorisation or it does not hold.
     person: str | None = None
     fingerprint: str | None = None
 
@@ -65,26 +51,8 @@ def check_authorisation(
 ) -> AuthorisationCheck:
     """Check the authorisation beside a seal.
 
-    Parameters
-    ----------
-    folder
-        The sealed folder.
-    trust
-        Whom the reader trusts.
-    moments
-        What is known about the moment of the authorisation.
-    seal_key
-        The key that sealed, as SSH encodes it; None if the seal could not be read.
-
-    Returns
-    -------
-    AuthorisationCheck
-        What was found.
-
-    Raises
-    ------
-    OSError
-        When a file cannot be read.
+    seal_key: The key that sealed, as SSH encodes it; None if the seal could not be read.
+    Raises OSError: When a file cannot be read.
     """
     try:
         data = read_beside(folder, AUTHORISATION)
@@ -115,30 +83,13 @@ def _not_signed(signature: SshSignature, signed: bytes | None) -> str:
 def authorise(folder: Path, key: SigningKey, trust: Trust, now: datetime, seal: bytes | None = None) -> str:
     """Authorise a sealed folder with a person's key.
 
-    Parameters
-    ----------
-    folder
-        The sealed folder; the caller has verified it and shown it to the person.
-    key
-        The person's key.
-    trust
-        Whom the bench trusts; the person's key must be among them.
-    now
-        The present time, with its time zone.
-    seal
-        The bytes of ``SHA256SUMS.sig`` that were verified and shown; None if nobody can have changed them since.
-
-    Returns
-    -------
-    str
-        Name of the person in the list of trusted keys.
-
-    Raises
-    ------
-    EvidenceError
-        When the folder is not sealed, is authorised already, or the key may not authorise it.
-    StorageError
-        When the signature cannot be written; the folder is then as before.
+    key: The person's key.
+    trust: Whom the bench trusts; the person's key must be among them.
+    seal: The bytes of ``SHA256SUMS.sig`` that were verified and shown; None if nobody can have changed them
+      since.
+    Raises EvidenceError: When the folder is not sealed, is authorised already, or the key may not authorise
+      it.
+    Raises StorageError: When the signature cannot be written; the folder is then as before.
     """
     person = require_authorisable(folder, key.public_key, trust, now)
     with storage_errors(folder):
@@ -163,28 +114,10 @@ def authorise(folder: Path, key: SigningKey, trust: Trust, now: datetime, seal: 
 def require_authorisable(folder: Path, public_key: bytes, trust: Trust, now: datetime) -> str:
     """Refuse a folder that this key may not authorise.
 
-    Parameters
-    ----------
-    folder
-        The folder.
-    public_key
-        The person's key, as SSH encodes it.
-    trust
-        Whom the bench trusts.
-    now
-        The present time, with its time zone.
-
-    Returns
-    -------
-    str
-        Name of the person in the list of trusted keys.
-
-    Raises
-    ------
-    EvidenceError
-        When the folder is not sealed, is authorised already, or the key may not authorise it.
-    StorageError
-        When a file cannot be read.
+    public_key: The person's key, as SSH encodes it.
+    Raises EvidenceError: When the folder is not sealed, is authorised already, or the key may not authorise
+      it.
+    Raises StorageError: When a file cannot be read.
     """
     require_unauthorised(folder)
     with storage_errors(folder):
@@ -205,15 +138,7 @@ def require_authorisable(folder: Path, public_key: bytes, trust: Trust, now: dat
 def require_unauthorised(folder: Path) -> None:
     """Refuse a folder that is not sealed, or is authorised already.
 
-    Parameters
-    ----------
-    folder
-        The folder.
-
-    Raises
-    ------
-    EvidenceError
-        When it is one of these.
+    Raises EvidenceError: When it is one of these.
     """
     if not (folder / MANIFEST).is_file() or not (folder / SIGNATURE).is_file():
         raise EvidenceError(
@@ -232,22 +157,9 @@ def require_unauthorised(folder: Path) -> None:
 def named_person(folder: Path) -> NamedPerson | None:
     """Return the person whom a certificate names for its authorisation.
 
-    Parameters
-    ----------
-    folder
-        The sealed folder.
-
-    Returns
-    -------
-    NamedPerson or None
-        The person; None if the folder is not a certificate.
-
-    Raises
-    ------
-    EvidenceError
-        When a certificate names nobody, or cannot be read.
-    OSError
-        When a file cannot be read.
+    Returns: The person; None if the folder is not a certificate.
+    Raises EvidenceError: When a certificate names nobody, or cannot be read.
+    Raises OSError: When a file cannot be read.
     """
     path = folder / _CERTIFICATE
     if not path.is_file():

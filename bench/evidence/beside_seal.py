@@ -29,24 +29,9 @@ _MODE, _FOLDER_MODE = 0o444, 0o555
 def read_beside(folder: Path, name: str) -> bytes | None:
     """Read a reserved file, or the signature of the seal.
 
-    Parameters
-    ----------
-    folder
-        The sealed folder.
-    name
-        Name of the file.
-
-    Returns
-    -------
-    bytes or None
-        Its bytes; None if there is no such file.
-
-    Raises
-    ------
-    EvidenceError
-        When it is a link, not a file, or larger than 1 MiB.
-    OSError
-        When it cannot be read.
+    Returns: Its bytes; None if there is no such file.
+    Raises EvidenceError: When it is a link, not a file, or larger than 1 MiB.
+    Raises OSError: When it cannot be read.
     """
     path = folder / name
     try:
@@ -63,21 +48,9 @@ def read_beside(folder: Path, name: str) -> bytes | None:
 def add_beside(folder: Path, name: str, data: bytes) -> None:
     """Add a reserved file beside the seal. The file and the folder are read-only afterwards.
 
-    Parameters
-    ----------
-    folder
-        The sealed folder.
-    name
-        One of `bench.evidence.seal.RESERVED`.
-    data
-        The bytes of the file.
-
-    Raises
-    ------
-    EvidenceError
-        When the name is not reserved, or there is such a file: it is never replaced.
-    StorageError
-        When it cannot be written.
+    name: One of `bench.evidence.seal.RESERVED`.
+    Raises EvidenceError: When the name is not reserved, or there is such a file: it is never replaced.
+    Raises StorageError: When it cannot be written.
     """
     if name not in RESERVED:
         raise EvidenceError(f"{name!r} cannot be added to a sealed folder.", where=str(folder))

@@ -7,20 +7,11 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class SealFault:
-    """One fault of a sealed folder.
+    """One fault of a sealed folder."""
 
-    Attributes
-    ----------
-    kind
-        ``unsealed``, ``signature``, ``key``, ``manifest``, ``added``, ``changed``, ``missing``, ``link``,
-        ``kind``, ``journal``, ``plan``, ``results``, ``exports``, ``report``, ``views``, ``recording``, ``wire``,
-        ``instructions``, ``certificate``, ``ledger``, ``item``, ``authorisation`` or ``timestamp``.
-    where
-        The file it concerns, within the folder.
-    what
-        What is wrong.
-    """
-
+    # ``unsealed``, ``signature``, ``key``, ``manifest``, ``added``, ``changed``, ``missing``, ``link``,
+    # ``kind``, ``journal``, ``plan``, ``results``, ``exports``, ``report``, ``views``, ``recording``,
+    # ``wire``, ``instructions``, ``certificate``, ``ledger``, ``item``, ``authorisation`` or ``timestamp``.
     kind: str
     where: str
     what: str

@@ -12,41 +12,25 @@ from bench.evidence.faults import SealFault
 
 @dataclass
 class Findings:
-    """What one check found. A check that finds nothing returns an empty one.
-
-    Attributes
-    ----------
-    faults
-        What is wrong with the folder.
-    not_compared
-        Parts of the folder that this program could not derive again, each with the reason, as a sentence without a full
-        stop. A folder with such a part is not reported as valid without reservation (exit status 4).
-    remarks
-        What a reader should know, and what is no lack of the check.
-    """
+    """What one check found. A check that finds nothing returns an empty one."""
 
     faults: list[SealFault] = field(default_factory=list)
+    # Parts of the folder that this program could not derive again, each with the reason, as a sentence
+    # without a full stop. A folder with such a part is not reported as valid without reservation (exit status
+    # 4).
     not_compared: list[str] = field(default_factory=list)
+    # What a reader should know, and what is no lack of the check.
     remarks: list[str] = field(default_factory=list)
 
     def fault(self, kind: str, where: str, what: str) -> None:
         """Add a fault.
 
-        Parameters
-        ----------
-        kind, where, what
-            As the attributes of `SealFault`.
+        kind, where, what: As the attributes of `SealFault`.
         """
         self.faults.append(SealFault(kind, where, what))
 
     def add(self, other: Findings) -> None:
-        """Add everything that another check found.
-
-        Parameters
-        ----------
-        other
-            Its findings.
-        """
+        """Add everything that another check found."""
         self.faults += other.faults
         self.not_compared += other.not_compared
         self.remarks += other.remarks
@@ -63,53 +47,30 @@ Derivations = Mapping[str, Sequence[Derivation]]
 
 @dataclass(frozen=True)
 class Verification:
-    """What the checks found.
-
-    Attributes
-    ----------
-    folder
-        The sealed folder.
-    kind
-        ``run``, ``certificate``, ``results``, or ``files`` for any other folder.
-    faults
-        All faults; empty when the folder is as a trusted bench sealed it.
-    not_compared
-        Parts that this program could not derive again, and why; see `Findings`.
-    remarks
-        What a reader should know.
-    state
-        ``DRAFT``, ``SEALED`` or ``AUTHORISED``.
-    statements
-        Who authorised it, and what its time stamps say: a sentence each.
-    stated
-        When the folder says that it was made, by the bench's own clock, ISO 8601; None if it does not say.
-    signer, fingerprint
-        Name of the bench in the list of trusted keys (None if its key is not accepted), and fingerprint of its key.
-    person, person_fingerprint
-        Name and fingerprint of the person who authorised; None if nobody did, or if it does not hold.
-    files
-        Number of files in the list of the seal.
-    run_id, camera_serial
-        Run and camera that the results name; the reader compares them with the expected ones.
-    simulated
-        Whether the devices were simulated; None when the results do not state it.
-    """
+    """What the checks found."""
 
     folder: str
-    kind: str = ""
-    faults: Sequence[SealFault] = ()
+    kind: str = ""  # ``run``, ``certificate``, ``results``, or ``files`` for any other folder
+    faults: Sequence[SealFault] = ()  # All faults; empty when the folder is as a trusted bench sealed it
+    # Parts that this program could not derive again, and why; see `Findings`.
     not_compared: Sequence[str] = ()
     remarks: Sequence[str] = ()
-    state: str = "DRAFT"
+    state: str = "DRAFT"  # ``DRAFT``, ``SEALED`` or ``AUTHORISED``
     statements: Sequence[str] = ()
+    # When the folder says that it was made, by the bench's own clock, ISO 8601; None if it does not say.
     stated: str | None = None
+    # signer, fingerprint: Name of the bench in the list of trusted keys (None if its key is not accepted),
+    # and fingerprint of its key.
     signer: str | None = None
     fingerprint: str | None = None
+    # person, person_fingerprint: Name and fingerprint of the person who authorised; None if nobody did, or if
+    # it does not hold.
     person: str | None = None
     person_fingerprint: str | None = None
     files: int = 0
     run_id: str | None = None
     camera_serial: str | None = None
+    # Whether the devices were simulated; None when the results do not state it.
     simulated: bool | None = None
 
     @property
@@ -125,10 +86,7 @@ class Verification:
     def to_dict(self) -> dict[str, Any]:
         """Return the verification as JSON carries it.
 
-        Returns
-        -------
-        dict
-            ``ok``, ``complete``, and all attributes.
+        Returns: ``ok``, ``complete``, and all attributes.
         """
         own = asdict(self)
         return {"ok": self.ok, "complete": self.complete, **own}

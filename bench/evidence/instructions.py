@@ -89,15 +89,7 @@ delete it: chmod -R u+w, then rm -r.
 def kind_of(path: Path) -> str:
     """Return what a folder is, by its content.
 
-    Parameters
-    ----------
-    path
-        The folder.
-
-    Returns
-    -------
-    str
-        ``run``, ``certificate``, ``results`` (recalculated) or ``files``.
+    Returns: ``run``, ``certificate``, ``results`` (recalculated) or ``files``.
     """
     return next((kind for name, kind in KINDS.items() if (path / name).is_file()), "files")
 
@@ -105,18 +97,8 @@ def kind_of(path: Path) -> str:
 def instructions(kind: str, *, principal: str, fingerprint: str) -> str:
     """Return the text of ``VERIFY.txt``.
 
-    Parameters
-    ----------
-    kind
-        What the folder is, from `kind_of`.
-    principal
-        Name of the bench that seals, as ``name@place``.
-    fingerprint
-        Fingerprint of the bench's key.
-
-    Returns
-    -------
-    str
-        The text.
+    kind: What the folder is, from `kind_of`.
+    principal: Name of the bench that seals, as ``name@place``.
+    fingerprint: Fingerprint of the bench's key.
     """
     return _TEXT.format(what=_WHAT[kind], more=_MORE[kind], principal=principal, fingerprint=fingerprint)

@@ -20,17 +20,7 @@ from bench.evidence.timestamp import Stamp, TrustedAuthorities, read_authorities
 
 @dataclass(frozen=True)
 class Trust:
-    """Whom the reader trusts; all of it comes from outside the sealed folder.
-
-    Attributes
-    ----------
-    signers
-        Trusted keys.
-    revoked
-        Revoked keys.
-    authorities
-        Trusted time stamping authorities.
-    """
+    """Whom the reader trusts; all of it comes from outside the sealed folder."""
 
     signers: Sequence[Signer] = ()
     revoked: Sequence[RevokedKey] = ()
@@ -46,28 +36,12 @@ def read_trust(
 ) -> Trust:
     """Read whom the reader trusts, from the configuration folder or from named files.
 
-    Parameters
-    ----------
-    home
-        The configuration folder.
-    allowed_signers
-        File to use instead of ``allowed_signers``; then ``revoked_keys`` beside it is used too, if there is one.
-    revoked_keys
-        File to use instead of ``revoked_keys``.
-    tsa_certificates
-        File to use instead of ``tsa_certificates.pem``.
-
-    Returns
-    -------
-    Trust
-        The lists.
-
-    Raises
-    ------
-    EvidenceError
-        When a list cannot be read, is not understood, or other users can change it.
-    StorageError
-        When a file cannot be read.
+    allowed_signers: File to use instead of ``allowed_signers``; then ``revoked_keys`` beside it is used too,
+      if there is one.
+    revoked_keys: File to use instead of ``revoked_keys``.
+    tsa_certificates: File to use instead of ``tsa_certificates.pem``.
+    Raises EvidenceError: When a list cannot be read, is not understood, or other users can change it.
+    Raises StorageError: When a file cannot be read.
     """
     signers = allowed_signers or home / SIGNERS_FILE
     return Trust(
@@ -79,23 +53,12 @@ def read_trust(
 
 @dataclass(frozen=True)
 class Moments:
-    """What is known about the moment of a signature.
-
-    Attributes
-    ----------
-    now
-        The present time.
-    proven
-        Time stamp that proves that the signature is not younger; None if there is none.
-    at
-        Moment that the reader states; None if none.
-    earliest, latest
-        Period that the bench's own clock leaves; for a seal both are its stated time.
-    """
+    """What is known about the moment of a signature."""
 
     now: datetime
-    proven: Stamp | None
-    at: datetime | None
+    proven: Stamp | None  # Time stamp that proves that the signature is not younger; None if there is none
+    at: datetime | None  # Moment that the reader states; None if none
+    # earliest, latest: Period that the bench's own clock leaves; for a seal both are its stated time.
     earliest: datetime
     latest: datetime
 
@@ -110,42 +73,15 @@ class Moments:
 
 @dataclass(frozen=True)
 class Judgement:
-    """What was found about a key.
+    """What was found about a key."""
 
-    Attributes
-    ----------
-    principal
-        Name of the signer; None if the key is rejected.
-    fault
-        Why it is rejected; empty if it is accepted.
-    remark
-        What a reader should know though it is accepted; empty if nothing.
-    """
-
-    principal: str | None = None
-    fault: str = ""
-    remark: str = ""
+    principal: str | None = None  # Name of the signer; None if the key is rejected
+    fault: str = ""  # Why it is rejected; empty if it is accepted
+    remark: str = ""  # What a reader should know though it is accepted; empty if nothing
 
 
 def judge_key(public_key: bytes, namespace: str, trust: Trust, moments: Moments) -> Judgement:
-    """Decide whether a key could sign for a purpose at the moment at which it signed.
-
-    Parameters
-    ----------
-    public_key
-        The key as SSH encodes it.
-    namespace
-        The purpose.
-    trust
-        Whom the reader trusts.
-    moments
-        What is known about the moment.
-
-    Returns
-    -------
-    Judgement
-        The signer, or why the key is rejected.
-    """
+    """Decide whether a key could sign for a purpose at the moment at which it signed."""
     known = [signer for signer in trust.signers if signer.public_key == public_key]
     if not known:
         what = f"the key that signed is not in the list of trusted keys ({fingerprint(public_key)})"

@@ -59,21 +59,11 @@ __all__ = [
 
 @dataclass(frozen=True)
 class BenchKey:
-    """The bench's private key, ready to sign.
+    """The bench's private key, ready to sign."""
 
-    Attributes
-    ----------
-    private
-        The private key; ``repr`` does not show it.
-    principal
-        Name of the signer, as ``name@place``.
-    created
-        Whether the key was made by this call.
-    """
-
-    private: Ed25519PrivateKey
-    principal: str
-    created: bool = False
+    private: Ed25519PrivateKey  # The private key; ``repr`` does not show it
+    principal: str  # Name of the signer, as ``name@place``
+    created: bool = False  # Whether the key was made by this call
 
     def __repr__(self) -> str:
         return f"BenchKey({self.principal}, {self.fingerprint})"
@@ -104,27 +94,15 @@ def ensure_key(
 ) -> BenchKey:
     """Load the bench's key, or make one at first use.
 
-    Parameters
-    ----------
-    folder
-        The configuration folder, from `bench.base.home.home_folder`.
-    principal
-        Name of the signer for a new key, as ``name@place``; None for ``bench@`` and the name of the computer.
-    ask_passphrase
-        Returns the passphrase of a protected key, given the path of its file; None if nobody can be asked.
-
-    Returns
-    -------
-    BenchKey
-        The key; its ``created`` is set if it is new.
-
-    Raises
-    ------
-    EvidenceError
-        When the key cannot be used: other users can read it, it is protected and nobody can be asked, or it is not an
-        Ed25519 key.
-    StorageError
-        When it cannot be read or written.
+    folder: The configuration folder, from `bench.base.home.home_folder`.
+    principal: Name of the signer for a new key, as ``name@place``; None for ``bench@`` and the name of the
+      computer.
+    ask_passphrase: Returns the passphrase of a protected key, given the path of its file; None if nobody can
+      be asked.
+    Returns: The key; its ``created`` is set if it is new.
+    Raises EvidenceError: When the key cannot be used: other users can read it, it is protected and nobody can
+      be asked, or it is not an Ed25519 key.
+    Raises StorageError: When it cannot be read or written.
     """
     make_folder(folder)
     with locked_folder(folder):  # two runs started at the same time must not make two keys
@@ -137,20 +115,7 @@ def ensure_key(
 def locked_folder(folder: Path) -> Iterator[None]:
     """Lock the configuration folder while a key is made or replaced; waits for other processes.
 
-    Parameters
-    ----------
-    folder
-        The configuration folder; it exists.
-
-    Yields
-    ------
-    None
-        For the block.
-
-    Raises
-    ------
-    StorageError
-        When it cannot be locked.
+    Raises StorageError: When it cannot be locked.
     """
     with storage_errors(folder):
         lock = open_to_lock(folder)
@@ -164,26 +129,10 @@ def locked_folder(folder: Path) -> Iterator[None]:
 def create_key(folder: Path, *, principal: str | None = None, passphrase: bytes | None = None) -> BenchKey:
     """Make the bench's key, and add it to ``allowed_signers``.
 
-    Parameters
-    ----------
-    folder
-        The configuration folder.
-    principal
-        Name of the signer, as ``name@place``; None for ``bench@`` and the name of the computer.
-    passphrase
-        Encrypts the private key; None leaves it unencrypted.
-
-    Returns
-    -------
-    BenchKey
-        The new key.
-
-    Raises
-    ------
-    EvidenceError
-        When there is a key already, or the principal is not ``name@place``.
-    StorageError
-        When it cannot be written.
+    principal: Name of the signer, as ``name@place``; None for ``bench@`` and the name of the computer.
+    passphrase: Encrypts the private key; None leaves it unencrypted.
+    Raises EvidenceError: When there is a key already, or the principal is not ``name@place``.
+    Raises StorageError: When it cannot be written.
     """
     path = folder / KEY_FILE
     if path.exists():
@@ -208,17 +157,7 @@ def create_key(folder: Path, *, principal: str | None = None, passphrase: bytes 
 def private_text(key: BenchKey, passphrase: bytes | None) -> bytes:
     """Return the private key in OpenSSH's format.
 
-    Parameters
-    ----------
-    key
-        The key.
-    passphrase
-        Encrypts it; None leaves it unencrypted.
-
-    Returns
-    -------
-    bytes
-        The text of its file.
+    passphrase: Encrypts it; None leaves it unencrypted.
     """
     protection = (
         serialization.BestAvailableEncryption(passphrase) if passphrase else serialization.NoEncryption()
@@ -231,20 +170,9 @@ def private_text(key: BenchKey, passphrase: bytes | None) -> bytes:
 def require_usable(folder: Path, key: BenchKey, when: datetime) -> None:
     """Refuse a key whose seals nobody would accept: before a run begins, not after it.
 
-    Parameters
-    ----------
-    folder
-        The configuration folder.
-    key
-        The bench's key.
-    when
-        The present time, with its time zone.
-
-    Raises
-    ------
-    EvidenceError
-        When ``allowed_signers`` trusts the key at another time only or for another purpose, when it is revoked, or
-        when other users can change these lists.
+    key: The bench's key.
+    Raises EvidenceError: When ``allowed_signers`` trusts the key at another time only or for another purpose,
+      when it is revoked, or when other users can change these lists.
     """
     public = key.public_key
     path = folder / SIGNERS_FILE
@@ -269,24 +197,8 @@ def usable_key(
 ) -> BenchKey:
     """Load the bench's key, or make one at first use, and check that its seals will be accepted.
 
-    Parameters
-    ----------
-    folder
-        The configuration folder.
-    when
-        The present time, with its time zone.
-    ask_passphrase
-        As for `ensure_key`.
-
-    Returns
-    -------
-    BenchKey
-        The key.
-
-    Raises
-    ------
-    EvidenceError, StorageError
-        As `ensure_key` and `require_usable`.
+    ask_passphrase: As for `ensure_key`.
+    Raises EvidenceError, StorageError: As `ensure_key` and `require_usable`.
     """
     key = ensure_key(folder, ask_passphrase=ask_passphrase)
     require_usable(folder, key, when)
@@ -298,26 +210,10 @@ def key_to_seal(
 ) -> BenchKey:
     """Return the key to seal with at the end of a run: another one if it was replaced during the run.
 
-    Parameters
-    ----------
-    folder
-        The configuration folder.
-    key
-        The key that was loaded when the run began.
-    when
-        The present time, with its time zone.
-    ask_passphrase
-        As for `ensure_key`; called only if the key was replaced.
-
-    Returns
-    -------
-    BenchKey
-        The key.
-
-    Raises
-    ------
-    EvidenceError, StorageError
-        As `load_key` and `require_usable`; the run can be sealed later with ``starbench resume``.
+    key: The key that was loaded when the run began.
+    ask_passphrase: As for `ensure_key`; called only if the key was replaced.
+    Raises EvidenceError, StorageError: As `load_key` and `require_usable`; the run can be sealed later with
+      ``starbench resume``.
     """
     public = folder / f"{KEY_FILE}.pub"
     with storage_errors(public):
@@ -331,24 +227,10 @@ def key_to_seal(
 def load_key(folder: Path, *, ask_passphrase: Callable[[Path], bytes] | None = None) -> BenchKey:
     """Load the bench's key.
 
-    Parameters
-    ----------
-    folder
-        The configuration folder.
-    ask_passphrase
-        Returns the passphrase of a protected key, given the path of its file; None if nobody can be asked.
-
-    Returns
-    -------
-    BenchKey
-        The key.
-
-    Raises
-    ------
-    EvidenceError
-        When there is no key, or it cannot be used (see `ensure_key`).
-    StorageError
-        When it cannot be read.
+    ask_passphrase: Returns the passphrase of a protected key, given the path of its file; None if nobody can
+      be asked.
+    Raises EvidenceError: When there is no key, or it cannot be used (see `ensure_key`).
+    Raises StorageError: When it cannot be read.
     """
     path = folder / KEY_FILE
     secret = read_key_file(path)

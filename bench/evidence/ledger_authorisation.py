@@ -27,25 +27,13 @@ _SHOWN = 16
 
 @dataclass(frozen=True)
 class Authorised:
-    """An authorisation that the ledger names.
+    """An authorisation that the ledger names."""
 
-    Attributes
-    ----------
-    signature
-        SHA-256 of the file with the person's signature.
-    person, fingerprint
-        Name of the person, and fingerprint of the key.
-    folder
-        The folder, where it lay then.
-    utc
-        When the line was written, ISO 8601.
-    """
-
-    signature: str
+    signature: str  # SHA-256 of the file with the person's signature
     person: str
     fingerprint: str
-    folder: str
-    utc: str
+    folder: str  # The folder, where it lay then
+    utc: str  # When the line was written, ISO 8601
 
     def __str__(self) -> str:
         return f"{self.person} ({self.fingerprint}) on {self.utc[:_SHOWN].replace('T', ' ')} UTC"
@@ -59,24 +47,8 @@ NOTHING_KNOWN: Known = {}
 def enter_authorisation(ledger: LedgerFile, folder: Path, person: str, fingerprint: str) -> bool:
     """Enter the authorisation of a folder that was just made.
 
-    Parameters
-    ----------
-    ledger
-        The ledger of this bench.
-    folder
-        The authorised folder.
-    person, fingerprint
-        Name of the person, and fingerprint of the key.
-
-    Returns
-    -------
-    bool
-        Whether it was entered; False if this bench has no ledger.
-
-    Raises
-    ------
-    EvidenceError, JournalBroken, StorageError
-        When the ledger or the folder cannot be used.
+    Returns: Whether it was entered; False if this bench has no ledger.
+    Raises EvidenceError, JournalBroken, StorageError: When the ledger or the folder cannot be used.
     """
     if not ledger.path.exists():
         return False
@@ -90,15 +62,7 @@ def enter_authorisation(ledger: LedgerFile, folder: Path, person: str, fingerpri
 def known_authorisations(home: Path) -> Known:
     """Return the authorisations that the ledger of this bench names.
 
-    Parameters
-    ----------
-    home
-        The configuration folder.
-
-    Returns
-    -------
-    dict
-        Empty if there is no ledger, or if it cannot be read, which `bench.records.ledger` tells.
+    Returns: Empty if there is no ledger, or if it cannot be read, which `bench.records.ledger` tells.
     """
     path = home / LEDGER
     try:
@@ -130,18 +94,10 @@ def _authorisations(entries: Sequence[Entry]) -> Known:
 
 @dataclass(frozen=True)
 class Compared:
-    """How the authorisation of a folder differs from what the ledger names; sentences without a full stop.
+    """How the authorisation of a folder differs from what the ledger names; sentences without a full stop."""
 
-    Attributes
-    ----------
-    fault
-        It was removed or replaced; empty if not.
-    note
-        A copy of the folder does not have it, perhaps because the copy is older; empty if not.
-    """
-
-    fault: str = ""
-    note: str = ""
+    fault: str = ""  # It was removed or replaced; empty if not
+    note: str = ""  # A copy of the folder does not have it, perhaps because the copy is older; empty if not
 
 
 _AGREES = Compared()
@@ -150,22 +106,8 @@ _AGREES = Compared()
 def compare_authorisation(folder: Path, known: Known) -> Compared:
     """Compare the authorisation of a folder with the one that the ledger names.
 
-    Parameters
-    ----------
-    folder
-        A sealed folder.
-    known
-        What the ledger names.
-
-    Returns
-    -------
-    Compared
-        Empty if they agree, or if the ledger names none for this seal.
-
-    Raises
-    ------
-    StorageError
-        When a file cannot be read.
+    Returns: Empty if they agree, or if the ledger names none for this seal.
+    Raises StorageError: When a file cannot be read.
     """
     manifest, signature = folder / MANIFEST, folder / AUTHORISATION
     with storage_errors(folder):
@@ -189,18 +131,7 @@ def compare_authorisation(folder: Path, known: Known) -> Compared:
 
 
 def lost_authorisations(known: Known) -> list[str]:
-    """Compare all folders that the ledger names as authorised, as far as they are still there.
-
-    Parameters
-    ----------
-    known
-        What the ledger names.
-
-    Returns
-    -------
-    list of str
-        One sentence for each folder whose authorisation is missing or another one.
-    """
+    """Compare all folders that the ledger names as authorised, as far as they are still there."""
     found = []
     for folder in sorted({one.folder for named in known.values() for one in named if one.folder}):
         with suppress(BenchError):

@@ -33,15 +33,7 @@ _ASK = "Ask who can write to this computer's files."
 def own_public_keys(home: Path) -> set[bytes]:
     """Return the public keys of this bench: the present one, and trusted ones of the same name.
 
-    Parameters
-    ----------
-    home
-        The configuration folder.
-
-    Returns
-    -------
-    set of bytes
-        As SSH encodes them; empty if the bench has no key.
+    Returns: As SSH encodes them; empty if the bench has no key.
     """
     try:
         fields = (home / KEY_FILE).with_suffix(".pub").read_text(encoding="utf-8").split()
@@ -58,17 +50,7 @@ def own_public_keys(home: Path) -> set[bytes]:
 def is_sealed_by(folder: Path, keys: Collection[bytes]) -> bool:
     """Return whether the signature of a sealed folder names one of some keys. The signature is not verified.
 
-    Parameters
-    ----------
-    folder
-        The folder.
-    keys
-        Public keys, as SSH encodes them.
-
-    Returns
-    -------
-    bool
-        False also where the folder is not sealed.
+    Returns: False also where the folder is not sealed.
     """
     path = folder / SIGNATURE
     try:
@@ -83,16 +65,6 @@ def sealed_strangers(home: Path) -> Strangers:
     """Return a function that finds the sealed runs of this bench that its ledger does not have.
 
     The index of runs says which runs there are, so the folders of the others are not touched.
-
-    Parameters
-    ----------
-    home
-        The configuration folder.
-
-    Returns
-    -------
-    Callable
-        Given the hashes of all lines of the ledger, it returns the runs.
     """
 
     def find(heads: Collection[str]) -> Sequence[KnownRun]:
@@ -117,18 +89,8 @@ class _Said:
 def ledger_faults_of_run(folder: Path, ledger: Ledger) -> list[str]:
     """Compare a run folder with the ledger of this bench. `verify` calls it, and lists its faults with its own.
 
-    Parameters
-    ----------
-    folder
-        The run folder.
-    ledger
-        The ledger.
-
-    Returns
-    -------
-    list of str
-        One sentence for each fault; empty for a run of another bench, and for a folder whose journal cannot be read,
-        which `verify` says already.
+    Returns: One sentence for each fault; empty for a run of another bench, and for a folder whose journal
+      cannot be read, which `verify` says already.
     """
     said = _said_by(folder)
     if said is None:

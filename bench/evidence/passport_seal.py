@@ -28,39 +28,19 @@ _MAKE_AGAIN = "Get the file again from who made it; or make a new passport."
 
 @dataclass(frozen=True)
 class PassportSeal:
-    """The valid seal of a passport.
+    """The valid seal of a passport."""
 
-    Attributes
-    ----------
-    public_key
-        The signer's key, as SSH encodes it.
-    fingerprint
-        Fingerprint of that key.
-    """
-
-    public_key: bytes
+    public_key: bytes  # The signer's key, as SSH encodes it
     fingerprint: str
 
 
 def seal_passport(data: bytes, key: BenchKey) -> bytes:
     """Add a seal to a passport.
 
-    Parameters
-    ----------
-    data
-        Bytes of an unsealed passport file, as `bench.plan.passport_file.passport_bytes` writes them.
-    key
-        The bench's key.
-
-    Returns
-    -------
-    bytes
-        The sealed file. Removing its second line gives ``data``.
-
-    Raises
-    ------
-    EvidenceError
-        When the file has a seal already, or another layout.
+    data: Bytes of an unsealed passport file, as `bench.plan.passport_file.passport_bytes` writes them.
+    key: The bench's key.
+    Returns: The sealed file. Removing its second line gives ``data``.
+    Raises EvidenceError: When the file has a seal already, or another layout.
     """
     if not data.startswith(_FIRST + b" ") or _has_seal_line(data):
         raise EvidenceError("This is not an unsealed passport in the layout that Starbench writes.")
@@ -71,20 +51,8 @@ def seal_passport(data: bytes, key: BenchKey) -> bytes:
 def read_passport_seal(data: bytes) -> PassportSeal | None:
     """Check the seal of a passport.
 
-    Parameters
-    ----------
-    data
-        Bytes of the file.
-
-    Returns
-    -------
-    PassportSeal or None
-        The seal; None if the file has none.
-
-    Raises
-    ------
-    EvidenceError
-        When the seal does not match the file: one of them was changed.
+    Returns: The seal; None if the file has none.
+    Raises EvidenceError: When the seal does not match the file: one of them was changed.
     """
     if not _has_seal_line(data):
         return None

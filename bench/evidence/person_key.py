@@ -33,15 +33,9 @@ _MOST_BYTES = 1 << 20
 
 @dataclass(frozen=True)
 class FileKey:
-    """A person's key from a file.
+    """A person's key from a file."""
 
-    Attributes
-    ----------
-    private
-        The private key; ``repr`` does not show it.
-    """
-
-    private: _PrivateKey
+    private: _PrivateKey  # The private key; ``repr`` does not show it
 
     def __repr__(self) -> str:
         return f"FileKey({fingerprint(self.public_key)})"
@@ -54,15 +48,7 @@ class FileKey:
     def sign(self, data: bytes) -> bytes:
         """Sign data (see `bench.evidence.sshsig.SigningKey.sign`).
 
-        Parameters
-        ----------
-        data
-            What is signed.
-
-        Returns
-        -------
-        bytes
-            The signature as SSH encodes it; RSA keys sign with rsa-sha2-512 (RFC 8332).
+        Returns: The signature as SSH encodes it; RSA keys sign with rsa-sha2-512 (RFC 8332).
         """
         if isinstance(self.private, Ed25519PrivateKey):
             return string(KEY_TYPE) + string(self.private.sign(data))
@@ -76,24 +62,10 @@ class FileKey:
 def load_file_key(path: Path, ask_passphrase: Callable[[Path], bytes]) -> FileKey:
     """Load a person's key from a file: in OpenSSH's format, or PEM (PKCS#8).
 
-    Parameters
-    ----------
-    path
-        File of the private key.
-    ask_passphrase
-        Returns the passphrase of a protected key, given the path of its file.
-
-    Returns
-    -------
-    FileKey
-        The key.
-
-    Raises
-    ------
-    EvidenceError
-        When other users can read the file, the passphrase is wrong, or it is not a key that can sign here.
-    StorageError
-        When the file cannot be read.
+    ask_passphrase: Returns the passphrase of a protected key, given the path of its file.
+    Raises EvidenceError: When other users can read the file, the passphrase is wrong, or it is not a key that
+      can sign here.
+    Raises StorageError: When the file cannot be read.
     """
     with storage_errors(path):
         refuse_readable_by_others(path)
@@ -129,27 +101,12 @@ def _file_key(private: object) -> FileKey:
 def find_key(name: str | None, agent: str | None, ask_passphrase: Callable[[Path], bytes]) -> SigningKey:
     """Find a person's key by its file, by the file of its public key, or by its fingerprint.
 
-    Parameters
-    ----------
-    name
-        File of the private key; or file of the public key, or fingerprint (``SHA256:...``), of a key in ssh-agent.
-        None for the only key in ssh-agent.
-    agent
-        Path of the agent's socket; None if there is no agent.
-    ask_passphrase
-        Returns the passphrase of a protected key, given the path of its file.
-
-    Returns
-    -------
-    SigningKey
-        The key.
-
-    Raises
-    ------
-    EvidenceError
-        When there is no such key, more than one, or it cannot be used.
-    StorageError
-        When a file cannot be read.
+    name: File of the private key; or file of the public key, or fingerprint (``SHA256:...``), of a key in
+      ssh-agent. None for the only key in ssh-agent.
+    agent: Path of the agent's socket; None if there is no agent.
+    ask_passphrase: Returns the passphrase of a protected key, given the path of its file.
+    Raises EvidenceError: When there is no such key, more than one, or it cannot be used.
+    Raises StorageError: When a file cannot be read.
     """
     if name is None or name.startswith("SHA256:"):
         return _agent_key(name, agent)

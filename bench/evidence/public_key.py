@@ -26,22 +26,9 @@ _MOST_KEY_BYTES = 64 * 1024
 def load_public_key(folder: Path) -> Signer:
     """Load the public half of the bench's key, as those who verify trust it: for reports only.
 
-    Parameters
-    ----------
-    folder
-        The configuration folder.
-
-    Returns
-    -------
-    Signer
-        Name and public key.
-
-    Raises
-    ------
-    EvidenceError
-        When there is no key, others have access to it, or it is not an Ed25519 key in OpenSSH's format.
-    StorageError
-        When it cannot be read.
+    Raises EvidenceError: When there is no key, others have access to it, or it is not an Ed25519 key in
+      OpenSSH's format.
+    Raises StorageError: When it cannot be read.
     """
     path = folder / KEY_FILE
     try:
@@ -58,20 +45,8 @@ def load_public_key(folder: Path) -> Signer:
 def public_of_private(text: bytes) -> bytes:
     """Return the public key that the file of a private key states (PROTOCOL.key of OpenSSH, section 1).
 
-    Parameters
-    ----------
-    text
-        Content of the file; its private part may be encrypted.
-
-    Returns
-    -------
-    bytes
-        The public key, as SSH encodes it.
-
-    Raises
-    ------
-    ValueError
-        When this is not an Ed25519 key in OpenSSH's format, or it holds several keys.
+    text: Content of the file; its private part may be encrypted.
+    Raises ValueError: When this is not an Ed25519 key in OpenSSH's format, or it holds several keys.
     """
     body, begins, _ = text.strip().removeprefix(_BEGIN).partition(_END)
     if not (text.strip().startswith(_BEGIN) and begins):
@@ -95,22 +70,8 @@ def public_of_private(text: bytes) -> bytes:
 def read_key_file(path: Path) -> bytes:
     """Read the file of a private key, if nobody else can read or change it.
 
-    Parameters
-    ----------
-    path
-        The file.
-
-    Returns
-    -------
-    bytes
-        Its content.
-
-    Raises
-    ------
-    EvidenceError
-        When there is no key, or others have access to it.
-    StorageError
-        When it cannot be read.
+    Raises EvidenceError: When there is no key, or others have access to it.
+    Raises StorageError: When it cannot be read.
     """
     if not path.exists():
         raise EvidenceError(
@@ -125,22 +86,9 @@ def read_key_file(path: Path) -> bytes:
 def principal_of(public_path: Path) -> str:
     """Return the name of the signer that the file of a public key states.
 
-    Parameters
-    ----------
-    public_path
-        The file.
-
-    Returns
-    -------
-    str
-        The name, as ``name@place``.
-
-    Raises
-    ------
-    EvidenceError
-        When it states none.
-    StorageError
-        When it cannot be read.
+    Returns: The name, as ``name@place``.
+    Raises EvidenceError: When it states none.
+    Raises StorageError: When it cannot be read.
     """
     fields = read_bounded(public_path, _MOST_KEY_BYTES).decode("utf-8", "replace").split()
     principal = fields[2] if len(fields) > 2 else ""

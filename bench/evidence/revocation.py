@@ -27,21 +27,11 @@ _EVER = datetime(1970, 1, 1, tzinfo=UTC)
 
 @dataclass(frozen=True)
 class RevokedKey:
-    """A key that is no longer trusted.
-
-    Attributes
-    ----------
-    public_key
-        The key as SSH encodes it.
-    since
-        Moment from which its signatures are refused; 1970 for a line without a date.
-    reason
-        Why; empty for a line without a reason.
-    """
+    """A key that is no longer trusted."""
 
     public_key: bytes
-    since: datetime = _EVER
-    reason: str = ""
+    since: datetime = _EVER  # Moment from which its signatures are refused; 1970 for a line without a date
+    reason: str = ""  # Why; empty for a line without a reason
 
     @property
     def text(self) -> str:
@@ -59,21 +49,10 @@ class RevokedKey:
 def read_revoked(path: Path) -> list[RevokedKey]:
     """Read the list of revoked keys.
 
-    Parameters
-    ----------
-    path
-        The file; no file is an empty list.
-
-    Returns
-    -------
-    list of RevokedKey
-        The keys in the order of the lines.
-
-    Raises
-    ------
-    EvidenceError
-        When the file cannot be read, other users can change it, or a line is not a public key; the message names the
-        line.
+    path: The file; no file is an empty list.
+    Returns: The keys in the order of the lines.
+    Raises EvidenceError: When the file cannot be read, other users can change it, or a line is not a public
+      key; the message names the line.
     """
     if not path.exists():
         return []
@@ -96,19 +75,9 @@ def read_revoked(path: Path) -> list[RevokedKey]:
 def revoke(folder: Path, key: RevokedKey) -> None:
     """Add a key to the list of revoked keys.
 
-    Parameters
-    ----------
-    folder
-        The configuration folder.
-    key
-        The key, with date and reason.
-
-    Raises
-    ------
-    EvidenceError
-        When it is revoked already, the reason is not one line of text, or other users can change the file.
-    StorageError
-        When the file cannot be written.
+    Raises EvidenceError: When it is revoked already, the reason is not one line of text, or other users can
+      change the file.
+    Raises StorageError: When the file cannot be written.
     """
     path = folder / REVOKED_FILE
     if not key.reason.strip() or not key.reason.isprintable():

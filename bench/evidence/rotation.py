@@ -35,49 +35,23 @@ _NEW = f"{KEY_FILE}.new"
 
 @dataclass(frozen=True)
 class Rotation:
-    """A replacement of the bench's key.
-
-    Attributes
-    ----------
-    old, new
-        Fingerprints of both keys.
-    line
-        Line of ``allowed_signers`` that trusts the new key.
-    archived
-        Where the old private key is kept; None if it was deleted.
-    """
+    """A replacement of the bench's key."""
 
     old: str
     new: str
-    line: str
-    archived: Path | None
+    line: str  # Line of ``allowed_signers`` that trusts the new key
+    archived: Path | None  # Where the old private key is kept; None if it was deleted
 
 
 def rotate(folder: Path, now: datetime, *, passphrase: bytes | None, keep_old: bool) -> Rotation:
     """Replace the bench's key by a new one with the same principal.
 
-    Parameters
-    ----------
-    folder
-        The configuration folder.
-    now
-        The present time, with its time zone: the end of the old key's validity and the beginning of the new one's.
-    passphrase
-        Encrypts the new private key; None leaves it unencrypted.
-    keep_old
-        Whether the old private key is kept in ``old_keys``; else it is deleted.
-
-    Returns
-    -------
-    Rotation
-        Both keys.
-
-    Raises
-    ------
-    EvidenceError
-        When there is no key, or its public key cannot be read.
-    StorageError
-        When a file cannot be written.
+    now: The present time, with its time zone: the end of the old key's validity and the beginning of the new
+      one's.
+    passphrase: Encrypts the new private key; None leaves it unencrypted.
+    keep_old: Whether the old private key is kept in ``old_keys``; else it is deleted.
+    Raises EvidenceError: When there is no key, or its public key cannot be read.
+    Raises StorageError: When a file cannot be written.
     """
     if not (folder / KEY_FILE).exists():
         raise EvidenceError(

@@ -20,19 +20,9 @@ _ANY_ACCESS_BY_OTHERS = 0o077
 def refuse_writable_by_others(path: Path, what: str) -> None:
     """Refuse a file, or a folder, that other users can change or replace.
 
-    Parameters
-    ----------
-    path
-        The file or folder; it exists.
-    what
-        What it is, for the message: ``the list of trusted keys``.
-
-    Raises
-    ------
-    EvidenceError
-        When the group or others can write to it or to its folder.
-    OSError
-        When its mode cannot be read.
+    what: What it is, for the message: ``the list of trusted keys``.
+    Raises EvidenceError: When the group or others can write to it or to its folder.
+    Raises OSError: When its mode cannot be read.
     """
     if not hasattr(os, "getuid"):  # Windows has no such modes
         return
@@ -52,24 +42,10 @@ def refuse_writable_by_others(path: Path, what: str) -> None:
 def read_list(path: Path, what: str) -> str:
     """Read a list on which the trust rests.
 
-    Parameters
-    ----------
-    path
-        The file.
-    what
-        What it is, for the message: ``the list of trusted keys``.
-
-    Returns
-    -------
-    str
-        Its text.
-
-    Raises
-    ------
-    EvidenceError
-        When other users can change it, it is not a file, is larger than 16 MB, or is not text.
-    OSError
-        When it cannot be read.
+    what: What it is, for the message: ``the list of trusted keys``.
+    Raises EvidenceError: When other users can change it, it is not a file, is larger than 16 MB, or is not
+      text.
+    Raises OSError: When it cannot be read.
     """
     refuse_writable_by_others(path, what)
     if not path.is_file():  # a pipe would never answer
@@ -97,17 +73,8 @@ def read_list(path: Path, what: str) -> str:
 def refuse_readable_by_others(path: Path) -> None:
     """Refuse a private key that other users can read.
 
-    Parameters
-    ----------
-    path
-        File of the key; it exists.
-
-    Raises
-    ------
-    EvidenceError
-        When the group or others have any access to it, or it belongs to another user.
-    OSError
-        When its mode cannot be read.
+    Raises EvidenceError: When the group or others have any access to it, or it belongs to another user.
+    Raises OSError: When its mode cannot be read.
     """
     if not hasattr(os, "getuid"):
         return

@@ -42,27 +42,11 @@ _LINE = re.compile(r"([0-9a-f]{64})  ([^\\\x00-\x1f\x7f]+)")
 def seal(folder: RunFolder, key: BenchKey, *, secrets_revoked: bool = False) -> str:
     """Seal a run folder. Nothing is written to it afterwards, except the reserved files.
 
-    Parameters
-    ----------
-    folder
-        The folder, locked by the caller; its journal is closed and its report is written.
-    key
-        The bench's key.
-    secrets_revoked
-        Whether a person says that the secrets in it are worthless by now.
-
-    Returns
-    -------
-    str
-        Fingerprint of the key.
-
-    Raises
-    ------
-    EvidenceError
-        When the folder has no journal, or has something that cannot be listed: a link, a device, a name with control
-        characters.
-    StorageError
-        When a file cannot be written; the folder is then not sealed.
+    key: The bench's key.
+    secrets_revoked: Whether a person says that the secrets in it are worthless by now.
+    Raises EvidenceError: When the folder has no journal, or has something that cannot be listed: a link, a
+      device, a name with control characters.
+    Raises StorageError: When a file cannot be written; the folder is then not sealed.
     """
     if not folder.journal_path.is_file():
         raise EvidenceError(f"There is no {JOURNAL} to seal.", where=str(folder.path))
@@ -73,27 +57,12 @@ def seal(folder: RunFolder, key: BenchKey, *, secrets_revoked: bool = False) -> 
 def seal_folder(path: Path, key: BenchKey, *, secrets_revoked: bool = False) -> str:
     """Seal any folder: a run, a certificate, recalculated results, a passport.
 
-    Parameters
-    ----------
-    path
-        The folder; all its files are written, and no other process writes to it.
-    key
-        The bench's key.
-    secrets_revoked
-        Whether a person says that the secrets in it are worthless by now.
-
-    Returns
-    -------
-    str
-        Fingerprint of the key.
-
-    Raises
-    ------
-    EvidenceError
-        When the folder is sealed already, has a reserved file before its seal, contains a secret, or has something
-        that cannot be listed: a link, a device, a name with control characters.
-    StorageError
-        When a file cannot be written; the folder is then not sealed.
+    path: The folder; all its files are written, and no other process writes to it.
+    key: The bench's key.
+    secrets_revoked: Whether a person says that the secrets in it are worthless by now.
+    Raises EvidenceError: When the folder is sealed already, has a reserved file before its seal, contains a
+      secret, or has something that cannot be listed: a link, a device, a name with control characters.
+    Raises StorageError: When a file cannot be written; the folder is then not sealed.
     """
     _refuse_sealed(path)
     if not secrets_revoked:
@@ -139,22 +108,10 @@ def _sync_files(path: Path) -> None:
 def make_manifest(path: Path) -> bytes:
     """Hash every file of a folder, and list them in the format of ``sha256sum``, sorted by name.
 
-    Parameters
-    ----------
-    path
-        The folder.
-
-    Returns
-    -------
-    bytes
-        The text of ``SHA256SUMS``.
-
-    Raises
-    ------
-    EvidenceError
-        When the folder has something that cannot be listed: a link, a device, a name with control characters.
-    StorageError
-        When a file cannot be read.
+    Returns: The text of ``SHA256SUMS``.
+    Raises EvidenceError: When the folder has something that cannot be listed: a link, a device, a name with
+      control characters.
+    Raises StorageError: When a file cannot be read.
     """
     lines = []
     with storage_errors(path):
@@ -172,21 +129,10 @@ def make_manifest(path: Path) -> bytes:
 def read_manifest(manifest: bytes) -> dict[str, str]:
     """Read the list of a seal.
 
-    Parameters
-    ----------
-    manifest
-        The text of ``SHA256SUMS``.
-
-    Returns
-    -------
-    dict
-        SHA-256 in hexadecimal by file name, in the order of the list.
-
-    Raises
-    ------
-    EvidenceError
-        When a line is not ``hash, two spaces, name``, when names are not sorted or not unique, or when a name leads out
-        of the folder.
+    manifest: The text of ``SHA256SUMS``.
+    Returns: SHA-256 in hexadecimal by file name, in the order of the list.
+    Raises EvidenceError: When a line is not ``hash, two spaces, name``, when names are not sorted or not
+      unique, or when a name leads out of the folder.
     """
     hashes: dict[str, str] = {}
     last = ""
@@ -208,20 +154,8 @@ def read_manifest(manifest: bytes) -> dict[str, str]:
 def list_files(path: Path) -> dict[str, str]:
     """List everything in a folder and its subfolders, except the folders. Links are not followed.
 
-    Parameters
-    ----------
-    path
-        The folder.
-
-    Returns
-    -------
-    dict
-        ``file``, ``link`` or ``special file`` by name; names are relative to the folder, with ``/``.
-
-    Raises
-    ------
-    OSError
-        When a subfolder cannot be read.
+    Returns: ``file``, ``link`` or ``special file`` by name; names are relative to the folder, with ``/``.
+    Raises OSError: When a subfolder cannot be read.
     """
     found = {}
     for folder_name, folders, files in os.walk(path, onerror=_refuse):
@@ -240,15 +174,7 @@ def _refuse(error: OSError) -> None:
 def make_read_only(path: Path) -> None:
     """Make a folder, its subfolders and their files read-only.
 
-    Parameters
-    ----------
-    path
-        The folder.
-
-    Raises
-    ------
-    StorageError
-        When a mode cannot be changed.
+    Raises StorageError: When a mode cannot be changed.
     """
     with storage_errors(path):
         for folder_name, _, files in os.walk(path, topdown=False):

@@ -19,20 +19,8 @@ _LAST_BYTES = 1 << 20
 def stated_time(folder: Path) -> datetime | None:
     """Return when a folder says that it was made: the end of a run, the issue of a certificate, a recalculation.
 
-    Parameters
-    ----------
-    folder
-        The sealed folder.
-
-    Returns
-    -------
-    datetime or None
-        The moment, UTC; None if no file states one.
-
-    Raises
-    ------
-    OSError
-        When a file cannot be read.
+    Returns: The moment, UTC; None if no file states one.
+    Raises OSError: When a file cannot be read.
     """
     if (folder / JOURNAL).is_file():
         return _last_time(folder / JOURNAL)

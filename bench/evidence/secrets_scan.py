@@ -34,20 +34,10 @@ _VARIABLE = re.compile(rb"[A-Za-z0-9]_env[\"']?\s*:\s*[\"']?([A-Za-z_][A-Za-z0-9
 
 @dataclass(frozen=True, order=True)
 class Finding:
-    """A place in a file that has the form of a secret.
-
-    Attributes
-    ----------
-    file
-        Name of the file within the folder.
-    line
-        Its line, from 1; 0 in a file that is not text.
-    kind
-        What it is, with its article.
-    """
+    """A place in a file that has the form of a secret."""
 
     file: str
-    line: int
+    line: int  # Its line, from 1; 0 in a file that is not text
     kind: str
 
     def __str__(self) -> str:
@@ -57,22 +47,9 @@ class Finding:
 def scan(path: Path, environ: Mapping[str, str] = os.environ) -> list[Finding]:
     """Search a folder for secrets.
 
-    Parameters
-    ----------
-    path
-        The folder. Links are not followed.
-    environ
-        Environment variables of the process.
-
-    Returns
-    -------
-    list of Finding
-        By file and line, at most 20.
-
-    Raises
-    ------
-    StorageError
-        When a file cannot be read.
+    path: The folder. Links are not followed.
+    Returns: By file and line, at most 20.
+    Raises StorageError: When a file cannot be read.
     """
     found: set[Finding] = set()
     with storage_errors(path):
@@ -89,19 +66,8 @@ def scan(path: Path, environ: Mapping[str, str] = os.environ) -> list[Finding]:
 def refuse_secrets(path: Path, environ: Mapping[str, str] = os.environ) -> None:
     """Refuse to seal a folder with secrets in it. Nothing in the folder is changed.
 
-    Parameters
-    ----------
-    path
-        The folder.
-    environ
-        Environment variables of the process.
-
-    Raises
-    ------
-    EvidenceError
-        When there is one; the message names the places, not the secrets.
-    StorageError
-        When a file cannot be read.
+    Raises EvidenceError: When there is one; the message names the places, not the secrets.
+    Raises StorageError: When a file cannot be read.
     """
     found = scan(path, environ)
     if not found:

@@ -17,33 +17,14 @@ from bench.records.run_folder import is_sealed
 
 @dataclass(frozen=True)
 class ShownState:
-    """The state of a folder, to be shown.
+    """The state of a folder, to be shown."""
 
-    Attributes
-    ----------
-    state
-        ``DRAFT``, ``SEALED`` or ``AUTHORISED``.
-    text
-        The state and who signed, as one line.
-    """
-
-    state: State = State.DRAFT
+    state: State = State.DRAFT  # ``DRAFT``, ``SEALED`` or ``AUTHORISED``
     text: str = "DRAFT: not sealed"
 
 
 def home_trust(home: Path) -> Trust:
-    """Return whom this bench trusts; nobody, if its lists cannot be used.
-
-    Parameters
-    ----------
-    home
-        The configuration folder.
-
-    Returns
-    -------
-    Trust
-        The lists.
-    """
+    """Return whom this bench trusts; nobody, if its lists cannot be used."""
     try:
         return read_trust(home)
     except (EvidenceError, StorageError):
@@ -53,21 +34,9 @@ def home_trust(home: Path) -> Trust:
 def shown_state(folder: Path, trust: Trust, now: datetime, known: Known = NOTHING_KNOWN) -> ShownState:
     """Return the state of a folder as one line.
 
-    Parameters
-    ----------
-    folder
-        A run folder, a certificate folder, or a folder of results.
-    trust
-        Whom the reader trusts.
-    now
-        The present time, with its time zone.
-    known
-        Authorisations that the ledger names, from `bench.evidence.ledger_authorisation.known_authorisations`.
-
-    Returns
-    -------
-    ShownState
-        The state.
+    folder: A run folder, a certificate folder, or a folder of results.
+    known: Authorisations that the ledger names, from
+      `bench.evidence.ledger_authorisation.known_authorisations`.
     """
     if not is_sealed(folder):
         return ShownState()

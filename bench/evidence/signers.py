@@ -34,23 +34,13 @@ _TYPES = {key_type.decode() for key_type in KEY_TYPES}
 
 @dataclass(frozen=True)
 class Signer:
-    """A trusted key: one line of ``allowed_signers``.
+    """A trusted key: one line of ``allowed_signers``."""
 
-    Attributes
-    ----------
-    principal
-        Name of the signer, as ``name@place``.
-    public_key
-        The key as SSH encodes it (the part in base64 after the type).
-    namespaces
-        Patterns of the purposes that it may sign for; empty if it may sign for all.
-    valid_after, valid_before
-        Period in which it may sign; None where there is no limit.
-    """
-
-    principal: str
-    public_key: bytes
+    principal: str  # Name of the signer, as ``name@place``
+    public_key: bytes  # The key as SSH encodes it (the part in base64 after the type)
+    # Patterns of the purposes that it may sign for; empty if it may sign for all.
     namespaces: tuple[str, ...] = ()
+    # valid_after, valid_before: Period in which it may sign; None where there is no limit.
     valid_after: datetime | None = None
     valid_before: datetime | None = None
 
@@ -71,15 +61,7 @@ class Signer:
     def may_sign(self, namespace: str) -> bool:
         """Return whether the key is trusted for a purpose, at any time.
 
-        Parameters
-        ----------
-        namespace
-            The purpose.
-
-        Returns
-        -------
-        bool
-            Whether a pattern matches, and none with ``!`` does (ssh_config(5), PATTERNS).
+        Returns: Whether a pattern matches, and none with ``!`` does (ssh_config(5), PATTERNS).
         """
         if not self.namespaces:
             return True
@@ -89,17 +71,8 @@ class Signer:
     def rejection(self, namespace: str, when: datetime) -> str | None:
         """Return why a signature of this key is rejected.
 
-        Parameters
-        ----------
-        namespace
-            Purpose of the signature.
-        when
-            Moment at which the key must be valid, with its time zone.
-
-        Returns
-        -------
-        str or None
-            The reason; None if the key may sign.
+        when: Moment at which the key must be valid, with its time zone.
+        Returns: The reason; None if the key may sign.
         """
         if not self.may_sign(namespace):
             return f"the key is trusted for {', '.join(self.namespaces)}, not for {namespace}"
@@ -113,21 +86,10 @@ class Signer:
 def read_signers(path: Path) -> list[Signer]:
     """Read a list of trusted keys.
 
-    Parameters
-    ----------
-    path
-        A file in the format ``allowed_signers``.
-
-    Returns
-    -------
-    list of Signer
-        The keys in the order of the lines.
-
-    Raises
-    ------
-    EvidenceError
-        When the file cannot be read, other users can change it, or a line is not understood; the message names the
-        line.
+    path: A file in the format ``allowed_signers``.
+    Returns: The keys in the order of the lines.
+    Raises EvidenceError: When the file cannot be read, other users can change it, or a line is not
+      understood; the message names the line.
     """
     try:
         lines = read_list(path, "the list of trusted keys").splitlines()
@@ -151,20 +113,7 @@ def read_signers(path: Path) -> list[Signer]:
 def read_signer(line: str) -> Signer:
     """Read one line of ``allowed_signers``.
 
-    Parameters
-    ----------
-    line
-        The line.
-
-    Returns
-    -------
-    Signer
-        The key.
-
-    Raises
-    ------
-    EvidenceError
-        When it is not such a line, or its key is of an unknown type.
+    Raises EvidenceError: When it is not such a line, or its key is of an unknown type.
     """
     fields = _FIELD.findall(line.strip())
     options_text = fields[1] if len(fields) > 1 and fields[1] not in _TYPES else ""
@@ -195,20 +144,8 @@ def _refuse_unknown(options: Mapping[str, str], text: str, fields: Sequence[str]
 def read_public_key(text: str) -> bytes:
     """Read a public key as OpenSSH writes it: its type, its base64, and a comment that is not used.
 
-    Parameters
-    ----------
-    text
-        The text of a file ``.pub``.
-
-    Returns
-    -------
-    bytes
-        The key as SSH encodes it.
-
-    Raises
-    ------
-    ValueError
-        When it is not a public key of a known type.
+    text: The text of a file ``.pub``.
+    Raises ValueError: When it is not a public key of a known type.
     """
     key_type, _, rest = text.strip().partition(" ")
     if key_type not in _TYPES or not rest.split():
@@ -226,25 +163,10 @@ def read_public_key(text: str) -> bytes:
 def trust(folder: Path, line: str) -> Signer:
     """Add a line to ``allowed_signers``, unless the file contains it already.
 
-    Parameters
-    ----------
-    folder
-        The configuration folder.
-    line
-        A line of ``allowed_signers``.
-
-    Returns
-    -------
-    Signer
-        The key that is now trusted.
-
-    Raises
-    ------
-    EvidenceError
-        When this is not a line of a key, the key is trusted for the other purpose already, or other users can change
-        the file.
-    StorageError
-        When the file cannot be read or written.
+    line: A line of ``allowed_signers``.
+    Raises EvidenceError: When this is not a line of a key, the key is trusted for the other purpose already,
+      or other users can change the file.
+    Raises StorageError: When the file cannot be read or written.
     """
     signer = read_signer(line)
     path = folder / SIGNERS_FILE
@@ -260,23 +182,9 @@ def trust(folder: Path, line: str) -> Signer:
 def replace_lines(folder: Path, public_key: bytes, valid_before: datetime, added: Sequence[str]) -> None:
     """End the validity of a key in ``allowed_signers``, and add lines, in one step.
 
-    Parameters
-    ----------
-    folder
-        The configuration folder.
-    public_key
-        The key whose lines get ``valid-before``; a line that ends earlier stays as it is.
-    valid_before
-        End of its validity.
-    added
-        Lines to add.
-
-    Raises
-    ------
-    EvidenceError
-        When a line is not understood, or other users can change the file.
-    StorageError
-        When the file cannot be read or written.
+    public_key: The key whose lines get ``valid-before``; a line that ends earlier stays as it is.
+    Raises EvidenceError: When a line is not understood, or other users can change the file.
+    Raises StorageError: When the file cannot be read or written.
     """
     path = folder / SIGNERS_FILE
     signers = read_signers(path) if path.exists() else []
@@ -297,15 +205,7 @@ def replace_lines(folder: Path, public_key: bytes, valid_before: datetime, added
 def make_private_folder(folder: Path) -> None:
     """Make the configuration folder, which other users cannot change. A folder that exists is left as it is.
 
-    Parameters
-    ----------
-    folder
-        The configuration folder.
-
-    Raises
-    ------
-    StorageError
-        When it cannot be made.
+    Raises StorageError: When it cannot be made.
     """
     if not folder.exists():
         make_folder(folder)
@@ -340,20 +240,8 @@ def _refuse_two_purposes(path: Path, signer: Signer) -> None:
 def parse_time(text: str) -> datetime:
     """Read a time of ssh-keygen(1): ``YYYYMMDD[HHMM[SS]][Z]``, which is local time without the Z.
 
-    Parameters
-    ----------
-    text
-        The text.
-
-    Returns
-    -------
-    datetime
-        The moment, UTC.
-
-    Raises
-    ------
-    ValueError
-        When it is not of this form.
+    Returns: The moment, UTC.
+    Raises ValueError: When it is not of this form.
     """
     digits = text.removesuffix("Z")
     form = {8: "%Y%m%d", 12: "%Y%m%d%H%M", 14: "%Y%m%d%H%M%S"}.get(
@@ -371,15 +259,7 @@ def parse_time(text: str) -> datetime:
 def time_text(moment: datetime) -> str:
     """Write a time as ssh-keygen(1) reads it.
 
-    Parameters
-    ----------
-    moment
-        The moment, with its time zone.
-
-    Returns
-    -------
-    str
-        ``YYYYMMDDHHMMSSZ``.
+    Returns: ``YYYYMMDDHHMMSSZ``.
     """
     return f"{moment.astimezone(UTC):%Y%m%d%H%M%SZ}"
 

@@ -28,21 +28,11 @@ _LIST_S, _SIGN_S = 10.0, 120.0
 
 @dataclass(frozen=True)
 class AgentKey:
-    """A key that the agent can sign with.
-
-    Attributes
-    ----------
-    public_key
-        The public key as SSH encodes it.
-    comment
-        The agent's comment, usually the file or token that the key is from.
-    agent
-        Path of the agent's socket.
-    """
+    """A key that the agent can sign with."""
 
     public_key: bytes
-    comment: str
-    agent: str
+    comment: str  # The agent's comment, usually the file or token that the key is from
+    agent: str  # Path of the agent's socket
 
     @property
     def fingerprint(self) -> str:
@@ -52,20 +42,8 @@ class AgentKey:
     def sign(self, data: bytes) -> bytes:
         """Ask the agent for a signature.
 
-        Parameters
-        ----------
-        data
-            What is signed.
-
-        Returns
-        -------
-        bytes
-            The signature as SSH encodes it: its type and its bytes.
-
-        Raises
-        ------
-        EvidenceError
-            When the agent does not answer, refuses, or returns something else than a valid signature of this key.
+        Raises EvidenceError: When the agent does not answer, refuses, or returns something else than a valid
+          signature of this key.
         """
         flags = _RSA_SHA2_512 if key_type_of(self.public_key) == RSA.decode() else 0
         message = bytes([_SIGN_REQUEST]) + string(self.public_key) + string(data) + flags.to_bytes(4, "big")
@@ -87,15 +65,7 @@ class AgentKey:
 def agent_socket(environ: Mapping[str, str] = os.environ) -> str | None:
     """Return the socket of the agent of this session.
 
-    Parameters
-    ----------
-    environ
-        Environment variables of the process.
-
-    Returns
-    -------
-    str or None
-        Path of the socket; None if there is no agent.
+    Returns: Path of the socket; None if there is no agent.
     """
     return environ.get(SOCKET_VARIABLE) or None
 
@@ -103,20 +73,8 @@ def agent_socket(environ: Mapping[str, str] = os.environ) -> str | None:
 def agent_keys(agent: str) -> list[AgentKey]:
     """List the keys of an agent that can be used here. Keys of other types and certificates are left out.
 
-    Parameters
-    ----------
-    agent
-        Path of the agent's socket.
-
-    Returns
-    -------
-    list of AgentKey
-        The keys.
-
-    Raises
-    ------
-    EvidenceError
-        When the agent does not answer, or its answer is not understood.
+    agent: Path of the agent's socket.
+    Raises EvidenceError: When the agent does not answer, or its answer is not understood.
     """
     answer = _ask(agent, bytes([_REQUEST_IDENTITIES]), _LIST_S)
     try:
@@ -133,20 +91,8 @@ def agent_keys(agent: str) -> list[AgentKey]:
 def read_identities(answer: bytes) -> list[tuple[bytes, str]]:
     """Read the list of identities.
 
-    Parameters
-    ----------
-    answer
-        The message of the agent, without its length.
-
-    Returns
-    -------
-    list of tuple
-        Public key as SSH encodes it, and comment.
-
-    Raises
-    ------
-    ValueError
-        When it is another message, or incomplete.
+    answer: The message of the agent, without its length.
+    Raises ValueError: When it is another message, or incomplete.
     """
     reader = Reader(answer)
     kind = reader.byte()
@@ -163,20 +109,8 @@ def read_identities(answer: bytes) -> list[tuple[bytes, str]]:
 def read_sign_response(answer: bytes) -> bytes:
     """Read a signature.
 
-    Parameters
-    ----------
-    answer
-        The message of the agent, without its length.
-
-    Returns
-    -------
-    bytes
-        The signature as SSH encodes it.
-
-    Raises
-    ------
-    ValueError
-        When the agent refused, or the message is another one or incomplete.
+    answer: The message of the agent, without its length.
+    Raises ValueError: When the agent refused, or the message is another one or incomplete.
     """
     reader = Reader(answer)
     kind = reader.byte()

@@ -42,40 +42,18 @@ KEY_TYPES = (KEY_TYPE, *_CURVES, RSA, _SK_ED25519)
 
 @dataclass(frozen=True)
 class PublicKey:
-    """A public key that was read.
+    """A public key that was read."""
 
-    Attributes
-    ----------
-    key_type
-        Its type, as the first word of its line.
-    key
-        The key itself.
-    application
-        Application of a key in a security token; None for other keys.
-    """
-
-    key_type: bytes
+    key_type: bytes  # Its type, as the first word of its line
     key: Ed25519PublicKey | ec.EllipticCurvePublicKey | rsa.RSAPublicKey
-    application: bytes | None = None
+    application: bytes | None = None  # Application of a key in a security token; None for other keys
 
     @classmethod
     def parse(cls, blob: bytes) -> PublicKey:
         """Read a public key.
 
-        Parameters
-        ----------
-        blob
-            The key as SSH encodes it (the part in base64 of its line).
-
-        Returns
-        -------
-        PublicKey
-            The key.
-
-        Raises
-        ------
-        ValueError
-            When it is not a key of a known type, or an RSA key of less than 2048 bit.
+        blob: The key as SSH encodes it (the part in base64 of its line).
+        Raises ValueError: When it is not a key of a known type, or an RSA key of less than 2048 bit.
         """
         reader = Reader(blob)
         key_type = reader.string()
@@ -101,22 +79,9 @@ class PublicKey:
     def is_valid(self, signature: bytes, data: bytes) -> bool:
         """Return whether a signature of this key is valid.
 
-        Parameters
-        ----------
-        signature
-            The signature as SSH encodes it: its type and its bytes, and for a security token flags and counter.
-        data
-            What was signed.
-
-        Returns
-        -------
-        bool
-            Whether it is valid. A security token's signature is valid only if a person touched the token.
-
-        Raises
-        ------
-        ValueError
-            When the signature is not of the form of this type of key.
+        Returns: Whether it is valid. A security token's signature is valid only if a person touched the
+          token.
+        Raises ValueError: When the signature is not of the form of this type of key.
         """
         reader = Reader(signature)
         signature_type, signed = reader.string(), reader.string()
@@ -159,20 +124,8 @@ def _token_data(application: bytes, flags: int, counter: bytes, data: bytes) -> 
 def encode_public_key(key: Ed25519PublicKey | ec.EllipticCurvePublicKey | rsa.RSAPublicKey) -> bytes:
     """Encode a public key as SSH does (RFC 8709, section 4; RFC 5656, section 3.1; RFC 4253, section 6.6).
 
-    Parameters
-    ----------
-    key
-        The public key.
-
-    Returns
-    -------
-    bytes
-        What OpenSSH writes in base64 after the type of the key.
-
-    Raises
-    ------
-    ValueError
-        When the curve is not one of SSH's.
+    Returns: What OpenSSH writes in base64 after the type of the key.
+    Raises ValueError: When the curve is not one of SSH's.
     """
     if isinstance(key, Ed25519PublicKey):
         return string(KEY_TYPE) + string(key.public_bytes_raw())
@@ -192,50 +145,21 @@ def encode_public_key(key: Ed25519PublicKey | ec.EllipticCurvePublicKey | rsa.RS
 def encode_ecdsa_signature(key_type: bytes, der: bytes) -> bytes:
     """Encode an ECDSA signature as SSH does (RFC 5656, section 3.1.2).
 
-    Parameters
-    ----------
-    key_type
-        Type of the key.
-    der
-        The signature in DER (RFC 3279, section 2.2.3).
-
-    Returns
-    -------
-    bytes
-        Type and signature.
+    der: The signature in DER (RFC 3279, section 2.2.3).
     """
     r, s = decode_dss_signature(der)
     return string(key_type) + string(encode_mpint(r) + encode_mpint(s))
 
 
 def curve_hash(key_type: bytes) -> hashes.HashAlgorithm:
-    """Return the hash of ECDSA signatures of a type of key (RFC 5656, section 6.2.1).
-
-    Parameters
-    ----------
-    key_type
-        Type of the key.
-
-    Returns
-    -------
-    HashAlgorithm
-        The hash.
-    """
+    """Return the hash of ECDSA signatures of a type of key (RFC 5656, section 6.2.1)."""
     return _CURVES[key_type][2]
 
 
 def key_type_of(public_key: bytes) -> str:
     """Return the type of a public key, as the first word of its line.
 
-    Parameters
-    ----------
-    public_key
-        The key as SSH encodes it.
-
-    Returns
-    -------
-    str
-        The type; empty if it cannot be read.
+    Returns: The type; empty if it cannot be read.
     """
     try:
         return Reader(public_key).string().decode("ascii")
@@ -246,15 +170,7 @@ def key_type_of(public_key: bytes) -> str:
 def fingerprint(public_key: bytes) -> str:
     """Return the fingerprint of a public key, as ``ssh-keygen -l`` prints it.
 
-    Parameters
-    ----------
-    public_key
-        The key as SSH encodes it.
-
-    Returns
-    -------
-    str
-        ``SHA256:`` and the hash in base64, without padding.
+    Returns: ``SHA256:`` and the hash in base64, without padding.
     """
     digest = base64.b64encode(hashlib.sha256(public_key).digest()).decode()
     return "SHA256:" + digest.rstrip("=")

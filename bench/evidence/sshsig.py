@@ -46,39 +46,16 @@ class SigningKey(Protocol):
         """The public key as SSH encodes it."""
 
     def sign(self, data: bytes) -> bytes:
-        """Sign data.
-
-        Parameters
-        ----------
-        data
-            What is signed.
-
-        Returns
-        -------
-        bytes
-            The signature as SSH encodes it: its type and its bytes.
-        """
+        """Sign data."""
 
 
 @dataclass(frozen=True)
 class SshSignature:
-    """The parts of a signature.
+    """The parts of a signature."""
 
-    Attributes
-    ----------
-    public_key
-        The signer's key as SSH encodes it (the part in base64 of its line).
-    namespace
-        Purpose of the signature; a signature for one purpose is not valid for another.
-    hash_name
-        Hash function applied to the message: ``sha512`` or ``sha256``.
-    signature
-        The signature as SSH encodes it: its type and its bytes.
-    """
-
-    public_key: bytes
-    namespace: str
-    hash_name: str
+    public_key: bytes  # The signer's key as SSH encodes it (the part in base64 of its line)
+    namespace: str  # Purpose of the signature; a signature for one purpose is not valid for another
+    hash_name: str  # Hash function applied to the message: ``sha512`` or ``sha256``
     signature: bytes
 
 
@@ -99,19 +76,7 @@ class _Ed25519Signer:
 def sign(key: Ed25519PrivateKey, message: bytes, namespace: str) -> bytes:
     """Sign a message with an Ed25519 key (PROTOCOL.sshsig of OpenSSH). The signature is deterministic (RFC 8032).
 
-    Parameters
-    ----------
-    key
-        The private key.
-    message
-        What is signed.
-    namespace
-        Purpose of the signature.
-
-    Returns
-    -------
-    bytes
-        The armoured signature, as ``ssh-keygen -Y sign`` writes it.
+    Returns: The armoured signature, as ``ssh-keygen -Y sign`` writes it.
     """
     return sign_with(_Ed25519Signer(key), message, namespace)
 
@@ -119,19 +84,7 @@ def sign(key: Ed25519PrivateKey, message: bytes, namespace: str) -> bytes:
 def sign_with(key: SigningKey, message: bytes, namespace: str) -> bytes:
     """Sign a message (PROTOCOL.sshsig of OpenSSH).
 
-    Parameters
-    ----------
-    key
-        The key.
-    message
-        What is signed.
-    namespace
-        Purpose of the signature.
-
-    Returns
-    -------
-    bytes
-        The armoured signature, as ``ssh-keygen -Y sign`` writes it.
+    Returns: The armoured signature, as ``ssh-keygen -Y sign`` writes it.
     """
     signature = key.sign(_signed_data(message, namespace.encode(), b"sha512"))
     strings = (key.public_key, namespace.encode(), b"", b"sha512", signature)
@@ -143,20 +96,8 @@ def sign_with(key: SigningKey, message: bytes, namespace: str) -> bytes:
 def read_signature(armoured: bytes) -> SshSignature:
     """Read an armoured signature (PROTOCOL.sshsig of OpenSSH). This does not yet verify it.
 
-    Parameters
-    ----------
-    armoured
-        The signature as ``ssh-keygen -Y sign`` writes it.
-
-    Returns
-    -------
-    SshSignature
-        Its parts.
-
-    Raises
-    ------
-    EvidenceError
-        When it is not an SSHSIG of a key whose type is known.
+    armoured: The signature as ``ssh-keygen -Y sign`` writes it.
+    Raises EvidenceError: When it is not an SSHSIG of a key whose type is known.
     """
     try:
         return _parse(_remove_armour(armoured))
@@ -170,17 +111,7 @@ def read_signature(armoured: bytes) -> SshSignature:
 def is_valid(signature: SshSignature, message: bytes) -> bool:
     """Return whether a signature is valid for a message, with the public key that the signature itself contains.
 
-    Parameters
-    ----------
-    signature
-        The signature.
-    message
-        What was signed.
-
-    Returns
-    -------
-    bool
-        Whether it is valid; the caller decides whether the key is trusted.
+    Returns: Whether it is valid; the caller decides whether the key is trusted.
     """
     data = _signed_data(message, signature.namespace.encode(), signature.hash_name.encode())
     try:

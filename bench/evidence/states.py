@@ -44,40 +44,29 @@ class State(StrEnum):
 
 @dataclass
 class Standing:
-    """What the signatures and time stamps beside a folder say.
+    """What the signatures and time stamps beside a folder say."""
 
-    Attributes
-    ----------
-    state
-        The state. ``SEALED`` needs a seal whose signature holds, ``AUTHORISED`` also a person's signature of the seal
-        that holds and is by a trusted key. Whether the bench's key is trusted is told by ``signer`` and ``faults``.
-    faults
-        What does not hold: kinds ``unsealed``, ``signature``, ``key``, ``authorisation``, ``timestamp``.
-    unchecked
-        What could not be checked here, each with the reason: a sentence without a full stop.
-    remarks
-        What a reader should know: a sentence each, without a full stop.
-    statements
-        Who authorised, and what the time stamps say: a sentence each, without a full stop.
-    signer, fingerprint
-        Name of the bench in the list of trusted keys (None if its key is not accepted), and fingerprint of its key.
-    person, person_fingerprint
-        Name and fingerprint of the person who authorised; None if nobody did, or if it does not hold.
-    stated
-        When the folder says that it was made, by the bench's own clock; None if it does not say.
-    stamps
-        Valid and trusted time stamps.
-    """
-
+    # The state. ``SEALED`` needs a seal whose signature holds, ``AUTHORISED`` also a person's signature of
+    # the seal that holds and is by a trusted key. Whether the bench's key is trusted is told by ``signer``
+    # and ``faults``.
     state: State = State.DRAFT
+    # What does not hold: kinds ``unsealed``, ``signature``, ``key``, ``authorisation``, ``timestamp``.
     faults: list[SealFault] = field(default_factory=list)
+    # What could not be checked here, each with the reason: a sentence without a full stop.
     unchecked: list[str] = field(default_factory=list)
+    # What a reader should know: a sentence each, without a full stop.
     remarks: list[str] = field(default_factory=list)
+    # Who authorised, and what the time stamps say: a sentence each, without a full stop.
     statements: list[str] = field(default_factory=list)
+    # signer, fingerprint: Name of the bench in the list of trusted keys (None if its key is not accepted),
+    # and fingerprint of its key.
     signer: str | None = None
     fingerprint: str | None = None
+    # person, person_fingerprint: Name and fingerprint of the person who authorised; None if nobody did, or if
+    # it does not hold.
     person: str | None = None
     person_fingerprint: str | None = None
+    # When the folder says that it was made, by the bench's own clock; None if it does not say.
     stated: datetime | None = None
     stamps: tuple[Stamp, ...] = ()
 
@@ -85,24 +74,9 @@ class Standing:
 def state_of(folder: Path, signers: Iterable[Signer], when: datetime) -> State:
     """Return the state of a folder. It is that of `standing_of`, with these trusted keys alone.
 
-    Parameters
-    ----------
-    folder
-        A run folder, a certificate folder, or a folder of results.
-    signers
-        Trusted keys, from `bench.evidence.signers.read_signers`.
-    when
-        The present time, with its time zone.
-
-    Returns
-    -------
-    State
-        The state.
-
-    Raises
-    ------
-    StorageError
-        When a file cannot be read.
+    folder: A run folder, a certificate folder, or a folder of results.
+    signers: Trusted keys, from `bench.evidence.signers.read_signers`.
+    Raises StorageError: When a file cannot be read.
     """
     return standing_of(folder, Trust(tuple(signers)), when).state
 
@@ -110,27 +84,11 @@ def state_of(folder: Path, signers: Iterable[Signer], when: datetime) -> State:
 def standing_of(folder: Path, trust: Trust, now: datetime, *, at: datetime | None = None) -> Standing:
     """Check the signatures and time stamps beside a folder; the listed files themselves are not hashed.
 
-    Parameters
-    ----------
-    folder
-        A run folder, a certificate folder, or a folder of results.
-    trust
-        Whom the reader trusts, from `bench.evidence.key_trust.read_trust`.
-    now
-        The present time, with its time zone.
-    at
-        Moment for which the reader asks whether the keys were valid (``verify --at``). A trusted time stamp goes
-        before it. None: the bench's own clock states the moment of the seal.
-
-    Returns
-    -------
-    Standing
-        What was found.
-
-    Raises
-    ------
-    StorageError
-        When a file cannot be read.
+    folder: A run folder, a certificate folder, or a folder of results.
+    trust: Whom the reader trusts, from `bench.evidence.key_trust.read_trust`.
+    at: Moment for which the reader asks whether the keys were valid (``verify --at``). A trusted time stamp
+      goes before it. None: the bench's own clock states the moment of the seal.
+    Raises StorageError: When a file cannot be read.
     """
     found = Standing()
     with storage_errors(folder):

@@ -49,39 +49,22 @@ _STATUS = {
 
 @dataclass(frozen=True)
 class TrustedAuthorities:
-    """Certificates of time stamping authorities that the reader trusts.
+    """Certificates of time stamping authorities that the reader trusts."""
 
-    Attributes
-    ----------
-    others, laboratory
-        Certificates of other organisations, and of the laboratory's own authority.
-    """
-
+    # others, laboratory: Certificates of other organisations, and of the laboratory's own authority.
     others: tuple[Certificate, ...] = ()
     laboratory: tuple[Certificate, ...] = ()
 
 
 @dataclass(frozen=True)
 class Stamp:
-    """A time stamp that is valid and trusted.
-
-    Attributes
-    ----------
-    file, of
-        Its file, and the file that it is of.
-    utc
-        Time that the authority states.
-    authority
-        Name of the authority, from its certificate.
-    is_laboratory
-        Whether it is the laboratory's own.
-    """
+    """A time stamp that is valid and trusted."""
 
     file: str
     of: str
     utc: datetime
     authority: str
-    is_laboratory: bool
+    is_laboratory: bool  # Whether it is the laboratory's own
 
     @property
     def text(self) -> str:
@@ -94,19 +77,10 @@ class Stamp:
 
 @dataclass
 class StampCheck:
-    """The time stamps beside a seal, as checked.
+    """The time stamps beside a seal, as checked."""
 
-    Attributes
-    ----------
-    faults
-        Time stamps that do not hold.
-    unchecked
-        Time stamps that could not be checked, each with the reason: a sentence without a full stop.
-    stamps
-        Those that are valid and trusted, by the name of their file.
-    """
-
-    faults: list[SealFault] = field(default_factory=list)
+    faults: list[SealFault] = field(default_factory=list)  # Time stamps that do not hold
+    # Time stamps that could not be checked, each with the reason: a sentence without a full stop.
     unchecked: list[str] = field(default_factory=list)
     stamps: dict[str, Stamp] = field(default_factory=dict)
 
@@ -120,22 +94,9 @@ class StampCheck:
 def check_timestamps(folder: Path, authorities: TrustedAuthorities) -> StampCheck:
     """Check the time stamps beside a seal. Nothing is asked over a network.
 
-    Parameters
-    ----------
-    folder
-        The sealed folder.
-    authorities
-        The trusted authorities, from `read_authorities`.
-
-    Returns
-    -------
-    StampCheck
-        What was found; nothing for a folder without time stamps.
-
-    Raises
-    ------
-    OSError
-        When a file cannot be read.
+    authorities: The trusted authorities, from `read_authorities`.
+    Returns: What was found; nothing for a folder without time stamps.
+    Raises OSError: When a file cannot be read.
     """
     check = StampCheck()
     for name in STAMPED:
@@ -172,28 +133,8 @@ class OtherFileError(EvidenceError):
 def check_reply(reply: bytes, signed: bytes, authorities: TrustedAuthorities, name: str) -> Stamp:
     """Check one time stamp (RFC 3161, section 2.4.2; the authority's certificate must be valid at its time).
 
-    Parameters
-    ----------
-    reply
-        The reply of the authority.
-    signed
-        The bytes that it is of.
-    authorities
-        The trusted authorities.
-    name
-        Name of its file beside the seal.
-
-    Returns
-    -------
-    Stamp
-        The time stamp.
-
-    Raises
-    ------
-    UncheckedError
-        When the package for time stamps is missing, or no authority is trusted.
-    EvidenceError
-        When the reply is not a valid time stamp of these bytes by a trusted authority.
+    Raises UncheckedError: When the package for time stamps is missing, or no authority is trusted.
+    Raises EvidenceError: When the reply is not a valid time stamp of these bytes by a trusted authority.
     """
     client = stamp_library()
     response = read_reply(client, reply)
@@ -220,20 +161,8 @@ def check_reply(reply: bytes, signed: bytes, authorities: TrustedAuthorities, na
 def as_reply(data: bytes) -> bytes:
     """Return a complete reply. A bare token is put into one, because ``openssl ts -verify -in`` reads replies.
 
-    Parameters
-    ----------
-    data
-        A reply, or a token (``openssl ts -reply -token_out``).
-
-    Returns
-    -------
-    bytes
-        The reply in DER.
-
-    Raises
-    ------
-    EvidenceError
-        When it is neither.
+    data: A reply, or a token (``openssl ts -reply -token_out``).
+    Raises EvidenceError: When it is neither.
     """
     client = stamp_library()
     for candidate in (data, _sequence(_GRANTED + data)):
@@ -249,26 +178,11 @@ def read_authorities(
 ) -> TrustedAuthorities:
     """Read the certificates of the trusted time stamping authorities.
 
-    Parameters
-    ----------
-    home
-        The configuration folder.
-    certificates
-        File to use instead of ``tsa_certificates.pem``; it must exist.
-    laboratory
-        File to use instead of ``tsa_laboratory.pem``; it must exist.
-
-    Returns
-    -------
-    TrustedAuthorities
-        The certificates; none where the configuration folder has no such file.
-
-    Raises
-    ------
-    EvidenceError
-        When a file holds no certificate, or other users can change it.
-    StorageError
-        When a file cannot be read.
+    certificates: File to use instead of ``tsa_certificates.pem``; it must exist.
+    laboratory: File to use instead of ``tsa_laboratory.pem``; it must exist.
+    Returns: The certificates; none where the configuration folder has no such file.
+    Raises EvidenceError: When a file holds no certificate, or other users can change it.
+    Raises StorageError: When a file cannot be read.
     """
     return TrustedAuthorities(
         _read_certificates(certificates or home / TSA_FILE, needed=certificates is not None),
@@ -297,15 +211,7 @@ def _read_certificates(path: Path, *, needed: bool) -> tuple[Certificate, ...]:
 def stamp_library() -> Any:
     """Return the functions of rfc3161-client that are used here, in one object.
 
-    Returns
-    -------
-    SimpleNamespace
-        Its functions and classes by name.
-
-    Raises
-    ------
-    UncheckedError
-        When the package is not installed.
+    Raises UncheckedError: When the package is not installed.
     """
     try:
         import rfc3161_client
@@ -327,22 +233,8 @@ def stamp_library() -> Any:
 def read_reply(client: Any, reply: bytes) -> Any:
     """Read a reply that grants a time stamp.
 
-    Parameters
-    ----------
-    client
-        The package for time stamps, from `stamp_library`.
-    reply
-        The reply in DER.
-
-    Returns
-    -------
-    TimeStampResponse
-        The reply, as the package reads it.
-
-    Raises
-    ------
-    EvidenceError
-        When it is not a reply, or the authority did not grant the time stamp.
+    client: The package for time stamps, from `stamp_library`.
+    Raises EvidenceError: When it is not a reply, or the authority did not grant the time stamp.
     """
     with _reading():
         response = client.decode_timestamp_response(reply)

@@ -26,40 +26,18 @@ _REPLY_TYPE = "application/timestamp-reply"
 
 @dataclass(frozen=True)
 class Request:
-    """A request for a time stamp.
-
-    Attributes
-    ----------
-    data
-        The request in DER.
-    nonce
-        The random number that the reply must repeat; None if there is none.
-    """
+    """A request for a time stamp."""
 
     data: bytes
-    nonce: int | None = None
+    nonce: int | None = None  # The random number that the reply must repeat; None if there is none
 
 
 def make_request(signed: bytes, *, nonce: bool) -> Request:
     """Make a request for a time stamp (RFC 3161, section 2.4.1), with SHA-256 and for a reply with certificate.
 
-    Parameters
-    ----------
-    signed
-        The bytes to stamp.
-    nonce
-        Whether the request holds a random number. Without it the same bytes give the same request, as
-        ``openssl ts -query -no_nonce -sha256 -cert`` makes it.
-
-    Returns
-    -------
-    Request
-        The request.
-
-    Raises
-    ------
-    UncheckedError
-        When the package for time stamps is missing.
+    nonce: Whether the request holds a random number. Without it the same bytes give the same request, as
+      ``openssl ts -query -no_nonce -sha256 -cert`` makes it.
+    Raises UncheckedError: When the package for time stamps is missing.
     """
     library = stamp_library()
     builder = library.TimestampRequestBuilder().data(signed).hash_algorithm(library.HashAlgorithm.SHA256)
@@ -70,15 +48,8 @@ def make_request(signed: bytes, *, nonce: bool) -> Request:
 def check_url(url: str) -> None:
     """Check the address of an authority before anything is sent.
 
-    Parameters
-    ----------
-    url
-        The address.
-
-    Raises
-    ------
-    UsageError
-        When it is not ``https://`` or ``http://`` with a host, or has a user or password in it.
+    Raises UsageError: When it is not ``https://`` or ``http://`` with a host, or has a user or password in
+      it.
     """
     try:
         parts = urlsplit(url)
@@ -100,24 +71,11 @@ def check_url(url: str) -> None:
 def ask_authority(url: str, request: Request) -> bytes:
     """Send a request to an authority.
 
-    Parameters
-    ----------
-    url
-        Its address, ``https`` or ``http``.
-    request
-        The request.
-
-    Returns
-    -------
-    bytes
-        Its reply, which repeats the nonce; it is not verified yet.
-
-    Raises
-    ------
-    UsageError
-        When the address is not one of an authority.
-    EvidenceError
-        When the authority does not answer in 20 s, answers with a redirect or an error, or not with a time stamp.
+    url: Its address, ``https`` or ``http``.
+    Returns: Its reply, which repeats the nonce; it is not verified yet.
+    Raises UsageError: When the address is not one of an authority.
+    Raises EvidenceError: When the authority does not answer in 20 s, answers with a redirect or an error, or
+      not with a time stamp.
     """
     check_url(url)
     try:
@@ -172,10 +130,7 @@ def _post(url: str, data: bytes) -> bytes:
 def _deadline(connection: socket.socket) -> Iterator[Callable[[], bool]]:
     """End the connection when the block takes too long, however slowly the bytes of the other side arrive.
 
-    Yields
-    ------
-    Callable
-        Tells whether the time has passed.
+    Yields: Tells whether the time has passed.
     """
     late = threading.Event()
 

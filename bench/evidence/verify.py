@@ -50,33 +50,16 @@ def verify_folder(
     with `functools.partial`. They are called in their order, and only while no check has found a fault, so they may
     rely on the list of files. `bench.commands.verify_command` puts them together.
 
-    Parameters
-    ----------
-    folder
-        The folder.
-    trust
-        Whom the reader trusts, from `bench.evidence.key_trust.read_trust`; or trusted keys alone.
-    now
-        The present time, with its time zone; None for that of the system.
-    at
-        Moment for which the reader asks whether the keys were valid (``verify --at``), with its time zone. A trusted
-        time stamp goes before it. None: the bench's own clock states when the folder was sealed.
-    camera_serial
-        Serial number that the calibrated camera must have; None for any. It reveals a report of another camera.
-    derivations
-        Derives the files of each kind of folder again; None: nothing is derived again.
-
-    Returns
-    -------
-    Verification
-        All faults, what was not compared, and remarks.
-
-    Raises
-    ------
-    RunFolderError
-        When there is no such folder, or it is of none of these kinds.
-    StorageError
-        When a file cannot be read.
+    trust: Whom the reader trusts, from `bench.evidence.key_trust.read_trust`; or trusted keys alone.
+    now: The present time, with its time zone; None for that of the system.
+    at: Moment for which the reader asks whether the keys were valid (``verify --at``), with its time zone. A
+      trusted time stamp goes before it. None: the bench's own clock states when the folder was sealed.
+    camera_serial: Serial number that the calibrated camera must have; None for any. It reveals a report of
+      another camera.
+    derivations: Derives the files of each kind of folder again; None: nothing is derived again.
+    Returns: All faults, what was not compared, and remarks.
+    Raises RunFolderError: When there is no such folder, or it is of none of these kinds.
+    Raises StorageError: When a file cannot be read.
     """
     if not folder.is_dir() or not any((folder / name).exists() for name in (MANIFEST, *KINDS)):
         raise RunFolderError(

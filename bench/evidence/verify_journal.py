@@ -41,24 +41,8 @@ _PROGRAM = "program"
 def check_journal(folder: Path, manifest: Mapping[str, str], found: Findings) -> Mapping[str, Capture]:
     """Check the journal of a run, and the files of the folder against it.
 
-    Parameters
-    ----------
-    folder
-        The run folder.
-    manifest
-        SHA-256 by file name, as the seal lists them.
-    found
-        Findings; faults are added.
-
-    Returns
-    -------
-    dict
-        The recordings that the journal names, by file name.
-
-    Raises
-    ------
-    OSError
-        When a file cannot be read.
+    manifest: SHA-256 by file name, as the seal lists them.
+    Raises OSError: When a file cannot be read.
     """
     path = folder / JOURNAL
     if path.is_symlink() or not path.is_file():

@@ -31,22 +31,8 @@ def check_listed(folder: Path, found: Findings) -> dict[str, str] | None:
 
     The signature of the list is checked by `bench.evidence.states.standing_of`.
 
-    Parameters
-    ----------
-    folder
-        The folder.
-    found
-        Findings; faults are added.
-
-    Returns
-    -------
-    dict or None
-        SHA-256 by file name, as the seal lists them; None if there is no list that can be read.
-
-    Raises
-    ------
-    OSError
-        When a file cannot be read.
+    Returns: SHA-256 by file name, as the seal lists them; None if there is no list that can be read.
+    Raises OSError: When a file cannot be read.
     """
     path = folder / MANIFEST
     if path.is_symlink() or not path.is_file() or path.stat().st_size > LARGEST_SEAL_BYTES:

@@ -44,19 +44,11 @@ def find_charts(
 ) -> Json:
     """Compute all charts, and judge them together.
 
-    Parameters
-    ----------
-    groups
-        The groups, from `bench.history.chart_groups.group_runs`.
-    parameter
-        Only this parameter; all where None.
-    baseline
-        Number of first runs of each group from which the limits come; all where None.
-
-    Returns
-    -------
-    dict
-        ``schema level groups``. Each group has its ``runs``, its ``parameters``, its ``verdict`` and its ``state``.
+    groups: The groups, from `bench.history.chart_groups.group_runs`.
+    parameter: Only this parameter; all where None.
+    baseline: Number of first runs of each group from which the limits come; all where None.
+    Returns: ``schema level groups``. Each group has its ``runs``, its ``parameters``, its ``verdict`` and its
+      ``state``.
     """
     found = [_group(group, parameter, baseline) for group in groups]
     charts = [chart for group in found for chart in group["parameters"]]
@@ -197,32 +189,10 @@ def _worst(states: Sequence[str]) -> str:
 
 
 def drifts(chart: Mapping[str, Any]) -> bool:
-    """Return whether a parameter has a significant drift.
-
-    Parameters
-    ----------
-    chart
-        The parameter.
-
-    Returns
-    -------
-    bool
-        With time or with temperature.
-    """
+    """Return whether a parameter has a significant drift."""
     return any((chart["drift"][name] or {}).get("seen") for name in _SLOPES)
 
 
 def needs_attention(group: Mapping[str, Any]) -> bool:
-    """Return whether a group is out of control, or one of its parameters drifts.
-
-    Parameters
-    ----------
-    group
-        The group.
-
-    Returns
-    -------
-    bool
-        False also with too few runs.
-    """
+    """Return whether a group is out of control, or one of its parameters drifts."""
     return group["state"] == "out of control" or any(drifts(chart) for chart in group["parameters"])

@@ -35,61 +35,31 @@ class ChartKey(NamedTuple):
 
 @dataclass(frozen=True)
 class ChartRun:
-    """One run in a chart.
-
-    Attributes
-    ----------
-    run, folder, serial
-        Name and folder of the run, serial number of its camera.
-    begun
-        Begin of the run.
-    temperature_c
-        Temperature of the camera, degrees Celsius; None if it is not known.
-    k
-        Coverage factor of its expanded uncertainties.
-    parameters
-        Value and standard uncertainty by name.
-    """
+    """One run in a chart."""
 
     run: str
     folder: str
     serial: str
     begun: datetime
-    temperature_c: float | None
+    temperature_c: float | None  # Temperature of the camera, degrees Celsius; None if it is not known
     k: float
     parameters: Mapping[str, tuple[float, float]]
 
 
 @dataclass
 class ChartGroup:
-    """The runs of a chart.
-
-    Attributes
-    ----------
-    key
-        What they have in common.
-    runs
-        Oldest first.
-    """
+    """The runs of a chart."""
 
     key: ChartKey
-    runs: list[ChartRun] = field(default_factory=list)
+    runs: list[ChartRun] = field(default_factory=list)  # Oldest first
 
 
 @dataclass
 class Grouped:
-    """Runs in groups.
+    """Runs in groups."""
 
-    Attributes
-    ----------
-    groups
-        Types first, then cameras, each in the order of their keys.
-    left_out
-        One sentence for each reason why runs are in no chart.
-    """
-
-    groups: list[ChartGroup]
-    left_out: list[str]
+    groups: list[ChartGroup]  # Types first, then cameras, each in the order of their keys
+    left_out: list[str]  # One sentence for each reason why runs are in no chart
 
 
 def group_runs(
@@ -97,17 +67,8 @@ def group_runs(
 ) -> Grouped:
     """Put runs into groups that can be in one chart.
 
-    Parameters
-    ----------
-    found
-        Runs with their details from the index and their places in the ledgers, in any order.
-    by
-        ``camera`` or ``type``; both where None. Types have a group of their own if they have several cameras.
-
-    Returns
-    -------
-    Grouped
-        The groups, and what was left out.
+    found: Runs with their details from the index and their places in the ledgers, in any order.
+    by: ``camera`` or ``type``; both where None. Types have a group of their own if they have several cameras.
     """
     by_key: dict[ChartKey, ChartGroup] = {}
     without: dict[str, list[str]] = {}

@@ -29,54 +29,29 @@ SHEWHART_CHANCE = 0.0027
 
 @dataclass(frozen=True)
 class Individuals:
-    """Chart of individuals and of moving ranges.
+    """Chart of individuals and of moving ranges."""
 
-    Attributes
-    ----------
-    centre, sigma
-        Mean of the baseline, and its short-term standard deviation: mean moving range over `D2`.
-    lower, upper
-        Control limits of the values, three sigma from the centre.
-    beyond
-        Places of the values beyond the limits.
-    ranges
-        |x_i - x_(i-1)|, (N - 1,) float64.
-    range_mean, range_upper
-        Mean moving range of the baseline, and the control limit.
-    ranges_beyond
-        Places of the values whose distance from the value before is beyond the limit.
-    baseline
-        Number of values from which the limits come.
-    """
-
+    # centre, sigma: Mean of the baseline, and its short-term standard deviation: mean moving range over `D2`.
     centre: float
     sigma: float
     lower: float
     upper: float
     beyond: tuple[int, ...]
-    ranges: Array
+    ranges: Array  # |x_i - x_(i-1)|, (N - 1,) float64
     range_mean: float
     range_upper: float
+    # Places of the values whose distance from the value before is beyond the limit.
     ranges_beyond: tuple[int, ...]
     baseline: int
 
 
 @dataclass(frozen=True)
 class Ewma:
-    """Chart of the exponentially weighted moving average.
-
-    Attributes
-    ----------
-    weight, limit
-        Weight of the newest value (lambda), and distance of the limits in standard deviations of the average (L).
-    averages, lower, upper
-        The average and its control limits at each value, (N,) float64.
-    beyond
-        Places at which the average is beyond its limits.
-    """
+    """Chart of the exponentially weighted moving average."""
 
     weight: float
     limit: float
+    # averages, lower, upper: The average and its control limits at each value, (N,) float64.
     averages: Array
     lower: Array
     upper: Array
@@ -89,17 +64,8 @@ def individuals(values: Sequence[float], baseline: int | None = None) -> Individ
     Montgomery, Introduction to Statistical Quality Control, section 6.4; ISO 7870-2. The standard deviation comes from
     the moving ranges of two, so a shift or a slow drift of the mean hardly widens the limits.
 
-    Parameters
-    ----------
-    values
-        Values in the order of time, at least two, finite.
-    baseline
-        Number of first values from which the limits come; all where None.
-
-    Returns
-    -------
-    Individuals
-        The chart.
+    values: Values in the order of time, at least two, finite.
+    baseline: Number of first values from which the limits come; all where None.
 
     Examples
     --------
@@ -140,19 +106,9 @@ def ewma(
     Roberts, Technometrics 1 (1959) 239; Montgomery, section 9.2; ISO 7870-6. The average begins at the centre. The
     limits widen from the first values on, as its variance does.
 
-    Parameters
-    ----------
-    values
-        Values in the order of time.
-    centre, sigma
-        Centre and short-term standard deviation, from `individuals`.
-    weight, limit
-        See `Ewma`.
-
-    Returns
-    -------
-    Ewma
-        The chart.
+    values: Values in the order of time.
+    centre, sigma: Centre and short-term standard deviation, from `individuals`.
+    weight, limit: See `Ewma`.
 
     Examples
     --------
@@ -176,19 +132,9 @@ def ewma_sigma(number: Array, sigma: float, weight: float) -> Array:
 
     Montgomery, section 9.2.
 
-    Parameters
-    ----------
-    number
-        (N,) float64, number of values so far.
-    sigma
-        Standard deviation of a value.
-    weight
-        Weight of the newest value.
-
-    Returns
-    -------
-    ndarray
-        (N,) float64, in the unit of ``sigma``.
+    number: (N,) float64, number of values so far.
+    sigma: Standard deviation of a value.
+    Returns: (N,) float64, in the unit of ``sigma``.
     """
     shares = weight / (2.0 - weight) * (1.0 - (1.0 - weight) ** (2.0 * np.asarray(number, float)))
     return np.asarray(sigma * np.sqrt(shares))

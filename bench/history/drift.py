@@ -31,33 +31,20 @@ INSEPARABLE = 0.9
 
 @dataclass(frozen=True)
 class Slope:
-    """A slope and its test.
+    """A slope and its test."""
 
-    Attributes
-    ----------
-    value, sigma
-        Slope per day or per degree Celsius, in the parameter's unit, and its standard uncertainty.
-    p
-        Chance of a slope at least as large without drift (two-sided).
-    degrees_of_freedom
-        Of Student's t in the test.
-    runs
-        Number of runs in the test.
-    """
-
+    # value, sigma: Slope per day or per degree Celsius, in the parameter's unit, and its standard
+    # uncertainty.
     value: float
     sigma: float
-    p: float
-    degrees_of_freedom: int
+    p: float  # Chance of a slope at least as large without drift (two-sided)
+    degrees_of_freedom: int  # Of Student's t in the test
     runs: int
 
     def to_dict(self) -> dict[str, Any]:
         """Return the content as JSON holds it.
 
-        Returns
-        -------
-        dict
-            All attributes, and ``expanded``: the 95 % half-width by Student's t.
+        Returns: All attributes, and ``expanded``: the 95 % half-width by Student's t.
         """
         k = float(stats.t.ppf(0.975, self.degrees_of_freedom))
         return {**vars(self), "expanded": k * self.sigma}
@@ -65,27 +52,17 @@ class Slope:
 
 @dataclass(frozen=True)
 class Drift:
-    """The drift of one parameter.
+    """The drift of one parameter."""
 
-    Attributes
-    ----------
-    per_day, per_c
-        Slopes; None if they cannot be tested.
-    joint
-        Whether both slopes were fitted together, so that each holds with the other quantity unchanged.
-    separable
-        False if time and temperature changed together, so that the slopes cannot be told apart.
-    between_runs
-        tau, the standard deviation between runs that their stated uncertainties do not explain; None with fewer than
-        `LEAST_RUNS` runs.
-    scatter
-        Scatter around the fit over the scatter that the stated uncertainties predict (Birge ratio).
-    """
-
+    # per_day, per_c: Slopes; None if they cannot be tested.
     per_day: Slope | None
     per_c: Slope | None
+    # Whether both slopes were fitted together, so that each holds with the other quantity unchanged.
     joint: bool
+    # False if time and temperature changed together, so that the slopes cannot be told apart.
     separable: bool
+    # tau, the standard deviation between runs that their stated uncertainties do not explain; None with fewer
+    # than `LEAST_RUNS` runs.
     between_runs: float | None
     scatter: float | None
 
@@ -98,19 +75,9 @@ def find_drift(
 ) -> Drift:
     """Fit the drift of a parameter with time and with temperature.
 
-    Parameters
-    ----------
-    days
-        Time of each run, days.
-    degrees_c
-        Temperature of each run, degrees Celsius; None where it is not known.
-    values, sigmas
-        Value of each run and its standard uncertainty, greater than 0.
-
-    Returns
-    -------
-    Drift
-        Slopes with their tests. Runs without a temperature are left out of the test of the temperature.
+    degrees_c: Temperature of each run, degrees Celsius; None where it is not known.
+    values, sigmas: Value of each run and its standard uncertainty, greater than 0.
+    Returns: Slopes with their tests. Runs without a temperature are left out of the test of the temperature.
     """
     t, y, u = (np.asarray(one, float) for one in (days, values, sigmas))
     warm = np.array([math.nan if c is None else c for c in degrees_c], float)
@@ -175,15 +142,7 @@ def holm(chances: Sequence[float]) -> list[float]:
 
     Holm, Scand. J. Statist. 6 (1979) 65.
 
-    Parameters
-    ----------
-    chances
-        The chance (p value) of each test.
-
-    Returns
-    -------
-    list of float
-        The adjusted chances, in the same order.
+    Returns: The adjusted chances, in the same order.
 
     Examples
     --------

@@ -25,27 +25,11 @@ _SHORT = 12
 
 @dataclass(frozen=True)
 class LedgerSource:
-    """The ledger of one bench.
-
-    Attributes
-    ----------
-    folder
-        The configuration folder, or a copy of it.
-    bench
-        Name of the bench: the name in its key; the name of the folder if it has no key.
-    entries
-        Every line of the ledger; empty if it is damaged or missing.
-    runs
-        Its runs.
-    public_keys
-        The public keys of the bench, as SSH encodes them.
-    faults, notes
-        What is wrong with this ledger alone, and what a reader should know; sentences.
-    """
+    """The ledger of one bench."""
 
     folder: Path
-    bench: str
-    entries: Sequence[Entry] = ()
+    bench: str  # Name of the bench: the name in its key; the name of the folder if it has no key
+    entries: Sequence[Entry] = ()  # Every line of the ledger; empty if it is damaged or missing
     runs: Sequence[LedgerRun] = ()
     public_keys: frozenset[bytes] = frozenset()
     faults: Sequence[str] = ()
@@ -59,15 +43,7 @@ class LedgerSource:
 
 @dataclass(frozen=True)
 class EnteredRun:
-    """A run as a ledger enters it, with the ledger.
-
-    Attributes
-    ----------
-    run
-        The run.
-    bench, ledger
-        Name of the bench, and identity of its ledger.
-    """
+    """A run as a ledger enters it, with the ledger."""
 
     run: LedgerRun
     bench: str
@@ -76,20 +52,11 @@ class EnteredRun:
 
 @dataclass
 class MergedLedgers:
-    """Several ledgers as one.
-
-    Attributes
-    ----------
-    sources
-        The ledgers.
-    entered
-        Each run once, by the hash of its line.
-    faults, notes
-        As in `LedgerSource`, of all ledgers and of what they say about each other.
-    """
+    """Several ledgers as one."""
 
     sources: Sequence[LedgerSource]
     entered: Mapping[str, EnteredRun]
+    # faults, notes: As in `LedgerSource`, of all ledgers and of what they say about each other.
     faults: list[str] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
 
@@ -97,24 +64,9 @@ class MergedLedgers:
 def read_source(ledger: Ledger, *, required: bool = True) -> LedgerSource:
     """Read the ledger of one bench, and compare it with the places that know of it.
 
-    Parameters
-    ----------
-    ledger
-        The ledger; nothing is written to it.
-    required
-        Whether a missing ledger is an error.
-
-    Returns
-    -------
-    LedgerSource
-        The ledger and its faults.
-
-    Raises
-    ------
-    UsageError
-        When there is no ledger, and it is required.
-    StorageError
-        When it cannot be read.
+    required: Whether a missing ledger is an error.
+    Raises UsageError: When there is no ledger, and it is required.
+    Raises StorageError: When it cannot be read.
     """
     bench = _bench_name(ledger.home)
     if required and not ledger.path.is_file():
@@ -154,18 +106,7 @@ def _bench_name(home: Path) -> str:
 
 
 def merge_ledgers(sources: Iterable[LedgerSource]) -> MergedLedgers:
-    """Merge ledgers. A run that several of them enter with the same line is one run.
-
-    Parameters
-    ----------
-    sources
-        The ledgers of the benches.
-
-    Returns
-    -------
-    MergedLedgers
-        All runs, and every contradiction between two ledgers.
-    """
+    """Merge ledgers. A run that several of them enter with the same line is one run."""
     kept: dict[Path, LedgerSource] = {}
     notes: list[str] = []
     for source in sources:

@@ -22,42 +22,23 @@ IN_LEDGER, NOT_IN_LEDGER, NO_LEDGER = "entered", "not in the ledgers", "no ledge
 
 @dataclass(frozen=True)
 class RunPlace:
-    """Where a run stands in the ledgers.
+    """Where a run stands in the ledgers."""
 
-    Attributes
-    ----------
-    bench
-        Name of the bench; empty if no ledger enters the run.
-    ledger
-        Identity of the ledger; empty as ``bench``.
-    state
-        ``entered``, ``not in the ledgers``, or ``no ledger`` for a rehearsal and for a run without a place.
-    """
-
-    bench: str = ""
-    ledger: str = ""
+    bench: str = ""  # Name of the bench; empty if no ledger enters the run
+    ledger: str = ""  # Identity of the ledger; empty as ``bench``
+    # ``entered``, ``not in the ledgers``, or ``no ledger`` for a rehearsal and for a run without a place.
     state: str = NO_LEDGER
 
 
 @dataclass
 class MergedRuns:
-    """All runs, each once.
+    """All runs, each once."""
 
-    Attributes
-    ----------
-    runs
-        Oldest first.
-    places
-        Place of each run in the ledgers, by its folder.
-    faults
-        Sentences: folders that are missing, changed, cannot be read, or contradict a ledger.
-    notes
-        Sentences: copies that were left out, and runs of ledgers that were not given.
-    """
-
-    runs: list[IndexedRun] = field(default_factory=list)
+    runs: list[IndexedRun] = field(default_factory=list)  # Oldest first
     places: dict[str, RunPlace] = field(default_factory=dict)
+    # Sentences: folders that are missing, changed, cannot be read, or contradict a ledger.
     faults: list[str] = field(default_factory=list)
+    # Sentences: copies that were left out, and runs of ledgers that were not given.
     notes: list[str] = field(default_factory=list)
 
 
@@ -66,26 +47,9 @@ def merge_runs(
 ) -> MergedRuns:
     """Find the runs of ledgers and folders.
 
-    Parameters
-    ----------
-    index
-        The index of runs of this computer.
-    ledgers
-        The ledgers.
-    folders
-        Run folders that were found elsewhere; they go before the paths that the ledgers state.
-    only_folders
-        Whether to leave out the runs that are in ``ledgers`` alone.
-
-    Returns
-    -------
-    MergedRuns
-        The runs, and what was noticed.
-
-    Raises
-    ------
-    StorageError
-        When the index cannot be read or written.
+    folders: Run folders that were found elsewhere; they go before the paths that the ledgers state.
+    only_folders: Whether to leave out the runs that are in ``ledgers`` alone.
+    Raises StorageError: When the index cannot be read or written.
     """
     merged = MergedRuns(faults=list(ledgers.faults), notes=list(ledgers.notes))
     stated = [] if only_folders else [Path(one.run.folder) for one in ledgers.entered.values()]

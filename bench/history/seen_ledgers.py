@@ -25,19 +25,8 @@ _MOST_BYTES = 1 << 24
 def compare_with_seen(home: Path, sources: Iterable[LedgerSource]) -> tuple[list[str], list[str]]:
     """Compare ledgers with what was seen of them before, and remember what is seen now.
 
-    Parameters
-    ----------
-    home
-        This computer's configuration folder.
-    sources
-        The ledgers.
-
-    Returns
-    -------
-    faults
-        One sentence for each ledger that was set back or replaced; its old mark stays.
-    notes
-        Why marks could not be read or written.
+    home: This computer's configuration folder.
+    Returns: Why marks could not be read or written.
     """
     seen, notes = _read(home)
     faults = []

@@ -29,15 +29,7 @@ Row = Mapping[str, Any]
 def require_writable_table(path: Path) -> None:
     """Refuse a name or a place at which no table can be written, before any work begins.
 
-    Parameters
-    ----------
-    path
-        The file.
-
-    Raises
-    ------
-    UsageError
-        If the ending is not known, pyarrow is missing, or the folder does not exist.
+    Raises UsageError: If the ending is not known, pyarrow is missing, or the folder does not exist.
     """
     if path.suffix.lower() not in ENDINGS:
         raise UsageError(
@@ -55,26 +47,10 @@ def require_writable_table(path: Path) -> None:
 def write_table(path: Path, rows: Iterable[Row], faults: Sequence[str] = ()) -> int:
     """Write the table. A file of that name is replaced.
 
-    Parameters
-    ----------
-    path
-        The file; its ending chooses the form.
-    rows
-        Rows, as `bench.history.table_rows.table_row` makes them.
-    faults
-        What was noticed when the runs were merged; Parquet keeps it in the metadata of the file.
-
-    Returns
-    -------
-    int
-        Number of rows.
-
-    Raises
-    ------
-    UsageError
-        As `require_writable_table`.
-    StorageError
-        When the file cannot be written.
+    rows: Rows, as `bench.history.table_rows.table_row` makes them.
+    faults: What was noticed when the runs were merged; Parquet keeps it in the metadata of the file.
+    Raises UsageError: As `require_writable_table`.
+    Raises StorageError: When the file cannot be written.
     """
     require_writable_table(path)
     part = path.with_name(f".{path.name}.part")
@@ -112,20 +88,9 @@ def _arrow_type(pa: Any, column: Column) -> Any:
 def arrow_schema(faults: Sequence[str] = ()) -> Any:
     """Return the schema of the Parquet file.
 
-    Parameters
-    ----------
-    faults
-        Kept in the metadata, as a JSON list.
-
-    Returns
-    -------
-    pyarrow.Schema
-        With ``starbench_schema`` and ``starbench_faults`` in its metadata, and unit and meaning of each column.
-
-    Raises
-    ------
-    UsageError
-        If pyarrow is missing.
+    Returns: With ``starbench_schema`` and ``starbench_faults`` in its metadata, and unit and meaning of each
+      column.
+    Raises UsageError: If pyarrow is missing.
     """
     pa = _pyarrow()
     fields = [

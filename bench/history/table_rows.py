@@ -19,15 +19,7 @@ _COPIED = frozenset(column.name for column in COLUMNS)
 def kind_of(run: IndexedRun) -> str:
     """Return what a run is.
 
-    Parameters
-    ----------
-    run
-        The run.
-
-    Returns
-    -------
-    str
-        ``measured``, ``simulated`` or ``rehearsed``.
+    Returns: ``measured``, ``simulated`` or ``rehearsed``.
     """
     return "rehearsed" if run.rehearsal else "simulated" if run.simulated else "measured"
 
@@ -37,19 +29,7 @@ def table_row(
 ) -> dict[str, Any]:
     """Return the row of a run.
 
-    Parameters
-    ----------
-    run, details
-        The run, and its details from the index.
-    place
-        Its place in the ledgers.
-    state
-        State of its signatures.
-
-    Returns
-    -------
-    dict
-        Value by column, in the order of `table_schema.COLUMNS`; None where nothing is known.
+    Returns: Value by column, in the order of `table_schema.COLUMNS`; None where nothing is known.
     """
     row: dict[str, Any] = dict.fromkeys(column.name for column in COLUMNS)
     row |= {name: value for name, value in details.items() if name in _COPIED}

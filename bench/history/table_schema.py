@@ -17,14 +17,9 @@ Kind = Literal["text", "texts", "integer", "number", "truth", "moment"]
 
 
 class Column(NamedTuple):
-    """A column of the table.
+    """A column of the table."""
 
-    Attributes
-    ----------
-    name, kind, unit, meaning
-        ``unit`` is empty where there is none.
-    """
-
+    # name, kind, unit, meaning: ``unit`` is empty where there is none.
     name: str
     kind: Kind
     unit: str
@@ -123,15 +118,7 @@ _FURTHER = {
 def parameter_unit(parameter: str) -> str:
     """Return the unit of a parameter.
 
-    Parameters
-    ----------
-    parameter
-        Name of the parameter, as in results.json.
-
-    Returns
-    -------
-    str
-        ``px`` or ``mm``; empty for a pure number.
+    Returns: ``px`` or ``mm``; empty for a pure number.
     """
     unit = unit_of(parameter)
     return "" if unit == "1" else unit
@@ -144,16 +131,6 @@ def _unit_suffix(parameter: str) -> str:
 
 def parameter_columns(parameter: str) -> tuple[str, str, str]:
     """Return the names of the columns of a parameter.
-
-    Parameters
-    ----------
-    parameter
-        Name of the parameter, as in results.json.
-
-    Returns
-    -------
-    tuple of str
-        Names of the value, of its standard uncertainty, and of its expanded uncertainty.
 
     Examples
     --------

@@ -20,19 +20,9 @@ Json = Mapping[str, Any]
 def slope_text(slope: Json, unit: str, per: str) -> str:
     """Return a slope with its expanded uncertainty.
 
-    Parameters
-    ----------
-    slope
-        ``value`` and ``expanded``.
-    unit
-        Unit of the parameter; empty for a pure number.
-    per
-        ``day``, ``hour``, ``year`` or ``°C``.
-
-    Returns
-    -------
-    str
-        Value, uncertainty and unit.
+    slope: ``value`` and ``expanded``.
+    unit: Unit of the parameter; empty for a pure number.
+    per: ``day``, ``hour``, ``year`` or ``°C``.
 
     Examples
     --------
@@ -48,29 +38,14 @@ def slope_text(slope: Json, unit: str, per: str) -> str:
 def time_unit(span_days: float) -> str:
     """Return the unit of time in which to state a slope.
 
-    Parameters
-    ----------
-    span_days
-        Time between the first and the last run, days.
-
-    Returns
-    -------
-    str
-        ``hour``, ``day`` or ``year``.
+    span_days: Time between the first and the last run, days.
+    Returns: ``hour``, ``day`` or ``year``.
     """
     return "hour" if span_days < 2.0 else "day" if span_days < 120.0 else "year"
 
 
 def name_slopes(chart: dict[str, Any], group: Json) -> None:
-    """Add ``text`` to the slopes of a chart: the value with its uncertainty, in a unit of time that suits the runs.
-
-    Parameters
-    ----------
-    chart
-        The parameter; changed in place.
-    group
-        Its group.
-    """
+    """Add ``text`` to the slopes of a chart: the value with its uncertainty, in a unit of time that suits the runs."""
     per = time_unit(_span_days(group))
     for name, unit in (("per_day", per), ("per_c", "°C")):
         if chart["drift"][name] is not None:
@@ -81,17 +56,8 @@ def name_slopes(chart: dict[str, Any], group: Json) -> None:
 def parameter_verdict(chart: Json, group: Json) -> str:
     """Say what a chart shows.
 
-    Parameters
-    ----------
-    chart
-        The parameter, with its ``state``.
-    group
-        Its group, with ``runs``.
-
-    Returns
-    -------
-    str
-        Some sentences.
+    chart: The parameter, with its ``state``.
+    group: Its group, with ``runs``.
     """
     runs = len(chart["values"])
     if chart["state"] == "too few":
@@ -111,17 +77,7 @@ def excess_scatter(chart: Json, runs: int) -> float | None:
 
     If the uncertainties are right, its standard deviation is about 1 / sqrt(2 n) (Birge, Phys. Rev. 40 (1932) 207).
 
-    Parameters
-    ----------
-    chart
-        The parameter.
-    runs
-        Number of runs.
-
-    Returns
-    -------
-    float or None
-        The ratio; None if it exceeds 1 by less than 3.5 of its standard deviations.
+    Returns: The ratio; None if it exceeds 1 by less than 3.5 of its standard deviations.
     """
     ratio = chart["drift"]["scatter"]
     least = 1.0 + _SCATTER_SIGMAS / math.sqrt(2.0 * max(runs - 2, 1))
@@ -184,18 +140,7 @@ def _named(places: Sequence[int], group: Json) -> str:
 
 
 def group_title(group: Json) -> str:
-    """Return the heading of a group.
-
-    Parameters
-    ----------
-    group
-        The group.
-
-    Returns
-    -------
-    str
-        Camera or camera type, station, bench and kind.
-    """
+    """Return the heading of a group."""
     camera = f"Camera {group['serial'] or 'without a serial number'}, {group['camera_type']}"
     if group["level"] == "type":
         camera = f"Camera type {group['camera_type']}, {_counted(group['cameras'], 'camera')}"
@@ -204,18 +149,7 @@ def group_title(group: Json) -> str:
 
 
 def group_place(group: Json) -> str:
-    """Return where and how the runs of a group were made.
-
-    Parameters
-    ----------
-    group
-        The group.
-
-    Returns
-    -------
-    str
-        Station, bench, collimator, target and model.
-    """
+    """Return where and how the runs of a group were made."""
     parts = [f"Station {group['station'] or 'without a name'}"]
     parts += [group["bench"]] if group["bench"] else []
     parts += [f"collimator {group['collimator']}"] if group["collimator"] else []
@@ -226,15 +160,7 @@ def group_place(group: Json) -> str:
 def group_verdict(group: Json) -> str:
     """Say in one or two sentences what the charts of a group show.
 
-    Parameters
-    ----------
-    group
-        The group, with the ``state`` of each parameter.
-
-    Returns
-    -------
-    str
-        The verdict.
+    group: The group, with the ``state`` of each parameter.
     """
     charts = group["parameters"]
     if group["state"] == "too few":

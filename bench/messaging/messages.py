@@ -43,15 +43,8 @@ _MAIL, _WEBHOOK, _APPRISE = "mail", "webhook", "apprise"
 def channels_of(messages: MessagesConfig) -> list[str]:
     """Return the channels of a station as the outbox keeps them.
 
-    Parameters
-    ----------
-    messages
-        The station file's ``messages`` section.
-
-    Returns
-    -------
-    list of str
-        One JSON object for each channel: kind and configuration, without secrets.
+    messages: The station file's ``messages`` section.
+    Returns: One JSON object for each channel: kind and configuration, without secrets.
     """
     mails = [{_MAIL: messages.mail.model_dump()}] if messages.mail is not None else []
     hooks = [{_WEBHOOK: hook.model_dump()} for hook in messages.webhooks]
@@ -62,19 +55,8 @@ def channels_of(messages: MessagesConfig) -> list[str]:
 def send(message: Message, channel: str, environ: Mapping[str, str] = os.environ) -> None:
     """Deliver a message to a channel.
 
-    Parameters
-    ----------
-    message
-        The message.
-    channel
-        The channel, from `channels_of`.
-    environ
-        Environment variables, which hold passwords and secret addresses.
-
-    Raises
-    ------
-    DeliveryFailed
-        When it could not be delivered, with the reason.
+    channel: The channel, from `channels_of`.
+    Raises DeliveryFailed: When it could not be delivered, with the reason.
     """
     ((kind, config),) = json.loads(channel).items()
     try:
@@ -159,16 +141,10 @@ def _secret(variable: str, environ: Mapping[str, str]) -> str:
 class Courier:
     """Writes the messages about one run, and delivers them in a thread of its own.
 
-    Parameters
-    ----------
-    messages
-        The station file's ``messages`` section.
-    outbox
-        Keeps the messages until they are delivered.
-    clock
-        Gives the time of a message.
-    say
-        Shows the operator a message that could not be kept; the run continues.
+    messages: The station file's ``messages`` section.
+    outbox: Keeps the messages until they are delivered.
+    clock: Gives the time of a message.
+    say: Shows the operator a message that could not be kept; the run continues.
     """
 
     def __init__(
@@ -198,20 +174,8 @@ class Courier:
     ) -> None:
         """Put a message into the outbox if the station file asks for messages on this occasion. Returns at once.
 
-        Parameters
-        ----------
-        occasion
-            ``failure``, ``hold`` or ``end``.
-        subject, text
-            Subject and text of the message.
-        run
-            Name of the run or batch.
-        folder
-            Its folder.
-        key
-            Identifies the message permanently: the hash of the journal line that caused it.
-        place
-            Number of the run in the bench's ledger and hash of its line there; None if there is none.
+        occasion: ``failure``, ``hold`` or ``end``.
+        place: Number of the run in the bench's ledger and hash of its line there; None if there is none.
         """
         if not self.is_wanted(occasion):
             return
@@ -232,25 +196,15 @@ class Courier:
     def is_wanted(self, occasion: str) -> bool:
         """Return whether the station file asks for messages on this occasion, and names a channel.
 
-        Parameters
-        ----------
-        occasion
-            ``failure``, ``hold`` or ``end``.
-
-        Returns
-        -------
-        bool
-            True where a message is to be written.
+        occasion: ``failure``, ``hold`` or ``end``.
+        Returns: True where a message is to be written.
         """
         return occasion in self._occasions and bool(self._channels)
 
     def close(self, patience_s: float = 2 * TIMEOUT_S) -> None:
         """Try once more to deliver what waits. What cannot be delivered stays in the outbox.
 
-        Parameters
-        ----------
-        patience_s
-            Longest wait for the deliveries, all channels together, s.
+        patience_s: Longest wait for the deliveries, all channels together, s.
         """
         self._closing.set()
         self._wake_all()

@@ -53,60 +53,33 @@ class DeliveryFailed(Exception):
 
 @dataclass(frozen=True)
 class Message:
-    """A message to people.
-
-    Attributes
-    ----------
-    key
-        Identifies the message permanently.
-    occasion
-        ``failure``, ``hold`` or ``end``.
-    subject, text
-        Subject and text.
-    run, folder, utc
-        The run or batch that it is about, its folder, and the time at which it was written (ISO 8601).
-    ledger_number, ledger_head
-        Number of the run in the bench's ledger and hash of its line; of a batch, those of the newest run. None before
-        the run is entered.
-    """
+    """A message to people."""
 
     key: str
-    occasion: str
+    occasion: str  # ``failure``, ``hold`` or ``end``
     subject: str
     text: str
+    # run, folder, utc: The run or batch that it is about, its folder, and the time at which it was written
+    # (ISO 8601).
     run: str
     folder: str
     utc: str
+    # ledger_number, ledger_head: Number of the run in the bench's ledger and hash of its line; of a batch,
+    # those of the newest run. None before the run is entered.
     ledger_number: int | None = None
     ledger_head: str | None = None
 
 
 @dataclass(frozen=True)
 class Delivery:
-    """The delivery of one message to one channel.
-
-    Attributes
-    ----------
-    message
-        The message.
-    channel
-        The channel, as JSON that the outbox does not read.
-    state
-        ``waiting``, ``sending`` or ``sent``.
-    tries
-        Number of attempts.
-    perhaps_twice
-        Whether it may have arrived more than once.
-    last_error
-        Why the last attempt failed; empty if it did not.
-    """
+    """The delivery of one message to one channel."""
 
     message: Message
-    channel: str
-    state: str
+    channel: str  # The channel, as JSON that the outbox does not read
+    state: str  # ``waiting``, ``sending`` or ``sent``
     tries: int
-    perhaps_twice: bool
-    last_error: str
+    perhaps_twice: bool  # Whether it may have arrived more than once
+    last_error: str  # Why the last attempt failed; empty if it did not
 
 
 Send = Callable[[Message, str], None]
@@ -116,10 +89,7 @@ Send = Callable[[Message, str], None]
 class Outbox:
     """The outbox of a bench. Every method opens the file anew, because other processes use it too.
 
-    Parameters
-    ----------
-    home
-        The configuration folder, from `bench.base.home.home_folder`.
+    home: The configuration folder, from `bench.base.home.home_folder`.
     """
 
     def __init__(self, home: Path) -> None:
@@ -129,17 +99,8 @@ class Outbox:
     def put(self, message: Message, channels: Sequence[str]) -> None:
         """Keep a message for its channels. It is on the disk when this returns; a key that is known changes nothing.
 
-        Parameters
-        ----------
-        message
-            The message.
-        channels
-            Its channels, from `bench.messaging.messages.channels_of`.
-
-        Raises
-        ------
-        StorageError
-            When it cannot be written.
+        channels: Its channels, from `bench.messaging.messages.channels_of`.
+        Raises StorageError: When it cannot be written.
         """
         fields = (message.occasion, message.subject, message.text, message.run, message.folder, message.utc)
         place = (message.ledger_number, message.ledger_head)
@@ -152,15 +113,8 @@ class Outbox:
     def deliveries(self) -> list[Delivery]:
         """List all deliveries, also those that were sent, oldest first.
 
-        Returns
-        -------
-        list of Delivery
-            Empty while there is no outbox.
-
-        Raises
-        ------
-        StorageError
-            When the outbox cannot be read.
+        Returns: Empty while there is no outbox.
+        Raises StorageError: When the outbox cannot be read.
         """
         if not self.path.exists():
             return []
@@ -170,15 +124,8 @@ class Outbox:
     def channels(self) -> list[str]:
         """List the channels that something waits for.
 
-        Returns
-        -------
-        list of str
-            The channels, as `put` got them; empty while there is no outbox.
-
-        Raises
-        ------
-        StorageError
-            When the outbox cannot be read.
+        Returns: The channels, as `put` got them; empty while there is no outbox.
+        Raises StorageError: When the outbox cannot be read.
         """
         if not self.path.exists():
             return []
@@ -191,24 +138,9 @@ class Outbox:
     def deliver(self, send: Send, now: datetime, *, all_waiting: bool = False) -> int:
         """Try the deliveries that are due, all channels side by side.
 
-        Parameters
-        ----------
-        send
-            Delivers one message; is given up after ``DEADLINE_S``.
-        now
-            The present time, with its time zone.
-        all_waiting
-            Whether to try deliveries that are not due yet, too.
-
-        Returns
-        -------
-        int
-            Number of deliveries that still wait.
-
-        Raises
-        ------
-        StorageError
-            When the outbox cannot be read or written.
+        send: Delivers one message; is given up after ``DEADLINE_S``.
+        all_waiting: Whether to try deliveries that are not due yet, too.
+        Raises StorageError: When the outbox cannot be read or written.
         """
 
         def serve(channel: str) -> None:
@@ -222,17 +154,8 @@ class Outbox:
 
         After a delivery that was not complete in time, the others of this channel wait for the next call.
 
-        Parameters
-        ----------
-        channel
-            The channel.
-        send, now, all_waiting
-            As for ``deliver``.
-
-        Raises
-        ------
-        StorageError
-            When the outbox cannot be read or written.
+        send, now, all_waiting: As for ``deliver``.
+        Raises StorageError: When the outbox cannot be read or written.
         """
         if not self.path.exists():
             return
@@ -252,15 +175,7 @@ class Outbox:
     def waiting(self) -> int:
         """Count the deliveries that still wait.
 
-        Returns
-        -------
-        int
-            Their number.
-
-        Raises
-        ------
-        StorageError
-            When the outbox cannot be read.
+        Raises StorageError: When the outbox cannot be read.
         """
         if not self.path.exists():
             return 0

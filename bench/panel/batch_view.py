@@ -30,13 +30,7 @@ _NOT_BEGUN = frozenset({"not begun", "withdrawn"})
 
 
 class BatchView:
-    """One batch, for all its pages.
-
-    Parameters
-    ----------
-    folder
-        Folder of the batch.
-    """
+    """One batch, for all its pages."""
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
@@ -48,13 +42,7 @@ class BatchView:
         self._made_at_s = float("-inf")
 
     def text(self) -> tuple[str, int]:
-        """Return the batch as JSON. May read many files, so not for the server's own thread.
-
-        Returns
-        -------
-        text, lines
-            The JSON; and the number of lines of the journal that it shows.
-        """
+        """Return the batch as JSON. May read many files, so not for the server's own thread."""
         with self._lock:
             try:
                 self._look()
@@ -89,13 +77,7 @@ class BatchView:
         self._stamp, self._made_at_s = stamp, now_s
 
     async def messages(self) -> AsyncIterator[Message]:
-        """Tell the batch, and again whenever something has changed.
-
-        Yields
-        ------
-        Message
-            The whole batch each time; its id is the number of lines of the journal.
-        """
+        """Tell the batch, and again whenever something has changed."""
         told = ""
         while True:
             text, lines = await asyncio.to_thread(self.text)

@@ -20,15 +20,7 @@ _MOST_POSES_TO_FORECAST = 60
 
 
 class Extras:
-    """The additions to one run's page.
-
-    Parameters
-    ----------
-    watch
-        The run.
-    helper
-        The helper process.
-    """
+    """The additions to one run's page."""
 
     def __init__(self, watch: RunWatch, helper: Helper) -> None:
         self._watch = watch
@@ -96,15 +88,7 @@ class Extras:
 def forecast_poses(poses: int) -> list[int]:
     """Return after how many poses of a plan the uncertainty is forecast: all of them first, then some before.
 
-    Parameters
-    ----------
-    poses
-        Number of poses of the plan.
-
-    Returns
-    -------
-    list of int
-        At most eight numbers; a plan with very many poses is forecast up to a part of them only.
+    Returns: At most eight numbers; a plan with very many poses is forecast up to a part of them only.
 
     Examples
     --------

@@ -49,12 +49,8 @@ class _Known:
 class FolderList:
     """The runs and batches of a folder, its subfolders and theirs.
 
-    Parameters
-    ----------
-    root
-        The folder; it need not exist yet.
-    utc_now
-        Returns the present time, UTC.
+    root: The folder; it need not exist yet.
+    utc_now: Returns the present time, UTC.
     """
 
     def __init__(self, root: Path, utc_now: Callable[[], datetime] = lambda: datetime.now(UTC)) -> None:
@@ -67,11 +63,8 @@ class FolderList:
     def look(self) -> Json:
         """Look at the folder.
 
-        Returns
-        -------
-        dict
-            ``root``, ``runs``, ``batches`` (each newest first), and ``faults``: a sentence for each folder that cannot
-            be read.
+        Returns: ``root``, ``runs``, ``batches`` (each newest first), and ``faults``: a sentence for each
+          folder that cannot be read.
         """
         with self._lock:
             faults: list[str] = []
@@ -101,20 +94,8 @@ class FolderList:
     def folder_of(self, key: str) -> Path:
         """Return the folder that a page names.
 
-        Parameters
-        ----------
-        key
-            Its path relative to the root, with slashes; ``.`` for the root itself.
-
-        Returns
-        -------
-        Path
-            A folder with a journal.
-
-        Raises
-        ------
-        RunFolderError
-            If there is no run or batch of this name below the root.
+        key: Its path relative to the root, with slashes; ``.`` for the root itself.
+        Raises RunFolderError: If there is no run or batch of this name below the root.
         """
         parts = key.split("/")
         if not key or "\0" in key or any(part in {"", ".."} or "\\" in part or ":" in part for part in parts):
@@ -129,15 +110,7 @@ class FolderList:
     def key_of(self, folder: Path) -> str:
         """Return the name of a folder as `folder_of` takes it.
 
-        Parameters
-        ----------
-        folder
-            A folder below the root, or the root.
-
-        Returns
-        -------
-        str
-            Its path relative to the root.
+        Returns: Its path relative to the root.
         """
         return folder.relative_to(self.root).as_posix()
 

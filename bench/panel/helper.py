@@ -32,17 +32,8 @@ class Helper:
     def ask(self, operation: str, **arguments: Any) -> Answer:
         """Ask for something, and wait for it.
 
-        Parameters
-        ----------
-        operation
-            Key of `bench.panel.helper_process.OPERATIONS`.
-        **arguments
-            What the operation needs.
-
-        Returns
-        -------
-        answer, data
-            The answer, with ``fault`` if it failed; and its bytes.
+        operation: Key of `bench.panel.helper_process.OPERATIONS`.
+        Returns: The answer, with ``fault`` if it failed; and its bytes.
         """
         with self._lock:
             if self._closed:
@@ -58,17 +49,8 @@ class Helper:
     def picture(self, key: tuple[Any, ...], ask: Callable[[], Json]) -> Answer:
         """Return a picture; one that was made before is not made again.
 
-        Parameters
-        ----------
-        key
-            What the picture is of.
-        ask
-            Returns the arguments of the operation ``picture``.
-
-        Returns
-        -------
-        answer, data
-            As `ask`.
+        ask: Returns the arguments of the operation ``picture``.
+        Returns: As `ask`.
         """
         if key in self._kept:
             return self._kept[key]

@@ -38,17 +38,10 @@ def make_picture(request: Mapping[str, Any]) -> Answer:
     For a pose of a solved run they are those of its calibration. Otherwise the stars are found again in the recording,
     and the residuals are those of a smooth fit of this pose alone.
 
-    Parameters
-    ----------
-    request
-        ``folder``, ``pose``, ``pose_name``, ``attempt``, ``capture``, ``expected_grid``, ``accepted``; ``measure``:
-        whether to find the stars again if nothing else is there, which takes seconds of computing.
-
-    Returns
-    -------
-    answer, picture
-        ``stars`` and ``residuals`` as lists of [x, y] px, ``residuals_of``, ``rms_px``, ``size``, ``fault``; PNG. With
-        ``absent`` if there is no picture without measuring.
+    request: ``folder``, ``pose``, ``pose_name``, ``attempt``, ``capture``, ``expected_grid``, ``accepted``;
+      ``measure``: whether to find the stars again if nothing else is there, which takes seconds of computing.
+    Returns: ``stars`` and ``residuals`` as lists of [x, y] px, ``residuals_of``, ``rms_px``, ``size``,
+      ``fault``; PNG. With ``absent`` if there is no picture without measuring.
     """
     from bench.views.views_file import VIEWS
 
@@ -68,16 +61,9 @@ def make_coverage(request: Mapping[str, Any]) -> Answer:
     The places come from each recording's grid, without the distortion of the lens. If fewer stars were found than the
     image has room for, those next to the tag count, because the beam lights the middle of the target.
 
-    Parameters
-    ----------
-    request
-        ``folder``, ``size`` (width and height, px), ``cells`` (columns and rows), ``grids`` (list of pose, grid and
-        number of stars).
-
-    Returns
-    -------
-    answer, bytes
-        ``counts``, row by row; no bytes.
+    request: ``folder``, ``size`` (width and height, px), ``cells`` (columns and rows), ``grids`` (list of
+      pose, grid and number of stars).
+    Returns: ``counts``, row by row; no bytes.
     """
     target = _job(request["folder"]).target
     nodes = target.node_of(target.ids).astype(float)
@@ -103,16 +89,9 @@ def _cells_of(nodes: Array, grid: Array, size: tuple[int, int], cells: tuple[int
 def make_forecast(request: Mapping[str, Any]) -> Answer:
     """Forecast the uncertainty that the first poses of a run's plan give.
 
-    Parameters
-    ----------
-    request
-        ``folder``, and ``poses``: how many of them.
-
-    Returns
-    -------
-    answer, bytes
-        ``now``: expanded uncertainties, px, by name; empty if these poses determine no camera, or the station states
-        nothing to expect. No bytes.
+    request: ``folder``, and ``poses``: how many of them.
+    Returns: ``now``: expanded uncertainties, px, by name; empty if these poses determine no camera, or the
+      station states nothing to expect. No bytes.
     """
     from bench.base.errors import UsageError
     from bench.results.forecasts import forecast_bench
@@ -194,12 +173,8 @@ OPERATIONS: Mapping[str, Callable[[Mapping[str, Any]], Answer]] = {
 def answer_requests(requests: BinaryIO, answers: BinaryIO) -> None:
     """Answer requests until there are no more.
 
-    Parameters
-    ----------
-    requests
-        Lines of JSON with ``operation`` and its arguments.
-    answers
-        Where the answers go.
+    requests: Lines of JSON with ``operation`` and its arguments.
+    answers: Where the answers go.
     """
     from bench.base.failure import Failure
 

@@ -22,12 +22,7 @@ MOST_BYTES = 1 << 21
 class JournalTail:
     """The end of a journal that another process writes.
 
-    Parameters
-    ----------
-    path
-        The journal.
-    begin_again
-        Called before lines are read again from the first.
+    begin_again: Called before lines are read again from the first.
     """
 
     def __init__(self, path: Path, begin_again: Callable[[], None]) -> None:
@@ -56,13 +51,7 @@ class JournalTail:
         return not self.fault and not self.incomplete and self._offset < self.size
 
     def has_changed(self) -> bool:
-        """Return whether the file is another one than at the last reading, or there is more to read.
-
-        Returns
-        -------
-        bool
-            Costs one call of the file system.
-        """
+        """Return whether the file is another one than at the last reading, or there is more to read."""
         try:
             found = self.path.stat()
         except OSError:
@@ -72,10 +61,7 @@ class JournalTail:
     def read(self) -> list[Entry]:
         """Read further lines, at most ``MOST_BYTES``.
 
-        Returns
-        -------
-        list of Entry
-            Complete, valid lines; empty also if the file cannot be read, then ``fault`` states why.
+        Returns: Complete, valid lines; empty also if the file cannot be read, then ``fault`` states why.
         """
         try:
             with storage_errors(self.path):

@@ -18,40 +18,16 @@ _POSES_OF_A_SERIES = 3
 
 @dataclass(frozen=True)
 class Leave:
-    """Whether the run can be left alone.
+    """Whether the run can be left alone."""
 
-    Attributes
-    ----------
-    safe
-        Whether nobody is needed.
-    text
-        The answer with its reason.
-    until_utc
-        Time from which somebody is needed, ISO 8601; empty if it is not known or nobody is.
-    """
-
-    safe: bool
+    safe: bool  # Whether nobody is needed
     text: str
+    # Time from which somebody is needed, ISO 8601; empty if it is not known or nobody is.
     until_utc: str = ""
 
 
 def may_leave(model: RunModel, process: ProcessState, now: datetime) -> Leave:
-    """Return whether a run can be left alone.
-
-    Parameters
-    ----------
-    model
-        The run.
-    process
-        Its process.
-    now
-        The present time, with its time zone.
-
-    Returns
-    -------
-    Leave
-        The answer.
-    """
+    """Return whether a run can be left alone."""
     history = model.history
     state = history.states[-1]["state"] if history.states else "idle"
     if not process.running:

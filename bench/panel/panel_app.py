@@ -38,13 +38,7 @@ LIST_S = 1.0
 
 
 class Panel:
-    """The panel of one folder.
-
-    Parameters
-    ----------
-    root
-        Folder with runs and batches.
-    """
+    """The panel of one folder."""
 
     def __init__(self, root: Path) -> None:
         self._list = FolderList(root)
@@ -59,13 +53,7 @@ class Panel:
         self._list_changed = asyncio.Condition()
 
     def app(self) -> Starlette:
-        """Return the application.
-
-        Returns
-        -------
-        Starlette
-            Pages, streams and commands.
-        """
+        """Return the application."""
         return page_app(
             [
                 Route("/", self._first_page),
@@ -317,14 +305,7 @@ def _command_fault(given: dict[str, Any]) -> str:
 def panel_app(root: Path) -> Starlette:
     """Return the panel of a folder.
 
-    Parameters
-    ----------
-    root
-        Folder with runs and batches; it need not exist yet.
-
-    Returns
-    -------
-    Starlette
-        The application, for `bench.web.server.serve_pages`.
+    root: Folder with runs and batches; it need not exist yet.
+    Returns: The application, for `bench.web.server.serve_pages`.
     """
     return Panel(root).app()

@@ -23,15 +23,7 @@ _PNG_SIZE = struct.Struct(">16xII")
 def picture_of_view(left: LastView) -> Json:
     """Return what a page shows of the picture that a run in progress has left.
 
-    Parameters
-    ----------
-    left
-        The picture.
-
-    Returns
-    -------
-    dict
-        As `picture_answer`.
+    Returns: As `picture_answer`.
     """
     nodes = np.array(left.nodes, np.float64).reshape(-1, 2)
     points_px = np.array(left.points_px, np.float64).reshape(-1, 2)
@@ -42,19 +34,10 @@ def picture_of_view(left: LastView) -> Json:
 def own_residuals(size: tuple[int, int], nodes: Array, points_px: Array) -> Json:
     """Return stars with their residuals to a smooth fit of this pose alone.
 
-    Parameters
-    ----------
-    size
-        Width and height of the image, px.
-    nodes
-        (N, 2) float64, column and row of each star on the target.
-    points_px
-        (N, 2) float64, px, stars found.
-
-    Returns
-    -------
-    dict
-        As `picture_answer`.
+    size: Width and height of the image, px.
+    nodes: (N, 2) float64, column and row of each star on the target.
+    points_px: (N, 2) float64, px, stars found.
+    Returns: As `picture_answer`.
     """
     residuals = smooth_residuals(nodes, points_px)
     return picture_answer(size, points_px, residuals, "a smooth fit of this pose alone")
@@ -66,17 +49,9 @@ def smooth_residuals(nodes: Array, points_px: Array) -> Array | None:
     It is of fifth order, or of third order if there are few stars. It follows perspective and distortion closely enough
     to show single stars that are wrong; it is no calibration.
 
-    Parameters
-    ----------
-    nodes
-        (N, 2) float64, column and row of each star on the target.
-    points_px
-        (N, 2) float64, px, stars found.
-
-    Returns
-    -------
-    numpy.ndarray or None
-        (N, 2) float64, px; None if there are too few stars for it.
+    nodes: (N, 2) float64, column and row of each star on the target.
+    points_px: (N, 2) float64, px, stars found.
+    Returns: (N, 2) float64, px; None if there are too few stars for it.
     """
     order = next((n for n in _ORDERS if len(nodes) >= _STARS_A_TERM * (n + 1) * (n + 2) // 2), None)
     if order is None:
@@ -94,21 +69,10 @@ def picture_answer(
 ) -> Json:
     """Return stars and residuals as JSON holds them.
 
-    Parameters
-    ----------
-    size
-        Width and height of the image, px.
-    points_px
-        (N, 2) float64, px, stars found.
-    residuals_px
-        (N, 2) float64, px; None if there are none.
-    residuals_of
-        What the residuals are against, in words.
-
-    Returns
-    -------
-    dict
-        ``size``, ``stars``, ``residuals``, ``residuals_of``, ``rms_px``, ``fault``.
+    size: Width and height of the image, px.
+    points_px: (N, 2) float64, px, stars found.
+    residuals_px: (N, 2) float64, px; None if there are none.
+    Returns: ``size``, ``stars``, ``residuals``, ``residuals_of``, ``rms_px``, ``fault``.
     """
     answer: Json = {
         "size": list(size),

@@ -17,46 +17,21 @@ _QUIET_LIMIT_S = 15.0
 
 @dataclass(frozen=True)
 class ProcessState:
-    """What the file system tells of a run's process.
+    """What the file system tells of a run's process."""
 
-    Attributes
-    ----------
-    running
-        Whether a process works on the run.
-    sealed
-        Whether the run is sealed.
-    takes_commands
-        Whether the process accepts commands.
-    quiet_s
-        Time since the last sign of life of its work, s, if it is longer than it should be; None otherwise.
-    free_bytes
-        Free space of the disk; None if it is not known.
-    fault
-        Why the folder cannot be looked at; empty if it can.
-    """
-
-    running: bool = False
-    sealed: bool = False
-    takes_commands: bool = False
+    running: bool = False  # Whether a process works on the run
+    sealed: bool = False  # Whether the run is sealed
+    takes_commands: bool = False  # Whether the process accepts commands
+    # Time since the last sign of life of its work, s, if it is longer than it should be; None otherwise.
     quiet_s: float | None = None
-    free_bytes: int | None = None
-    fault: str = ""
+    free_bytes: int | None = None  # Free space of the disk; None if it is not known
+    fault: str = ""  # Why the folder cannot be looked at; empty if it can
 
 
 def look_at_process(folder: Path, state: str) -> ProcessState:
     """Look at the process of a run.
 
-    Parameters
-    ----------
-    folder
-        Run folder.
-    state
-        State that the run is in, by its journal.
-
-    Returns
-    -------
-    ProcessState
-        Also if the folder is missing or cannot be read: then with ``fault``.
+    Returns: Also if the folder is missing or cannot be read: then with ``fault``.
     """
     try:
         running = is_locked(folder)

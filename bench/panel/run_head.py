@@ -26,17 +26,7 @@ _TONES = {"finished": "good", "aborted": "warn", "failed": "bad", "interrupted":
 def verdict_of(model: RunModel, process: ProcessState) -> tuple[str, str]:
     """Return how a run stands, in one or two words, and the tone of it.
 
-    Parameters
-    ----------
-    model
-        The run.
-    process
-        Its process.
-
-    Returns
-    -------
-    text, tone
-        The words; ``good``, ``warn``, ``bad`` or ``busy``.
+    Returns: The words; ``good``, ``warn``, ``bad`` or ``busy``.
     """
     history = model.history
     if process.running and not history.ended:
@@ -52,22 +42,7 @@ def verdict_of(model: RunModel, process: ProcessState) -> tuple[str, str]:
 
 
 def head_of(model: RunModel, process: ProcessState, now: datetime) -> Json:
-    """Return the upper part of a run's page.
-
-    Parameters
-    ----------
-    model
-        The run.
-    process
-        Its process.
-    now
-        The present time, with its time zone.
-
-    Returns
-    -------
-    dict
-        Values that can be written as JSON.
-    """
+    """Return the upper part of a run's page."""
     history, plan = model.history, model.plan
     started = history.started
     verdict, tone = verdict_of(model, process)

@@ -29,28 +29,14 @@ _CLOCK_TEXT = len("12:34:56 UTC  ")
 
 @dataclass(frozen=True)
 class Place:
-    """Where a recording is, and what is needed to show it again.
+    """Where a recording is, and what is needed to show it again."""
 
-    Attributes
-    ----------
-    capture
-        Its file, relative to the run folder.
-    expected_grid
-        Grid by which its stars were labelled; None if the tag did that.
-    """
-
-    capture: str
-    expected_grid: Any = None
+    capture: str  # Its file, relative to the run folder
+    expected_grid: Any = None  # Grid by which its stars were labelled; None if the tag did that
 
 
 class RunModel:
-    """One run.
-
-    Parameters
-    ----------
-    folder
-        Run folder.
-    """
+    """One run."""
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
@@ -104,10 +90,7 @@ class RunModel:
     def refresh(self) -> bool:
         """Read what is new in the journal, at most a part of it.
 
-        Returns
-        -------
-        bool
-            Whether there was anything new.
+        Returns: Whether there was anything new.
         """
         if not self.tail.has_changed():
             return False
@@ -119,15 +102,8 @@ class RunModel:
     def changed_rows(self, after: int) -> list[Json]:
         """Return the poses that changed after a line.
 
-        Parameters
-        ----------
-        after
-            Number of lines that a page has; 0 for none.
-
-        Returns
-        -------
-        list of dict
-            Rows in the order of the poses.
+        after: Number of lines that a page has; 0 for none.
+        Returns: Rows in the order of the poses.
         """
         if after <= 0:
             return [self.rows[number] for number in sorted(self.rows)]
@@ -139,30 +115,14 @@ class RunModel:
         return [self.rows[number] for number in sorted(found)]
 
     def newest_rows(self) -> Iterator[Json]:
-        """Yield the poses, those that changed last first.
-
-        Yields
-        ------
-        dict
-            A row.
-        """
+        """Yield the poses, those that changed last first."""
         for number in reversed(self._changed):
             yield self.rows[number]
 
     def log_after(self, after: int, most: int) -> list[Json]:
         """Return the log after a line, at most its newest lines.
 
-        Parameters
-        ----------
-        after
-            Number of lines that a page has.
-        most
-            Most lines to return.
-
-        Returns
-        -------
-        list of dict
-            ``line``, ``utc``, ``text``, ``tone``; the newest last.
+        Returns: ``line``, ``utc``, ``text``, ``tone``; the newest last.
         """
         begin = len(self.log)
         while begin > 0 and len(self.log) - begin < most and self.log[begin - 1][0] > after:
@@ -172,17 +132,8 @@ class RunModel:
     def log_before(self, before: int, most: int) -> list[Json]:
         """Return the log before a line.
 
-        Parameters
-        ----------
-        before
-            Number of a line.
-        most
-            Most lines to return.
-
-        Returns
-        -------
-        list of dict
-            As `log_after`.
+        before: Number of a line.
+        Returns: As `log_after`.
         """
         end = len(self.log)
         while end > 0 and self.log[end - 1][0] >= before:

@@ -14,50 +14,22 @@ from bench.records.run_folder import PLAN, RESULTS
 
 @dataclass(frozen=True)
 class RunPlan:
-    """The plan of a run.
-
-    Attributes
-    ----------
-    poses
-        Name and angles of each pose, by its number.
-    most_poses
-        How many poses there are at most, with those that the run may still choose.
-    untils
-        ``untils`` of the plan.
-    steps
-        ``steps`` of the plan, in order.
-    prompts
-        Numbers of the steps that ask a person.
-    duration_s
-        Planned time, s.
-    most_bytes
-        Disk space that the run may need, bytes.
-    fault
-        Why there is no plan; empty if there is one.
-    """
+    """The plan of a run."""
 
     poses: Mapping[int, Mapping[str, Any]] = field(default_factory=dict)
-    most_poses: int = 0
-    untils: Sequence[Mapping[str, Any]] = ()
-    steps: Sequence[Mapping[str, Any]] = ()
+    most_poses: int = 0  # How many poses there are at most, with those that the run may still choose
+    untils: Sequence[Mapping[str, Any]] = ()  # ``untils`` of the plan
+    steps: Sequence[Mapping[str, Any]] = ()  # ``steps`` of the plan, in order
     prompts: Sequence[int] = ()
-    duration_s: float = 0.0
-    most_bytes: int = 0
-    fault: str = ""
+    duration_s: float = 0.0  # Planned time, s
+    most_bytes: int = 0  # Disk space that the run may need, bytes
+    fault: str = ""  # Why there is no plan; empty if there is one
 
 
 def read_plan(folder: Path) -> RunPlan:
     """Read the plan of a run.
 
-    Parameters
-    ----------
-    folder
-        Run folder.
-
-    Returns
-    -------
-    RunPlan
-        Also if there is none, or it is damaged: then with ``fault``.
+    Returns: Also if there is none, or it is damaged: then with ``fault``.
     """
     path = folder / PLAN
     try:
@@ -81,16 +53,8 @@ def read_plan(folder: Path) -> RunPlan:
 def read_final(folder: Path) -> dict[str, float]:
     """Read the uncertainties that a run has reached in the end.
 
-    Parameters
-    ----------
-    folder
-        Run folder.
-
-    Returns
-    -------
-    dict
-        ``coverage_factor``; and, expanded by it, ``expanded_fx_px`` and ``worst_corner_px``, as far as the results
-        state them. Empty if there are no results.
+    Returns: ``coverage_factor``; and, expanded by it, ``expanded_fx_px`` and ``worst_corner_px``, as far as
+      the results state them. Empty if there are no results.
     """
     try:
         results = read_json(folder / RESULTS)

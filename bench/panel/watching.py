@@ -38,12 +38,7 @@ MOST_VIEWS = 40
 class RunWatch:
     """One run that pages watch.
 
-    Parameters
-    ----------
-    folder
-        Run folder.
-    utc_now
-        Returns the present time, UTC.
+    utc_now: Returns the present time, UTC.
     """
 
     def __init__(self, folder: Path, utc_now: Callable[[], datetime] = lambda: datetime.now(UTC)) -> None:
@@ -65,15 +60,8 @@ class RunWatch:
     def look(self, now_s: float) -> bool:
         """Look at the run; wake the pages if anything is new.
 
-        Parameters
-        ----------
-        now_s
-            Time of a monotonic clock, s.
-
-        Returns
-        -------
-        bool
-            Whether there is more to read at once.
+        now_s: Time of a monotonic clock, s.
+        Returns: Whether there is more to read at once.
         """
         with self.lock:
             new = self._refresh()
@@ -95,17 +83,8 @@ class RunWatch:
     def message(self, after: int, generation: int | None) -> tuple[str, int, int]:
         """Return what is new after a line, as JSON.
 
-        Parameters
-        ----------
-        after
-            Number of lines that the page has; 0 for none.
-        generation
-            Generation of the journal that they are of; None if the page has another process's.
-
-        Returns
-        -------
-        text, lines, generation
-            The message; number of lines that the page has with it; and their generation.
+        after: Number of lines that the page has; 0 for none.
+        generation: Generation of the journal that they are of; None if the page has another process's.
         """
         with self.lock:
             model = self.model
@@ -126,13 +105,7 @@ class RunWatch:
             return text, model.lines, model.generation
 
     def tell(self, extras: Mapping[str, Any]) -> None:
-        """Add what the helper process has calculated, and wake the pages.
-
-        Parameters
-        ----------
-        extras
-            New values by name.
-        """
+        """Add what the helper process has calculated, and wake the pages."""
         with self.lock:
             self.extras |= extras
             self._messages.clear()
@@ -215,15 +188,7 @@ class Watcher:
     def open(self, folder: Path) -> RunWatch:
         """Watch a run for one more page. Reads the begin of its journal, so not for the server's own thread.
 
-        Parameters
-        ----------
-        folder
-            Run folder.
-
-        Returns
-        -------
-        RunWatch
-            The run; to be given back by `leave`.
+        Returns: The run; to be given back by `leave`.
         """
         with self._lock:
             watch = self._watches.get(folder)
@@ -237,13 +202,7 @@ class Watcher:
         return watch
 
     def leave(self, watch: RunWatch) -> None:
-        """Watch a run for one page fewer.
-
-        Parameters
-        ----------
-        watch
-            The run.
-        """
+        """Watch a run for one page fewer."""
         with self._lock:
             watch.readers -= 1
             watch.left_at_s = time.monotonic()

@@ -18,22 +18,10 @@ def calibration_options(
 ) -> CalibrationOptions:
     """Return the engine's options for a solve step.
 
-    Parameters
-    ----------
-    step
-        The solve step.
-    passport
-        Passport of the collimator that the step uses (`bench.plan.plan.Plan.passport_for`).
-    gimbal
-        Readings of the gimbal, one for each view, if the step lets them enter the adjustment.
-    budget
-        Type B terms that the station states.
-
-    Returns
-    -------
-    CalibrationOptions
-        Model, distortion, loss, passport, readings, budget, guard band and drift. A step without a model is solved with
-        ``auto``.
+    passport: Passport of the collimator that the step uses (`bench.plan.plan.Plan.passport_for`).
+    gimbal: Readings of the gimbal, one for each view, if the step lets them enter the adjustment.
+    Returns: Model, distortion, loss, passport, readings, budget, guard band and drift. A step without a model
+      is solved with ``auto``.
     """
     passport = passport if step.model != "planar" else None  # it has no collimator
     return CalibrationOptions(

@@ -48,19 +48,10 @@ REPORT_BYTES = 1_000_000
 def travel_s(distance_deg: float, speed_deg_s: float, acceleration_deg_s2: float) -> float:
     """Return the duration of a move with a trapezoidal speed profile.
 
-    Parameters
-    ----------
-    distance_deg
-        Distance, deg; the sign does not matter.
-    speed_deg_s
-        Highest speed, deg/s.
-    acceleration_deg_s2
-        Acceleration and deceleration, deg/s^2.
-
-    Returns
-    -------
-    float
-        Duration, s.
+    distance_deg: Distance, deg; the sign does not matter.
+    speed_deg_s: Highest speed, deg/s.
+    acceleration_deg_s2: Acceleration and deceleration, deg/s^2.
+    Returns: Duration, s.
 
     Examples
     --------
@@ -82,15 +73,7 @@ class Estimate:
     An ``until`` counts with all recordings that it allows, as far as they fit into its minutes. Its chosen poses are as
     far apart as the stage's limits allow. Rounds for poses that may fail take no time and no expected disk space.
 
-    Parameters
-    ----------
-    station
-        The station.
-
-    Attributes
-    ----------
-    size_bytes, most_bytes
-        Disk space so far, as in a `Plan`.
+    size_bytes, most_bytes: Disk space so far, as in a `Plan`.
     """
 
     def __init__(self, station: Station) -> None:
@@ -108,10 +91,7 @@ class Estimate:
     def preparation_s(self) -> float:
         """Return the time before the first step: open and identify the devices, home over the whole range.
 
-        Returns
-        -------
-        float
-            Time, s.
+        Returns: Time, s.
         """
         ranges = {name: axis.limits_deg[1] - axis.limits_deg[0] for name, axis in self._axes.items()}
         return PREFLIGHT_S + self._travel_s(ranges) + HOMING_EXTRA_S
@@ -119,25 +99,14 @@ class Estimate:
     def parking_s(self) -> float:
         """Return the time after the last step that needs devices: light off, stage to 0 deg.
 
-        Returns
-        -------
-        float
-            Time, s.
+        Returns: Time, s.
         """
         return LIGHT_OFF_S + self._travel_s(self._at_deg) + MOVE_EXTRA_S
 
     def add(self, step: Step) -> float:
         """Add the next step.
 
-        Parameters
-        ----------
-        step
-            The step.
-
-        Returns
-        -------
-        float
-            Its duration, s; its disk space is added to the sizes.
+        Returns: Its duration, s; its disk space is added to the sizes.
         """
         if isinstance(step, ChooseStep):
             self._spare = self._is_spare(step)

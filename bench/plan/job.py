@@ -40,24 +40,12 @@ MAX_MOTION_DEG = 0.0005
 
 @dataclass(frozen=True)
 class Job:
-    """Task of one run.
-
-    Attributes
-    ----------
-    plan
-        The checked sequence and station, and what follows from them.
-    steps
-        Steps of the script, with the park step.
-    seed
-        Random seed of a simulated bench; recorded for a real bench too.
-    operator
-        Name of the operator, if known.
-    """
+    """Task of one run."""
 
     plan: Plan
     steps: tuple[ScriptStep, ...]
-    seed: int
-    operator: str | None
+    seed: int  # Random seed of a simulated bench; recorded for a real bench too
+    operator: str | None  # Name of the operator, if known
 
     @classmethod
     def from_files(
@@ -71,26 +59,9 @@ class Job:
     ) -> Job:
         """Read, check and expand a sequence on a station.
 
-        Parameters
-        ----------
-        sequence, station
-            Paths of the files, or names of those that are included.
-        seed
-            Random seed of a simulated bench.
-        operator
-            Name of the operator; that of the station file where None.
-        settings
-            Settings that replace those of the files (`bench.plan.plan.load_documents`).
-
-        Returns
-        -------
-        Job
-            The task.
-
-        Raises
-        ------
-        ScriptError
-            With all faults of both files.
+        seed: Random seed of a simulated bench.
+        operator: Name of the operator; that of the station file where None.
+        settings: Settings that replace those of the files (`bench.plan.plan.load_documents`).
         """
         planned = make_plan(*load_documents(sequence, station, settings))
         if planned.faults:
@@ -101,24 +72,8 @@ class Job:
     def from_run_folder(cls, folder: Path, *, seed: int = 0, operator: str | None = None) -> Job:
         """Read the task of a run that has begun from the copies in its folder.
 
-        Parameters
-        ----------
-        folder
-            The run folder, with the copies of sequence, station and passport.
-        seed
-            Random seed of a simulated bench.
-        operator
-            Name of the operator; that of the station file where None.
-
-        Returns
-        -------
-        Job
-            The task.
-
-        Raises
-        ------
-        ScriptError
-            With all faults of the copies.
+        seed: Random seed of a simulated bench.
+        operator: Name of the operator; that of the station file where None.
         """
         documents = load_documents(str(folder / SEQUENCE_COPY), str(folder / STATION_COPY))
         planned = make_plan(*documents, passport_copy=folder / PASSPORT_COPY)
@@ -130,19 +85,8 @@ class Job:
     def from_plan(cls, plan: Plan, *, seed: int, operator: str | None) -> Job:
         """Return the task of a plan without faults.
 
-        Parameters
-        ----------
-        plan
-            The plan.
-        seed
-            Random seed of a simulated bench.
-        operator
-            Name of the operator; that of the station file where None.
-
-        Returns
-        -------
-        Job
-            The task.
+        seed: Random seed of a simulated bench.
+        operator: Name of the operator; that of the station file where None.
         """
         return cls(plan, with_parking(plan.script), seed, operator or plan.station.value.operator)
 
@@ -191,30 +135,15 @@ class Job:
     def light_settings(self, flicker: Flicker) -> LightSettings:
         """Return the station's light settings for a flicker of the sequence, as the camera needs them.
 
-        Parameters
-        ----------
-        flicker
-            Flicker of the sequence.
-
-        Returns
-        -------
-        LightSettings
-            Settings for the light's driver.
+        Returns: Settings for the light's driver.
         """
         return self.station.light.settings(self.camera_kind.light_for(flicker))
 
     def light_before(self, step: ScriptStep | None) -> LightStep | None:
         """Return the light step that is in effect when a step begins.
 
-        Parameters
-        ----------
-        step
-            Step of the script; None for the end of the script.
-
-        Returns
-        -------
-        LightStep or None
-            None before the first light step.
+        step: Step of the script; None for the end of the script.
+        Returns: None before the first light step.
         """
         return self._light_before[None if step is None else step.number]
 
@@ -231,15 +160,7 @@ class Job:
     def frequency_hz(self, step: RecordStep) -> float:
         """Return the flicker frequency of a recording; a plan without faults always has one.
 
-        Parameters
-        ----------
-        step
-            Step that records.
-
-        Returns
-        -------
-        float
-            Frequency, Hz.
+        Returns: Frequency, Hz.
         """
         board = self.station.board
         if board is not None and board.own_hz is not None:
@@ -252,15 +173,7 @@ class Job:
     def record_step(self, pose_index: int) -> RecordStep:
         """Return the step that records at a pose.
 
-        Parameters
-        ----------
-        pose_index
-            Number of the pose, from 1.
-
-        Returns
-        -------
-        RecordStep
-            The step.
+        pose_index: Number of the pose, from 1.
         """
         return self._record_steps[pose_index]
 
@@ -271,15 +184,7 @@ class Job:
     def index_of(self, step: ScriptStep) -> int:
         """Return the place of a step in the script.
 
-        Parameters
-        ----------
-        step
-            Step of the script.
-
-        Returns
-        -------
-        int
-            Place, from 0.
+        Returns: Place, from 0.
         """
         return self._indices[step.number]
 
@@ -290,18 +195,9 @@ class Job:
     def at_its_pose(self, step: PoseStep, chosen: Mapping[int, Mapping[str, float]]) -> PoseStep:
         """Return a step with the angles that the stage takes.
 
-        Parameters
-        ----------
-        step
-            Step that moves or records.
-        chosen
-            Angles of the poses that the run has chosen so far, degrees, by pose index.
-
-        Returns
-        -------
-        MoveStep or RecordStep
-            The step. If the run chooses poses, a pose of the sequence has 0 degrees for the axes that it does not
-            name, because a chosen pose may have turned them.
+        chosen: Angles of the poses that the run has chosen so far, degrees, by pose index.
+        Returns: The step. If the run chooses poses, a pose of the sequence has 0 degrees for the axes that it
+          does not name, because a chosen pose may have turned them.
         """
         if step.pose.chosen_in_run:
             angles = chosen[step.pose.index]
@@ -318,17 +214,8 @@ class Job:
     def motion_gates(self, before_deg: Mapping[str, float], after_deg: Mapping[str, float]) -> list[Gate]:
         """Judge whether the stage stood still during a recording.
 
-        Parameters
-        ----------
-        before_deg
-            Angle by axis before the recording, degrees.
-        after_deg
-            Angle by axis after the recording, degrees.
-
-        Returns
-        -------
-        list of Gate
-            One gate per axis, as judged.
+        before_deg: Angle by axis before the recording, degrees.
+        after_deg: Angle by axis after the recording, degrees.
         """
         return [
             at_most(f"{axis} moved", abs(after_deg[axis] - before_deg[axis]), MAX_MOTION_DEG, "deg")
@@ -338,15 +225,7 @@ class Job:
     def done_after_s(self, step: ScriptStep) -> float | None:
         """Return the expected time from the begin of the run to the end of a step.
 
-        Parameters
-        ----------
-        step
-            Step of the script.
-
-        Returns
-        -------
-        float or None
-            Time, s; None if the plan has none.
+        Returns: Time, s; None if the plan has none.
         """
         return self._done_after_s.get(step.number)
 
@@ -357,10 +236,7 @@ class Job:
     def read_truth(self) -> dict[str, Any] | None:
         """Return the truth of the simulated world, for the final comparison.
 
-        Returns
-        -------
-        dict or None
-            None on a real bench.
+        Returns: None on a real bench.
         """
         if not self.station.needs_simulated_bench:
             return None
@@ -371,16 +247,8 @@ class Job:
 def documents_of(plan: Plan) -> dict[str, bytes]:
     """Return the documents that a run folder keeps from its begin on, so that the run can be repeated from it.
 
-    Parameters
-    ----------
-    plan
-        The plan of the run.
-
-    Returns
-    -------
-    dict
-        Bytes by name of the file: sequence, station and, if the run uses them, the collimator's passport and the
-        descriptions of devices.
+    Returns: Bytes by name of the file: sequence, station and, if the run uses them, the collimator's passport
+      and the descriptions of devices.
     """
     documents = {SEQUENCE_COPY: plan.sequence.text, STATION_COPY: plan.station.text}
     if plan.passport.in_use is not None:

@@ -28,15 +28,7 @@ def determines_one_view(passport: Passport) -> bool:
     Own count: the homography of a view has 8 degrees of freedom. With x, y and r known, the view has 7 unknowns: fx,
     fy, cx, cy and a rotation. With r alone, as a certificate states it, it has 9.
 
-    Parameters
-    ----------
-    passport
-        The passport.
-
-    Returns
-    -------
-    bool
-        True if the passport holds the collimator's whole centre.
+    Returns: True if the passport holds the collimator's whole centre.
     """
     return set(CENTRE) <= set(passport.names)
 
@@ -44,22 +36,8 @@ def determines_one_view(passport: Passport) -> bool:
 def read_passport_file(path: Path) -> tuple[Passport, bytes]:
     """Read a passport file.
 
-    Parameters
-    ----------
-    path
-        The file.
-
-    Returns
-    -------
-    tuple of Passport and bytes
-        The passport, and the bytes of the file.
-
-    Raises
-    ------
-    UsageError
-        When there is no such file, or it is not a passport; the message says why.
-    StorageError
-        When it cannot be read.
+    Raises UsageError: When there is no such file, or it is not a passport; the message says why.
+    Raises StorageError: When it cannot be read.
     """
     if path.is_dir():
         raise UsageError("This is a folder, not a passport file.", where=str(path), remedy="Name the file.")
@@ -75,23 +53,10 @@ def read_passport_file(path: Path) -> tuple[Passport, bytes]:
 def parse_passport(data: bytes, where: str) -> Passport:
     """Read the bytes of a passport.
 
-    Parameters
-    ----------
-    data
-        Bytes of a passport file.
-    where
-        Name of the file, for messages.
-
-    Returns
-    -------
-    Passport
-        The collimator's parameters and their covariance.
-
-    Raises
-    ------
-    UsageError
-        When it is not a passport, was changed after it was sealed, has a parameter that the engine does not know, or
-        numbers that no collimator has; the message says why.
+    data: Bytes of a passport file.
+    Returns: The collimator's parameters and their covariance.
+    Raises UsageError: When it is not a passport, was changed after it was sealed, has a parameter that the
+      engine does not know, or numbers that no collimator has; the message says why.
     """
     remedy = "Make a passport with `starbench passport make` or `starbench passport certificate`."
     try:
@@ -146,16 +111,5 @@ def _refuse_constant(word: str) -> float:
 
 
 def passport_bytes(passport: Passport) -> bytes:
-    """Return the bytes of a passport's file.
-
-    Parameters
-    ----------
-    passport
-        The passport.
-
-    Returns
-    -------
-    bytes
-        JSON; the same passport gives the same bytes.
-    """
+    """Return the bytes of a passport's file."""
     return (json.dumps(passport.to_dict(), indent=1, allow_nan=False) + "\n").encode()

@@ -26,15 +26,7 @@ _MOST_NUMBERS = 10_000
 def refuse_absurd_numbers(document: Mapping[str, Any]) -> None:
     """Refuse values and covariances of a size that no collimator has, before anything is calculated with them.
 
-    Parameters
-    ----------
-    document
-        The passport as it was read.
-
-    Raises
-    ------
-    InputMismatch
-        When a number is too large or too small.
+    Raises InputMismatch: When a number is too large or too small.
     """
     for name in ("values", "covariance"):
         numbers = list(_numbers(document.get(name)))
@@ -63,15 +55,7 @@ def refuse_indefinite(passport: Passport) -> None:
     Own limits: a standard uncertainty below 0.1 nm, or below 1e-8 of the focal length, is not a measurement. The
     smallest eigenvalue is that of the correlation matrix, so that the units of the parameters do not matter.
 
-    Parameters
-    ----------
-    passport
-        The passport.
-
-    Raises
-    ------
-    InputMismatch
-        When it is refused; the message names the parameter.
+    Raises InputMismatch: When it is refused; the message names the parameter.
     """
     covariance = passport.covariance
     variances = covariance.diagonal()

@@ -39,31 +39,17 @@ PassportSource = Literal["sequence", "station", "station certificate", "command 
 
 @dataclass(frozen=True, eq=False)
 class PassportInUse:
-    """The passport that a run's solve steps use.
+    """The passport that a run's solve steps use."""
 
-    Attributes
-    ----------
-    passport
-        The collimator's parameters and their covariance.
-    data
-        Bytes of the passport file.
-    source
-        What named it: the sequence, the station, the values of a certificate in the station file, or an option of an
-        offline calibration.
-    name
-        Name of the file, without its folder.
-    other_accepted
-        Whether the sequence accepts a passport of another collimator.
-    seal
-        The seal of the file; None if it has none, and for the values of a certificate in the station file, which the
-        seal of the run covers.
-    """
-
-    passport: Passport
+    passport: Passport  # The collimator's parameters and their covariance
     data: bytes
+    # What named it: the sequence, the station, the values of a certificate in the station file, or an option
+    # of an offline calibration.
     source: PassportSource
-    name: str
-    other_accepted: bool = False
+    name: str  # Name of the file, without its folder
+    other_accepted: bool = False  # Whether the sequence accepts a passport of another collimator
+    # The seal of the file; None if it has none, and for the values of a certificate in the station file,
+    # which the seal of the run covers.
     seal: PassportSeal | None = None
 
     @property
@@ -88,14 +74,7 @@ class PassportInUse:
         return float(found) if isinstance(found, int | float) and not isinstance(found, bool) else None
 
     def to_dict(self) -> dict[str, Any]:
-        """Return what results.json states about the passport.
-
-        Returns
-        -------
-        dict
-            Origin, identity and validity of the passport, its values and standard uncertainties by name, and the hash
-            of its file.
-        """
+        """Return what results.json states about the passport."""
         stated, passport = self.passport.conditions, self.passport
         sigma = {name: float(passport.covariance[i, i] ** 0.5) for i, name in enumerate(passport.names)}
         return {
@@ -122,17 +101,8 @@ class PassportInUse:
     def cautions(self, collimator: CollimatorConfig, on: date) -> list[str]:
         """Return what speaks against using the passport on a bench.
 
-        Parameters
-        ----------
-        collimator
-            What the station file states about the collimator.
-        on
-            Day of the run.
-
-        Returns
-        -------
-        list of str
-            A sentence for each: unsealed, expired, another temperature, another collimator, no collimator named.
+        Returns: A sentence for each: unsealed, expired, another temperature, another collimator, no
+          collimator named.
         """
         found = []
         if self.is_unsealed:
@@ -174,20 +144,12 @@ class PassportInUse:
 
 @dataclass(frozen=True)
 class PassportChoice:
-    """The passport of a run, and what was found while it was read.
+    """The passport of a run, and what was found while it was read."""
 
-    Attributes
-    ----------
-    in_use
-        The passport; None if no solve step uses one, or if it cannot be used.
-    steps
-        Numbers of the solve steps that use it.
-    faults, remarks
-        Why it cannot be used, and what speaks against it.
-    """
-
+    # The passport; None if no solve step uses one, or if it cannot be used.
     in_use: PassportInUse | None = None
     steps: frozenset[int] = frozenset()
+    # faults, remarks: Why it cannot be used, and what speaks against it.
     faults: tuple[Fault, ...] = ()
     remarks: tuple[Fault, ...] = ()
 
@@ -202,17 +164,7 @@ class PassportChoice:
 def certificate_passport(collimator: CollimatorConfig, certificate: CertificateConfig) -> Passport:
     """Return the passport that a station's certificate stands for.
 
-    Parameters
-    ----------
-    collimator
-        The station's section about the collimator.
-    certificate
-        Its certificate.
-
-    Returns
-    -------
-    Passport
-        Passport of the focal length alone, with number, dates and temperature of the certificate.
+    collimator: The station's section about the collimator.
     """
     stated: Mapping[str, Any] = {
         "certificate": certificate.number,
@@ -235,22 +187,8 @@ def choose_passport(
 ) -> PassportChoice:
     """Find, read and check the passport that the solve steps use.
 
-    Parameters
-    ----------
-    sequence, station
-        The documents.
-    steps
-        Steps of the sequence.
-    copy
-        Copy in the folder of a run that has begun; it is read in place of the file that the documents name. None for a
-        new run.
-    today
-        Day of the run.
-
-    Returns
-    -------
-    PassportChoice
-        The passport, and all faults and remarks.
+    copy: Copy in the folder of a run that has begun; it is read in place of the file that the documents name.
+      None for a new run.
     """
     named = {step.number: _named(sequence, station, step) for step in steps if isinstance(step, SolveStep)}
     used = {number: one for number, one in named.items() if one is not None}

@@ -8,23 +8,6 @@ from sequences.tree import DocumentPath
 
 
 def setting_path(document: Located[Sequence], path: DocumentPath, key: str, word: str) -> DocumentPath:
-    """Return the path of a step's setting in the file.
-
-    Parameters
-    ----------
-    document
-        The sequence.
-    path
-        Path of the step.
-    key
-        Name of the setting.
-    word
-        Word of the step, which names its defaults.
-
-    Returns
-    -------
-    DocumentPath
-        The setting at the step, else in the defaults, else the step itself.
-    """
+    """Return the path of a step's setting in the file."""
     places = ((*path, key), ("defaults", word, key))
     return next((place for place in places if place in document.tree.values), path)

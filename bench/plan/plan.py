@@ -48,83 +48,43 @@ DEFAULT_MODEL: CalibrationModel = "auto"
 
 @dataclass(frozen=True)
 class PlannedStep:
-    """A step with its expected duration.
-
-    Attributes
-    ----------
-    step
-        The step of the sequence.
-    duration_s, done_after_s
-        Expected duration of the step, and expected time from the start of the run to the end of the step, s.
-    """
+    """A step with its expected duration."""
 
     step: Step
+    # duration_s, done_after_s: Expected duration of the step, and expected time from the start of the run to
+    # the end of the step, s.
     duration_s: float
     done_after_s: float
 
 
 @dataclass(frozen=True)
 class Plan:
-    """The plan of a run.
-
-    Attributes
-    ----------
-    sequence, station
-        The files, with the positions of their values.
-    steps
-        The steps of the sequence, with their durations.
-    faults
-        Why the plan cannot be run; empty if it can.
-    remarks
-        What the operator should know before the run.
-    duration_s
-        Expected duration of the whole run with homing and parking, s; with an ``until``, the longest one.
-    size_bytes, most_bytes
-        Expected disk space, with all poses that an ``until`` allows; and the largest one, with all attempts at the
-        highest event rate that the gates accept.
-    passport
-        The collimator's passport, and the solve steps that use it.
-    """
+    """The plan of a run."""
 
     sequence: Located[Sequence]
     station: Located[Station]
     steps: tuple[PlannedStep, ...]
-    faults: tuple[Fault, ...]
-    remarks: tuple[Fault, ...]
+    faults: tuple[Fault, ...]  # Why the plan cannot be run; empty if it can
+    remarks: tuple[Fault, ...]  # What the operator should know before the run
+    # Expected duration of the whole run with homing and parking, s; with an ``until``, the longest one.
     duration_s: float
+    # size_bytes, most_bytes: Expected disk space, with all poses that an ``until`` allows; and the largest
+    # one, with all attempts at the highest event rate that the gates accept.
     size_bytes: int
     most_bytes: int
+    # The collimator's passport, and the solve steps that use it.
     passport: PassportChoice = field(default_factory=PassportChoice)
 
     def passport_for(self, step: SolveStep) -> Passport | None:
         """Return the collimator's passport that a solve step uses.
 
-        Parameters
-        ----------
-        step
-            A solve step of the sequence.
-
-        Returns
-        -------
-        Passport or None
-            None if the step uses none.
+        Returns: None if the step uses none.
         """
         in_use = self.passport.in_use
         return in_use.passport if in_use is not None and step.number in self.passport.steps else None
 
     def model_for(self, step: SolveStep) -> CalibrationModel:
-        """Return the model of a solve step: its own, or `DEFAULT_MODEL`.
-
-        Parameters
-        ----------
-        step
-            A solve step of the sequence.
-
-        Returns
-        -------
-        str
-            Name of the model.
-        """
+        """Return the model of a solve step: its own, or `DEFAULT_MODEL`."""
         return step.model or DEFAULT_MODEL
 
     @property
@@ -151,10 +111,7 @@ class Plan:
     def to_dict(self) -> dict[str, Any]:
         """Return the plan as JSON carries it.
 
-        Returns
-        -------
-        dict
-            With the schema ``starbench/plan/1``.
+        Returns: With the schema ``starbench/plan/1``.
         """
         return {
             "schema": "starbench/plan/1",
@@ -207,23 +164,9 @@ def load_documents(
 ) -> tuple[Located[Sequence], Located[Station]]:
     """Read a sequence file and a station file.
 
-    Parameters
-    ----------
-    sequence, station
-        Paths of the files, or names of shipped ones.
-    settings
-        Values that replace those of the files: YAML texts by path, such as ``sequence.defaults.record.window_ms`` or
-        ``station.camera.biases.bias_diff_on``.
-
-    Returns
-    -------
-    tuple of Located
-        Sequence and station, with the positions of their values.
-
-    Raises
-    ------
-    ScriptError
-        When one of the files is not valid, with the faults of both.
+    settings: Values that replace those of the files: YAML texts by path, such as
+      ``sequence.defaults.record.window_ms`` or ``station.camera.biases.bias_diff_on``.
+    Raises ScriptError: When one of the files is not valid, with the faults of both.
     """
     of_sequence, of_station = _by_document(settings or {})
     faults: list[Fault] = []
@@ -269,19 +212,9 @@ def make_plan(
 ) -> Plan:
     """Plan a run. Faults of the files do not raise an error; the plan lists them.
 
-    Parameters
-    ----------
-    sequence, station
-        The files, from `load_documents`.
-    passport_copy
-        Where the folder of a run that has begun keeps the passport; None for a new run.
-    today
-        Day of the run, for the validity of the passport; None for the current day, UTC.
-
-    Returns
-    -------
-    Plan
-        The plan.
+    sequence, station: The files, from `load_documents`.
+    passport_copy: Where the folder of a run that has begun keeps the passport; None for a new run.
+    today: Day of the run, for the validity of the passport; None for the current day, UTC.
     """
     script, faults = unfold(sequence)
     if station.value.board is not None:

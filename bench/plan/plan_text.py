@@ -23,18 +23,7 @@ MOST_LINES = 120
 
 
 def render_plan(plan: Plan) -> str:
-    """Write a plan as text: faults and remarks first, then the steps.
-
-    Parameters
-    ----------
-    plan
-        The plan.
-
-    Returns
-    -------
-    str
-        Several lines.
-    """
+    """Write a plan as text: faults and remarks first, then the steps."""
     simulated = " (SIMULATED)" if plan.station.value.is_simulated else ""
     lines = [f"{plan.sequence.value.name} on {plan.station.value.name}{simulated}", ""]
     if plan.faults:
@@ -55,15 +44,8 @@ def render_plan(plan: Plan) -> str:
 def duration_text(seconds: float) -> str:
     """Write a duration with the units that suit its size.
 
-    Parameters
-    ----------
-    seconds
-        Duration, s.
-
-    Returns
-    -------
-    str
-        In seconds, minutes and seconds, or hours and minutes.
+    seconds: Duration, s.
+    Returns: In seconds, minutes and seconds, or hours and minutes.
 
     Examples
     --------
@@ -81,15 +63,7 @@ def duration_text(seconds: float) -> str:
 def size_text(size_bytes: float) -> str:
     """Write a size in MB or GB (powers of 10).
 
-    Parameters
-    ----------
-    size_bytes
-        Size, bytes.
-
-    Returns
-    -------
-    str
-        Number and unit.
+    size_bytes: Size, bytes.
 
     Examples
     --------

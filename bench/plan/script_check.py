@@ -40,17 +40,9 @@ WHOLE_PERIOD_SLACK = 0.02
 
 
 class Findings(NamedTuple):
-    """What was found.
+    """What was found."""
 
-    Attributes
-    ----------
-    faults
-        Why the run cannot succeed.
-    remarks
-        What the operator should know.
-    """
-
-    faults: tuple[Fault, ...]
+    faults: tuple[Fault, ...]  # Why the run cannot succeed
     remarks: tuple[Fault, ...]
 
 
@@ -62,21 +54,8 @@ def check_script(
 ) -> Findings:
     """Check the steps of a sequence against a station.
 
-    Parameters
-    ----------
-    document
-        The sequence, with the positions of its values.
-    steps
-        Its steps, with all repetitions written out.
-    station
-        The station.
-    with_passport
-        Numbers of the solve steps that one pose is enough for, because of the collimator's passport.
-
-    Returns
-    -------
-    Findings
-        Faults and remarks, each with its position in the sequence file.
+    with_passport: Numbers of the solve steps that one pose is enough for, because of the collimator's
+      passport.
     """
     faults = [
         *angle_faults(document.tree, station),
@@ -98,17 +77,7 @@ def angle_faults(sequence: Tree, station: Station) -> list[Fault]:
     The angles of a grid lie between those in the file. An angle that is not in the file is 0, which every station
     reaches.
 
-    Parameters
-    ----------
-    sequence
-        The document, with the positions of its values.
-    station
-        The station.
-
-    Returns
-    -------
-    list of Fault
-        Angles outside the limits, and axes that the station does not have.
+    Returns: Angles outside the limits, and axes that the station does not have.
     """
     axes = station.axes
     faults = Tree(sequence.file)

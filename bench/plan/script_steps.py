@@ -11,17 +11,9 @@ from sequences.script import ChooseStep, LightStep, MoveStep, RecordStep, Settle
 
 @dataclass(frozen=True)
 class ParkStep:
-    """Light off and stage to zero, after the last step that needs devices. No script contains this step.
+    """Light off and stage to zero, after the last step that needs devices. No script contains this step."""
 
-    Attributes
-    ----------
-    number
-        Number of the step; 0, because it is not in the script.
-    where
-        Place in the run, for messages.
-    """
-
-    number: int = 0
+    number: int = 0  # Number of the step; 0, because it is not in the script
     where: str = "after the last recording"
 
 
@@ -33,15 +25,7 @@ DEVICE_STEPS = (LightStep, MoveStep, SettleStep, RecordStep, ChooseStep, ParkSte
 def with_parking(steps: Sequence[Step]) -> tuple[ScriptStep, ...]:
     """Insert a park step after the last step that needs devices.
 
-    Parameters
-    ----------
-    steps
-        Steps of the script.
-
-    Returns
-    -------
-    tuple
-        Steps with the park step; unchanged if no step needs devices.
+    Returns: Steps with the park step; unchanged if no step needs devices.
     """
     last = max((i for i, step in enumerate(steps) if isinstance(step, DEVICE_STEPS)), default=-1)
     if last < 0:

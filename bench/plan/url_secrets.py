@@ -19,15 +19,7 @@ _ENV_KEYS = {"source": "source_env", "url": "url_env", "password": "password_env
 def find_url_secrets(document: Located[Any]) -> list[Fault]:
     """Find credentials in a document.
 
-    Parameters
-    ----------
-    document
-        Sequence, station or queue.
-
-    Returns
-    -------
-    list of Fault
-        One for each value or line with a credential, at its place; no message contains the credential.
+    Returns: One for each value or line with a credential, at its place; no message contains the credential.
     """
     found: dict[int, Fault] = {}
     tree = document.tree

@@ -19,29 +19,16 @@ CAPTURE_STORED = "capture_stored"
 
 @dataclass(frozen=True)
 class Capture:
-    """A recording in the run folder.
-
-    Attributes
-    ----------
-    name
-        Name within the folder.
-    size
-        Size, bytes.
-    sha256
-        SHA-256, hexadecimal.
-    """
+    """A recording in the run folder."""
 
     name: str
-    size: int
-    sha256: str
+    size: int  # Size, bytes
+    sha256: str  # SHA-256, hexadecimal
 
     def as_data(self) -> dict[str, Any]:
         """Return what the journal's ``capture_stored`` holds about this recording.
 
-        Returns
-        -------
-        dict
-            ``capture``, ``size`` and ``sha256``.
+        Returns: ``capture``, ``size`` and ``sha256``.
         """
         return {"capture": self.name, "size": self.size, "sha256": self.sha256}
 
@@ -49,19 +36,8 @@ class Capture:
 def capture_name(pose_index: int, attempt: int, ending: str = ".raw") -> str:
     """Return the name of a pose's recording within the run folder.
 
-    Parameters
-    ----------
-    pose_index
-        Number of the pose, from 1.
-    attempt
-        Number of the attempt, from 1.
-    ending
-        File name ending, by the kind of camera.
-
-    Returns
-    -------
-    str
-        The name.
+    pose_index: Number of the pose, from 1.
+    attempt: Number of the attempt, from 1.
 
     Examples
     --------
@@ -74,20 +50,7 @@ def capture_name(pose_index: int, attempt: int, ending: str = ".raw") -> str:
 def stored_captures(entries: Iterable[Entry]) -> dict[str, Capture]:
     """Return the captures that a journal lists; the last entry of a name counts.
 
-    Parameters
-    ----------
-    entries
-        Lines of the journal.
-
-    Returns
-    -------
-    dict
-        Capture by name.
-
-    Raises
-    ------
-    RunFolderError
-        If a line about a capture is incomplete.
+    Raises RunFolderError: If a line about a capture is incomplete.
     """
     captures = {}
     for entry in entries:

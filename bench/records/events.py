@@ -263,19 +263,10 @@ class WireLogState(TypedDict):
 
 
 class Written(TypedDict):
-    """Payload of ``written``: what the report step wrote.
+    """Payload of ``written``: what the report step wrote."""
 
-    Attributes
-    ----------
-    head
-        Hash of the journal's last line when the results were made; the report prints it.
-    files
-        SHA-256 by name of results.json, views.h5, report.html and each file of exports/.
-    wire
-        How much each wire log held at that moment; the devices are still in use then, so the logs grow later.
-    """
-
-    head: str
+    head: str  # Hash of the journal's last line when the results were made; the report prints it
+    # SHA-256 by name of results.json, views.h5, report.html and each file of exports/.
     files: Mapping[str, str]
     wire: Mapping[str, WireLogState]
 
@@ -298,54 +289,28 @@ class ChosenPose(TypedDict):
 
 
 class UntilDecided(TypedDict):
-    """Payload of ``until_decided``: the uncertainties after the poses so far, and either ``chosen`` or ``ended``.
-
-    Attributes
-    ----------
-    step
-        Number of the step that decided.
-    until, until_last
-        Numbers of the first and the last step of the ``until``.
-    recorded
-        Accepted recordings of the ``until``.
-    poses
-        Accepted recordings in the calibration: those before the ``until`` too.
-    worked_s
-        Time that the ``until`` has worked, s.
-    wanted
-        Goals: largest expanded uncertainties allowed, px, by name.
-    now
-        Expanded uncertainties reached, px, by name; empty if the poses do not determine the camera yet.
-    fixed
-        For each goal, source of the part of the uncertainty that no further pose lowers, and this part, px, expanded.
-    coverage_factor
-        The k of the expanded uncertainties; None without a calibration.
-    model
-        Name of the model of the calibration; empty without one.
-    lacks
-        What the poses lack besides information: ``rim``, ``roll``, or nothing.
-    problem
-        Why there is no calibration yet; absent if there is one.
-    chosen
-        The next pose.
-    ended, why
-        How the ``until`` ended, and the reason in words.
-    """
+    """Payload of ``until_decided``: the uncertainties after the poses so far, and either ``chosen`` or ``ended``."""
 
     step: int
+    # until, until_last: Numbers of the first and the last step of the ``until``.
     until: int
     until_last: int
-    recorded: int
-    poses: int
-    worked_s: float
-    wanted: Mapping[str, float]
+    recorded: int  # Accepted recordings of the ``until``
+    poses: int  # Accepted recordings in the calibration: those before the ``until`` too
+    worked_s: float  # Time that the ``until`` has worked, s
+    wanted: Mapping[str, float]  # Goals: largest expanded uncertainties allowed, px, by name
+    # Expanded uncertainties reached, px, by name; empty if the poses do not determine the camera yet.
     now: Mapping[str, float]
+    # For each goal, source of the part of the uncertainty that no further pose lowers, and this part, px,
+    # expanded.
     fixed: Mapping[str, Mapping[str, float]]
-    coverage_factor: float | None
-    model: str
+    coverage_factor: float | None  # The k of the expanded uncertainties; None without a calibration
+    model: str  # Name of the model of the calibration; empty without one
+    # What the poses lack besides information: ``rim``, ``roll``, or nothing.
     lacks: Literal["", "rim", "roll"]
-    problem: NotRequired[str]
+    problem: NotRequired[str]  # Why there is no calibration yet; absent if there is one
     chosen: NotRequired[ChosenPose]
+    # ended, why: How the ``until`` ended, and the reason in words.
     ended: NotRequired[UntilEnd]
     why: NotRequired[str]
 

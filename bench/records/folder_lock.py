@@ -22,22 +22,9 @@ _LOCK_TRIES, _LOCK_PAUSE_S = 4, 0.05
 def lock_folder(path: Path) -> int:
     """Lock a folder against other processes.
 
-    Parameters
-    ----------
-    path
-        The folder.
-
-    Returns
-    -------
-    int
-        File descriptor; the folder is locked until it is closed.
-
-    Raises
-    ------
-    RunFolderError
-        When another process has locked it.
-    StorageError
-        When it cannot be locked.
+    Returns: File descriptor; the folder is locked until it is closed.
+    Raises RunFolderError: When another process has locked it.
+    Raises StorageError: When it cannot be locked.
     """
     with storage_errors(path):
         lock = open_to_lock(path)
@@ -58,20 +45,8 @@ def lock_folder(path: Path) -> int:
 def is_locked(path: Path) -> bool:
     """Return whether a process has locked a folder at this moment. Writes nothing.
 
-    Parameters
-    ----------
-    path
-        The folder.
-
-    Returns
-    -------
-    bool
-        True if a process works in the folder.
-
-    Raises
-    ------
-    StorageError
-        When the folder cannot be read.
+    Returns: True if a process works in the folder.
+    Raises StorageError: When the folder cannot be read.
     """
     with storage_errors(path):
         probe = open_to_lock(path)

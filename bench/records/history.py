@@ -34,25 +34,13 @@ _POSE_STATES = frozenset({"slewing", "settling", "recording", "checking", "backi
 
 @dataclass(frozen=True)
 class Attempt:
-    """One recording at one pose, as journaled when it was stored.
-
-    Attributes
-    ----------
-    pose_index, pose_name
-        Number and name of the pose.
-    attempt
-        Number of the attempt at this pose, from 1.
-    stored
-        Journal line about the recording.
-    checked
-        Journal line about its measurement; None before it was measured.
-    """
+    """One recording at one pose, as journaled when it was stored."""
 
     pose_index: int
     pose_name: str
-    attempt: int
+    attempt: int  # Number of the attempt at this pose, from 1
     stored: CaptureStored
-    checked: AttemptChecked | None = None
+    checked: AttemptChecked | None = None  # Journal line about its measurement; None before it was measured
 
     @property
     def accepted(self) -> bool:
@@ -153,26 +141,12 @@ class History:
     def is_left_out(self, step: int) -> bool:
         """Return whether a step is not needed, because its ``until`` ended before it.
 
-        Parameters
-        ----------
-        step
-            Number of the step.
-
-        Returns
-        -------
-        bool
-            True if it must not be done.
+        Returns: True if it must not be done.
         """
         return any("ended" in d and d["step"] < step <= d["until_last"] for d in self.decisions)
 
     def count_time(self, entry: Entry) -> None:
-        """Count the time since the previous journal line for the step at work.
-
-        Parameters
-        ----------
-        entry
-            The next line.
-        """
+        """Count the time since the previous journal line for the step at work."""
         if entry.event == Event.RUN_RESUMED:  # another process, whose clock begins anew
             self._at_step = None
         elif (
@@ -186,13 +160,7 @@ class History:
             self._at_step = None if held else entry.data.get("step")
 
     def add(self, attempt: Attempt) -> None:
-        """Add a stored recording.
-
-        Parameters
-        ----------
-        attempt
-            The recording.
-        """
+        """Add a stored recording."""
         self._places_of_pose.setdefault(attempt.pose_index, []).append(len(self.attempts))
         self.attempts.append(attempt)
         if attempt.accepted:
@@ -201,19 +169,9 @@ class History:
     def check(self, pose_index: int, number: int, checked: AttemptChecked) -> None:
         """Add the result of measuring a stored recording.
 
-        Parameters
-        ----------
-        pose_index
-            Number of the pose, from 1.
-        number
-            Number of the attempt, from 1.
-        checked
-            Journal line about the measurement.
-
-        Raises
-        ------
-        ValueError
-            If there is no such recording.
+        pose_index: Number of the pose, from 1.
+        number: Number of the attempt, from 1.
+        Raises ValueError: If there is no such recording.
         """
         for place in self._places_of_pose.get(pose_index, ()):
             if self.attempts[place].attempt == number:
@@ -226,55 +184,29 @@ class History:
     def accepted(self) -> Mapping[int, Attempt]:
         """Return the accepted recording of each pose that has one.
 
-        Returns
-        -------
-        dict
-            Recording by pose index, in the order of their acceptance.
+        Returns: Recording by pose index, in the order of their acceptance.
         """
         return MappingProxyType(self._accepted)
 
     def attempts_at(self, pose_index: int) -> Sequence[Attempt]:
         """Return all recordings stored at a pose, in order.
 
-        Parameters
-        ----------
-        pose_index
-            Number of the pose, from 1.
-
-        Returns
-        -------
-        list of Attempt
-            The recordings.
+        pose_index: Number of the pose, from 1.
         """
         return [self.attempts[place] for place in self._places_of_pose.get(pose_index, ())]
 
     def next_attempt(self, pose_index: int) -> int:
         """Return the number of the next recording at a pose, after those stored and those lost.
 
-        Parameters
-        ----------
-        pose_index
-            Number of the pose, from 1.
-
-        Returns
-        -------
-        int
-            Number of the attempt, from 1.
+        pose_index: Number of the pose, from 1.
+        Returns: Number of the attempt, from 1.
         """
         return len(self.attempts_at(pose_index)) + self.lost.get(pose_index, 0) + 1
 
     def unchecked(self, pose_index: int) -> Attempt | None:
         """Return the last recording of a pose if it was stored but not yet measured.
 
-        Parameters
-        ----------
-        pose_index
-            Number of the pose, from 1.
-
-        Returns
-        -------
-        Attempt or None
-            The recording.
+        pose_index: Number of the pose, from 1.
         """
         attempts = self.attempts_at(pose_index)
         return attempts[-1] if attempts and attempts[-1].checked is None else None
@@ -283,20 +215,8 @@ class History:
 def replay(entries: Iterable[Entry]) -> History:
     """Replay a journal.
 
-    Parameters
-    ----------
-    entries
-        Lines of the journal, from the first.
-
-    Returns
-    -------
-    History
-        The run so far.
-
-    Raises
-    ------
-    JournalBroken
-        If a line is incomplete, because another program or version wrote it.
+    entries: Lines of the journal, from the first.
+    Raises JournalBroken: If a line is incomplete, because another program or version wrote it.
     """
     history = History()
     for entry in entries:
@@ -313,17 +233,7 @@ def replay(entries: Iterable[Entry]) -> History:
 def apply_entry(history: History, entry: Entry) -> None:
     """Apply one journal line to a history.
 
-    Parameters
-    ----------
-    history
-        Changed in place.
-    entry
-        The next line.
-
-    Raises
-    ------
-    KeyError, TypeError, ValueError
-        If the line is incomplete.
+    Raises KeyError, TypeError, ValueError: If the line is incomplete.
     """
     data = entry.data
     history.count_time(entry)
@@ -404,12 +314,7 @@ def _apply_pose_entry(history: History, entry: Entry) -> None:
 def count_crash(history: History, crash: object) -> None:
     """Count a crash against the pose that was at work, if any; no pose is at work afterwards.
 
-    Parameters
-    ----------
-    history
-        Changed in place.
-    crash
-        How the process crashed; nothing is counted if it is false.
+    crash: How the process crashed; nothing is counted if it is false.
     """
     if crash and history.at_pose is not None:
         history.crashes[history.at_pose] = history.crashes.get(history.at_pose, 0) + 1

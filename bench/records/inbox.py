@@ -26,44 +26,19 @@ Message = TypeVar("Message", bound=BaseModel)
 
 @dataclass(frozen=True)
 class Inbox(Generic[Message]):
-    """The folder, and what may lie in it.
+    """The folder, and what may lie in it."""
 
-    Attributes
-    ----------
-    folder
-        Where senders leave their files.
-    model
-        Model of a message.
-    max_bytes
-        Size of the largest file that is read; anything larger is not a message.
-    ignored
-        Names of files in the folder that are not for the owner.
-    """
-
-    folder: Path
-    model: type[Message]
-    max_bytes: int
-    ignored: frozenset[str] = frozenset()
+    folder: Path  # Where senders leave their files
+    model: type[Message]  # Model of a message
+    max_bytes: int  # Size of the largest file that is read; anything larger is not a message
+    ignored: frozenset[str] = frozenset()  # Names of files in the folder that are not for the owner
 
     def drop(self, message: Message, message_id: str) -> Path:
         """Leave a message. Its file appears as a whole, and its name puts it behind all earlier ones.
 
-        Parameters
-        ----------
-        message
-            The message.
-        message_id
-            Its id, unique among all messages.
-
-        Returns
-        -------
-        Path
-            The file; it exists until the owner has answered.
-
-        Raises
-        ------
-        StorageError
-            When it cannot be written, for example because the owner has removed the inbox.
+        message_id: Its id, unique among all messages.
+        Returns: The file; it exists until the owner has answered.
+        Raises StorageError: When it cannot be written, for example because the owner has removed the inbox.
         """
         path = self.folder / f"{time.time_ns():020d}-{message_id}.json"
         write_atomic(path, message.model_dump_json().encode() + b"\n")
@@ -72,16 +47,9 @@ class Inbox(Generic[Message]):
     def drain(self, answer: Callable[[Message | None, str], None]) -> None:
         """Answer every message, oldest first, and remove its file. Without the folder there is no message.
 
-        Parameters
-        ----------
-        answer
-            Called with the message and the name of its file; with None for a file that is not a message. It must have
-            stored its answer when it returns.
-
-        Raises
-        ------
-        StorageError
-            When a file cannot be read or removed.
+        answer: Called with the message and the name of its file; with None for a file that is not a message.
+          It must have stored its answer when it returns.
+        Raises StorageError: When a file cannot be read or removed.
         """
         with storage_errors(self.folder):
             if not self.folder.is_dir():
@@ -106,16 +74,8 @@ class Inbox(Generic[Message]):
 class Poller:
     """Calls a function at regular intervals, in a thread of its own.
 
-    Parameters
-    ----------
-    look
-        The function.
-    failed
-        Called once, in the thread, with the exception that ``look`` has raised; the thread then ends.
-    name
-        Name of the thread.
-    period_s
-        Pause between two calls, s.
+    failed: Called once, in the thread, with the exception that ``look`` has raised; the thread then ends.
+    period_s: Pause between two calls, s.
     """
 
     def __init__(

@@ -9,54 +9,36 @@ from typing import Any
 
 @dataclass(frozen=True)
 class IndexedRun:
-    """One run.
-
-    Attributes
-    ----------
-    folder, id
-        Folder and name of the run.
-    sequence, station, camera, operator, simulated, rehearsal
-        What was run; ``camera`` is the serial number, empty while no camera has answered.
-    begun_utc
-        Time of the start, ISO 8601.
-    how
-        ``finished``, ``aborted``, ``failed``, ``running``, or ``cut off``.
-    sealed
-        Whether it is sealed.
-    accepted, recordings, deviations
-        Number of recorded poses, of recordings made for them (also lost ones), and of deviations from the sequence.
-    temperature_c
-        Temperature of the camera, mean of the accepted recordings, degrees Celsius; None if the camera does not report
-        it.
-    model, rms_px
-        Model and root mean square of the residuals of its calibration, px; None without a calibration.
-    parameters
-        Value and standard uncertainty of each parameter, by name.
-    coverage_factor
-        The k of its expanded uncertainties; None without a calibration, or if an earlier version made it.
-    ledger_number, ledger_head
-        Its number in the ledger of its bench, and the hash of its line there; None for a rehearsal.
-    """
+    """One run."""
 
     folder: str
     id: str
+    # sequence, station, camera, operator, simulated, rehearsal: What was run; ``camera`` is the serial
+    # number, empty while no camera has answered.
     sequence: str
     station: str
     camera: str
     operator: str | None
     simulated: bool
     rehearsal: bool
-    begun_utc: str
-    how: str
-    sealed: bool
+    begun_utc: str  # Time of the start, ISO 8601
+    how: str  # ``finished``, ``aborted``, ``failed``, ``running``, or ``cut off``
+    sealed: bool  # Whether it is sealed
     accepted: int
     recordings: int
     deviations: int
+    # Temperature of the camera, mean of the accepted recordings, degrees Celsius; None if the camera does not
+    # report it.
     temperature_c: float | None
+    # model, rms_px: Model and root mean square of the residuals of its calibration, px; None without a
+    # calibration.
     model: str | None
     rms_px: float | None
     parameters: Mapping[str, tuple[float, float]]
+    # The k of its expanded uncertainties; None without a calibration, or if an earlier version made it.
     coverage_factor: float | None = None
+    # ledger_number, ledger_head: Its number in the ledger of its bench, and the hash of its line there; None
+    # for a rehearsal.
     ledger_number: int | None = None
     ledger_head: str | None = None
 
@@ -66,12 +48,6 @@ class IndexedRun:
         return self.coverage_factor or 2.0
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the run as JSON carries it.
-
-        Returns
-        -------
-        dict
-            All attributes.
-        """
+        """Return the run as JSON carries it."""
         parameters = {name: {"value": v, "sigma": s} for name, (v, s) in self.parameters.items()}
         return {**asdict(self), "parameters": parameters}

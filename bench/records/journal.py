@@ -35,18 +35,9 @@ _MOST_UNSYNCED_BYTES = 64 * 1024
 class Journal:
     """A journal that is open for appending, from ``create`` or ``open``. Several threads may use it.
 
-    Parameters
-    ----------
-    path
-        The file.
-    entries
-        Its lines so far.
-    torn
-        Bytes of an incomplete last line that were removed.
-    utc_now
-        Returns the system's time, with its time zone.
-    monotonic
-        Returns the time of a monotonic clock, s.
+    torn: Bytes of an incomplete last line that were removed.
+    utc_now: Returns the system's time, with its time zone.
+    monotonic: Returns the time of a monotonic clock, s.
     """
 
     def __init__(
@@ -73,26 +64,11 @@ class Journal:
     def create(cls, path: Path, *, utc_now: Callable[[], datetime], monotonic: Callable[[], float]) -> Self:
         """Make a new journal.
 
-        Parameters
-        ----------
-        path
-            The new file.
-        utc_now
-            Returns the system's time, with its time zone.
-        monotonic
-            Returns the time of a monotonic clock, s.
-
-        Returns
-        -------
-        Journal
-            The journal, without lines.
-
-        Raises
-        ------
-        RunFolderError
-            When the file exists already.
-        StorageError
-            When it cannot be made.
+        utc_now: Returns the system's time, with its time zone.
+        monotonic: Returns the time of a monotonic clock, s.
+        Returns: The journal, without lines.
+        Raises RunFolderError: When the file exists already.
+        Raises StorageError: When it cannot be made.
         """
         with storage_errors(path):
             try:
@@ -108,26 +84,11 @@ class Journal:
     def open(cls, path: Path, *, utc_now: Callable[[], datetime], monotonic: Callable[[], float]) -> Self:
         """Open a journal to continue it: verify its chain and remove an incomplete last line (see ``torn``).
 
-        Parameters
-        ----------
-        path
-            The file.
-        utc_now
-            Returns the system's time, with its time zone.
-        monotonic
-            Returns the time of a monotonic clock, s.
-
-        Returns
-        -------
-        Journal
-            The journal, with its lines.
-
-        Raises
-        ------
-        JournalBroken
-            When a complete line is not valid; the message names it. The file is then not changed.
-        StorageError
-            When the file cannot be read or written.
+        utc_now: Returns the system's time, with its time zone.
+        monotonic: Returns the time of a monotonic clock, s.
+        Raises JournalBroken: When a complete line is not valid; the message names it. The file is then not
+          changed.
+        Raises StorageError: When the file cannot be read or written.
         """
         entries, torn = read_journal(path)
         if torn:
@@ -151,26 +112,11 @@ class Journal:
         If the system time has moved by more than ``CLOCK_JUMP_S`` against the monotonic clock since the last line, a
         line ``clock_jumped`` with ``jump_s`` is written before it.
 
-        Parameters
-        ----------
-        event
-            Name of the event.
-        **data
-            Data of the event, which JSON can represent; also NumPy scalars and arrays, paths and dates. Numbers must be
-            finite.
-
-        Returns
-        -------
-        Entry
-            The line.
-
-        Raises
-        ------
-        ValueError
-            When ``data`` cannot be written as JSON, or uses one of the journal's own keys.
-        StorageError
-            When the line cannot be written; it is then not in the journal. After a failed sync the journal accepts no
-            more lines, because the contents of the disk are unknown.
+        data: Data of the event, which JSON can represent; also NumPy scalars and arrays, paths and dates.
+          Numbers must be finite.
+        Raises ValueError: When ``data`` cannot be written as JSON, or uses one of the journal's own keys.
+        Raises StorageError: When the line cannot be written; it is then not in the journal. After a failed
+          sync the journal accepts no more lines, because the contents of the disk are unknown.
         """
         return self._put(event, data, synced=True)
 
@@ -179,20 +125,8 @@ class Journal:
 
         If the process dies, the line remains; a power cut may remove the last unsynced lines.
 
-        Parameters
-        ----------
-        event, **data
-            As for ``append``.
-
-        Returns
-        -------
-        Entry
-            The line.
-
-        Raises
-        ------
-        ValueError, StorageError
-            As ``append``.
+        event, data: As for ``append``.
+        Raises ValueError, StorageError: As ``append``.
         """
         return self._put(event, data, synced=False)
 
@@ -281,23 +215,10 @@ class Journal:
 def lines_after(path: Path, offset: int) -> Iterator[tuple[str, dict[str, Any]]]:
     """Read the complete lines after a position in a journal, without verification.
 
-    Parameters
-    ----------
-    path
-        The journal.
-    offset
-        The position, bytes: usually the size of the file at an earlier moment. If it lies within a line, that line is
-        left out.
-
-    Yields
-    ------
-    event, data
-        As in an `Entry`.
-
-    Raises
-    ------
-    StorageError
-        When the file cannot be read.
+    offset: The position, bytes: usually the size of the file at an earlier moment. If it lies within a line,
+      that line is left out.
+    Yields: As in an `Entry`.
+    Raises StorageError: When the file cannot be read.
     """
     with open_to_read(path) as stream:
         stream.seek(offset)
@@ -313,27 +234,12 @@ def lines_after(path: Path, offset: int) -> Iterator[tuple[str, dict[str, Any]]]
 def read_journal(path: Path) -> tuple[list[Entry], bytes]:
     """Read and verify a journal without changing it.
 
-    Parameters
-    ----------
-    path
-        The journal.
-
-    Returns
-    -------
-    entries
-        Every complete line.
-    torn
-        What a power cut has left at the end: a line without its line feed; or zeros in blocks that the file system had
-        allocated and not written, with everything behind the first of them. It never contains a synced line. Empty if
-        there is nothing of that kind.
-
-    Raises
-    ------
-    JournalBroken
-        When a complete line is not JSON, not in order, changed, or not chained to the line before, or the journal is
-        larger than any.
-    StorageError
-        When the file cannot be read.
+    Returns: What a power cut has left at the end: a line without its line feed; or zeros in blocks that the
+      file system had allocated and not written, with everything behind the first of them. It never contains a
+      synced line. Empty if there is nothing of that kind.
+    Raises JournalBroken: When a complete line is not JSON, not in order, changed, or not chained to the line
+      before, or the journal is larger than any.
+    Raises StorageError: When the file cannot be read.
     """
     entries: list[Entry] = []
     begin = 0

@@ -28,29 +28,14 @@ OWN_KEYS = ("seq", "utc", "mono_s", "event", "prev", "hash")
 
 @dataclass(frozen=True)
 class Entry:
-    """One line of a journal.
+    """One line of a journal."""
 
-    Attributes
-    ----------
-    seq
-        Number of the line, from 0.
-    utc
-        System time, ISO 8601 with microseconds and ``Z``.
-    mono_s
-        Monotonic clock of the process that wrote it, s; comparable within one process only.
-    event
-        Name of the event.
-    data
-        Data of the event, as read from JSON.
-    prev, hash
-        SHA-256 of the line before, and of this line.
-    """
-
-    seq: int
-    utc: str
-    mono_s: float
+    seq: int  # Number of the line, from 0
+    utc: str  # System time, ISO 8601 with microseconds and ``Z``
+    mono_s: float  # Monotonic clock of the process that wrote it, s; comparable within one process only
     event: str
     data: Mapping[str, Any]
+    # prev, hash: SHA-256 of the line before, and of this line.
     prev: str
     hash: str
 
@@ -60,30 +45,11 @@ def encode_line(
 ) -> bytes:
     """Write a line.
 
-    Parameters
-    ----------
-    seq
-        Number of the line, from 0.
-    now
-        System time, with its time zone.
-    mono_s
-        Monotonic time, s.
-    event
-        Name of the event.
-    data
-        Data of the event.
-    prev
-        Hash of the line before.
-
-    Returns
-    -------
-    bytes
-        The line, without a line feed.
-
-    Raises
-    ------
-    ValueError
-        When the data use one of the journal's own keys, or cannot be written as JSON.
+    seq: Number of the line, from 0.
+    mono_s: Monotonic time, s.
+    prev: Hash of the line before.
+    Returns: The line, without a line feed.
+    Raises ValueError: When the data use one of the journal's own keys, or cannot be written as JSON.
     """
     clash = sorted(set(data) & set(OWN_KEYS))
     if clash:
@@ -114,24 +80,10 @@ def _plain(value: Any) -> Any:
 def decode_line(line: bytes, seq: int, prev: str) -> Entry:
     """Read a line, and check its hash, its chain and its number.
 
-    Parameters
-    ----------
-    line
-        The line, without a line feed.
-    seq
-        Number that it must have.
-    prev
-        Hash of the line before.
-
-    Returns
-    -------
-    Entry
-        The line.
-
-    Raises
-    ------
-    ValueError
-        When the line is not valid, with the fault.
+    line: The line, without a line feed.
+    seq: Number that it must have.
+    prev: Hash of the line before.
+    Raises ValueError: When the line is not valid, with the fault.
     """
     try:
         record = parse_json(line.decode("ascii"))

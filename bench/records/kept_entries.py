@@ -20,25 +20,17 @@ _STALE_S = 3600.0
 
 @dataclass
 class KeptEntries:
-    """A folder of entries; several processes may use it at once.
+    """A folder of entries; several processes may use it at once."""
 
-    Attributes
-    ----------
-    folder
-        The folder; it is made at the first entry, readable for its owner only.
-    most_bytes
-        Size of all entries together. The entries that were used least recently are deleted first.
-    remarks
-        Sentences for the user: which entries were broken, and why none can be kept.
-    ending, thing, otherwise
-        Ending of the files; what an entry is called, and what is done without it, in messages.
-    """
-
-    folder: Path
+    folder: Path  # The folder; it is made at the first entry, readable for its owner only
+    # Size of all entries together. The entries that were used least recently are deleted first.
     most_bytes: int
+    # Sentences for the user: which entries were broken, and why none can be kept.
     remarks: list[str] = field(default_factory=list)
     _usable: bool | None = field(default=None, init=False, repr=False)
 
+    # ending, thing, otherwise: Ending of the files; what an entry is called, and what is done without it, in
+    # messages.
     ending: ClassVar[str] = ".entry"
     thing: ClassVar[str] = "entry"
     otherwise: ClassVar[str] = "it is calculated"
@@ -46,15 +38,8 @@ class KeptEntries:
     def read_entry(self, key: str) -> bytes | None:
         """Return the content of an entry.
 
-        Parameters
-        ----------
-        key
-            64 hexadecimal digits.
-
-        Returns
-        -------
-        bytes or None
-            As it was written, if nobody changed it; None if there is no entry, or it cannot be read.
+        key: 64 hexadecimal digits.
+        Returns: As it was written, if nobody changed it; None if there is no entry, or it cannot be read.
         """
         path = self._path(key)
         try:
@@ -74,15 +59,7 @@ class KeptEntries:
         return data
 
     def drop_entry(self, key: str, why: str) -> None:
-        """Delete an entry that is broken, and tell it.
-
-        Parameters
-        ----------
-        key
-            Its key.
-        why
-            What is wrong with it.
-        """
+        """Delete an entry that is broken, and tell it."""
         path = self._path(key)
         self.remarks.append(f"{path}: a kept {self.thing} is broken ({why}); {self.otherwise} again.")
         with suppress(OSError):
@@ -91,12 +68,7 @@ class KeptEntries:
     def write_entry(self, key: str, data: bytes) -> None:
         """Keep an entry. If this is not possible, say so and go on.
 
-        Parameters
-        ----------
-        key
-            64 hexadecimal digits.
-        data
-            Its content.
+        key: 64 hexadecimal digits.
         """
         if not self.is_usable():
             return
@@ -145,10 +117,7 @@ class KeptEntries:
     def is_usable(self) -> bool:
         """Return whether entries can be kept.
 
-        Returns
-        -------
-        bool
-            Whether the folder is there, belongs to this user, and nobody else may write to it.
+        Returns: Whether the folder is there, belongs to this user, and nobody else may write to it.
         """
         if self._usable is None:
             self._usable = True

@@ -42,12 +42,8 @@ PLACE_FORGOTTEN = "place_forgotten"
 class Ledger(LedgerFile):
     """The ledger of a bench. Every method reads the file anew, because other processes write to it too.
 
-    Parameters
-    ----------
-    home
-        The configuration folder, from `bench.base.home.home_folder`.
-    utc_now, monotonic
-        As for `bench.records.journal.Journal`.
+    home: The configuration folder, from `bench.base.home.home_folder`.
+    utc_now, monotonic: As for `bench.records.journal.Journal`.
     """
 
     # ------------------------------------------------------------ runs
@@ -65,36 +61,14 @@ class Ledger(LedgerFile):
     ) -> LedgerPlace:
         """Enter a run before it does anything. A break of the ledger is recorded first; it does not stop the run.
 
-        Parameters
-        ----------
-        run_id
-            Name of the run.
-        folder
-            Its folder.
-        camera
-            Serial number of the camera.
-        simulated
-            Whether any device is simulated.
-        anchor
-            Second place of the ledger, from the station file.
-        strict
-            Whether a break that nobody has explained stops the run.
-        strangers
-            Finds sealed runs of this bench that are not in the ledger.
-
-        Returns
-        -------
-        dict
-            For the journal and the report of the run: its ``number`` in the ledger; the ``head``, which is the hash of
-            the ledger's last line; ``of_camera``, the number of runs of this camera by state, with this run; and
-            ``faults``, sentences, if the ledger has a break that nobody has explained.
-
-        Raises
-        ------
-        EvidenceError
-            When the ledger has a break, and ``strict`` is set; nothing was entered.
-        StorageError
-            When it cannot be read or written.
+        simulated: Whether any device is simulated.
+        strict: Whether a break that nobody has explained stops the run.
+        strangers: Finds sealed runs of this bench that are not in the ledger.
+        Returns: For the journal and the report of the run: its ``number`` in the ledger; the ``head``, which
+          is the hash of the ledger's last line; ``of_camera``, the number of runs of this camera by state,
+          with this run; and ``faults``, sentences, if the ledger has a break that nobody has explained.
+        Raises EvidenceError: When the ledger has a break, and ``strict`` is set; nothing was entered.
+        Raises StorageError: When it cannot be read or written.
         """
         witnesses = self._ask_anchors(anchor)
         with self._mended(witnesses, strangers, strict=strict) as journal:
@@ -118,19 +92,10 @@ class Ledger(LedgerFile):
     def end(self, number: int, *, how: str, folder: Path) -> None:
         """Enter how a run ended; again after it was resumed and has ended again.
 
-        Parameters
-        ----------
-        number
-            Number of the run, from ``begin``.
-        how
-            ``finished``, ``aborted`` or ``failed``.
-        folder
-            Its folder; if it is sealed, the hash of the seal is entered.
-
-        Raises
-        ------
-        StorageError
-            When the ledger cannot be read or written.
+        number: Number of the run, from ``begin``.
+        how: ``finished``, ``aborted`` or ``failed``.
+        folder: Its folder; if it is sealed, the hash of the seal is entered.
+        Raises StorageError: When the ledger cannot be read or written.
         """
         with storage_errors(folder):
             seal = sha256_of(folder / MANIFEST) if is_sealed(folder) else None
@@ -143,19 +108,9 @@ class Ledger(LedgerFile):
     def refuse_break(self, anchor: str | None, strangers: Strangers = no_strangers) -> None:
         """Refuse a ledger with a break that nobody has explained. A run checks this before it makes its folder.
 
-        Parameters
-        ----------
-        anchor
-            Second place of the ledger, from the station file.
-        strangers
-            As for ``begin``.
-
-        Raises
-        ------
-        EvidenceError
-            When there is such a break.
-        StorageError
-            When the ledger cannot be read.
+        strangers: As for ``begin``.
+        Raises EvidenceError: When there is such a break.
+        Raises StorageError: When the ledger cannot be read.
         """
         faults, _ = self.breaks(anchor, strangers)
         refuse(faults, self.path)
@@ -163,20 +118,9 @@ class Ledger(LedgerFile):
     def contains(self, place: Mapping[str, Any]) -> bool:
         """Return whether a run was entered in this ledger. The ledger of another bench may have a run of its number.
 
-        Parameters
-        ----------
-        place
-            What ``begin`` returned for the run.
-
-        Returns
-        -------
-        bool
-            Whether the line with that hash enters a run; False if the ledger is damaged.
-
-        Raises
-        ------
-        StorageError
-            When it cannot be read.
+        place: What ``begin`` returned for the run.
+        Returns: Whether the line with that hash enters a run; False if the ledger is damaged.
+        Raises StorageError: When it cannot be read.
         """
         with suppress(JournalBroken):
             return any(e.event == RUN_BEGUN and e.hash == place.get("head") for e in self.entries())
@@ -185,34 +129,17 @@ class Ledger(LedgerFile):
     def runs(self) -> list[LedgerRun]:
         """List all runs in the order of their numbers.
 
-        Returns
-        -------
-        list of LedgerRun
-            Empty while there is no ledger.
-
-        Raises
-        ------
-        JournalBroken
-            When the ledger is not valid.
-        StorageError
-            When it cannot be read.
+        Returns: Empty while there is no ledger.
+        Raises JournalBroken: When the ledger is not valid.
+        Raises StorageError: When it cannot be read.
         """
         return runs_of(self.entries())
 
     def faults(self) -> list[str]:
         """Check that the folder of every sealed run still exists and still has its seal.
 
-        Returns
-        -------
-        list of str
-            One sentence for each run whose folder is missing or has another seal.
-
-        Raises
-        ------
-        JournalBroken
-            When the ledger is not valid.
-        StorageError
-            When the ledger or a seal cannot be read.
+        Raises JournalBroken: When the ledger is not valid.
+        Raises StorageError: When the ledger or a seal cannot be read.
         """
         found = []
         for run in self.runs():
@@ -233,24 +160,11 @@ class Ledger(LedgerFile):
     ) -> tuple[list[str], list[Break]]:
         """Compare the ledger with all places that know of it; nothing is written.
 
-        Parameters
-        ----------
-        anchor
-            A further second place; those that were used before are asked anyway.
-        strangers
-            As for ``begin``.
-
-        Returns
-        -------
-        faults
-            One sentence for each break that nobody has explained; ``warnings`` has the places that cannot be read.
-        explained
-            The breaks that a person has explained.
-
-        Raises
-        ------
-        StorageError
-            When the ledger cannot be read.
+        anchor: A further second place; those that were used before are asked anyway.
+        strangers: As for ``begin``.
+        Returns: One sentence for each break that nobody has explained; ``warnings`` has the places that
+          cannot be read.
+        Raises StorageError: When the ledger cannot be read.
         """
         own, witnesses = self._own_mark(), self._ask_anchors(anchor)
         try:
@@ -269,26 +183,10 @@ class Ledger(LedgerFile):
     ) -> list[str]:
         """Record every break that is not recorded yet, and state the reason of every one without a reason.
 
-        Parameters
-        ----------
-        reason
-            What happened, in the words of a person.
-        by
-            Name of that person.
-        anchor, strangers
-            As for ``begin``.
-
-        Returns
-        -------
-        list of str
-            The breaks that have the reason now.
-
-        Raises
-        ------
-        UsageError
-            When there is nothing to explain.
-        StorageError
-            When the ledger cannot be read or written.
+        reason: What happened, in the words of a person.
+        anchor, strangers: As for ``begin``.
+        Raises UsageError: When there is nothing to explain.
+        Raises StorageError: When the ledger cannot be read or written.
         """
         witnesses = self._ask_anchors(anchor)
         with self._mended(witnesses, strangers) as journal:
@@ -303,21 +201,9 @@ class Ledger(LedgerFile):
     def forget_place(self, place: str, *, reason: str, by: str) -> None:
         """Write to a second place no longer, and enter why.
 
-        Parameters
-        ----------
-        place
-            Path of the second place, as the station file named it.
-        reason
-            Why, in the words of a person.
-        by
-            Name of that person.
-
-        Raises
-        ------
-        UsageError
-            When the ledger is not written to this place.
-        EvidenceError, JournalBroken, StorageError
-            As ``locked``.
+        reason: Why, in the words of a person.
+        Raises UsageError: When the ledger is not written to this place.
+        Raises EvidenceError, JournalBroken, StorageError: As ``locked``.
         """
         own = self._own_mark()
         known = own.anchors if isinstance(own, OwnMark) else ()

@@ -24,15 +24,7 @@ _MOST_KNOWN = 100
 
 @dataclass(frozen=True)
 class KnownRun:
-    """A run that names its own line of the ledger.
-
-    Attributes
-    ----------
-    folder, run_id
-        Folder and name of the run.
-    number, head
-        Its number, and the hash of its line, as its journal states them.
-    """
+    """A run that names its own line of the ledger."""
 
     folder: str
     run_id: str
@@ -47,36 +39,20 @@ Strangers = Callable[[Collection[str]], Sequence[KnownRun]]
 def no_strangers(_: Collection[str]) -> Sequence[KnownRun]:
     """Ask no run folder.
 
-    Returns
-    -------
-    list of KnownRun
-        Empty.
+    Returns: Empty.
     """
     return ()
 
 
 @dataclass(frozen=True)
 class Break:
-    """A break that the ledger records.
+    """A break that the ledger records."""
 
-    Attributes
-    ----------
-    line
-        Number of its line, from 1.
-    utc
-        When it was found, ISO 8601.
-    what
-        What was found, as sentences.
-    heads
-        Heads that other places knew and the ledger had not.
-    reason, by
-        What a person stated, and who; None while nobody has.
-    """
-
-    line: int
-    utc: str
+    line: int  # Number of its line, from 1
+    utc: str  # When it was found, ISO 8601
     what: tuple[str, ...]
-    heads: frozenset[str]
+    heads: frozenset[str]  # Heads that other places knew and the ledger had not
+    # reason, by: What a person stated, and who; None while nobody has.
     reason: str | None = None
     by: str | None = None
 
@@ -86,40 +62,19 @@ class Break:
 
 @dataclass(frozen=True)
 class BreakFindings:
-    """What was found and is not recorded yet.
+    """What was found and is not recorded yet."""
 
-    Attributes
-    ----------
-    what
-        The findings, as sentences; empty if there is no break.
-    known
-        What other places know, as a line ``ledger_broken`` holds it.
-    warnings
-        Places that could not be asked.
-    """
-
-    what: tuple[str, ...] = ()
+    what: tuple[str, ...] = ()  # The findings, as sentences; empty if there is no break
+    # What other places know, as a line ``ledger_broken`` holds it.
     known: tuple[Mapping[str, Any], ...] = ()
-    warnings: tuple[str, ...] = ()
+    warnings: tuple[str, ...] = ()  # Places that could not be asked
 
 
 def breaks_of(entries: Iterable[Entry]) -> list[Break]:
     """Return the breaks that a ledger records.
 
-    Parameters
-    ----------
-    entries
-        Its lines.
-
-    Returns
-    -------
-    list of Break
-        First to last, each with its explanation if there is one.
-
-    Raises
-    ------
-    LookupError, TypeError
-        When a line about a break is incomplete.
+    Returns: First to last, each with its explanation if there is one.
+    Raises LookupError, TypeError: When a line about a break is incomplete.
     """
     found: dict[int, Break] = {}
     for entry in entries:
@@ -139,20 +94,8 @@ def breaks_of(entries: Iterable[Entry]) -> list[Break]:
 def highest_run(entries: Iterable[Entry]) -> int:
     """Return the highest number of a run that a ledger has given, or that a break of it knows of.
 
-    Parameters
-    ----------
-    entries
-        Its lines.
-
-    Returns
-    -------
-    int
-        The number; 0 if there is no run.
-
-    Raises
-    ------
-    LookupError, TypeError
-        When a line is incomplete.
+    Returns: The number; 0 if there is no run.
+    Raises LookupError, TypeError: When a line is incomplete.
     """
     highest = 0
     for entry in entries:
@@ -166,15 +109,7 @@ def highest_run(entries: Iterable[Entry]) -> int:
 def highest_counts(entries: Iterable[Entry]) -> dict[str, int]:
     """Return the highest count of each series of numbers: of lines with a ``series``, and of breaks that know of more.
 
-    Parameters
-    ----------
-    entries
-        Lines of a ledger.
-
-    Returns
-    -------
-    dict
-        Count by name of the series, such as a series of certificates.
+    entries: Lines of a ledger.
     """
     highest: dict[str, int] = {}
     for entry in entries:
@@ -207,21 +142,9 @@ def find_breaks(
 ) -> BreakFindings:
     """Compare a ledger with all places that know of it.
 
-    Parameters
-    ----------
-    entries
-        Its lines.
-    own
-        The bench's own mark; None if there is none; a text if it cannot be read, with the reason.
-    anchors
-        The second places.
-    strangers
-        Finds sealed runs of this bench that are not in the ledger.
-
-    Returns
-    -------
-    BreakFindings
-        What is not recorded in the ledger yet.
+    own: The bench's own mark; None if there is none; a text if it cannot be read, with the reason.
+    strangers: Finds sealed runs of this bench that are not in the ledger.
+    Returns: What is not recorded in the ledger yet.
     """
     found = _Findings()
     excused = {head for one in breaks_of(entries) for head in one.heads}

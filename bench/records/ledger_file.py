@@ -35,17 +35,9 @@ LEDGER = "ledger.jsonl"
 class LedgerFile:
     """The file of a ledger. Every method reads it anew, because other processes write to it too.
 
-    Parameters
-    ----------
-    home
-        The configuration folder, from `bench.base.home.home_folder`.
-    utc_now, monotonic
-        As for `bench.records.journal.Journal`.
-
-    Attributes
-    ----------
-    warnings
-        Second places that could not be read or written by the last call; nothing was stopped by them.
+    home: The configuration folder, from `bench.base.home.home_folder`.
+    utc_now, monotonic: As for `bench.records.journal.Journal`.
+    warnings: Second places that could not be read or written by the last call; nothing was stopped by them.
     """
 
     def __init__(
@@ -59,39 +51,19 @@ class LedgerFile:
     def entries(self) -> list[Entry]:
         """Read and verify every line, of any event: runs, certificates and whatever else was entered.
 
-        Returns
-        -------
-        list of Entry
-            First to last; empty while there is no ledger.
-
-        Raises
-        ------
-        JournalBroken
-            When the ledger is not valid.
-        StorageError
-            When it cannot be read.
+        Returns: First to last; empty while there is no ledger.
+        Raises JournalBroken: When the ledger is not valid.
+        Raises StorageError: When it cannot be read.
         """
         return read_journal(self.path)[0] if self.path.exists() else []
 
     def append(self, event: str, **facts: Any) -> Entry:
         """Enter one line of any event. Use ``locked`` where the line depends on the lines before.
 
-        Parameters
-        ----------
-        event
-            Name of the event, in the past tense, such as ``certificate_issued``.
-        **facts
-            Data of the event, as for `bench.records.journal.Journal.append`.
-
-        Returns
-        -------
-        Entry
-            The line; its ``hash`` is the new head.
-
-        Raises
-        ------
-        EvidenceError, JournalBroken, StorageError
-            As ``locked``.
+        event: Name of the event, in the past tense, such as ``certificate_issued``.
+        facts: Data of the event, as for `bench.records.journal.Journal.append`.
+        Returns: The line; its ``hash`` is the new head.
+        Raises EvidenceError, JournalBroken, StorageError: As ``locked``.
         """
         with self.locked() as journal:
             return journal.append(event, **facts)
@@ -104,19 +76,9 @@ class LedgerFile:
         So a number that follows from the lines before is given once only. The lock waits; keep the block short. The new
         head goes to the second places afterwards (see ``warnings``).
 
-        Yields
-        ------
-        Journal
-            The ledger as a journal.
-
-        Raises
-        ------
-        EvidenceError
-            When lines of the ledger are missing or were replaced, or the file is gone.
-        JournalBroken
-            When a line is not valid.
-        StorageError
-            When it cannot be read or written.
+        Raises EvidenceError: When lines of the ledger are missing or were replaced, or the file is gone.
+        Raises JournalBroken: When a line is not valid.
+        Raises StorageError: When it cannot be read or written.
         """
         self.warnings = []
         with self._held():
@@ -202,17 +164,8 @@ class LedgerFile:
 def refuse(faults: Sequence[str], path: Path) -> None:
     """Refuse a ledger with faults.
 
-    Parameters
-    ----------
-    faults
-        The faults, as sentences; nothing is refused if there are none.
-    path
-        File of the ledger.
-
-    Raises
-    ------
-    EvidenceError
-        When there is a fault.
+    faults: The faults, as sentences; nothing is refused if there are none.
+    Raises EvidenceError: When there is a fault.
     """
     if faults:
         raise EvidenceError(f"The ledger is broken: {' '.join(faults)}", where=str(path), remedy=EXPLAIN)

@@ -35,45 +35,22 @@ Found = TypeVar("Found")
 
 @dataclass(frozen=True)
 class LedgerMark:
-    """The state of a ledger after one of its lines.
-
-    Attributes
-    ----------
-    lines
-        Number of lines.
-    runs
-        Highest number of a run.
-    head
-        Hash of the last line.
-    utc
-        Time of the last line, ISO 8601.
-    counts
-        Highest count of each series of numbers other than that of the runs, such as those of the certificates.
-    """
+    """The state of a ledger after one of its lines."""
 
     lines: int
-    runs: int
-    head: str
-    utc: str
+    runs: int  # Highest number of a run
+    head: str  # Hash of the last line
+    utc: str  # Time of the last line, ISO 8601
     counts: tuple[tuple[str, int], ...] = ()
 
     def to_line(self) -> bytes:
-        """Return the mark as one line of JSON.
-
-        Returns
-        -------
-        bytes
-            The line, with its line feed.
-        """
+        """Return the mark as one line of JSON."""
         return (json.dumps(self.to_dict(), separators=(",", ":")) + "\n").encode()
 
     def to_dict(self) -> dict[str, Any]:
         """Return the mark as JSON carries it.
 
-        Returns
-        -------
-        dict
-            All attributes; ``counts`` as a mapping, left out if it is empty.
+        Returns: All attributes; ``counts`` as a mapping, left out if it is empty.
         """
         facts = {"lines": self.lines, "runs": self.runs, "head": self.head, "utc": self.utc}
         return {**facts, "counts": dict(self.counts)} if self.counts else facts
@@ -81,15 +58,8 @@ class LedgerMark:
     def disagreement(self, entries: Sequence[Entry]) -> str:
         """Return how a ledger contradicts this mark.
 
-        Parameters
-        ----------
-        entries
-            All lines of the ledger.
-
-        Returns
-        -------
-        str
-            The end of a sentence that begins with "The ledger"; empty if the ledger contains the marked line.
+        Returns: The end of a sentence that begins with "The ledger"; empty if the ledger contains the marked
+          line.
         """
         if len(entries) < self.lines:
             return (
@@ -103,20 +73,8 @@ class LedgerMark:
 def parse_mark(line: bytes) -> LedgerMark:
     """Read one mark.
 
-    Parameters
-    ----------
-    line
-        A line, as `LedgerMark.to_line` writes it.
-
-    Returns
-    -------
-    LedgerMark
-        The mark.
-
-    Raises
-    ------
-    ValueError
-        When it is not a mark.
+    line: A line, as `LedgerMark.to_line` writes it.
+    Raises ValueError: When it is not a mark.
     """
     found = parse_json(line)
     if not isinstance(found, dict):
@@ -140,15 +98,7 @@ def _mark_of(found: Mapping[str, Any]) -> LedgerMark:
 
 @dataclass(frozen=True)
 class OwnMark:
-    """Content of ``ledger_high``.
-
-    Attributes
-    ----------
-    mark
-        The highest state of the ledger.
-    anchors
-        The second places that were written to, by their path.
-    """
+    """Content of ``ledger_high``."""
 
     mark: LedgerMark
     anchors: tuple[str, ...] = ()
@@ -157,20 +107,8 @@ class OwnMark:
 def read_own_mark(home: Path) -> OwnMark | None:
     """Read ``ledger_high``.
 
-    Parameters
-    ----------
-    home
-        The configuration folder.
-
-    Returns
-    -------
-    OwnMark or None
-        Its content; None if there is no such file.
-
-    Raises
-    ------
-    StorageError
-        When it cannot be read, or is not a mark.
+    Returns: Its content; None if there is no such file.
+    Raises StorageError: When it cannot be read, or is not a mark.
     """
     path = home / MARK
     with storage_errors(path):
@@ -192,17 +130,7 @@ def read_own_mark(home: Path) -> OwnMark | None:
 def write_own_mark(home: Path, own: OwnMark) -> None:
     """Write ``ledger_high``.
 
-    Parameters
-    ----------
-    home
-        The configuration folder.
-    own
-        Its new content.
-
-    Raises
-    ------
-    StorageError
-        When it cannot be written.
+    Raises StorageError: When it cannot be written.
     """
     record = {**own.mark.to_dict(), "anchors": list(own.anchors)}
     write_atomic(home / MARK, (json.dumps(record, separators=(",", ":")) + "\n").encode())
@@ -214,20 +142,8 @@ def write_own_mark(home: Path, own: OwnMark) -> None:
 def read_anchor(path: Path) -> list[LedgerMark]:
     """Read the marks of a second place, first to last.
 
-    Parameters
-    ----------
-    path
-        The file.
-
-    Returns
-    -------
-    list of LedgerMark
-        Without an incomplete last line.
-
-    Raises
-    ------
-    StorageError
-        When it cannot be read, is missing, does not answer in time, or holds something else.
+    Returns: Without an incomplete last line.
+    Raises StorageError: When it cannot be read, is missing, does not answer in time, or holds something else.
     """
 
     def read() -> bytes:
@@ -250,17 +166,7 @@ def read_anchor(path: Path) -> list[LedgerMark]:
 def append_to_anchor(path: Path, mark: LedgerMark) -> None:
     """Add a mark to a second place and sync it. The file is made if it is missing; its folder is not.
 
-    Parameters
-    ----------
-    path
-        The file.
-    mark
-        The mark.
-
-    Raises
-    ------
-    StorageError
-        When it cannot be written, or does not answer in time.
+    Raises StorageError: When it cannot be written, or does not answer in time.
     """
 
     def append() -> None:
@@ -316,39 +222,17 @@ def _in_time(work: Callable[[], Found], path: Path) -> Found:
 
 @dataclass(frozen=True)
 class Witness:
-    """What one place knows of the ledger, or why it cannot be asked.
-
-    Attributes
-    ----------
-    place
-        Path of the file.
-    marks
-        Its marks, first to last.
-    trouble
-        Why it cannot be read; empty if it can.
-    was_there
-        Whether this bench has written to it before.
-    """
+    """What one place knows of the ledger, or why it cannot be asked."""
 
     place: str
-    marks: Sequence[LedgerMark] = ()
-    trouble: str = ""
-    was_there: bool = True
+    marks: Sequence[LedgerMark] = ()  # Its marks, first to last
+    trouble: str = ""  # Why it cannot be read; empty if it can
+    was_there: bool = True  # Whether this bench has written to it before
 
     def objections(self, entries: Sequence[Entry], excused: Iterable[str]) -> list[LedgerMark]:
         """Return the marks that a ledger contradicts, from the last one that a break of the ledger names.
 
-        Parameters
-        ----------
-        entries
-            All lines of the ledger.
-        excused
-            Heads that breaks of the ledger name.
-
-        Returns
-        -------
-        list of LedgerMark
-            The marks, first to last.
+        Returns: The marks, first to last.
         """
         known = set(excused)
         begin = max((i + 1 for i, mark in enumerate(self.marks) if mark.head in known), default=0)
@@ -358,17 +242,7 @@ class Witness:
 def ask_anchor(path: Path, *, was_there: bool) -> Witness:
     """Read a second place; what goes wrong becomes its ``trouble``.
 
-    Parameters
-    ----------
-    path
-        The file.
-    was_there
-        Whether this bench has written to it before; only then is it a trouble that it is missing.
-
-    Returns
-    -------
-    Witness
-        Its marks.
+    was_there: Whether this bench has written to it before; only then is it a trouble that it is missing.
     """
     if not was_there:
         with suppress(OSError):

@@ -16,56 +16,25 @@ STILL_OPEN = "open"
 
 @dataclass(frozen=True)
 class LedgerRun:
-    """One run in the ledger.
+    """One run in the ledger."""
 
-    Attributes
-    ----------
-    number
-        Number of the run in the ledger, from 1.
-    run_id, folder
-        Name and folder of the run.
-    camera
-        Serial number of the camera.
-    simulated
-        Whether any device was simulated.
-    begun_utc
-        Time of the start, ISO 8601.
-    how
-        State of the run: ``finished``, ``aborted``, ``failed`` or ``open``.
-    seal
-        SHA-256 of its list of files; None when it was not sealed.
-    head
-        Hash of the line that enters it.
-    """
-
-    number: int
+    number: int  # Number of the run in the ledger, from 1
     run_id: str
     folder: str
     camera: str
-    simulated: bool
-    begun_utc: str
-    how: str = STILL_OPEN
-    seal: str | None = None
+    simulated: bool  # Whether any device was simulated
+    begun_utc: str  # Time of the start, ISO 8601
+    how: str = STILL_OPEN  # State of the run: ``finished``, ``aborted``, ``failed`` or ``open``
+    seal: str | None = None  # SHA-256 of its list of files; None when it was not sealed
     head: str = ""
 
 
 def runs_of(entries: Iterable[Entry]) -> list[LedgerRun]:
     """Return the runs of a ledger.
 
-    Parameters
-    ----------
-    entries
-        Its lines.
-
-    Returns
-    -------
-    list of LedgerRun
-        In the order in which they began. Numbers rise; after a break of the ledger some may be missing.
-
-    Raises
-    ------
-    JournalBroken
-        When a line about a run is incomplete, gives a number again, or ends a run that never began.
+    Returns: In the order in which they began. Numbers rise; after a break of the ledger some may be missing.
+    Raises JournalBroken: When a line about a run is incomplete, gives a number again, or ends a run that
+      never began.
     """
     runs: list[LedgerRun] = []
     place_of: dict[int, int] = {}

@@ -27,20 +27,7 @@ _RESTORE = "Restore the file from a copy."
 def open_to_read(path: Path) -> Iterator[BinaryIO]:
     """Open an ordinary file for reading. A pipe or a device, which might never answer, is refused.
 
-    Parameters
-    ----------
-    path
-        The file.
-
-    Yields
-    ------
-    BinaryIO
-        The open file.
-
-    Raises
-    ------
-    StorageError
-        If it cannot be opened or read, or is no ordinary file.
+    Raises StorageError: If it cannot be opened or read, or is no ordinary file.
     """
     with storage_errors(path):
         descriptor = os.open(path, os.O_RDONLY | O_BINARY | getattr(os, "O_NONBLOCK", 0))
@@ -56,22 +43,7 @@ def open_to_read(path: Path) -> Iterator[BinaryIO]:
 def read_bounded(path: Path, most_bytes: int = MOST_BYTES) -> bytes:
     """Read an ordinary file of a bounded size.
 
-    Parameters
-    ----------
-    path
-        The file.
-    most_bytes
-        Largest size that is read.
-
-    Returns
-    -------
-    bytes
-        Its content.
-
-    Raises
-    ------
-    StorageError
-        If it cannot be read, is no ordinary file, or is larger.
+    Raises StorageError: If it cannot be read, is no ordinary file, or is larger.
     """
     with open_to_read(path) as stream:
         is_larger = os.fstat(stream.fileno()).st_size > most_bytes
@@ -88,23 +60,7 @@ def read_bounded(path: Path, most_bytes: int = MOST_BYTES) -> bytes:
 def read_json(path: Path, most_bytes: int = MOST_BYTES) -> Any:
     """Read a JSON file of a bounded size.
 
-    Parameters
-    ----------
-    path
-        The file.
-    most_bytes
-        Largest size that is read.
-
-    Returns
-    -------
-    Any
-        Its content.
-
-    Raises
-    ------
-    StorageError
-        As `read_bounded`.
-    ValueError
-        If it is not JSON, is nested too deeply, or has too many values.
+    Raises StorageError: As `read_bounded`.
+    Raises ValueError: If it is not JSON, is nested too deeply, or has too many values.
     """
     return parse_json(read_bounded(path, most_bytes))

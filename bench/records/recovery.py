@@ -14,37 +14,18 @@ from bench.records.storage import is_temporary, make_folder, sha256_of, storage_
 
 @dataclass(frozen=True)
 class RecoveryNotes:
-    """What a restart has found in a run folder.
-
-    Attributes
-    ----------
-    intact
-        Recordings that the journal names and that are unchanged.
-    missing
-        Recordings that the journal names and that do not exist.
-    changed
-        Recordings that differ from the journal; now in ``quarantine/``.
-    interrupted
-        Incomplete recordings; now in ``quarantine/``.
-    unnamed
-        Complete recordings that the journal does not name, because the run was cut off before that; now in
-        ``quarantine/``.
-    """
+    """What a restart has found in a run folder."""
 
     intact: tuple[Capture, ...] = ()
-    missing: tuple[str, ...] = ()
-    changed: tuple[str, ...] = ()
-    interrupted: tuple[str, ...] = ()
+    missing: tuple[str, ...] = ()  # Recordings that the journal names and that do not exist
+    changed: tuple[str, ...] = ()  # Recordings that differ from the journal; now in ``quarantine/``
+    interrupted: tuple[str, ...] = ()  # Incomplete recordings; now in ``quarantine/``
+    # Complete recordings that the journal does not name, because the run was cut off before that; now in
+    # ``quarantine/``.
     unnamed: tuple[str, ...] = ()
 
     def as_data(self) -> dict[str, Any]:
-        """Return the notes as data of a journal line.
-
-        Returns
-        -------
-        dict
-            Lists of file names by kind.
-        """
+        """Return the notes as data of a journal line."""
         return {
             "intact": [capture.name for capture in self.intact],
             "missing": list(self.missing),
@@ -60,22 +41,7 @@ def recover(folder: RunFolder, journal: Journal) -> RecoveryNotes:
     No recording is deleted. Recordings that are incomplete, changed, or not named in the journal are moved to
     ``quarantine/``. Temporary files of reports and similar files, which can be written again, are deleted.
 
-    Parameters
-    ----------
-    folder
-        The folder, locked by this process.
-    journal
-        Journal of the run.
-
-    Returns
-    -------
-    RecoveryNotes
-        What was found.
-
-    Raises
-    ------
-    StorageError
-        When a file cannot be read or moved.
+    Raises StorageError: When a file cannot be read or moved.
     """
     stored = stored_captures(journal.entries)
     found: dict[str, list[str]] = {"intact": [], "changed": [], "interrupted": [], "unnamed": []}

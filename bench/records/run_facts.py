@@ -24,20 +24,7 @@ _Json = Mapping[str, Any]
 
 
 def run_facts(history: History, folder: Path) -> dict[str, Any]:
-    """Return the values of the columns of the index for a run.
-
-    Parameters
-    ----------
-    history
-        The run, replayed from its journal.
-    folder
-        Its folder.
-
-    Returns
-    -------
-    dict
-        Value by name of the column.
-    """
+    """Return the values of the columns of the index for a run."""
     solved, started = history.solved, history.started
     return {
         "id": started.get("id", folder.name),
@@ -64,15 +51,7 @@ def run_facts(history: History, folder: Path) -> dict[str, Any]:
 def run_parameters(history: History) -> dict[str, tuple[float, float]]:
     """Return value and standard uncertainty of each parameter that was estimated.
 
-    Parameters
-    ----------
-    history
-        The run.
-
-    Returns
-    -------
-    dict
-        Value and standard uncertainty by name; a number that the journal does not have is NaN.
+    Returns: Value and standard uncertainty by name; a number that the journal does not have is NaN.
     """
     sigma = history.solved.get("sigma", {})
     values = history.solved.get("values", {})
@@ -82,19 +61,8 @@ def run_parameters(history: History) -> dict[str, tuple[float, float]]:
 def run_details(history: History, entries: Sequence[Entry], folder: Path) -> dict[str, Any]:
     """Return what the table of runs has beyond the row of the index.
 
-    Parameters
-    ----------
-    history
-        The run.
-    entries
-        The lines of its journal.
-    folder
-        Its folder, for ``results.json``.
-
-    Returns
-    -------
-    dict
-        Details by name, as JSON can carry them; a detail that is not known is None.
+    folder: Its folder, for ``results.json``.
+    Returns: Details by name, as JSON can carry them; a detail that is not known is None.
     """
     results, fault = _results(entries, folder)
     camera, light = history.devices.get("camera", {}), history.devices.get("light", {})

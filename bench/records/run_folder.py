@@ -52,29 +52,13 @@ _DEVICE_NAMES = {"con", "prn", "aux", "nul"} | {f"{d}{n}" for d in ("com", "lpt"
 def is_sealed(path: Path) -> bool:
     """Return whether a run folder is sealed.
 
-    Parameters
-    ----------
-    path
-        The folder.
-
-    Returns
-    -------
-    bool
-        Whether it has a signature; this does not verify it.
+    Returns: Whether it has a signature; this does not verify it.
     """
     return (path / SIGNATURE).exists()
 
 
 class RunFolder:
-    """A run folder that this process has locked, from ``create`` or ``open`` until ``close``.
-
-    Parameters
-    ----------
-    path
-        The folder.
-    lock
-        File descriptor of the lock.
-    """
+    """A run folder that this process has locked, from ``create`` or ``open`` until ``close``."""
 
     def __init__(self, path: Path, lock: int) -> None:
         self.path = path
@@ -84,24 +68,11 @@ class RunFolder:
     def create(cls, path: Path, *, bytes_needed: int = 0) -> Self:
         """Make a new run folder, with its parents, and lock it.
 
-        Parameters
-        ----------
-        path
-            The folder; it must not exist, or must be empty.
-        bytes_needed
-            Disk space that the run is expected to need, bytes.
-
-        Returns
-        -------
-        RunFolder
-            The folder.
-
-        Raises
-        ------
-        RunFolderError
-            When the folder is not empty, or another process has locked it.
-        StorageError
-            When permission is missing, there is less disk space than needed, or a file is in the way.
+        path: The folder; it must not exist, or must be empty.
+        bytes_needed: Disk space that the run is expected to need, bytes.
+        Raises RunFolderError: When the folder is not empty, or another process has locked it.
+        Raises StorageError: When permission is missing, there is less disk space than needed, or a file is in
+          the way.
         """
         path = path.absolute()
         make_folder(path)
@@ -120,22 +91,9 @@ class RunFolder:
     def open(cls, path: Path) -> Self:
         """Lock an existing run folder, to continue its run.
 
-        Parameters
-        ----------
-        path
-            The folder.
-
-        Returns
-        -------
-        RunFolder
-            The folder.
-
-        Raises
-        ------
-        RunFolderError
-            When it does not exist, is not a run folder, is sealed, or another process has locked it.
-        StorageError
-            When permission or disk space is missing.
+        Raises RunFolderError: When it does not exist, is not a run folder, is sealed, or another process has
+          locked it.
+        Raises StorageError: When permission or disk space is missing.
         """
         path = path.absolute()
         require_resumable(path)
@@ -156,24 +114,9 @@ class RunFolder:
     def write_atomic(self, name: str, data: bytes) -> Path:
         """Write a file as a whole, or leave its old contents. The file is synced when this returns.
 
-        Parameters
-        ----------
-        name
-            Path within the folder, with ``/``; subfolders are made.
-        data
-            Contents of the file.
-
-        Returns
-        -------
-        Path
-            The file.
-
-        Raises
-        ------
-        RunFolderError
-            When the name is not allowed.
-        StorageError
-            When the disk is full, permission is missing, or anything else fails.
+        name: Path within the folder, with ``/``; subfolders are made.
+        Raises RunFolderError: When the name is not allowed.
+        Raises StorageError: When the disk is full, permission is missing, or anything else fails.
         """
         path = self._place(name)
         make_folder(path.parent)
@@ -185,22 +128,10 @@ class RunFolder:
 
         A file of an earlier attempt is removed.
 
-        Parameters
-        ----------
-        name
-            Path of the final file within the folder, with ``/``.
-
-        Returns
-        -------
-        Path
-            The temporary file, which does not exist yet.
-
-        Raises
-        ------
-        RunFolderError
-            When the name is not allowed.
-        StorageError
-            When a subfolder cannot be made, or the earlier file cannot be removed.
+        name: Path of the final file within the folder, with ``/``.
+        Returns: The temporary file, which does not exist yet.
+        Raises RunFolderError: When the name is not allowed.
+        Raises StorageError: When a subfolder cannot be made, or the earlier file cannot be removed.
         """
         part = self._place(name).with_name(PurePosixPath(name).name + PART)
         make_folder(part.parent)
@@ -211,24 +142,10 @@ class RunFolder:
     def commit(self, name: str, goes_on: Callable[[], object] = lambda: None) -> Capture:
         """Sync the file at ``part_path(name)``, compute its hash and give it its name.
 
-        Parameters
-        ----------
-        name
-            Path of the final file within the folder, with ``/``.
-        goes_on
-            As for `sha256_of`: a recording may have many gigabytes.
-
-        Returns
-        -------
-        Capture
-            Name, size and hash of the file.
-
-        Raises
-        ------
-        RunFolderError
-            When a file of that name exists: a recording is never overwritten.
-        StorageError
-            When the file does not exist, or cannot be synced or renamed.
+        name: Path of the final file within the folder, with ``/``.
+        goes_on: As for `sha256_of`: a recording may have many gigabytes.
+        Raises RunFolderError: When a file of that name exists: a recording is never overwritten.
+        Raises StorageError: When the file does not exist, or cannot be synced or renamed.
         """
         path = self._place(name)
         part = path.with_name(path.name + PART)
@@ -246,17 +163,9 @@ class RunFolder:
     def capture_part_path(self, pose_index: int, attempt: int, ending: str = ".raw") -> Path:
         """Return where the camera writes a recording until it is complete.
 
-        Parameters
-        ----------
-        pose_index, attempt
-            Numbers of the pose and of the attempt, from 1.
-        ending
-            Ending of the file's name.
-
-        Returns
-        -------
-        Path
-            The temporary file, see ``part_path``.
+        pose_index, attempt: Numbers of the pose and of the attempt, from 1.
+        ending: Ending of the file's name.
+        Returns: The temporary file, see ``part_path``.
         """
         return self.part_path(capture_name(pose_index, attempt, ending))
 
@@ -269,46 +178,20 @@ class RunFolder:
     ) -> Capture:
         """Give a complete recording its name. After that the journal may name it.
 
-        Parameters
-        ----------
-        pose_index, attempt
-            Numbers of the pose and of the attempt, from 1.
-        ending
-            Ending of the file's name.
-        goes_on
-            As for ``commit``.
-
-        Returns
-        -------
-        Capture
-            Name, size and hash of the recording.
-
-        Raises
-        ------
-        RunFolderError, StorageError
-            As ``commit``.
+        pose_index, attempt: Numbers of the pose and of the attempt, from 1.
+        ending: Ending of the file's name.
+        goes_on: As for ``commit``.
+        Raises RunFolderError, StorageError: As ``commit``.
         """
         return self.commit(capture_name(pose_index, attempt, ending), goes_on)
 
     def quarantine_part(self, pose_index: int, attempt: int, ending: str = ".raw") -> str | None:
         """Move an incomplete recording to ``quarantine/``.
 
-        Parameters
-        ----------
-        pose_index, attempt
-            Numbers of the pose and of the attempt, from 1.
-        ending
-            Ending of the file's name.
-
-        Returns
-        -------
-        str or None
-            Its new path within the run folder; None if nothing had been written.
-
-        Raises
-        ------
-        StorageError
-            When it cannot be moved.
+        pose_index, attempt: Numbers of the pose and of the attempt, from 1.
+        ending: Ending of the file's name.
+        Returns: Its new path within the run folder; None if nothing had been written.
+        Raises StorageError: When it cannot be moved.
         """
         path = self._place(capture_name(pose_index, attempt, ending))
         part = path.with_name(path.name + PART)
@@ -320,10 +203,7 @@ class RunFolder:
     def release_reserve(self) -> None:
         """Release the reserved disk space, so that the journal can still state that the disk is full.
 
-        Raises
-        ------
-        StorageError
-            When the reserve cannot be removed.
+        Raises StorageError: When the reserve cannot be removed.
         """
         with storage_errors(self.path), suppress(FileNotFoundError):
             (self.path / _RESERVE).unlink()
@@ -355,20 +235,7 @@ class RunFolder:
     def quarantine(self, path: Path) -> Path:
         """Move a file that the journal does not confirm to ``quarantine/``. Nothing there is overwritten.
 
-        Parameters
-        ----------
-        path
-            The file.
-
-        Returns
-        -------
-        Path
-            Its new path.
-
-        Raises
-        ------
-        OSError
-            When it cannot be moved.
+        Raises OSError: When it cannot be moved.
         """
         aside = self.path / QUARANTINE
         make_folder(aside)
@@ -384,15 +251,7 @@ class RunFolder:
 def require_resumable(path: Path) -> None:
     """Check that the run in a folder can be continued.
 
-    Parameters
-    ----------
-    path
-        The folder.
-
-    Raises
-    ------
-    RunFolderError
-        When there is no such folder, it is not a run folder, or it is sealed.
+    Raises RunFolderError: When there is no such folder, it is not a run folder, or it is sealed.
     """
     if not path.is_dir():
         raise RunFolderError("There is no such run folder.", where=str(path), remedy="Check the path.")

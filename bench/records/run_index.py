@@ -55,15 +55,7 @@ PRAGMA user_version = {VERSION};
 def is_batch(folder: Path) -> bool:
     """Return whether a folder is a batch's.
 
-    Parameters
-    ----------
-    folder
-        Any folder.
-
-    Returns
-    -------
-    bool
-        True where it holds a queue and a journal.
+    Returns: True where it holds a queue and a journal.
     """
     return (folder / QUEUE_COPY).is_file() and (folder / JOURNAL).is_file()
 
@@ -71,22 +63,9 @@ def is_batch(folder: Path) -> bool:
 def is_rehearsal(folder: Path) -> bool:
     """Return whether the run or batch in a folder is a rehearsal.
 
-    Parameters
-    ----------
-    folder
-        A folder that holds a journal.
-
-    Returns
-    -------
-    bool
-        False also where the journal has no line yet.
-
-    Raises
-    ------
-    JournalBroken
-        If the hash chain of the journal is broken.
-    StorageError
-        If the journal cannot be read.
+    Returns: False also where the journal has no line yet.
+    Raises JournalBroken: If the hash chain of the journal is broken.
+    Raises StorageError: If the journal cannot be read.
     """
     entries, _ = read_journal(folder / JOURNAL)
     return bool(entries and entries[0].data.get("rehearsal", False))
@@ -95,20 +74,8 @@ def is_rehearsal(folder: Path) -> bool:
 def run_folders(root: Path) -> list[Path]:
     """Find the run folders in a folder: the folder itself, its subfolders, and theirs.
 
-    Parameters
-    ----------
-    root
-        The folder.
-
-    Returns
-    -------
-    list of Path
-        The run folders, sorted; the folder of a batch is not one.
-
-    Raises
-    ------
-    StorageError
-        When it does not exist or cannot be read.
+    Returns: The run folders, sorted; the folder of a batch is not one.
+    Raises StorageError: When it does not exist or cannot be read.
     """
     if not root.is_dir():
         raise StorageError(
@@ -122,10 +89,7 @@ def run_folders(root: Path) -> list[Path]:
 class RunIndex:
     """The index. Every method opens the file anew, because other processes use it too.
 
-    Parameters
-    ----------
-    home
-        The configuration folder, from `bench.base.home.home_folder`.
+    home: The configuration folder, from `bench.base.home.home_folder`.
     """
 
     def __init__(self, home: Path) -> None:
@@ -143,23 +107,11 @@ class RunIndex:
     ) -> tuple[list[IndexedRun], list[str]]:
         """List runs, oldest first.
 
-        Parameters
-        ----------
-        folders
-            Run folders to consider.
-        camera, since, until, sequence, how
-            Only runs of the camera with this serial number, started at or after ``since`` and before ``until``, with
-            this text in the name of the sequence, and with this state; None for any.
-
-        Returns
-        -------
-        runs, faults
-            The runs; and one sentence for each folder that cannot be read.
-
-        Raises
-        ------
-        StorageError
-            When the index cannot be written.
+        camera, since, until, sequence, how: Only runs of the camera with this serial number, started at or
+          after ``since`` and before ``until``, with this text in the name of the sequence, and with this
+          state; None for any.
+        Returns: The runs; and one sentence for each folder that cannot be read.
+        Raises StorageError: When the index cannot be written.
         """
         found, faults = [], []
         with self._open() as index:
@@ -183,21 +135,9 @@ class RunIndex:
     def details(self, runs: Iterable[IndexedRun]) -> Iterator[dict[str, Any]]:
         """Read the details of runs that ``runs`` has listed, one at a time.
 
-        Parameters
-        ----------
-        runs
-            The runs.
-
-        Yields
-        ------
-        dict
-            The details of each run, in the same order (`bench.records.run_facts.run_details`); empty for a run whose
-            row is gone.
-
-        Raises
-        ------
-        StorageError
-            When the index cannot be read.
+        Yields: The details of each run, in the same order (`bench.records.run_facts.run_details`); empty for
+          a run whose row is gone.
+        Raises StorageError: When the index cannot be read.
         """
         with self._open() as index:
             for run in runs:
@@ -207,15 +147,8 @@ class RunIndex:
     def entered(self) -> list[KnownRun]:
         """List the runs of the index that name their line in a ledger. No run folder is read.
 
-        Returns
-        -------
-        list of KnownRun
-            By folder; empty while there is no index.
-
-        Raises
-        ------
-        StorageError
-            When the index cannot be read.
+        Returns: By folder; empty while there is no index.
+        Raises StorageError: When the index cannot be read.
         """
         if not self.path.exists():
             return []
@@ -331,20 +264,7 @@ def _index(index: sqlite3.Connection, folder: Path, stamp: tuple[int, int, int])
 def read_run(folder: Path) -> IndexedRun:
     """Read one run from its folder, without an index.
 
-    Parameters
-    ----------
-    folder
-        The run folder.
-
-    Returns
-    -------
-    IndexedRun
-        The run.
-
-    Raises
-    ------
-    JournalBroken, StorageError
-        When the journal is not valid, or cannot be read.
+    Raises JournalBroken, StorageError: When the journal is not valid, or cannot be read.
     """
     return read_run_and_details(folder)[0]
 
@@ -352,20 +272,8 @@ def read_run(folder: Path) -> IndexedRun:
 def read_run_and_details(folder: Path) -> tuple[IndexedRun, dict[str, Any]]:
     """Read one run and its details from its folder, without an index.
 
-    Parameters
-    ----------
-    folder
-        The run folder.
-
-    Returns
-    -------
-    run, details
-        The run, and what `bench.records.run_facts.run_details` returns.
-
-    Raises
-    ------
-    JournalBroken, StorageError
-        When the journal is not valid, or cannot be read.
+    Returns: The run, and what `bench.records.run_facts.run_details` returns.
+    Raises JournalBroken, StorageError: When the journal is not valid, or cannot be read.
     """
     history, facts, details = _read(folder)
     ended = facts.pop("ended")

@@ -43,15 +43,7 @@ _WITHOUT_HARDWARE = frozenset({"settling", "checking"})
 
 
 class RunLog:
-    """A run's journal and history; the history follows the journal line by line. Safe to use from several threads.
-
-    Attributes
-    ----------
-    journal
-        The journal, open for appending.
-    history
-        What the journal amounts to at this moment.
-    """
+    """A run's journal and history; the history follows the journal line by line. Safe to use from several threads."""
 
     def __init__(self, journal: Journal) -> None:
         self.journal = journal
@@ -62,10 +54,7 @@ class RunLog:
     def held(self) -> Iterator[History]:
         """Keep other threads from writing inside the block, to decide by the history and write the decision.
 
-        Yields
-        ------
-        History
-            The history, which does not change but by this thread.
+        Yields: The history, which does not change but by this thread.
         """
         with self._lock:
             yield self.history
@@ -118,37 +107,19 @@ class RunLog:
         The line survives a power cut when this returns, except a line that is repeated or found again after a restart
         with the same result: such a line is synced together with the next one.
 
-        Parameters
-        ----------
-        event
-            What the line states.
-        data
-            Its payload (`bench.records.events`).
-
-        Raises
-        ------
-        StorageError
-            When the journal cannot be written.
+        data: Its payload (`bench.records.events`).
+        Raises StorageError: When the journal cannot be written.
         """
         self._write(event, data)
 
     def write_entering(self, data: Entering) -> None:
-        """Write that the machine is about to enter a state. Otherwise as ``write``.
-
-        Parameters
-        ----------
-        data
-            The states, the step and its circumstances.
-        """
+        """Write that the machine is about to enter a state. Otherwise as ``write``."""
         self._write(Event.ENTERING, data)
 
     def write_left_off(self, data: LeftOff) -> None:
         """Write that the work of a state ended. Otherwise as ``write``.
 
-        Parameters
-        ----------
-        data
-            The state, and the error where the work failed.
+        data: The state, and the error where the work failed.
         """
         self._write(Event.LEFT_OFF, data)
 

@@ -35,20 +35,7 @@ _NOWHERE = {errno.ENOENT, errno.ENOTDIR, errno.EISDIR, errno.ENAMETOOLONG, errno
 def storage_errors(where: Path) -> Iterator[None]:
     """Turn an OSError of the block into a StorageError with a remedy.
 
-    Parameters
-    ----------
-    where
-        The file or folder in use; the message names it unless the error names another one.
-
-    Yields
-    ------
-    None
-        For the block.
-
-    Raises
-    ------
-    StorageError
-        For any OSError in the block.
+    where: The file or folder in use; the message names it unless the error names another one.
     """
     try:
         yield
@@ -69,15 +56,7 @@ def storage_errors(where: Path) -> Iterator[None]:
 def sync_folder(folder: Path) -> None:
     """Sync a folder, so that the names in it survive a power cut. Does nothing on Windows, which cannot sync folders.
 
-    Parameters
-    ----------
-    folder
-        The folder.
-
-    Raises
-    ------
-    OSError
-        When it cannot be synced.
+    Raises OSError: When it cannot be synced.
     """
     if not _FOLDERS_OPEN:
         return
@@ -91,15 +70,7 @@ def sync_folder(folder: Path) -> None:
 def sync_file(path: Path) -> None:
     """Sync a file, so that its contents survive a power cut.
 
-    Parameters
-    ----------
-    path
-        The file.
-
-    Raises
-    ------
-    OSError
-        When it cannot be synced.
+    Raises OSError: When it cannot be synced.
     """
     descriptor = os.open(path, _TO_SYNC)
     try:
@@ -111,20 +82,7 @@ def sync_file(path: Path) -> None:
 def open_to_lock(folder: Path) -> int:
     """Open a folder in order to lock it (see `drivers.file_lock`). On Windows, open a hidden file beside it instead.
 
-    Parameters
-    ----------
-    folder
-        The folder.
-
-    Returns
-    -------
-    int
-        File descriptor; the caller closes it.
-
-    Raises
-    ------
-    OSError
-        When it cannot be opened.
+    Raises OSError: When it cannot be opened.
     """
     if _FOLDERS_OPEN:
         return os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
@@ -134,15 +92,8 @@ def open_to_lock(folder: Path) -> int:
 def make_folder(folder: Path) -> None:
     """Make a folder and its parents, and sync the name of each.
 
-    Parameters
-    ----------
-    folder
-        The folder; it may exist already.
-
-    Raises
-    ------
-    StorageError
-        When one of them is a file, or cannot be made.
+    folder: The folder; it may exist already.
+    Raises StorageError: When one of them is a file, or cannot be made.
     """
     with storage_errors(folder):
         missing = [p for p in (folder, *folder.parents) if not p.exists()]
@@ -160,17 +111,7 @@ def _require_folder(path: Path) -> None:
 def write_all(descriptor: int, data: bytes) -> None:
     """Write every byte. ``os.write`` alone may write fewer.
 
-    Parameters
-    ----------
-    descriptor
-        File descriptor, open for writing.
-    data
-        The bytes.
-
-    Raises
-    ------
-    OSError
-        When they cannot be written; some may have been.
+    Raises OSError: When they cannot be written; some may have been.
     """
     view = memoryview(data)
     while view:
@@ -180,19 +121,10 @@ def write_all(descriptor: int, data: bytes) -> None:
 def write_atomic(path: Path, data: bytes, *, mode: int = 0o644) -> None:
     """Write a file so that at any moment it has either its new contents or its old ones.
 
-    Parameters
-    ----------
-    path
-        The file; its folder must exist.
-    data
-        Its new contents.
-    mode
-        Permissions of a new file.
-
-    Raises
-    ------
-    StorageError
-        When the disk is full, permission is missing, or anything else fails; the file then has its old contents.
+    path: The file; its folder must exist.
+    mode: Permissions of a new file.
+    Raises StorageError: When the disk is full, permission is missing, or anything else fails; the file then
+      has its old contents.
     """
     part = path.with_name(f".{path.name}{TEMPORARY}")
     with storage_errors(path):
@@ -210,15 +142,8 @@ def write_atomic(path: Path, data: bytes, *, mode: int = 0o644) -> None:
 def remove(path: Path) -> None:
     """Remove a file, a link, or a folder with its contents.
 
-    Parameters
-    ----------
-    path
-        What to remove; the target of a link remains.
-
-    Raises
-    ------
-    OSError
-        When it cannot be removed.
+    path: What to remove; the target of a link remains.
+    Raises OSError: When it cannot be removed.
     """
     if path.is_dir() and not path.is_symlink():
         shutil.rmtree(path)
@@ -229,15 +154,7 @@ def remove(path: Path) -> None:
 def is_temporary(path: Path) -> bool:
     """Return whether a file is one that `write_atomic` left behind when its process died, or is writing now.
 
-    Parameters
-    ----------
-    path
-        The file.
-
-    Returns
-    -------
-    bool
-        By its name only.
+    Returns: By its name only.
     """
     return path.name.startswith(".") and path.name.endswith(TEMPORARY)
 
@@ -245,17 +162,7 @@ def is_temporary(path: Path) -> bool:
 def move_into_place(part: Path, path: Path) -> None:
     """Give a file that other code has written its final name: fsync, rename, fsync of the folder.
 
-    Parameters
-    ----------
-    part
-        The complete file.
-    path
-        Its final path, in the same folder.
-
-    Raises
-    ------
-    StorageError
-        When it cannot be synced or renamed.
+    Raises StorageError: When it cannot be synced or renamed.
     """
     with storage_errors(part):
         sync_file(part)
@@ -266,22 +173,10 @@ def move_into_place(part: Path, path: Path) -> None:
 def sha256_of(path: Path, goes_on: Callable[[], object] = lambda: None) -> str:
     """Return the SHA-256 of a file (FIPS 180-4). The file may be larger than the memory.
 
-    Parameters
-    ----------
-    path
-        The file.
-    goes_on
-        Called after each piece, so that a supervisor sees the work go on (`bench.base.clock.BenchClock.monotonic`).
-
-    Returns
-    -------
-    str
-        64 hexadecimal digits.
-
-    Raises
-    ------
-    OSError
-        When it cannot be read.
+    goes_on: Called after each piece, so that a supervisor sees the work go on
+      (`bench.base.clock.BenchClock.monotonic`).
+    Returns: 64 hexadecimal digits.
+    Raises OSError: When it cannot be read.
     """
     digest = hashlib.sha256()
     with path.open("rb") as stream:

@@ -25,20 +25,8 @@ class WrittenFiles(TypedDict):
 def written_files(folder: Path) -> WrittenFiles:
     """Hash the results of a run, and what its wire logs hold so far.
 
-    Parameters
-    ----------
-    folder
-        The run folder.
-
-    Returns
-    -------
-    dict
-        ``files``: SHA-256 by name; ``wire``: size and SHA-256 by name.
-
-    Raises
-    ------
-    StorageError
-        When a file cannot be read.
+    Returns: ``files``: SHA-256 by name; ``wire``: size and SHA-256 by name.
+    Raises StorageError: When a file cannot be read.
     """
     with storage_errors(folder):
         exported = sorted(path.name for path in (folder / EXPORTS).glob("*"))

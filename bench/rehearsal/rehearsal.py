@@ -49,13 +49,7 @@ OpenDevices = Callable[[], Devices]
 
 
 class RehearsedKind(EventKind):
-    """A camera whose recordings hold stars instead of events; it replaces event and frame cameras alike.
-
-    Parameters
-    ----------
-    clock
-        Clock on which the time for measuring a recording passes.
-    """
+    """A camera whose recordings hold stars instead of events; it replaces event and frame cameras alike."""
 
     def __init__(self, clock: BenchClock) -> None:
         super().__init__({})
@@ -89,13 +83,7 @@ class RehearsedKind(EventKind):
 
 @dataclass(frozen=True)
 class RehearsedJob(Job):
-    """Task of a rehearsed run.
-
-    Attributes
-    ----------
-    clock
-        Clock of the rehearsal.
-    """
+    """Task of a rehearsed run."""
 
     clock: BenchClock
 
@@ -111,15 +99,7 @@ class RehearsedJob(Job):
 
 
 class RehearsedResults(ResultWriter):
-    """Calculates the calibration of a rehearsed run and writes it; no comparison and no report.
-
-    Parameters
-    ----------
-    job
-        Task of the rehearsed run.
-    folder
-        Run folder, locked by this process.
-    """
+    """Calculates the calibration of a rehearsed run and writes it; no comparison and no report."""
 
     def __init__(self, job: RehearsedJob, folder: RunFolder) -> None:
         super().__init__(job, folder)
@@ -147,17 +127,8 @@ class RehearsedResults(ResultWriter):
     def write(self, log: RunLog, truth: Mapping[str, Any] | None) -> None:
         """Write results.json, which states that it is from a rehearsal.
 
-        Parameters
-        ----------
-        log
-            Journal and history of the run.
-        truth
-            Truth of the rehearsed world; None if there is none.
-
-        Raises
-        ------
-        BenchError
-            If there is no calibration.
+        truth: Truth of the rehearsed world; None if there is none.
+        Raises BenchError: If there is no calibration.
         """
         if self._calibration is None:
             raise BenchError(
@@ -179,15 +150,7 @@ class RehearsedResults(ResultWriter):
 
 
 class RehearsedDecisions(Decisions):
-    """Decides for the ``until`` steps of a rehearsed run; the time for it passes on the clock of the rehearsal.
-
-    Parameters
-    ----------
-    job
-        Task of the rehearsed run.
-    folder
-        Run folder.
-    """
+    """Decides for the ``until`` steps of a rehearsed run; the time for it passes on the clock of the rehearsal."""
 
     def __init__(self, job: RehearsedJob, folder: Path) -> None:
         super().__init__(job, folder)
@@ -217,32 +180,9 @@ def rehearse_run(
 ) -> RunEnd:
     """Rehearse a run, or continue a rehearsed run that did not finish.
 
-    Parameters
-    ----------
-    sequence, station
-        Paths of the files, or names of those that are included.
-    seed
-        Random seed of the rehearsed world.
-    operator
-        Name of the operator.
-    folder
-        Run folder: a new one, or that of a rehearsed run that did not finish.
-    clock
-        Clock of the rehearsal, usually a ``VirtualClock``.
-    settings
-        Settings that replace those of the files.
-
-    Returns
-    -------
-    RunEnd
-        How the run ended.
-
-    Raises
-    ------
-    ScriptError
-        With all faults of the files.
-    RunFolderError, StorageError
-        If the folder cannot be used.
+    folder: Run folder: a new one, or that of a rehearsed run that did not finish.
+    clock: Clock of the rehearsal, usually a ``VirtualClock``.
+    Raises RunFolderError, StorageError: If the folder cannot be used.
     """
     planned = _without_room_interlocks(make_plan(*load_documents(sequence, station, settings)))
     task = Job.from_plan(planned, seed=seed, operator=operator)
@@ -271,21 +211,8 @@ def rehearse_job(
 ) -> RunEnd:
     """Rehearse a task on given devices; otherwise as `rehearse_run`.
 
-    Parameters
-    ----------
-    job
-        The task.
-    folder
-        Run folder: a new one, or that of a rehearsed run that did not finish.
-    open_devices
-        Opens the devices.
-    journal_type
-        Kind of journal; with ``Journal`` the run is stored as durably as a real one.
-
-    Returns
-    -------
-    RunEnd
-        How the run ended.
+    folder: Run folder: a new one, or that of a rehearsed run that did not finish.
+    journal_type: Kind of journal; with ``Journal`` the run is stored as durably as a real one.
     """
     clock = job.clock
     clocks: dict[str, Any] = {"utc_now": clock.utc_now, "monotonic": clock.monotonic}

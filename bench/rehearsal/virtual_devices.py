@@ -49,22 +49,11 @@ _FILTERS = ("afk", "stc", "trail", "erc")
 class VirtualDevices(Devices):
     """A virtual stage, light and camera.
 
-    Parameters
-    ----------
-    station
-        Station whose axes, limits and speeds apply. A station of real devices is rehearsed by its
-        ``expected`` section.
-    seed
-        Random seed of the rehearsed world.
-    clock
-        Clock on which moves and recordings take their time.
-
-    Raises
-    ------
-    drivers.errors.WrongDevice
-        If the simulated camera has another serial number than the station file names.
-    SimulationError
-        If the station's simulation cannot be used.
+    station: Station whose axes, limits and speeds apply. A station of real devices is rehearsed by its
+      ``expected`` section.
+    Raises drivers.errors.WrongDevice: If the simulated camera has another serial number than the station file
+      names.
+    Raises SimulationError: If the station's simulation cannot be used.
     """
 
     def __init__(self, station: Station, *, seed: int, clock: BenchClock) -> None:
@@ -90,15 +79,7 @@ class VirtualDevices(Devices):
 
 
 class VirtualStage:
-    """Axes that reach their target after the time of the move; a ``drivers.stage.Stage``.
-
-    Parameters
-    ----------
-    limits
-        Limits and speeds by axis.
-    clock
-        Clock on which moves take their time.
-    """
+    """Axes that reach their target after the time of the move; a ``drivers.stage.Stage``."""
 
     def __init__(self, limits: Mapping[str, AxisLimits], clock: BenchClock) -> None:
         self.limits = limits
@@ -127,17 +108,9 @@ class VirtualStage:
     def move_to(self, target_deg: Mapping[str, float]) -> None:
         """Move the axes; takes the time of a real move.
 
-        Parameters
-        ----------
-        target_deg
-            Target angle by axis, degrees.
-
-        Raises
-        ------
-        OutsideLimits
-            If a target is outside the limits; nothing moves.
-        NotHomed
-            If the stage is not homed.
+        target_deg: Target angle by axis, degrees.
+        Raises OutsideLimits: If a target is outside the limits; nothing moves.
+        Raises NotHomed: If the stage is not homed.
         """
         at_deg = self.position_deg()
         for name, angle in target_deg.items():
@@ -154,15 +127,8 @@ class VirtualStage:
     def position_deg(self) -> dict[str, float]:
         """Return the angles of the axes.
 
-        Returns
-        -------
-        dict
-            Angle by axis, degrees.
-
-        Raises
-        ------
-        NotHomed
-            If the stage is not homed.
+        Returns: Angle by axis, degrees.
+        Raises NotHomed: If the stage is not homed.
         """
         if self._at_deg is None:
             raise NotHomed("The virtual stage is not homed.", where="stage", remedy="Home it first.")
@@ -194,13 +160,7 @@ class VirtualStage:
 
 
 class VirtualLight:
-    """A light that accepts every setting; a ``drivers.light.Light``.
-
-    Parameters
-    ----------
-    clock
-        Clock on which switching takes its time.
-    """
+    """A light that accepts every setting; a ``drivers.light.Light``."""
 
     def __init__(self, clock: BenchClock) -> None:
         self._clock = clock
@@ -243,21 +203,7 @@ class VirtualLight:
 
 
 class VirtualCamera:
-    """A camera that writes the stars of a rehearsed world; a ``drivers.camera.EventCamera``.
-
-    Parameters
-    ----------
-    serial
-        Serial number of the camera.
-    world
-        The rehearsed world.
-    stage
-        Stage whose angles determine what the camera sees.
-    light
-        Light whose frequency gives the number of sync edges.
-    clock
-        Clock on which recordings take their time.
-    """
+    """A camera that writes the stars of a rehearsed world; a ``drivers.camera.EventCamera``."""
 
     def __init__(
         self, serial: str, world: RehearsedWorld, stage: VirtualStage, light: VirtualLight, clock: BenchClock
@@ -292,22 +238,9 @@ class VirtualCamera:
     def record(self, path: Path, duration_s: float) -> RecordingFacts:
         """Write the stars of this pose to a file.
 
-        Parameters
-        ----------
-        path
-            File to write.
-        duration_s
-            Length of the recording, s.
-
-        Returns
-        -------
-        RecordingFacts
-            Facts of a recording without events.
-
-        Raises
-        ------
-        RecordingFailed
-            If the rehearsed world decides that the recording fails.
+        duration_s: Length of the recording, s.
+        Returns: Facts of a recording without events.
+        Raises RecordingFailed: If the rehearsed world decides that the recording fails.
         """
         seen = self._world.record(self._stage.position_deg(), self._clock.monotonic(), self._recordings)
         self._recordings += 1
@@ -352,26 +285,7 @@ class VirtualCamera:
 def read_view(path: Path, name: str, target: StarTarget) -> tuple[View, int]:
     """Read a rehearsed recording.
 
-    Parameters
-    ----------
-    path
-        File of the recording.
-    name
-        Name of the pose.
-    target
-        The printed target.
-
-    Returns
-    -------
-    view
-        Its stars.
-    rising_edges
-        Number of sync edges that it would hold.
-
-    Raises
-    ------
-    OSError, ValueError, KeyError
-        If the file is not a rehearsed recording.
+    Raises OSError, ValueError, KeyError: If the file is not a rehearsed recording.
     """
     content = parse_json(read_bounded(path).removeprefix(FIRST_LINE))
     ids = np.array(content["ids"], dtype=np.int64)

@@ -69,15 +69,8 @@ class TrendRow(NamedTuple):
 def render_batch(summary: Json) -> str:
     """Render the page.
 
-    Parameters
-    ----------
-    summary
-        Content of ``summary.json``, see `batch_summary.summarise`.
-
-    Returns
-    -------
-    str
-        A complete HTML document that loads nothing and depends on ``summary`` alone.
+    summary: Content of ``summary.json``, see `batch_summary.summarise`.
+    Returns: A complete HTML document that loads nothing and depends on ``summary`` alone.
     """
     zone = _zone(summary)
     bars = bars_of(summary["items"])

@@ -25,15 +25,8 @@ _ORIGINS = {
 def passport_rows(passport: Json | None) -> Rows:
     """List what the results state about the collimator's passport.
 
-    Parameters
-    ----------
-    passport
-        ``passport`` of results.json; None if no passport was used.
-
-    Returns
-    -------
-    list of tuple
-        Name and value; none without a passport.
+    passport: ``passport`` of results.json; None if no passport was used.
+    Returns: Name and value; none without a passport.
     """
     if not passport:
         return []
@@ -72,17 +65,9 @@ def _seal_rows(passport: Json) -> Rows:
 def readings_rows(readings: Json | None, estimate: Json | None) -> Rows:
     """List whether the readings of the gimbal entered the calibration, with what statement, or why not.
 
-    Parameters
-    ----------
-    readings
-        ``gimbal_readings`` of results.json; None if the calibration had no readings.
-    estimate
-        ``calibration.gimbal`` of results.json; None if the readings took no part.
-
-    Returns
-    -------
-    list of tuple
-        Name and value; one row, or two if the station states the uncertainty of the readings.
+    readings: ``gimbal_readings`` of results.json; None if the calibration had no readings.
+    estimate: ``calibration.gimbal`` of results.json; None if the readings took no part.
+    Returns: Name and value; one row, or two if the station states the uncertainty of the readings.
     """
     if not readings:
         return []
@@ -104,15 +89,8 @@ def readings_rows(readings: Json | None, estimate: Json | None) -> Rows:
 def parallax_rows(parallax: Json | None) -> Rows:
     """List where the entrance pupil is, and the parallax that follows, or why the parallax test has no result.
 
-    Parameters
-    ----------
-    parallax
-        ``parallax`` of results.json; None if the rims in view do not determine it.
-
-    Returns
-    -------
-    list of tuple
-        Name and value; none without a result.
+    parallax: ``parallax`` of results.json; None if the rims in view do not determine it.
+    Returns: Name and value; none without a result.
     """
     if not parallax:
         return []
@@ -133,15 +111,8 @@ def parallax_rows(parallax: Json | None) -> Rows:
 def source_rows(sources: Sequence[Json]) -> list[tuple[str, str, str, str]]:
     """List the input files of a calibration without devices.
 
-    Parameters
-    ----------
-    sources
-        ``sources`` of results.json.
-
-    Returns
-    -------
-    list of tuple
-        View, size in bytes, path and SHA-256 of each file.
+    sources: ``sources`` of results.json.
+    Returns: View, size in bytes, path and SHA-256 of each file.
     """
     return [
         (str(one["view"]), number(one["size_bytes"], 12), str(one["path"]), str(one["sha256"]))

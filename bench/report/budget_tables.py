@@ -29,30 +29,19 @@ _OF_WAVEFRONT = "urad"
 
 @dataclass(frozen=True)
 class PrintedBudgetRow:
-    """A source of uncertainty, as printed.
+    """A source of uncertainty, as printed."""
 
-    Attributes
-    ----------
-    name, type, source
-        Name of the source, ``A`` or ``B``, and where its value comes from.
-    value, distribution
-        Stated value with its unit; distribution with its divisor.
-    sensitivity
-        Change of fx by one unit of the value, with its unit.
-    focal, corner
-        Contribution to the standard uncertainty of fx and of the worst corner, px.
-    focal_share, corner_share
-        Share in the variance of fx and of the worst corner, 0 to 1.
-    """
-
+    # name, type, source: Name of the source, ``A`` or ``B``, and where its value comes from.
     name: str
     type: str
     source: str
     value: str
     distribution: str
     sensitivity: str
+    # focal, corner: Contribution to the standard uncertainty of fx and of the worst corner, px.
     focal: str
     corner: str
+    # focal_share, corner_share: Share in the variance of fx and of the worst corner, 0 to 1.
     focal_share: float
     corner_share: float
 
@@ -60,17 +49,7 @@ class PrintedBudgetRow:
 def budget_rows(calibration: Json, words: TargetWords = STARS) -> list[PrintedBudgetRow]:
     """Return the rows of the uncertainty budget.
 
-    Parameters
-    ----------
-    calibration
-        ``calibration`` of results.json.
-    words
-        What the stars are called.
-
-    Returns
-    -------
-    list of PrintedBudgetRow
-        A row for each source of uncertainty.
+    calibration: ``calibration`` of results.json.
     """
     return [_printed(row, words) for row in calibration.get("budget_rows") or []]
 
@@ -78,15 +57,8 @@ def budget_rows(calibration: Json, words: TargetWords = STARS) -> list[PrintedBu
 def combined(calibration: Json) -> tuple[tuple[str, str], tuple[str, str]] | None:
     """Return the combined standard uncertainties and the expanded ones (JCGM 100, 5.1.2 and 6.2.1).
 
-    Parameters
-    ----------
-    calibration
-        ``calibration`` of results.json.
-
-    Returns
-    -------
-    tuple or None
-        u, then U = k u, each of fx and of the worst corner, px; None if the results have no budget.
+    calibration: ``calibration`` of results.json.
+    Returns: u, then U = k u, each of fx and of the worst corner, px; None if the results have no budget.
     """
     rows = calibration.get("budget_rows") or []
     if not rows:
@@ -102,15 +74,8 @@ def overlap(calibration: Json) -> str:
 
     A stated wavefront and the residuals that all views share can come from the same glass.
 
-    Parameters
-    ----------
-    calibration
-        ``calibration`` of results.json.
-
-    Returns
-    -------
-    str
-        A sentence; empty if no rows overlap.
+    calibration: ``calibration`` of results.json.
+    Returns: A sentence; empty if no rows overlap.
     """
     rows = calibration.get("budget_rows") or []
     stated = [str(row["name"]) for row in rows if row["unit"] == _OF_WAVEFRONT]
@@ -126,15 +91,7 @@ def overlap(calibration: Json) -> str:
 def not_included(calibration: Json) -> list[tuple[str, str]]:
     """Return the sources of uncertainty that the result does not contain.
 
-    Parameters
-    ----------
-    calibration
-        ``calibration`` of results.json.
-
-    Returns
-    -------
-    list of tuple
-        Name of the source, and what it could do.
+    calibration: ``calibration`` of results.json.
     """
     lines = [str(line).partition(": ") for line in calibration.get("not_included") or []]
     return [(name, effect) for name, _, effect in lines]

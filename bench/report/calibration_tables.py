@@ -59,15 +59,8 @@ class Cell:
 def coverage_factor(calibration: Json) -> float:
     """Return the coverage factor k: U = k u has a coverage probability of about 95 % (JCGM 100, 6.2 and annex G).
 
-    Parameters
-    ----------
-    calibration
-        ``calibration`` or ``planar`` of results.json.
-
-    Returns
-    -------
-    float
-        Its ``coverage_factor``; 2 if it has none.
+    calibration: ``calibration`` or ``planar`` of results.json.
+    Returns: Its ``coverage_factor``; 2 if it has none.
     """
     return float(calibration.get("coverage_factor") or _USUAL_COVERAGE_FACTOR)
 
@@ -75,15 +68,9 @@ def coverage_factor(calibration: Json) -> float:
 def values(calibration: Json) -> list[ValueRow]:
     """Return each estimated value with its expanded uncertainty U = k u (JCGM 100, 6.2.1).
 
-    Parameters
-    ----------
-    calibration
-        ``calibration`` of results.json.
-
-    Returns
-    -------
-    list of ValueRow
-        A row for each parameter that has a sigma. The relative uncertainty is printed if it is below 100 %.
+    calibration: ``calibration`` of results.json.
+    Returns: A row for each parameter that has a sigma. The relative uncertainty is printed if it is below 100
+      %.
     """
     found = {**calibration["camera"], **(calibration.get("collimator") or {})}
     k = coverage_factor(calibration)
@@ -101,17 +88,8 @@ def values(calibration: Json) -> list[ValueRow]:
 def fit_statistics(calibration: Json, words: TargetWords = STARS) -> list[tuple[str, str, str]]:
     """Return the statistics of the fit: residuals, numbers of stars and degrees of freedom, variance factors.
 
-    Parameters
-    ----------
-    calibration
-        ``calibration`` of results.json.
-    words
-        What the stars are called.
-
-    Returns
-    -------
-    list of tuple
-        Name, number and unit; quantities without a number are omitted.
+    calibration: ``calibration`` of results.json.
+    Returns: Name, number and unit; quantities without a number are omitted.
     """
     stars = sum(view["n"] for view in calibration["views"])
     rows = [
@@ -129,18 +107,9 @@ def fit_statistics(calibration: Json, words: TargetWords = STARS) -> list[tuple[
 def budget(calibration: Json, words: TargetWords = STARS) -> tuple[list[str], list[tuple[str, list[Cell]]]]:
     """Return the uncertainty budget: for each source, its share of the variance of each parameter.
 
-    Parameters
-    ----------
-    calibration
-        ``calibration`` of results.json.
-    words
-        What the stars are called.
-
-    Returns
-    -------
-    tuple
-        Names of the parameters, and for each source its name and one cell for each parameter. The shares of a parameter
-        add up to 100 %, apart from rounding.
+    calibration: ``calibration`` of results.json.
+    Returns: Names of the parameters, and for each source its name and one cell for each parameter. The shares
+      of a parameter add up to 100 %, apart from rounding.
     """
     sources = calibration.get("budget") or {}
     names = [name for name in calibration["sigma"] if all(name in sigmas for sigmas in sources.values())]
@@ -162,15 +131,8 @@ def budget(calibration: Json, words: TargetWords = STARS) -> tuple[list[str], li
 def correlation(calibration: Json) -> tuple[list[str], list[list[Cell]]]:
     """Return the correlation coefficients of the parameters (JCGM 100, 5.2.2, equation 14).
 
-    Parameters
-    ----------
-    calibration
-        ``calibration`` of results.json.
-
-    Returns
-    -------
-    tuple
-        Names of the parameters, and the rows of the matrix; 0 where a variance is 0.
+    calibration: ``calibration`` of results.json.
+    Returns: Names of the parameters, and the rows of the matrix; 0 where a variance is 0.
     """
     covariance = calibration.get("covariance") or {"names": [], "matrix": []}
     matrix = covariance["matrix"]
@@ -185,17 +147,10 @@ def correlation(calibration: Json) -> tuple[list[str], list[list[Cell]]]:
 def planar_comparison(calibration: Json, planar: Json | None) -> list[tuple[str, str, str, str, str]]:
     """Compare the result with the planar calibration of the same stars.
 
-    Parameters
-    ----------
-    calibration
-        ``calibration`` of results.json.
-    planar
-        ``planar`` of results.json.
-
-    Returns
-    -------
-    list of tuple
-        Name, value, U, planar value, planar U of each common parameter; the last row has the RMS residuals.
+    calibration: ``calibration`` of results.json.
+    planar: ``planar`` of results.json.
+    Returns: Name, value, U, planar value, planar U of each common parameter; the last row has the RMS
+      residuals.
     """
     if planar is None:
         return []
@@ -212,16 +167,9 @@ def planar_comparison(calibration: Json, planar: Json | None) -> list[tuple[str,
 def candidates(calibration: Json) -> list[tuple[str, str, str, str, str]]:
     """List the models that were compared.
 
-    Parameters
-    ----------
-    calibration
-        ``calibration`` of results.json.
-
-    Returns
-    -------
-    list of tuple
-        Name, number of parameters, RMS residual (px), RMS residual of left-out views (px), Bayesian information
-        criterion (BIC; Schwarz, 1978).
+    calibration: ``calibration`` of results.json.
+    Returns: Name, number of parameters, RMS residual (px), RMS residual of left-out views (px), Bayesian
+      information criterion (BIC; Schwarz, 1978).
     """
     return [
         (
@@ -238,17 +186,7 @@ def candidates(calibration: Json) -> list[tuple[str, str, str, str, str]]:
 def comparison(rows: Sequence[Json], k: float) -> list[tuple[str, str, str, str, str, str]]:
     """Compare the values with the simulated truth.
 
-    Parameters
-    ----------
-    rows
-        ``comparison`` of results.json.
-    k
-        Coverage factor.
-
-    Returns
-    -------
-    list of tuple
-        Name, value, U, truth, value minus truth, and this difference divided by the standard uncertainty.
+    rows: ``comparison`` of results.json.
     """
     printed = []
     for row in rows:
@@ -261,18 +199,7 @@ def comparison(rows: Sequence[Json], k: float) -> list[tuple[str, str, str, str,
 
 
 def checks(results: Json) -> list[tuple[str, str]]:
-    """Describe the checks that do not influence the result: split half, the gimbal's readings, the parallax.
-
-    Parameters
-    ----------
-    results
-        Content of results.json.
-
-    Returns
-    -------
-    list of tuple
-        Name of the check and its result in words.
-    """
+    """Describe the checks that do not influence the result: split half, the gimbal's readings, the parallax."""
     rows = []
     if halves := results.get("halves"):
         found = f"RMS difference {number(halves['rms_px'], 3)} px over the sensor, "

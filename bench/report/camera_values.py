@@ -18,17 +18,8 @@ Array = NDArray[np.float64]
 def camera_of(values: Mapping[str, float], image_size: Sequence[int]) -> CameraModel:
     """Return the camera model for a camera of results.json.
 
-    Parameters
-    ----------
-    values
-        ``fx fy cx cy`` and the coefficients of the lens.
-    image_size
-        Width and height, px.
-
-    Returns
-    -------
-    CameraModel
-        The camera.
+    values: ``fx fy cx cy`` and the coefficients of the lens.
+    image_size: Width and height, px.
     """
     lens = {name: value for name, value in values.items() if name not in PINHOLE}
     fx, fy, cx, cy = (values[name] for name in PINHOLE)
@@ -39,15 +30,9 @@ def camera_of(values: Mapping[str, float], image_size: Sequence[int]) -> CameraM
 def camera_covariance(calibration: Json) -> Array | None:
     """Return the covariance of the camera's values, without those of the collimator.
 
-    Parameters
-    ----------
-    calibration
-        ``calibration`` of results.json.
-
-    Returns
-    -------
-    Array or None
-        (K, K) covariance in the order of ``calibration.camera``; None if it is not stated for all of them.
+    calibration: ``calibration`` of results.json.
+    Returns: (K, K) covariance in the order of ``calibration.camera``; None if it is not stated for all of
+      them.
     """
     covariance = calibration.get("covariance") or {"names": [], "matrix": []}
     values = list(calibration["camera"])
@@ -63,16 +48,8 @@ def change_maps(then: Json, now: Json) -> tuple[Array, Array, Array] | None:
     The ratio of the two is the E_n number (ISO 13528): above 1, the change is larger than its expanded uncertainty.
     The uncertainties are taken as independent.
 
-    Parameters
-    ----------
-    then, now
-        Earlier and later calibration in the form of results.json.
-
-    Returns
-    -------
-    tuple or None
-        (h, w, 2) image points, (h, w) lengths of the change, and (h, w) their expanded uncertainty, px; None if a
-        covariance is missing.
+    Returns: (h, w, 2) image points, (h, w) lengths of the change, and (h, w) their expanded uncertainty, px;
+      None if a covariance is missing.
     """
     found = []
     for one in (then, now):

@@ -34,21 +34,9 @@ class ChangeRow:
 
 @dataclass(frozen=True)
 class Change:
-    """What is printed about the change since the last calibration.
+    """What is printed about the change since the last calibration."""
 
-    Attributes
-    ----------
-    why_not
-        Why there is no comparison; empty if there is one.
-    facts
-        Name and value: which run it is compared with.
-    rows
-        The change of each value that both calibrations estimated.
-    over_sensor
-        A sentence about the change over the sensor.
-    """
-
-    why_not: str
+    why_not: str  # Why there is no comparison; empty if there is one
     facts: tuple[tuple[str, str], ...] = ()
     rows: tuple[ChangeRow, ...] = ()
     over_sensor: str = ""
@@ -57,15 +45,7 @@ class Change:
 def change(results: Json) -> Change | None:
     """Return what is printed about the change since the last calibration of the same camera.
 
-    Parameters
-    ----------
-    results
-        Content of results.json.
-
-    Returns
-    -------
-    Change or None
-        None if the results do not say whether there was an earlier calibration.
+    Returns: None if the results do not say whether there was an earlier calibration.
     """
     previous = results.get("previous")
     if not previous:
@@ -92,15 +72,7 @@ def change(results: Json) -> Change | None:
 def change_sentence(results: Json) -> str:
     """Return the change since the last calibration in one sentence.
 
-    Parameters
-    ----------
-    results
-        Content of results.json.
-
-    Returns
-    -------
-    str
-        The sentence; empty if the results do not say whether there was an earlier calibration.
+    Returns: The sentence; empty if the results do not say whether there was an earlier calibration.
     """
     previous = results.get("previous")
     if not previous:

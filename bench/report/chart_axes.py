@@ -26,17 +26,7 @@ _BAND, _BAR, _PALE_BAR = 0.09, 0.44, 0.18
 
 @dataclass
 class ChartAxes:
-    """A picture in work.
-
-    Attributes
-    ----------
-    title
-        Printed above it, and read by screen readers.
-    x_low, x_high, y_low, y_high
-        Ranges of the axes.
-    parts
-        Elements so far.
-    """
+    """A picture in work."""
 
     title: str
     x_low: float
@@ -53,47 +43,17 @@ class ChartAxes:
             self.y_low, self.y_high = self.y_low - slack, self.y_high + slack
 
     def x(self, value: float) -> float:
-        """Return the column of a value.
-
-        Parameters
-        ----------
-        value
-            In the unit of the axis.
-
-        Returns
-        -------
-        float
-            In units of the picture, rounded to a half.
-        """
+        """Return the column of a value."""
         share = (value - self.x_low) / (self.x_high - self.x_low)
         return round(2 * (LEFT + share * (WIDTH - LEFT - RIGHT))) / 2
 
     def y(self, value: float) -> float:
-        """Return the row of a value.
-
-        Parameters
-        ----------
-        value
-            In the unit of the axis.
-
-        Returns
-        -------
-        float
-            In units of the picture, rounded to a half.
-        """
+        """Return the row of a value."""
         share = (value - self.y_low) / (self.y_high - self.y_low)
         return round(2 * (HEIGHT - BOTTOM - share * (HEIGHT - TOP - BOTTOM))) / 2
 
     def band(self, low: Sequence[float], high: Sequence[float], xs: Sequence[float]) -> None:
-        """Fill the area between two lines.
-
-        Parameters
-        ----------
-        low, high
-            The lines.
-        xs
-            Their positions along the x axis.
-        """
+        """Fill the area between two lines."""
         there = _thinned([(self.x(x), self.y(v)) for x, v in zip(xs, high, strict=True)])
         back = _thinned([(self.x(x), self.y(v)) for x, v in zip(xs, low, strict=True)])
         outline = "L".join(f"{x:g} {y:g}" for x, y in [*there, *reversed(back)])
@@ -110,16 +70,7 @@ class ChartAxes:
     ) -> None:
         """Draw a line.
 
-        Parameters
-        ----------
-        xs, values
-            Its points.
-        colour
-            Its colour.
-        width
-            Its width.
-        dashed
-            Whether it is dashed.
+        dashed: Whether it is dashed.
         """
         points = _thinned([(self.x(x), self.y(v)) for x, v in zip(xs, values, strict=True)])
         dash = ' stroke-dasharray="5 3"' if dashed else ""
@@ -129,13 +80,7 @@ class ChartAxes:
         )
 
     def bars(self, xs: Iterable[float], low: Iterable[float], high: Iterable[float]) -> None:
-        """Draw vertical bars, such as uncertainties; bars in one column become one.
-
-        Parameters
-        ----------
-        xs, low, high
-            Position and ends of each bar.
-        """
+        """Draw vertical bars, such as uncertainties; bars in one column become one."""
         columns: dict[float, tuple[float, float]] = {}
         for x, a, b in zip(xs, low, high, strict=True):
             column, bottom, top = self.x(x), self.y(a), self.y(b)
@@ -151,17 +96,7 @@ class ChartAxes:
     def dots(
         self, xs: Sequence[float], values: Sequence[float], texts: Sequence[str], beyond: Iterable[int]
     ) -> None:
-        """Draw dots; those beyond the limits are red and larger.
-
-        Parameters
-        ----------
-        xs, values
-            Their positions.
-        texts
-            What the browser shows for each dot under the pointer.
-        beyond
-            Places of the dots beyond the limits.
-        """
+        """Draw dots; those beyond the limits are red and larger."""
         red = set(beyond)
         points = [(self.x(x), self.y(v)) for x, v in zip(xs, values, strict=True)]
         plain = [place for place in range(len(points)) if place not in red]
@@ -178,14 +113,7 @@ class ChartAxes:
     def rule(self, value: float, name: str, *, dashed: bool = True) -> None:
         """Draw a horizontal line over the whole width, with its name at the right.
 
-        Parameters
-        ----------
-        value
-            Its position.
-        name
-            Its name.
-        dashed
-            Whether it is dashed.
+        dashed: Whether it is dashed.
         """
         self.line(
             [self.x_low, self.x_high], [value, value], MUTED if not dashed else INK, width=0.9, dashed=dashed
@@ -193,30 +121,14 @@ class ChartAxes:
         self.name_at_right(value, name)
 
     def name_at_right(self, value: float, name: str) -> None:
-        """Write a name to the right of the axes.
-
-        Parameters
-        ----------
-        value
-            Its position.
-        name
-            What to write.
-        """
+        """Write a name to the right of the axes."""
         self.parts.append(
             f'<text x="{WIDTH - RIGHT + 4:g}" y="{self.y(value) + 4:g}" font-size="11" {painted("fill", MUTED)}>'
             f"{escape(name)}</text>"
         )
 
     def upright(self, value: float, name: str) -> None:
-        """Draw a vertical line with a name, such as the end of the baseline.
-
-        Parameters
-        ----------
-        value
-            Its position.
-        name
-            Its name.
-        """
+        """Draw a vertical line with a name, such as the end of the baseline."""
         x = self.x(value)
         self.parts.append(
             f'<path d="M{x:g} {TOP:g}V{HEIGHT - BOTTOM:g}" {painted("stroke", MUTED)} stroke-dasharray="2 3"/>'
@@ -227,15 +139,7 @@ class ChartAxes:
     def svg(self, x_ticks: Sequence[tuple[float, str]]) -> str:
         """Return the picture.
 
-        Parameters
-        ----------
-        x_ticks
-            Position and label of each tick of the x axis.
-
-        Returns
-        -------
-        str
-            The ``<svg>`` element.
+        Returns: The ``<svg>`` element.
         """
         frame = [
             f'<text x="0" y="11" font-size="12" font-weight="650" {painted("fill", INK)}>{escape(self.title)}</text>'

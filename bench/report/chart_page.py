@@ -25,17 +25,8 @@ Json = Mapping[str, Any]
 def render_charts(page: Json, notes: Sequence[str] = (), faults: Sequence[str] = ()) -> str:
     """Render the page.
 
-    Parameters
-    ----------
-    page
-        Groups with their charts, from `bench.history.chart_findings.find_charts`.
-    notes, faults
-        What was noticed when the runs were found; sentences.
-
-    Returns
-    -------
-    str
-        A complete HTML document; the same input gives the same text.
+    page: Groups with their charts, from `bench.history.chart_findings.find_charts`.
+    notes, faults: What was noticed when the runs were found; sentences.
     """
     groups = page["groups"]
     drawn = choose_drawn(groups)
@@ -63,15 +54,7 @@ def render_charts(page: Json, notes: Sequence[str] = (), faults: Sequence[str] =
 def choose_drawn(groups: Sequence[Json]) -> dict[int, frozenset[str]]:
     """Choose what is drawn: the parameters with findings first, then in order.
 
-    Parameters
-    ----------
-    groups
-        The groups.
-
-    Returns
-    -------
-    dict
-        Names of the parameters by the place of their group; at most `MOST_DRAWN` in all.
+    Returns: Names of the parameters by the place of their group; at most `MOST_DRAWN` in all.
     """
     waiting = [
         (not _drifts(chart), _ORDER.index(chart["state"]), number, place, chart["name"])
@@ -92,17 +75,7 @@ def _drifts(chart: Json) -> bool:
 def chart_section(group: Json, drawn: frozenset[str]) -> dict[str, Any]:
     """Return the part of a page about one group.
 
-    Parameters
-    ----------
-    group
-        The group.
-    drawn
-        Names of the parameters that are drawn.
-
-    Returns
-    -------
-    dict
-        What the macro ``chart_section`` of the template prints.
+    Returns: What the macro ``chart_section`` of the template prints.
     """
     charts = group["parameters"]
     return {

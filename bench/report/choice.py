@@ -25,17 +25,7 @@ PLOTS = (
 
 @dataclass(frozen=True)
 class PictureSelection:
-    """Poses that a report shows as images.
-
-    Attributes
-    ----------
-    names
-        Names of the selected poses.
-    shown
-        Number of selected poses.
-    total
-        Number of poses that have stars in the calibration.
-    """
+    """Poses that a report shows as images."""
 
     names: frozenset[str]
     shown: int
@@ -48,15 +38,7 @@ def pictured_poses(results: Mapping[str, Any]) -> PictureSelection:
     The three poses with the largest RMS residual come first, then poses with a failed gate, then poses with a marginal
     gate, then the others. If a group does not fit completely, poses evenly spread over the run are selected from it.
 
-    Parameters
-    ----------
-    results
-        Content of results.json. Poses without stars in the calibration have no image.
-
-    Returns
-    -------
-    PictureSelection
-        Names and number of the selected poses.
+    results: Content of results.json. Poses without stars in the calibration have no image.
     """
     poses = [pose for pose in results.get("poses") or [] if pose.get("rms_px") is not None]
     judged = _indices_by_verdict(results.get("gates") or [])

@@ -33,26 +33,16 @@ _SADDLES = {
 
 @dataclass(frozen=True)
 class Outline:
-    """A closed outline.
+    """A closed outline."""
 
-    Attributes
-    ----------
-    points
-        (N, 2) float64, in the units of the grid; the last point joins the first one.
-    at_edge
-        (N,) bool: whether the point lies at the edge of the known map.
-    """
-
-    points: Array
-    at_edge: NDArray[np.bool_]
+    points: Array  # (N, 2) float64, in the units of the grid; the last point joins the first one
+    at_edge: NDArray[np.bool_]  # (N,) bool: whether the point lies at the edge of the known map
 
     def lines(self) -> list[Array]:
         """Return the parts of the outline that are contours, without those along the edge of the map.
 
-        Returns
-        -------
-        list of Array
-            (N, 2) float64 each: the points of an open line; a closed one repeats its first point at its end.
+        Returns: (N, 2) float64 each: the points of an open line; a closed one repeats its first point at its
+          end.
         """
         if not self.at_edge.any():
             return [np.vstack([self.points, self.points[:1]])]
@@ -68,21 +58,9 @@ def outlines(x: Array, y: Array, values: Array, level: float) -> list[Outline]:
 
     W. E. Lorensen and H. E. Cline, Marching cubes, SIGGRAPH 1987, in two dimensions.
 
-    Parameters
-    ----------
-    x
-        (W,) float64, positions of the columns of the grid.
-    y
-        (H,) float64, positions of its rows.
-    values
-        (H, W) float64, the map; NaN where it is not known.
-    level
-        The level.
-
-    Returns
-    -------
-    list of Outline
-        Filled together by the even-odd rule, they are the part.
+    x: (W,) float64, positions of the columns of the grid.
+    y: (H,) float64, positions of its rows.
+    values: (H, W) float64, the map; NaN where it is not known.
     """
     shown = np.pad(np.where(np.isfinite(values), values, _NOWHERE), 1, constant_values=_NOWHERE)
     begins, ends = _runs(shown, level)

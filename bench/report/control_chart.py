@@ -22,17 +22,7 @@ Json = Mapping[str, Any]
 def pictures(chart: Json, group: Json) -> list[str]:
     """Draw one parameter of a group.
 
-    Parameters
-    ----------
-    chart
-        The parameter.
-    group
-        Its group.
-
-    Returns
-    -------
-    list of str
-        SVG elements; with too few runs, only the values.
+    Returns: SVG elements; with too few runs, only the values.
     """
     found = [_values(chart, group)]
     if chart["lower"] is not None:

@@ -27,81 +27,37 @@ _ENDS = {
 
 @dataclass(frozen=True)
 class CourseRow:
-    """One decision, as printed.
-
-    Attributes
-    ----------
-    poses
-        Number of poses in the calibration.
-    model
-        Its model.
-    reached
-        Expanded uncertainty for each goal, px.
-    chosen, angles
-        Name and angles of the pose that was chosen then.
-    expected
-        Expanded uncertainty that the choice expected for each goal, px.
-    why
-        Why there is no calibration yet, why this pose was chosen, or how the step ended.
-    """
+    """One decision, as printed."""
 
     poses: str
     model: str
-    reached: tuple[str, ...]
+    reached: tuple[str, ...]  # Expanded uncertainty for each goal, px
     chosen: str
     angles: str
-    expected: tuple[str, ...]
-    why: str
+    expected: tuple[str, ...]  # Expanded uncertainty that the choice expected for each goal, px
+    why: str  # Why there is no calibration yet, why this pose was chosen, or how the step ended
 
 
 @dataclass(frozen=True)
 class Course:
-    """The course of one ``until``, as printed.
-
-    Attributes
-    ----------
-    goals
-        The goals, in words.
-    columns
-        What each goal limits.
-    rows
-        The decisions, in order.
-    met
-        Whether the goals are met.
-    end
-        How the step ended, and why.
-    minutes
-        Time that the step worked, minutes.
-    plot
-        SVG; empty if nothing is drawn or no uncertainty was reached.
-    factors
-        Smallest and largest coverage factor of the calibrations.
-    """
+    """The course of one ``until``, as printed."""
 
     goals: str
     columns: tuple[str, ...]
-    rows: tuple[CourseRow, ...]
-    met: bool
+    rows: tuple[CourseRow, ...]  # The decisions, in order
+    met: bool  # Whether the goals are met
     end: str
     minutes: str
-    plot: str
+    plot: str  # SVG; empty if nothing is drawn or no uncertainty was reached
     factors: str
 
 
 def courses(decisions: Sequence[Json], *, draw: bool = True) -> list[Course]:
     """Return the course of each ``until`` of a run.
 
-    Parameters
-    ----------
-    decisions
-        ``untils`` of results.json: what each ``until`` decided, in order.
-    draw
-        Whether to draw the plots.
-
-    Returns
-    -------
-    list of Course
-        One for each ``until``, in the order of the run.
+    decisions: ``untils`` of results.json: what each ``until`` decided, in order.
+    draw: Whether to draw the plots.
+    Returns: One for each ``until``, in the order of the run.
     """
     by_until: dict[int, list[Json]] = {}
     for decided in decisions:

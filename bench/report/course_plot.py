@@ -19,15 +19,7 @@ _MOST_POSES = 8
 def course_plot(decisions: Sequence[Mapping[str, Any]]) -> str:
     """Draw the expanded uncertainties against the number of poses, with their goals.
 
-    Parameters
-    ----------
-    decisions
-        Decisions of one ``until``, in order; at least one has reached an uncertainty.
-
-    Returns
-    -------
-    str
-        SVG with a panel for each goal, on a logarithmic scale.
+    decisions: Decisions of one ``until``, in order; at least one has reached an uncertainty.
     """
     wanted = decisions[-1]["wanted"]
     reached = [decided for decided in decisions if decided["now"]]

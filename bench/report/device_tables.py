@@ -32,15 +32,7 @@ class DeviceRow:
 def conditions(found: Json) -> list[tuple[str, str]]:
     """List the settings of light and camera, and the temperature.
 
-    Parameters
-    ----------
-    found
-        ``conditions`` of results.json.
-
-    Returns
-    -------
-    list of tuple
-        Name of the device and the setting, and the value with its unit.
+    found: ``conditions`` of results.json.
     """
     rows = []
     for part, settings in found.items():
@@ -54,15 +46,7 @@ def conditions(found: Json) -> list[tuple[str, str]]:
 def devices(found: Json) -> list[DeviceRow]:
     """List the identities that the devices reported.
 
-    Parameters
-    ----------
-    found
-        ``devices`` of results.json.
-
-    Returns
-    -------
-    list of DeviceRow
-        A row for each device that has a serial number.
+    found: ``devices`` of results.json.
     """
     rows = []
     for part, identities in found.items():
@@ -83,15 +67,8 @@ def devices(found: Json) -> list[DeviceRow]:
 def connections(found: Json) -> list[tuple[str, str]]:
     """List what the devices answered about the cables between them and to the computer.
 
-    Parameters
-    ----------
-    found
-        ``devices`` of results.json.
-
-    Returns
-    -------
-    list of tuple
-        Name and value; empty if the run did not ask.
+    found: ``devices`` of results.json.
+    Returns: Name and value; empty if the run did not ask.
     """
     return [(_readable(name), str(value)) for name, value in (found.get("connections") or {}).items()]
 
@@ -99,15 +76,8 @@ def connections(found: Json) -> list[tuple[str, str]]:
 def left(found: Sequence[Mapping[str, str]]) -> list[tuple[str, str, str]]:
     """List how each device was left after the last step that needs devices.
 
-    Parameters
-    ----------
-    found
-        ``devices_left`` of results.json.
-
-    Returns
-    -------
-    list of tuple
-        Device, state, and what it answered, or what may be the case.
+    found: ``devices_left`` of results.json.
+    Returns: Device, state, and what it answered, or what may be the case.
     """
     ends = [DeviceEnd.from_dict(end) for end in found]
     return [(end.device, end.state, " ".join(filter(None, (end.said, end.advice)))) for end in ends]

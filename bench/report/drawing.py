@@ -16,15 +16,7 @@ _PALE, _DEEP = (244, 248, 252), (106, 172, 214)
 def shade(share: float) -> str:
     """Return a shade of blue on which dark text can be read.
 
-    Parameters
-    ----------
-    share
-        0 for the palest one, 1 for the deepest one.
-
-    Returns
-    -------
-    str
-        The colour.
+    share: 0 for the palest one, 1 for the deepest one.
     """
     part = min(max(share, 0.0), 1.0)
     return "#" + "".join(f"{round(a + part * (b - a)):02x}" for a, b in zip(_PALE, _DEEP, strict=True))

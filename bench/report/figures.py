@@ -36,17 +36,8 @@ _WIDE_ANGLE_DEG = 25.0
 def report_plots(results: Json, views: Sequence[ViewPicture]) -> dict[str, str]:
     """Draw all plots of a report.
 
-    Parameters
-    ----------
-    results
-        Content of results.json.
-    views
-        The poses that entered the calibration; without them, only the comparison with the truth is drawn.
-
-    Returns
-    -------
-    dict
-        SVG by name; a plot without data is empty.
+    views: The poses that entered the calibration; without them, only the comparison with the truth is drawn.
+    Returns: SVG by name; a plot without data is empty.
     """
     plots = dict.fromkeys(PLOTS, "")
     compared = results.get("comparison") or []

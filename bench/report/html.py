@@ -32,43 +32,22 @@ _GRAPHIC_TAGS = frozenset({"section", "svg", "style"})
 
 @dataclass(frozen=True)
 class ReportData:
-    """The data of a report.
-
-    Attributes
-    ----------
-    results
-        Content of results.json.
-    views
-        The poses that entered the calibration; without them the report has no images and no plots. All of them are
-        plotted. Images show the poses that `pictured_poses` selects, and only these need an image.
-    journal_head
-        Hash of the journal's last line when the report was made. It identifies the whole journal.
-    """
+    """The data of a report."""
 
     results: Mapping[str, Any]
+    # The poses that entered the calibration; without them the report has no images and no plots. All of them
+    # are plotted. Images show the poses that `pictured_poses` selects, and only these need an image.
     views: Sequence[ViewPicture] = field(default_factory=tuple)
+    # Hash of the journal's last line when the report was made. It identifies the whole journal.
     journal_head: str = ""
 
 
 def render_report(data: ReportData, *, draw: bool = True) -> str:
     """Render the report.
 
-    Parameters
-    ----------
-    data
-        Content of the report.
-    draw
-        Whether to draw plots and images; without them the report holds the same text (`printed_text`).
-
-    Returns
-    -------
-    str
-        A complete HTML document that depends on ``data`` alone.
-
-    Raises
-    ------
-    KeyError
-        When the results lack ``run`` or ``calibration``.
+    draw: Whether to draw plots and images; without them the report holds the same text (`printed_text`).
+    Returns: A complete HTML document that depends on ``data`` alone.
+    Raises KeyError: When the results lack ``run`` or ``calibration``.
     """
     results, words = data.results, words_of(data.results)
     parts = _result_parts(results, words) | _run_parts(results, words) | _graphics(data, words, draw=draw)
@@ -157,15 +136,7 @@ def printed_text(html: str) -> list[str]:
 
     Two reports of the same results have the same texts, even if another version of a library encoded their images.
 
-    Parameters
-    ----------
-    html
-        A report.
-
-    Returns
-    -------
-    list of str
-        Its texts in order, with spaces normalised.
+    Returns: Its texts in order, with spaces normalised.
     """
     reader = _TextReader()
     reader.feed(html)
@@ -203,10 +174,7 @@ class _TextReader(HTMLParser):
 def environment() -> jinja2.Environment:
     """Return the environment of the templates: it escapes every value, and an undefined name is an error.
 
-    Returns
-    -------
-    jinja2.Environment
-        Made once in a process.
+    Returns: Made once in a process.
     """
     made = jinja2.Environment(
         loader=jinja2.PackageLoader("bench.report"),

@@ -31,23 +31,8 @@ def distortion_curve(
 ) -> str:
     """Draw the radial displacement by the lens against the field angle, with its expanded uncertainty.
 
-    Parameters
-    ----------
-    camera
-        The camera.
-    covariance
-        (K, K) covariance of its parameters, in the order of `CameraModel.parameter_names`.
-    k
-        Coverage factor.
-    outermost_deg
-        Field angle of the outermost star, degrees; None if it is not known.
-    words
-        What the stars are called.
-
-    Returns
-    -------
-    str
-        SVG.
+    covariance: (K, K) covariance of its parameters, in the order of `CameraModel.parameter_names`.
+    outermost_deg: Field angle of the outermost star, degrees; None if it is not known.
     """
     edges = field_angles_deg(camera)
     angles = np.linspace(0.0, max(edges.values()), _POINTS)
@@ -90,19 +75,10 @@ def displacement(camera: CameraModel, covariance: Array, angles_deg: Array) -> t
 
     The law of propagation is that of JCGM 100:2008, section 5.2, with numerical derivatives.
 
-    Parameters
-    ----------
-    camera
-        The camera.
-    covariance
-        (K, K) covariance of its parameters, in the order of `CameraModel.parameter_names`.
-    angles_deg
-        (N,) float64, field angles, degrees.
-
-    Returns
-    -------
-    tuple of Array
-        (N,) displacement away from the axis, and (N,) its standard uncertainty, px. Tangential terms do not count.
+    covariance: (K, K) covariance of its parameters, in the order of `CameraModel.parameter_names`.
+    angles_deg: (N,) float64, field angles, degrees.
+    Returns: (N,) displacement away from the axis, and (N,) its standard uncertainty, px. Tangential terms do
+      not count.
     """
     names = list(camera.parameter_names)
     values = camera.to_dict()
@@ -123,15 +99,7 @@ def displacement(camera: CameraModel, covariance: Array, angles_deg: Array) -> t
 def field_angles_deg(camera: CameraModel) -> dict[str, float]:
     """Return the field angle of the middle of a side edge, of the upper or lower edge, and of the farthest corner.
 
-    Parameters
-    ----------
-    camera
-        The camera.
-
-    Returns
-    -------
-    dict
-        Angle by name, degrees; points without a ray are left out.
+    Returns: Angle by name, degrees; points without a ray are left out.
     """
     width, height = camera.image_size
     places = {
@@ -146,17 +114,8 @@ def field_angles_deg(camera: CameraModel) -> dict[str, float]:
 def angles_of(camera: CameraModel, points: Array) -> Array:
     """Return the angle between the optical axis and the ray of each image point.
 
-    Parameters
-    ----------
-    camera
-        The camera.
-    points
-        (N, 2) float64, px.
-
-    Returns
-    -------
-    Array
-        (N,) float64, degrees; NaN where an image point has no ray.
+    points: (N, 2) float64, px.
+    Returns: (N,) float64, degrees; NaN where an image point has no ray.
     """
     rays = camera.rays(points)
     return np.degrees(np.arctan2(np.linalg.norm(rays[:, :2], axis=1), rays[:, 2]))
@@ -188,17 +147,8 @@ def _mark_angles(axes: Axes, marks: Sequence[tuple[float, str, str, str]]) -> No
 def outermost_deg(camera: CameraModel, points: Sequence[Array]) -> float | None:
     """Return the field angle of the outermost star.
 
-    Parameters
-    ----------
-    camera
-        The camera.
-    points
-        For each pose (N, 2) float64, px: its stars.
-
-    Returns
-    -------
-    float or None
-        Degrees; None without a star that has a ray.
+    points: For each pose (N, 2) float64, px: its stars.
+    Returns: Degrees; None without a star that has a ray.
     """
     angles = [angles_of(camera, some) for some in points if len(some)]
     finite = [float(np.nanmax(some)) for some in angles if np.isfinite(some).any()]

@@ -37,25 +37,10 @@ def sensor_map(
 ) -> str:
     """Draw a quantity over the sensor as contours at round numbers.
 
-    Parameters
-    ----------
-    grid_px
-        (h, w, 2) float64 image points, px.
-    values
-        (h, w) float64, the quantity, not negative; NaN where it is not known.
-    name
-        Name and unit of the quantity: the title.
-    identifier, label
-        As for `bench.report.svg_plot.Picture`.
-    stars
-        (N, 2) float64, px: stars of all poses, to shade what they do not support; None to shade nothing.
-    arrows
-        A difference to draw as arrows; the longest one is one mesh long.
-
-    Returns
-    -------
-    str
-        SVG.
+    grid_px: (h, w, 2) float64 image points, px.
+    values: (h, w) float64, the quantity, not negative; NaN where it is not known.
+    identifier, label: As for `bench.report.svg_plot.Picture`.
+    stars: (N, 2) float64, px: stars of all poses, to shade what they do not support; None to shade nothing.
     """
     x, y, shown = grid_px[0, :, 0], grid_px[:, 0, 1], _to_digits(values, 6)
     size = (int(x.max()) + 1, int(y.max()) + 1)
@@ -123,15 +108,8 @@ def _length(line: Array) -> float:
 def round_levels(lowest: float, largest: float) -> list[float]:
     """Return round numbers between two values: at equal steps, or 1, 2, 5 times powers of ten for a large range.
 
-    Parameters
-    ----------
-    lowest, largest
-        The values, not negative.
-
-    Returns
-    -------
-    list of float
-        At most seven numbers strictly between them; empty if the values are equal.
+    lowest, largest: The values, not negative.
+    Returns: At most seven numbers strictly between them; empty if the values are equal.
 
     Examples
     --------

@@ -27,17 +27,7 @@ class Key(NamedTuple):
 
 @dataclass(frozen=True)
 class Words:
-    """The words around a plot.
-
-    Attributes
-    ----------
-    title
-        Lines above it.
-    x, y
-        Quantity and unit of the axes.
-    keys
-        The legend.
-    """
+    """The words around a plot."""
 
     title: Sequence[str] = ()
     x: str = ""
@@ -59,29 +49,12 @@ def axes_in(
 ) -> Axes:
     """Draw the frame of a plot, and return its axes.
 
-    Parameters
-    ----------
-    picture
-        The picture.
-    x, y
-        The scales.
-    words
-        Title, labels and legend.
-    place
-        Left, top, width and height of the plot with all its words; None for the whole picture.
-    equal
-        For the same unit on both axes: ``shrink`` makes the plot smaller, ``extend`` makes the scales longer.
-    whole
-        Whether the frame has four sides, as a sensor has; otherwise it has the left and the lower one.
-    grid
-        Axes with lines at their ticks: ``x``, ``y`` or ``xy``.
-    clip
-        Whether what lies outside of the axes is not drawn.
-
-    Returns
-    -------
-    Axes
-        The axes.
+    place: Left, top, width and height of the plot with all its words; None for the whole picture.
+    equal: For the same unit on both axes: ``shrink`` makes the plot smaller, ``extend`` makes the scales
+      longer.
+    whole: Whether the frame has four sides, as a sensor has; otherwise it has the left and the lower one.
+    grid: Axes with lines at their ticks: ``x``, ``y`` or ``xy``.
+    clip: Whether what lies outside of the axes is not drawn.
     """
     left, top, width, height = place or (0.0, 0.0, picture.width, picture.height)
     above = _heading(picture, words, left, top, width)
@@ -107,19 +80,8 @@ def axes_in(
 def height_for(image_size: Sequence[int], width: float, words: Words) -> float:
     """Return how high a picture of a sensor is.
 
-    Parameters
-    ----------
-    image_size
-        Width and height of the sensor, px.
-    width
-        Width of the picture.
-    words
-        Its words.
-
-    Returns
-    -------
-    float
-        The height; a sensor that is higher than wide is drawn narrower than the picture.
+    image_size: Width and height of the sensor, px.
+    Returns: The height; a sensor that is higher than wide is drawn narrower than the picture.
     """
     words_high = _LINE_HEIGHT * len(words.title) + 4.0 + 2 * _LINE_HEIGHT + FONT
     words_wide = 3.0 + _TICK + _LINE_HEIGHT + _widest([str(image_size[1])]) + _RIGHT
@@ -141,19 +103,8 @@ def _heading(picture: Picture, words: Words, left: float, top: float, width: flo
 def write_legend(picture: Picture, keys: Sequence[Key], left: float, top: float, width: float) -> float:
     """Write a legend in as many rows as it needs.
 
-    Parameters
-    ----------
-    picture
-        The picture.
-    keys
-        The entries.
-    left, top, width
-        Where it begins, and how wide a row is.
-
-    Returns
-    -------
-    float
-        Where it ends.
+    left, top, width: Where it begins, and how wide a row is.
+    Returns: Where it ends.
     """
     x, foot = left, top + (_LINE_HEIGHT if keys else 0.0)
     for key in keys:

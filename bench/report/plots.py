@@ -31,19 +31,8 @@ def residual_vectors(
 ) -> str:
     """Draw the residual vector of each star at its place on the sensor, magnified by the factor that the plot states.
 
-    Parameters
-    ----------
-    views
-        Poses of the report, with at least one star.
-    image_size
-        Width and height, px.
-    words
-        What the points are called.
-
-    Returns
-    -------
-    str
-        SVG.
+    views: Poses of the report, with at least one star.
+    image_size: Width and height, px.
     """
     lengths = np.concatenate([np.linalg.norm(view.residuals, axis=1) for view in views])
     magnification = _round_down(image_size[0] / 28 / max(float(np.percentile(lengths, 95)), 1e-6))
@@ -61,15 +50,7 @@ def residual_vectors(
 def residual_cloud(views: Sequence[ViewPicture]) -> str:
     """Draw the residuals around zero.
 
-    Parameters
-    ----------
-    views
-        Poses of the report, with at least one star.
-
-    Returns
-    -------
-    str
-        SVG.
+    views: Poses of the report, with at least one star.
     """
     lengths, limit = _lengths(views)
     rms = float(np.sqrt(np.mean(lengths**2)))
@@ -88,17 +69,8 @@ def residual_cloud(views: Sequence[ViewPicture]) -> str:
 def residual_radial(views: Sequence[ViewPicture], principal_point: tuple[float, float]) -> str:
     """Draw the lengths of the residuals against the distance from the principal point.
 
-    Parameters
-    ----------
-    views
-        Poses of the report, with at least one star.
-    principal_point
-        cx and cy, px.
-
-    Returns
-    -------
-    str
-        SVG.
+    views: Poses of the report, with at least one star.
+    principal_point: cx and cy, px.
     """
     lengths, limit = _lengths(views)
     radius = np.concatenate([np.linalg.norm(view.detected - principal_point, axis=1) for view in views])
@@ -136,21 +108,9 @@ def coverage(
 ) -> str:
     """Draw the stars on the sensor, and the part of it that they support.
 
-    Parameters
-    ----------
-    views
-        Poses of the report, with at least one star.
-    image_size
-        Width and height, px.
-    principal_point
-        cx and cy, px.
-    words
-        What the points are called.
-
-    Returns
-    -------
-    str
-        SVG.
+    views: Poses of the report, with at least one star.
+    image_size: Width and height, px.
+    principal_point: cx and cy, px.
     """
     distance, share = supported_share(np.concatenate([view.detected for view in views]), image_size)
     title = f"{words.capital}; they support {100 * share:.0f} % of the sensor (blue)"
@@ -176,19 +136,8 @@ def coverage(
 def regions(views: Sequence[ViewPicture], image_size: tuple[int, int], words: TargetWords = STARS) -> str:
     """Draw the RMS residual and the number of stars for each region of the sensor.
 
-    Parameters
-    ----------
-    views
-        Poses of the report, with at least one star.
-    image_size
-        Width and height, px.
-    words
-        What the points are called.
-
-    Returns
-    -------
-    str
-        SVG.
+    views: Poses of the report, with at least one star.
+    image_size: Width and height, px.
     """
     points = np.concatenate([view.detected for view in views])
     squares = np.sum(np.concatenate([view.residuals for view in views]) ** 2, axis=1)
@@ -203,20 +152,7 @@ def regions(views: Sequence[ViewPicture], image_size: tuple[int, int], words: Ta
 
 
 def deviations_from_truth(names: Sequence[str], error_sigmas: Sequence[float]) -> str:
-    """Draw the deviation of each value from the truth, in units of its standard uncertainty.
-
-    Parameters
-    ----------
-    names
-        Names of the parameters.
-    error_sigmas
-        For each parameter: value minus truth, divided by the standard uncertainty.
-
-    Returns
-    -------
-    str
-        SVG.
-    """
+    """Draw the deviation of each value from the truth, in units of its standard uncertainty."""
     reach = max(3.2, 1.15 * float(np.abs(error_sigmas).max()))
     rows = Scale(len(names) - 0.4, -0.6, ticks=[(row, name) for row, name in enumerate(names)])
     words = Words((), "(value \N{MINUS SIGN} truth) / u; shaded: within 1 and 2")

@@ -40,15 +40,7 @@ class _Place:
 def pose_directions(results: Json) -> str:
     """Draw the pan and tilt of each pose as a small frame that is turned by the roll of the camera.
 
-    Parameters
-    ----------
-    results
-        Content of results.json.
-
-    Returns
-    -------
-    str
-        SVG; empty if no pose has angles, or if all have the same ones, as where a board was moved.
+    Returns: SVG; empty if no pose has angles, or if all have the same ones, as where a board was moved.
     """
     places = _places(results)
     if not places or len({(place.pan_deg, place.tilt_deg) for place in places}) < min(2, len(places)):
@@ -70,15 +62,8 @@ def pose_directions(results: Json) -> str:
 def pose_frames(calibration: Json) -> str:
     """Draw the outline of the image of each pose on the target.
 
-    Parameters
-    ----------
-    calibration
-        ``calibration`` of results.json.
-
-    Returns
-    -------
-    str
-        SVG; empty if no pose has a rotation.
+    calibration: ``calibration`` of results.json.
+    Returns: SVG; empty if no pose has a rotation.
     """
     views = [view for view in calibration["views"] if "rotation" in view and "centre_mm" in view]
     if not views:

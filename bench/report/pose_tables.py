@@ -70,15 +70,8 @@ class GateRow:
 def poses(found: Sequence[Json]) -> list[PoseRow]:
     """List the poses with their commanded and measured angles and their stars.
 
-    Parameters
-    ----------
-    found
-        ``poses`` of results.json.
-
-    Returns
-    -------
-    list of PoseRow
-        A row for each pose. The reason for a kind of image stands in the first row that has this kind.
+    found: ``poses`` of results.json.
+    Returns: A row for each pose. The reason for a kind of image stands in the first row that has this kind.
     """
     rows: list[PoseRow] = []
     kinds: set[object] = set()
@@ -121,17 +114,7 @@ def _stars(pose: Json) -> str:
 def recordings(found: Sequence[Json], words: TargetWords = STARS) -> list[RecordingRow]:
     """List every recording, including refused ones.
 
-    Parameters
-    ----------
-    found
-        ``poses`` of results.json.
-    words
-        What the stars are called.
-
-    Returns
-    -------
-    list of RecordingRow
-        A row for each attempt at each pose.
+    found: ``poses`` of results.json.
     """
     return [
         RecordingRow(
@@ -156,17 +139,7 @@ def recordings(found: Sequence[Json], words: TargetWords = STARS) -> list[Record
 def gates(found: Sequence[Json], words: TargetWords = STARS) -> list[GateRow]:
     """List each gate once, with the range of the values it judged and its worst verdict.
 
-    Parameters
-    ----------
-    found
-        ``gates`` of results.json.
-    words
-        What the stars are called.
-
-    Returns
-    -------
-    list of GateRow
-        A row for each combination of gate, limit and unit.
+    found: ``gates`` of results.json.
     """
     kinds: dict[tuple[str, str, str], list[Json]] = {}
     for gate in found:

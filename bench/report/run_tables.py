@@ -21,18 +21,7 @@ _ENDS = {"open": "without an end"}
 
 
 def identification(results: Json) -> list[tuple[str, str]]:
-    """Identify what was calibrated, by whom, where and when (ISO/IEC 17025, 7.8.2.1).
-
-    Parameters
-    ----------
-    results
-        Content of results.json.
-
-    Returns
-    -------
-    list of tuple
-        Name and value.
-    """
+    """Identify what was calibrated, by whom, where and when (ISO/IEC 17025, 7.8.2.1)."""
     run = results["run"]
     camera = (results.get("devices") or {}).get("camera") or {}
     ledger, collimator = run.get("ledger"), run.get("collimator")
@@ -55,18 +44,7 @@ def identification(results: Json) -> list[tuple[str, str]]:
 
 
 def inputs(results: Json) -> list[tuple[str, str]]:
-    """List what the calibration used besides its recordings: the passport of the collimator, the gimbal's readings.
-
-    Parameters
-    ----------
-    results
-        Content of results.json.
-
-    Returns
-    -------
-    list of tuple
-        Name and value.
-    """
+    """List what the calibration used besides its recordings: the passport of the collimator, the gimbal's readings."""
     readings = results.get("gimbal_readings")
     if readings and words_of(results).is_board and not readings["entered"]:
         readings = None  # the board was moved, not the camera
@@ -108,18 +86,7 @@ def _target(details: Json) -> str:
 
 
 def software(results: Json) -> list[tuple[str, str]]:
-    """List the programs that computed the result, and the seed of a simulated bench.
-
-    Parameters
-    ----------
-    results
-        Content of results.json.
-
-    Returns
-    -------
-    list of tuple
-        Name and version.
-    """
+    """List the programs that computed the result, and the seed of a simulated bench."""
     run = results["run"]
     plugins = run.get("plugins") or {}
     rows = [
@@ -134,15 +101,7 @@ def software(results: Json) -> list[tuple[str, str]]:
 def alerts(results: Json) -> list[str]:
     """List what a reader must know before using the values: gates that did not pass, and every deviation.
 
-    Parameters
-    ----------
-    results
-        Content of results.json.
-
-    Returns
-    -------
-    list of str
-        A sentence for each gate, each ``until`` that did not meet its goals, and each deviation.
+    Returns: A sentence for each gate, each ``until`` that did not meet its goals, and each deviation.
     """
     details = [
         f"Gate {row.name}: {row.verdict} ({row.values}, limit {row.limit}; {row.count} passed)."
@@ -158,18 +117,7 @@ def alerts(results: Json) -> list[str]:
 
 
 def deviations(results: Json) -> list[str]:
-    """List the errors that ended the run before it was resumed, and every departure from the sequence.
-
-    Parameters
-    ----------
-    results
-        Content of results.json.
-
-    Returns
-    -------
-    list of str
-        A sentence or two for each.
-    """
+    """List the errors that ended the run before it was resumed, and every departure from the sequence."""
     failures = [_failure_text(error) for error in results.get("failures") or []]
     return failures + [str(deviation) for deviation in results.get("deviations") or []]
 

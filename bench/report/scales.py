@@ -20,55 +20,27 @@ _EM = {"narrow": 0.37, "wide": 0.96, "capital": 0.7, "other": 0.63}
 
 @dataclass(frozen=True)
 class Scale:
-    """The range of an axis, and how its values are spread.
+    """The range of an axis, and how its values are spread."""
 
-    Attributes
-    ----------
-    low, high
-        Value at the left or lower end, and at the right or upper end; ``low`` may be the larger one.
-    kind
-        ``linear``; ``log``; or ``symlog``: linear within ``linear_within`` of zero, logarithmic beyond.
-    linear_within
-        Range of the linear part of ``symlog``, in the unit of the axis.
-    ticks
-        Positions of the ticks and their labels; None for round numbers.
-    """
-
+    # low, high: Value at the left or lower end, and at the right or upper end; ``low`` may be the larger one.
     low: float
     high: float
+    # ``linear``; ``log``; or ``symlog``: linear within ``linear_within`` of zero, logarithmic beyond.
     kind: str = "linear"
-    linear_within: float = 1.0
+    linear_within: float = 1.0  # Range of the linear part of ``symlog``, in the unit of the axis
+    # Positions of the ticks and their labels; None for round numbers.
     ticks: Sequence[tuple[float, str]] | None = None
 
     def share(self, values: ArrayLike) -> Array:
         """Return where values stand.
 
-        Parameters
-        ----------
-        values
-            In the unit of the axis.
-
-        Returns
-        -------
-        Array
-            Of the shape of ``values``: 0 at ``low``, 1 at ``high``.
+        Returns: Of the shape of ``values``: 0 at ``low``, 1 at ``high``.
         """
         low, high = (float(self._spread(np.asarray(end, float))) for end in (self.low, self.high))
         return np.asarray((self._spread(np.asarray(values, float)) - low) / (high - low))
 
     def chosen_ticks(self, most: int) -> list[tuple[float, str]]:
-        """Return the ticks within the range, with their labels.
-
-        Parameters
-        ----------
-        most
-            Largest number of ticks, about.
-
-        Returns
-        -------
-        list of tuple
-            Position and label of each tick.
-        """
+        """Return the ticks within the range, with their labels."""
         if self.ticks is not None:
             return list(self.ticks)
         low, high = sorted((self.low, self.high))
@@ -89,17 +61,7 @@ class Scale:
 def ticks(low: float, high: float, most: int = 5) -> list[float]:
     """Return round numbers in a range.
 
-    Parameters
-    ----------
-    low, high
-        The range.
-    most
-        Largest number of ticks, about.
-
-    Returns
-    -------
-    list of float
-        The ticks, in rising order; ``low`` alone if the range is empty.
+    Returns: The ticks, in rising order; ``low`` alone if the range is empty.
 
     Examples
     --------
@@ -123,18 +85,8 @@ def _multiples(low: float, high: float, step: float) -> list[float]:
 def log_ticks(low: float, high: float, most: int = 5) -> list[float]:
     """Return round numbers of a logarithmic axis.
 
-    Parameters
-    ----------
-    low, high
-        The range, above zero.
-    most
-        Largest number of ticks, about.
-
-    Returns
-    -------
-    list of float
-        1, 2 and 5 times powers of ten, or powers of ten if those are too many; round numbers of a linear axis if the
-        range has less than two of them.
+    Returns: 1, 2 and 5 times powers of ten, or powers of ten if those are too many; round numbers of a linear
+      axis if the range has less than two of them.
 
     Examples
     --------
@@ -153,18 +105,6 @@ def log_ticks(low: float, high: float, most: int = 5) -> list[float]:
 def tick_label(value: float, span: float) -> str:
     """Return the label of a tick.
 
-    Parameters
-    ----------
-    value
-        Its position.
-    span
-        Length of the axis, in the same unit; it decides on the decimals.
-
-    Returns
-    -------
-    str
-        The number with a true minus sign.
-
     Examples
     --------
     >>> tick_label(3345.0, 4.0), tick_label(-0.05, 0.2)
@@ -176,15 +116,7 @@ def tick_label(value: float, span: float) -> str:
 def tick_labels(values: Sequence[float]) -> list[str]:
     """Return the labels of evenly spaced ticks, all with the decimals that their distance needs.
 
-    Parameters
-    ----------
-    values
-        Positions of the ticks, in rising order.
-
-    Returns
-    -------
-    list of str
-        The numbers with a true minus sign.
+    values: Positions of the ticks, in rising order.
 
     Examples
     --------
@@ -200,15 +132,7 @@ def tick_labels(values: Sequence[float]) -> list[str]:
 def plain(value: float) -> str:
     """Return a round number as text.
 
-    Parameters
-    ----------
-    value
-        The number.
-
-    Returns
-    -------
-    str
-        The number with a true minus sign and without zeros at its end.
+    Returns: The number with a true minus sign and without zeros at its end.
     """
     return f"{value:.6g}".replace("-", "\N{MINUS SIGN}")
 
@@ -216,17 +140,7 @@ def plain(value: float) -> str:
 def text_width(text: str, size: float) -> float:
     """Estimate how wide a text is in a common sans-serif typeface.
 
-    Parameters
-    ----------
-    text
-        The text.
-    size
-        Size of the type.
-
-    Returns
-    -------
-    float
-        The width, in the unit of ``size``; that of DejaVu Sans, and most typefaces are narrower.
+    Returns: The width, in the unit of ``size``; that of DejaVu Sans, and most typefaces are narrower.
     """
     return size * sum(_EM[_kind(letter)] for letter in text)
 

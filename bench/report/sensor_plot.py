@@ -35,23 +35,9 @@ def sensor_axes(
 ) -> Axes:
     """Return the axes of a sensor in a picture of its own, whose height follows from the sensor's shape.
 
-    Parameters
-    ----------
-    image_size
-        Width and height of the sensor, px.
-    title
-        Lines above the plot.
-    identifier, label, about
-        As for `bench.report.svg_plot.Picture`.
-    width
-        Width of the picture, points.
-    keys
-        The legend.
-
-    Returns
-    -------
-    Axes
-        Axes in px, rows downwards; pixel centres are at integers.
+    image_size: Width and height of the sensor, px.
+    identifier, label, about: As for `bench.report.svg_plot.Picture`.
+    Returns: Axes in px, rows downwards; pixel centres are at integers.
     """
     words = Words(title, "column, px", "row, px", keys)
     picture = Picture(width, height_for(image_size, width, words), identifier, label, about)
@@ -62,14 +48,8 @@ def sensor_axes(
 def shade_unsupported(axes: Axes, distance: NDArray[np.float32], image_size: Sequence[int]) -> None:
     """Shade the part of the sensor that no star supports, with a dashed line around it.
 
-    Parameters
-    ----------
-    axes
-        Axes of the sensor.
-    distance
-        (H, W) float32, px: distance of each pixel from the nearest star.
-    image_size
-        Width and height, px.
+    distance: (H, W) float32, px: distance of each pixel from the nearest star.
+    image_size: Width and height, px.
     """
     reach = reach_px(image_size)
     rows, columns = (np.unique([*range(0, n, _COARSE), n - 1]) for n in distance.shape)
@@ -87,17 +67,9 @@ def shade_unsupported(axes: Axes, distance: NDArray[np.float32], image_size: Seq
 def supported_share(points: Array, image_size: Sequence[int]) -> tuple[NDArray[np.float32], float]:
     """Return how far each pixel is from the nearest star, and the share of the sensor that stars support.
 
-    Parameters
-    ----------
-    points
-        (N, 2) float64, px: stars of all poses, N > 0.
-    image_size
-        Width and height, px.
-
-    Returns
-    -------
-    tuple
-        (H, W) float32, px, and the share, 0 to 1.
+    points: (N, 2) float64, px: stars of all poses, N > 0.
+    image_size: Width and height, px.
+    Returns: (H, W) float32, px, and the share, 0 to 1.
     """
     distance = star_distance(points, image_size)
     return distance, float(np.mean(distance <= reach_px(image_size)))

@@ -23,19 +23,8 @@ _FOOT = 22.0
 def study_plot(names: Sequence[str], z: Array, rms: Mapping[str, float]) -> str:
     """Draw the errors of each parameter as a histogram beside the normal distribution.
 
-    Parameters
-    ----------
-    names
-        The parameters.
-    z
-        (N, K) float64: error of each calibration over its stated standard uncertainty.
-    rms
-        Root mean square of each column of ``z``.
-
-    Returns
-    -------
-    str
-        SVG. Errors beyond four standard uncertainties count in the outermost bins.
+    z: (N, K) float64: error of each calibration over its stated standard uncertainty.
+    rms: Root mean square of each column of ``z``.
     """
     rows = -(-len(names) // _ACROSS)
     about = "; ".join(f"{name}: rms {rms[name]:.2f}" for name in names) + "."

@@ -18,15 +18,8 @@ REACH = 0.05
 def reach_px(image_size: Sequence[int]) -> float:
     """Return how far from a star a point of the sensor is supported.
 
-    Parameters
-    ----------
-    image_size
-        Width and height, px.
-
-    Returns
-    -------
-    float
-        The distance, px.
+    image_size: Width and height, px.
+    Returns: The distance, px.
     """
     return REACH * math.hypot(*image_size)
 
@@ -34,17 +27,9 @@ def reach_px(image_size: Sequence[int]) -> float:
 def star_distance(points: Array, image_size: Sequence[int]) -> NDArray[np.float32]:
     """Return the distance of each pixel from the nearest star.
 
-    Parameters
-    ----------
-    points
-        (N, 2) float64, px: stars of all poses, N > 0.
-    image_size
-        Width and height, px.
-
-    Returns
-    -------
-    ndarray
-        (H, W) float32, px. Stars count at the nearest pixel.
+    points: (N, 2) float64, px: stars of all poses, N > 0.
+    image_size: Width and height, px.
+    Returns: (H, W) float32, px. Stars count at the nearest pixel.
     """
     width, height = image_size
     free = np.full((height, width), 255, np.uint8)

@@ -27,16 +27,9 @@ _CLASSES = {INK: "ink", MUTED: "muted", LINE: "faint"}
 class Picture:
     """An SVG in work; its unit is the point.
 
-    Parameters
-    ----------
-    width, height
-        Its size.
-    identifier
-        Prefix of all ids; different for each picture of a page.
-    label
-        Short description for readers who do not see it.
-    about
-        What it shows, in one or two sentences; empty to say nothing.
+    identifier: Prefix of all ids; different for each picture of a page.
+    label: Short description for readers who do not see it.
+    about: What it shows, in one or two sentences; empty to say nothing.
     """
 
     def __init__(self, width: float, height: float, identifier: str, label: str, about: str = "") -> None:
@@ -46,13 +39,7 @@ class Picture:
         self._clipped = 0
 
     def add(self, part: str) -> None:
-        """Add an element.
-
-        Parameters
-        ----------
-        part
-            SVG.
-        """
+        """Add an element."""
         self.parts.append(part)
 
     def text(
@@ -68,36 +55,13 @@ class Picture:
     ) -> None:
         """Write a text on the ground of the page.
 
-        Parameters
-        ----------
-        x, y
-            Where its baseline begins, ends or has its middle.
-        text
-            The text; it is escaped here.
-        colour
-            Its colour.
-        anchor
-            ``start``, ``middle`` or ``end``.
-        size
-            Size of the type.
-        more
-            Further attributes.
+        x, y: Where its baseline begins, ends or has its middle.
+        anchor: ``start``, ``middle`` or ``end``.
         """
         self.add(_text(x, y, text, painted("fill", colour), anchor, size, more))
 
     def clip(self, left: float, top: float, width: float, height: float) -> str:
-        """Define a rectangle outside of which nothing is drawn.
-
-        Parameters
-        ----------
-        left, top, width, height
-            The rectangle.
-
-        Returns
-        -------
-        str
-            The attribute for the elements that it clips.
-        """
+        """Define a rectangle outside of which nothing is drawn."""
         self._clipped += 1
         name = f"{self.identifier}-area{self._clipped}"
         shape = f'<rect x="{left:g}" y="{top:g}" width="{width:g}" height="{height:g}"/>'
@@ -107,10 +71,7 @@ class Picture:
     def svg(self) -> str:
         """Return the picture.
 
-        Returns
-        -------
-        str
-            The ``<svg>`` element.
+        Returns: The ``<svg>`` element.
         """
         about = f"<desc>{escape(self.about)}</desc>" if self.about else ""
         box = f"0 0 {self.width:g} {self.height:g}"
@@ -122,17 +83,7 @@ class Picture:
 
 
 class Axes:
-    """What is drawn in a rectangle of a picture, in the units of two scales. `axes_in` makes it with its frame.
-
-    Parameters
-    ----------
-    picture
-        The picture.
-    x, y
-        The scales.
-    left, top, width, height
-        The rectangle.
-    """
+    """What is drawn in a rectangle of a picture, in the units of two scales. `axes_in` makes it with its frame."""
 
     def __init__(
         self, picture: Picture, x: Scale, y: Scale, left: float, top: float, width: float, height: float
@@ -144,15 +95,8 @@ class Axes:
     def at(self, points: ArrayLike) -> Array:
         """Return where points lie in the picture.
 
-        Parameters
-        ----------
-        points
-            (N, 2), in the units of the scales.
-
-        Returns
-        -------
-        Array
-            (N, 2) float64, rounded to hundredths.
+        points: (N, 2), in the units of the scales.
+        Returns: (N, 2) float64, rounded to hundredths.
         """
         given = np.asarray(points, float).reshape(-1, 2)
         across = self.left + self.width * self.x.share(given[:, 0])
@@ -164,12 +108,7 @@ class Axes:
     ) -> None:
         """Draw many straight lines as one path, which keeps the file small.
 
-        Parameters
-        ----------
-        begins, ends
-            (N, 2), in the units of the scales: the ends of the lines.
-        colour, width, opacity
-            Colour, width and opacity of the lines.
+        begins, ends: (N, 2), in the units of the scales: the ends of the lines.
         """
         both = np.hstack([self.at(begins), self.at(ends)])
         shape = "M%g %gL%g %g" * len(both) % tuple(both.ravel().tolist())
@@ -178,12 +117,7 @@ class Axes:
     def dots(self, points: ArrayLike, colour: str, width: float, opacity: float = 1.0) -> None:
         """Draw dots as one path of lines without length.
 
-        Parameters
-        ----------
-        points
-            (N, 2), in the units of the scales.
-        colour, width, opacity
-            Colour, diameter and opacity of the dots.
+        points: (N, 2), in the units of the scales.
         """
         places = self.at(points)
         shape = "M%g %gh0" * len(places) % tuple(places.ravel().tolist())
@@ -194,14 +128,8 @@ class Axes:
     ) -> None:
         """Draw a line through points.
 
-        Parameters
-        ----------
-        points
-            (N, 2), in the units of the scales.
-        colour, width, opacity
-            Colour, width and opacity of the line.
-        dash
-            Lengths of dashes and gaps; empty for a full line.
+        points: (N, 2), in the units of the scales.
+        dash: Lengths of dashes and gaps; empty for a full line.
         """
         dashed = f' stroke-dasharray="{dash}"' if dash else ""
         self._path(shape_of(self.at(points)), _stroke(colour, width, opacity) + dashed)
@@ -217,16 +145,9 @@ class Axes:
     ) -> None:
         """Fill closed shapes together, by the even-odd rule.
 
-        Parameters
-        ----------
-        outlines
-            (N, 2) each, in the units of the scales.
-        fill, opacity
-            Colour of the area, and its opacity.
-        edge, width
-            Colour and width of the outline; no colour for none.
-        dash
-            Lengths of dashes and gaps of the outline; empty for a full line.
+        outlines: (N, 2) each, in the units of the scales.
+        edge, width: Colour and width of the outline; no colour for none.
+        dash: Lengths of dashes and gaps of the outline; empty for a full line.
         """
         shape = "".join(shape_of(self.at(one), closed=True) for one in outlines)
         clear = f' fill-opacity="{opacity:g}"' if opacity < 1 else ""
@@ -237,24 +158,14 @@ class Axes:
     def upright(self, value: float, colour: str, width: float = 0.8, dash: str = "") -> None:
         """Draw a line from the bottom to the top.
 
-        Parameters
-        ----------
-        value
-            Its position on the x axis.
-        colour, width, dash
-            As for `line`.
+        colour, width, dash: As for `line`.
         """
         self.line([(value, self.y.low), (value, self.y.high)], colour, width, dash=dash)
 
     def level(self, value: float, colour: str, width: float = 0.8, dash: str = "") -> None:
         """Draw a line from the left to the right.
 
-        Parameters
-        ----------
-        value
-            Its position on the y axis.
-        colour, width, dash
-            As for `line`.
+        colour, width, dash: As for `line`.
         """
         self.line([(self.x.low, value), (self.x.high, value)], colour, width, dash=dash)
 
@@ -272,18 +183,8 @@ class Axes:
     ) -> None:
         """Write a text beside a point.
 
-        Parameters
-        ----------
-        at
-            The point, in the units of the scales.
-        text
-            The text.
-        by
-            How far to the right of it and below it the baseline is, points.
-        colour, anchor, size, more
-            As for `Picture.text`.
-        themed
-            Whether the colour is that of the page; False on a ground that is light in every scheme.
+        colour, anchor, size, more: As for `Picture.text`.
+        themed: Whether the colour is that of the page; False on a ground that is light in every scheme.
         """
         x, y = self.at([at])[0].tolist()
         paint = painted("fill", colour) if themed else f'fill="{colour}"'
@@ -301,17 +202,9 @@ class Axes:
 def shape_of(places: Array, *, closed: bool = False) -> str:
     """Return a line through places of a picture as the data of a path.
 
-    Parameters
-    ----------
-    places
-        (N, 2) float64, points of the picture.
-    closed
-        Whether the last place joins the first one.
-
-    Returns
-    -------
-    str
-        Empty without places.
+    places: (N, 2) float64, points of the picture.
+    closed: Whether the last place joins the first one.
+    Returns: Empty without places.
     """
     if not len(places):
         return ""
@@ -322,17 +215,7 @@ def shape_of(places: Array, *, closed: bool = False) -> str:
 def painted(what: str, colour: str) -> str:
     """Return the attributes that paint something; a page may replace the colours of its own scheme.
 
-    Parameters
-    ----------
-    what
-        ``fill`` or ``stroke``.
-    colour
-        The colour.
-
-    Returns
-    -------
-    str
-        Attributes.
+    what: ``fill`` or ``stroke``.
     """
     known = _CLASSES.get(colour)
     line = "-line" if what == "stroke" else ""

@@ -19,15 +19,7 @@ _WORD = re.compile(r"\b(?:target's|[Ss]tars?|reticle|target)\b")
 
 
 class TargetWords(NamedTuple):
-    """The words for one kind of target.
-
-    Attributes
-    ----------
-    point, points
-        What is located in the images, one and several.
-    target
-        What carries them.
-    """
+    """The words for one kind of target."""
 
     point: str
     points: str
@@ -46,15 +38,7 @@ class TargetWords(NamedTuple):
     def fitting(self, text: str) -> str:
         """Return a sentence of this program, which speaks of stars, in these words.
 
-        Parameters
-        ----------
-        text
-            The sentence; never one that a person wrote.
-
-        Returns
-        -------
-        str
-            The sentence.
+        text: The sentence; never one that a person wrote.
 
         Examples
         --------
@@ -71,15 +55,7 @@ BOARD = TargetWords("point", "points", "board")
 def words_for(board: object) -> TargetWords:
     """Return the words for a target.
 
-    Parameters
-    ----------
-    board
-        The board at finite distance, or its description; None or empty for the star target.
-
-    Returns
-    -------
-    TargetWords
-        The words.
+    board: The board at finite distance, or its description; None or empty for the star target.
     """
     return BOARD if board else STARS
 
@@ -87,14 +63,6 @@ def words_for(board: object) -> TargetWords:
 def words_of(results: Mapping[str, Any]) -> TargetWords:
     """Return the words for what a run recorded.
 
-    Parameters
-    ----------
-    results
-        Content of results.json.
-
-    Returns
-    -------
-    TargetWords
-        Those of a board if ``run`` names one.
+    Returns: Those of a board if ``run`` names one.
     """
     return words_for((results.get("run") or {}).get("board"))

@@ -50,28 +50,14 @@ _MEANINGS = {
 
 
 def known_parameters() -> tuple[str, ...]:
-    """Return the names of all parameters that have a meaning in words.
-
-    Returns
-    -------
-    tuple of str
-        Parameters of the camera, then of the collimator.
-    """
+    """Return the names of all parameters that have a meaning in words."""
     return tuple(_MEANINGS)
 
 
 def unit_of(parameter: str) -> str:
     """Return the unit of a parameter.
 
-    Parameters
-    ----------
-    parameter
-        Name of the parameter, as in results.json.
-
-    Returns
-    -------
-    str
-        ``px``, ``mm``, or ``1`` for a pure number such as a distortion coefficient.
+    Returns: ``px``, ``mm``, or ``1`` for a pure number such as a distortion coefficient.
     """
     return _UNITS.get(parameter, "1")
 
@@ -79,15 +65,7 @@ def unit_of(parameter: str) -> str:
 def meaning_of(parameter: str) -> str:
     """Return the meaning of a parameter in words.
 
-    Parameters
-    ----------
-    parameter
-        Name of the parameter, as in results.json.
-
-    Returns
-    -------
-    str
-        A short description; empty for an unknown parameter.
+    Returns: A short description; empty for an unknown parameter.
     """
     return _MEANINGS.get(parameter, "")
 
@@ -97,17 +75,8 @@ def with_uncertainty(value: float, expanded: float) -> tuple[str, str]:
 
     JCGM 100, 7.2.6. U is rounded half to even, not up.
 
-    Parameters
-    ----------
-    value
-        The value.
-    expanded
-        Its expanded uncertainty, same unit.
-
-    Returns
-    -------
-    tuple
-        Value and U. If U is not a positive finite number, the value has six significant digits and U is a dash.
+    Returns: Value and U. If U is not a positive finite number, the value has six significant digits and U is
+      a dash.
 
     Examples
     --------
@@ -129,17 +98,10 @@ def with_uncertainty(value: float, expanded: float) -> tuple[str, str]:
 def number(value: Any, digits: int = 4) -> str:
     """Print a number with a number of significant digits; integers are printed in full.
 
-    Parameters
-    ----------
-    value
-        A number; None and numbers that are not finite are printed as a dash.
-    digits
-        Significant digits of a number that is not an integer.
-
-    Returns
-    -------
-    str
-        The number without exponent, with a true minus sign and narrow spaces between thousands of an integer.
+    value: A number; None and numbers that are not finite are printed as a dash.
+    digits: Significant digits of a number that is not an integer.
+    Returns: The number without exponent, with a true minus sign and narrow spaces between thousands of an
+      integer.
 
     Examples
     --------
@@ -160,16 +122,6 @@ def number(value: Any, digits: int = 4) -> str:
 def exact(value: float) -> str:
     """Print a number that is known exactly, in its shortest form, with nine significant digits at most.
 
-    Parameters
-    ----------
-    value
-        The number.
-
-    Returns
-    -------
-    str
-        The number with a true minus sign.
-
     Examples
     --------
     >>> exact(3345.06), exact(-0.9), exact(255.0)
@@ -181,17 +133,9 @@ def exact(value: float) -> str:
 def fixed(value: Any, decimals: int) -> str:
     """Print a number with a fixed number of decimals.
 
-    Parameters
-    ----------
-    value
-        A number; None and numbers that are not finite are printed as a dash.
-    decimals
-        Digits after the decimal point.
-
-    Returns
-    -------
-    str
-        The number with a true minus sign, never "minus zero".
+    value: A number; None and numbers that are not finite are printed as a dash.
+    decimals: Digits after the decimal point.
+    Returns: The number with a true minus sign, never "minus zero".
 
     Examples
     --------
@@ -207,16 +151,6 @@ def fixed(value: Any, decimals: int) -> str:
 def angle(arcsec: float) -> str:
     """Print an angle with three significant digits: degrees from 0.1 degrees on, arc seconds below.
 
-    Parameters
-    ----------
-    arcsec
-        The angle, arc seconds.
-
-    Returns
-    -------
-    str
-        Number and unit.
-
     Examples
     --------
     >>> angle(1.83), angle(360.0), angle(20900.0)
@@ -230,15 +164,7 @@ def angle(arcsec: float) -> str:
 def moment(text: str | None) -> str:
     """Print an ISO 8601 time in UTC, to the second.
 
-    Parameters
-    ----------
-    text
-        ISO 8601 time in UTC; a dash is printed for None and for an empty text.
-
-    Returns
-    -------
-    str
-        Date and time.
+    text: ISO 8601 time in UTC; a dash is printed for None and for an empty text.
 
     Examples
     --------
@@ -253,15 +179,8 @@ def moment(text: str | None) -> str:
 def duration(seconds: float) -> str:
     """Print a duration in a unit that suits its length.
 
-    Parameters
-    ----------
-    seconds
-        Duration, s.
-
-    Returns
-    -------
-    str
-        The duration in ms, s, min or h.
+    seconds: Duration, s.
+    Returns: The duration in ms, s, min or h.
 
     Examples
     --------
@@ -280,15 +199,7 @@ def duration(seconds: float) -> str:
 def value_text(value: Any) -> str:
     """Print any value of results.json in one line: text, numbers, lists and mappings.
 
-    Parameters
-    ----------
-    value
-        The value.
-
-    Returns
-    -------
-    str
-        Its text; a dash for None and for empty values.
+    Returns: Its text; a dash for None and for empty values.
 
     Examples
     --------

@@ -51,42 +51,23 @@ class Bar(NamedTuple):
 
 
 class Series(NamedTuple):
-    """The values of one parameter in several runs.
-
-    Attributes
-    ----------
-    name
-        The parameter.
-    values, sigmas
-        Value of each run and its standard uncertainty, in the parameter's unit.
-    mean, sigma
-        Weighted mean of the values and its standard uncertainty.
-    slope
-        Change per hour or per degree Celsius, and whether it is significant; None if there is no slope.
-    """
+    """The values of one parameter in several runs."""
 
     name: str
+    # values, sigmas: Value of each run and its standard uncertainty, in the parameter's unit.
     values: Sequence[float]
     sigmas: Sequence[float]
     mean: float
     sigma: float
+    # Change per hour or per degree Celsius, and whether it is significant; None if there is no slope.
     slope: tuple[float, bool] | None
 
 
 def timeline(bars: Sequence[Bar], zone: tzinfo | None) -> str:
     """Draw when each run was in progress, one row for each job.
 
-    Parameters
-    ----------
-    bars
-        One bar for each attempt, at least one.
-    zone
-        Time zone of the axis; None for this computer's.
-
-    Returns
-    -------
-    str
-        SVG.
+    bars: One bar for each attempt, at least one.
+    zone: Time zone of the axis; None for this computer's.
     """
     jobs = list(dict.fromkeys(bar.job for bar in bars))
     first, last = min(bar.begun for bar in bars), max(bar.ended for bar in bars)
@@ -114,21 +95,8 @@ def over_time(
 ) -> str:
     """Draw each parameter over time, with U = 2 u.
 
-    Parameters
-    ----------
-    moments
-        Begin of each run.
-    series
-        One series for each parameter; slopes are per hour.
-    zone
-        Time zone of the axis; None for this computer's.
-    identifier
-        Prefix of the ids in the SVG, unique on the page.
-
-    Returns
-    -------
-    str
-        SVG.
+    zone: Time zone of the axis; None for this computer's.
+    identifier: Prefix of the ids in the SVG, unique on the page.
     """
     hours = np.array([_hours(moment, moments[0]) for moment in moments])
     return _panels(hours, series, identifier, begin=moments[0].astimezone(zone), label="")
@@ -137,19 +105,8 @@ def over_time(
 def against_temperature(degrees_c: Sequence[float], series: Sequence[Series], identifier: str) -> str:
     """Draw each parameter against the camera's temperature, with U = 2 u.
 
-    Parameters
-    ----------
-    degrees_c
-        Temperature of the camera in each run, degrees Celsius.
-    series
-        One series for each parameter; slopes are per degree Celsius.
-    identifier
-        Prefix of the ids in the SVG, unique on the page.
-
-    Returns
-    -------
-    str
-        SVG.
+    degrees_c: Temperature of the camera in each run, degrees Celsius.
+    identifier: Prefix of the ids in the SVG, unique on the page.
     """
     return _panels(np.asarray(degrees_c), series, identifier, begin=None, label="camera, °C")
 
@@ -243,15 +200,7 @@ def _clock(begin: datetime, last_h: float) -> list[tuple[float, str]]:
 def bars_of(items: Sequence[Mapping[str, Any]]) -> list[Bar]:
     """Convert the items of a summary to the bars of the timeline.
 
-    Parameters
-    ----------
-    items
-        ``items`` of ``summary.json``.
-
-    Returns
-    -------
-    list of Bar
-        A bar for each attempt that has ended.
+    items: ``items`` of ``summary.json``.
     """
     return [
         Bar(

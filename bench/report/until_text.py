@@ -11,15 +11,7 @@ _MEANINGS = {"expanded_fx_px": "U(fx)", "worst_corner_px": "U at the corners"}
 def meaning_of_goal(name: str) -> str:
     """Return a goal as people read it.
 
-    Parameters
-    ----------
-    name
-        Name of the goal: ``expanded_fx_px`` or ``worst_corner_px``.
-
-    Returns
-    -------
-    str
-        Its meaning; the name itself for an unknown goal.
+    name: Name of the goal: ``expanded_fx_px`` or ``worst_corner_px``.
     """
     return _MEANINGS.get(name, name)
 
@@ -27,15 +19,8 @@ def meaning_of_goal(name: str) -> str:
 def goals_text(wanted: Mapping[str, float]) -> str:
     """Return goals as text.
 
-    Parameters
-    ----------
-    wanted
-        Largest expanded uncertainties allowed, px, by name.
-
-    Returns
-    -------
-    str
-        For example ``U(fx) is at most 2 px``.
+    wanted: Largest expanded uncertainties allowed, px, by name.
+    Returns: For example ``U(fx) is at most 2 px``.
 
     Examples
     --------
@@ -49,15 +34,8 @@ def goals_text(wanted: Mapping[str, float]) -> str:
 def reached_text(decided: Mapping[str, Any]) -> str:
     """Return what an ``until`` has reached.
 
-    Parameters
-    ----------
-    decided
-        Payload of the journal line ``until_decided``.
-
-    Returns
-    -------
-    str
-        For example ``4 poses (k = 2.2): U(fx) 3.1 px (wanted 2)``.
+    decided: Payload of the journal line ``until_decided``.
+    Returns: For example ``4 poses (k = 2.2): U(fx) 3.1 px (wanted 2)``.
     """
     now = decided["now"]
     poses = f"{decided['poses']} pose{'' if decided['poses'] == 1 else 's'}"
@@ -75,15 +53,7 @@ def reached_text(decided: Mapping[str, Any]) -> str:
 def decision_text(decided: Mapping[str, Any]) -> str:
     """Return a decision of an ``until`` as one line.
 
-    Parameters
-    ----------
-    decided
-        Payload of the journal line ``until_decided``.
-
-    Returns
-    -------
-    str
-        What it has reached, and the pose that it chose or how it ended.
+    decided: Payload of the journal line ``until_decided``.
     """
     reached = reached_text(decided)
     chosen = decided.get("chosen")

@@ -22,39 +22,21 @@ _MILLI_FROM_URAD = 1000.0
 
 @dataclass(frozen=True)
 class Verdict:
-    """The verdict on a calibration, as printed.
+    """The verdict on a calibration, as printed."""
 
-    Attributes
-    ----------
-    kind
-        ``pass``, ``marginal`` or ``fail``.
-    headline
-        One to six words.
-    sentences
-        Main values, worst corner, support by stars, change since the last calibration.
-    reasons
-        What to read before the values are used: gates, goals that were not met, deviations.
-    """
-
-    kind: str
+    kind: str  # ``pass``, ``marginal`` or ``fail``
     headline: str
+    # Main values, worst corner, support by stars, change since the last calibration.
     sentences: tuple[str, ...]
+    # What to read before the values are used: gates, goals that were not met, deviations.
     reasons: tuple[str, ...]
 
 
 def verdict(results: Json) -> Verdict:
     """Return the verdict on a calibration.
 
-    Parameters
-    ----------
-    results
-        Content of results.json.
-
-    Returns
-    -------
-    Verdict
-        ``fail`` if the optimisation did not converge or a gate failed; ``marginal`` if there are other reasons to read
-        before use.
+    Returns: ``fail`` if the optimisation did not converge or a gate failed; ``marginal`` if there are other
+      reasons to read before use.
     """
     calibration = results["calibration"]
     reasons = tuple(run_tables.alerts(results))
@@ -124,15 +106,7 @@ def _support(results: Json) -> str:
 def angle_text(urad: float) -> str:
     """Print a small angle with two significant digits, in µrad, or in mrad from 1000 µrad on.
 
-    Parameters
-    ----------
-    urad
-        The angle, µrad.
-
-    Returns
-    -------
-    str
-        Number and unit.
+    urad: The angle, µrad.
 
     Examples
     --------

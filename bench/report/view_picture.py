@@ -17,27 +17,13 @@ _GOLDEN = 0.6180339887498949
 
 @dataclass(frozen=True)
 class ViewPicture:
-    """One pose as the report shows it.
-
-    Attributes
-    ----------
-    name
-        Name of the pose.
-    image
-        (H, W) uint8, the event image; None if the pose appears in plots only.
-    detected
-        (N, 2) float64, px: detected stars.
-    reprojected
-        (N, 2) float64, px: the same stars as the calibration projects them.
-    ids
-        (N,) int64, ids of the stars.
-    """
+    """One pose as the report shows it."""
 
     name: str
-    image: NDArray[np.uint8] | None
-    detected: NDArray[np.float64]
-    reprojected: NDArray[np.float64]
-    ids: NDArray[np.int64]
+    image: NDArray[np.uint8] | None  # (H, W) uint8, the event image; None if the pose appears in plots only
+    detected: NDArray[np.float64]  # (N, 2) float64, px: detected stars
+    reprojected: NDArray[np.float64]  # (N, 2) float64, px: the same stars as the calibration projects them
+    ids: NDArray[np.int64]  # (N,) int64, ids of the stars
 
     @property
     def residuals(self) -> NDArray[np.float64]:
@@ -52,17 +38,7 @@ def thinned(views: Sequence[ViewPicture], most: int = MOST_STARS) -> Sequence[Vi
     low discrepancy: the kept stars are evenly spread, they do not coincide with the rows of the target, and each view
     keeps different stars.
 
-    Parameters
-    ----------
-    views
-        All poses of the report.
-    most
-        Approximate number of stars to keep, in all views together.
-
-    Returns
-    -------
-    Sequence of ViewPicture
-        The same views with fewer stars; the argument itself if it has no more than ``most`` stars.
+    Returns: The same views with fewer stars; the argument itself if it has no more than ``most`` stars.
     """
     total = sum(len(view.ids) for view in views)
     if total <= most:

@@ -23,15 +23,7 @@ _TIMES = "\N{MULTIPLICATION SIGN}"
 def state_diagram(states: Sequence[Mapping[str, Any]]) -> str:
     """Draw the states of a run and the transitions between them.
 
-    Parameters
-    ----------
-    states
-        Entries ``{"state", "utc"}`` in the order in which the states were entered.
-
-    Returns
-    -------
-    str
-        SVG. Below each box: how often the run entered the state and how much time it spent there.
+    states: Entries ``{"state", "utc"}`` in the order in which the states were entered.
     """
     names = [str(entry["state"]) for entry in states]
     places = {name: _MARGIN + _STEP * i for i, name in enumerate(dict.fromkeys(names))}

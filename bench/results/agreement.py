@@ -17,35 +17,23 @@ from bench.records.run_index import IndexedRun
 
 @dataclass(frozen=True)
 class Agreement:
-    """One parameter in several runs.
-
-    Attributes
-    ----------
-    name
-        The parameter.
-    mean, sigma
-        Mean weighted by 1 / sigma^2, and its standard uncertainty, in the parameter's unit.
-    birge
-        Birge ratio sqrt(chi^2 / (n - 1)). It is about 1 if the runs scatter as their uncertainties predict, and larger
-        if the camera or the bench changed between runs.
-    deviations
-        For each run, its difference from the mean divided by the standard uncertainty of this difference,
-        sqrt(sigma_i^2 - sigma^2).
-    """
+    """One parameter in several runs."""
 
     name: str
+    # mean, sigma: Mean weighted by 1 / sigma^2, and its standard uncertainty, in the parameter's unit.
     mean: float
     sigma: float
+    # Birge ratio sqrt(chi^2 / (n - 1)). It is about 1 if the runs scatter as their uncertainties predict, and
+    # larger if the camera or the bench changed between runs.
     birge: float
+    # For each run, its difference from the mean divided by the standard uncertainty of this difference,
+    # sqrt(sigma_i^2 - sigma^2).
     deviations: Sequence[float]
 
     def to_dict(self) -> dict[str, Any]:
         """Return the content as JSON holds it.
 
-        Returns
-        -------
-        dict
-            ``name mean sigma birge deviations``.
+        Returns: ``name mean sigma birge deviations``.
         """
         return {
             "name": self.name,
@@ -59,20 +47,10 @@ class Agreement:
 def compare_runs(runs: Sequence[IndexedRun]) -> list[Agreement]:
     """Compare every parameter that all runs have estimated.
 
-    Parameters
-    ----------
-    runs
-        At least two runs with a calibration, of one camera and one model; all of them measured, simulated or rehearsed.
-
-    Returns
-    -------
-    list of Agreement
-        One for each parameter, in the order of the first run.
-
-    Raises
-    ------
-    UsageError
-        When there are fewer than two runs, or the runs cannot be compared.
+    runs: At least two runs with a calibration, of one camera and one model; all of them measured, simulated
+      or rehearsed.
+    Returns: One for each parameter, in the order of the first run.
+    Raises UsageError: When there are fewer than two runs, or the runs cannot be compared.
     """
     if len(runs) < 2:
         raise UsageError(
@@ -107,17 +85,7 @@ def agreement(name: str, values: Sequence[tuple[float, float]]) -> Agreement:
     207. The deviations are normalised as the degrees of equivalence of a key comparison: Cox, Metrologia 39 (2002) 589,
     procedure A.
 
-    Parameters
-    ----------
-    name
-        The parameter.
-    values
-        At least two values, each with its standard uncertainty greater than 0.
-
-    Returns
-    -------
-    Agreement
-        Mean, its uncertainty, Birge ratio and normalised deviations.
+    values: At least two values, each with its standard uncertainty greater than 0.
 
     Examples
     --------

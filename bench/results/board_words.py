@@ -11,23 +11,7 @@ from calib.errors import CalibrationError
 
 @contextmanager
 def errors_in(words: TargetWords) -> Iterator[None]:
-    """Raise the engine's errors in the words of the target.
-
-    Parameters
-    ----------
-    words
-        The words. Those of the star target change nothing.
-
-    Yields
-    ------
-    None
-        Nothing.
-
-    Raises
-    ------
-    calib.errors.CalibrationError
-        The error of the block, of the same class and with the same place.
-    """
+    """Raise the engine's errors in the words of the target."""
     try:
         yield
     except CalibrationError as error:

@@ -13,21 +13,13 @@ Number = int | float
 
 @dataclass(frozen=True)
 class Difference:
-    """One difference.
+    """One difference."""
 
-    Attributes
-    ----------
-    where
-        Place of the value: ``poses[0].attempts[1].sha256``.
-    kind
-        ``value``: both have it, and it differs. ``missing``: only the derived content has it. ``added``: only the
-        stored content has it.
-    stored, derived
-        Both values; None where there is none.
-    """
-
-    where: str
+    where: str  # Place of the value: ``poses[0].attempts[1].sha256``
+    # ``value``: both have it, and it differs. ``missing``: only the derived content has it. ``added``: only
+    # the stored content has it.
     kind: Literal["value", "missing", "added"]
+    # stored, derived: Both values; None where there is none.
     stored: Any
     derived: Any
 
@@ -46,15 +38,7 @@ Tolerance = Callable[[str, Number, Number, float], bool]
 def exactly(_where: str, stored: Number, derived: Number, _scale: float) -> bool:
     """Return whether two numbers are equal to the last bit.
 
-    Parameters
-    ----------
-    stored, derived
-        The numbers.
-
-    Returns
-    -------
-    bool
-        True if they are.
+    Returns: True if they are.
     """
     return stored == derived
 
@@ -62,15 +46,7 @@ def exactly(_where: str, stored: Number, derived: Number, _scale: float) -> bool
 def within(share: float) -> Tolerance:
     """Return a relative tolerance.
 
-    Parameters
-    ----------
-    share
-        Largest difference, as a share of the number itself or, in a list, of the largest number in it.
-
-    Returns
-    -------
-    Callable
-        The tolerance.
+    share: Largest difference, as a share of the number itself or, in a list, of the largest number in it.
     """
     return lambda _where, stored, derived, scale: abs(stored - derived) <= share * scale
 
@@ -80,21 +56,8 @@ def differences(
 ) -> Iterator[Difference]:
     """Compare two contents.
 
-    Parameters
-    ----------
-    stored
-        Content as read from the file.
-    derived
-        Content as derived again; anything that JSON can represent.
-    equal
-        Whether two numbers count as equal.
-    where
-        Place of both in the file.
-
-    Yields
-    ------
-    Difference
-        Each difference, in the order of the derived content.
+    equal: Whether two numbers count as equal.
+    Yields: Each difference, in the order of the derived content.
     """
     yield from _differences(stored, json.loads(json.dumps(derived)), equal, where, 0.0)
 

@@ -17,17 +17,7 @@ _MOVE_THE_CENTRE = ("defocus", "coma", "astigmatism", "field_curvature")
 def planar_calibration(views: Sequence[View], options: CalibrationOptions) -> Calibration | None:
     """Calibrate with Zhang's planar model on the same points (Zhang, 2000).
 
-    Parameters
-    ----------
-    views
-        Views of the calibration.
-    options
-        Options of the calibration; distortion and loss are used.
-
-    Returns
-    -------
-    Calibration or None
-        None if the views do not determine the planar model.
+    Returns: None if the views do not determine the planar model.
     """
     try:
         return calibrate(
@@ -43,18 +33,9 @@ def compare_with_truth(calibration: Calibration, truth: Mapping[str, Any]) -> li
     If the simulated collimator has errors that displace the apparent centre, x and y are not compared: they are those
     of the apparent centre, and the truth holds those of the ideal one.
 
-    Parameters
-    ----------
-    calibration
-        The calibration.
-    truth
-        ``truth`` of results.json: ``camera`` and ``collimator``.
-
-    Returns
-    -------
-    list of dict
-        For each value ``name value sigma truth error error_sigmas``: the error in the value's own unit, and divided by
-        the value's standard uncertainty.
+    truth: ``truth`` of results.json: ``camera`` and ``collimator``.
+    Returns: For each value ``name value sigma truth error error_sigmas``: the error in the value's own unit,
+      and divided by the value's standard uncertainty.
     """
     true = {**truth["camera"], **truth["collimator"]}
     if any(true.get(name) for name in _MOVE_THE_CENTRE):

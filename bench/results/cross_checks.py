@@ -26,18 +26,9 @@ _NOT_INDEPENDENT = (
 def split_half_check(views: Sequence[View], options: CalibrationOptions) -> dict[str, Any] | None:
     """Calibrate every other pose and the rest separately, and compare the projections of the two cameras at infinity.
 
-    Parameters
-    ----------
-    views
-        Views of the calibration.
-    options
-        Options of the calibration.
-
-    Returns
-    -------
-    dict or None
-        ``rms_px worst_px expected_px ratio``, and ``cameras`` with the values of both halves, from which the report
-        draws the difference. None with fewer than four views, or if a half does not determine the camera.
+    Returns: ``rms_px worst_px expected_px ratio``, and ``cameras`` with the values of both halves, from which
+      the report draws the difference. None with fewer than four views, or if a half does not determine the
+      camera.
     """
     try:
         split = split_half(views, options)
@@ -57,19 +48,10 @@ def gimbal_check(
 ) -> dict[str, Any] | None:
     """Compare the estimated rotations with the gimbal's readings.
 
-    Parameters
-    ----------
-    calibration
-        Calibration of the poses.
-    readings_deg
-        For each pose, the angle of each axis (``pan``, ``tilt``, ``roll``), deg. The reading of an encoder
-        (``pan_encoder``) replaces that of its axis.
-
-    Returns
-    -------
-    dict or None
-        ``rms_arcsec scale scale_sigma agrees excess_arcsec verdict says pairs slip faults``, as docs/results.md
-        describes them; None with too few poses, or if an axis did not move.
+    readings_deg: For each pose, the angle of each axis (``pan``, ``tilt``, ``roll``), deg. The reading of an
+      encoder (``pan_encoder``) replaces that of its axis.
+    Returns: ``rms_arcsec scale scale_sigma agrees excess_arcsec verdict says pairs slip faults``, as
+      docs/results.md describes them; None with too few poses, or if an axis did not move.
     """
     readings = [{f"{axis}_deg": deg for axis, deg in best_angles_deg(pose).items()} for pose in readings_deg]
     try:

@@ -56,30 +56,15 @@ _SAME = within(1e-9)
 
 @dataclass(frozen=True)
 class RunEvidence:
-    """What a run folder holds, as read for the checks.
-
-    Attributes
-    ----------
-    folder
-        The run folder.
-    entries
-        All lines of the journal.
-    job
-        Task of the run, from the copies of its documents.
-    history
-        History of the run up to the moment when its results were made; of the whole run if it has none.
-    results
-        Content of results.json; None if the run has no report step.
-    head
-        Hash of the journal's line that the report prints; empty if the run has none.
-    """
+    """What a run folder holds, as read for the checks."""
 
     folder: Path
     entries: Sequence[Entry]
     job: Job
+    # History of the run up to the moment when its results were made; of the whole run if it has none.
     history: History
-    results: Mapping[str, Any] | None
-    head: str
+    results: Mapping[str, Any] | None  # Content of results.json; None if the run has no report step
+    head: str  # Hash of the journal's line that the report prints; empty if the run has none
 
     @property
     def solve_step(self) -> SolveStep | None:
@@ -93,20 +78,9 @@ class RunEvidence:
 def check_run(folder: Path) -> Findings:
     """Compare the files of a run with what follows from its journal, its documents and each other.
 
-    Parameters
-    ----------
-    folder
-        The run folder; seal and journal have no fault.
-
-    Returns
-    -------
-    Findings
-        What contradicts, what was not compared, and which software made the results.
-
-    Raises
-    ------
-    OSError
-        When a file cannot be read.
+    folder: The run folder; seal and journal have no fault.
+    Returns: What contradicts, what was not compared, and which software made the results.
+    Raises OSError: When a file cannot be read.
     """
     found = Findings()
     evidence = read_evidence(folder, found)
@@ -133,17 +107,7 @@ def check_run(folder: Path) -> Findings:
 def read_evidence(folder: Path, found: Findings) -> RunEvidence | None:
     """Read journal, documents and results of a run.
 
-    Parameters
-    ----------
-    folder
-        The run folder.
-    found
-        Findings; faults are added.
-
-    Returns
-    -------
-    RunEvidence or None
-        None if a part cannot be read; the fault is then in ``found``.
+    Returns: None if a part cannot be read; the fault is then in ``found``.
     """
     entries, _ = read_journal(folder / JOURNAL)
     whole = replay(entries)
@@ -313,17 +277,8 @@ def add_differences(
 ) -> None:
     """Add differences of a file to the findings.
 
-    Parameters
-    ----------
-    kind, name
-        Kind of fault and name of the file.
-    seen
-        The differences.
-    found
-        Findings; they are added.
-    other
-        How the program that made the file differs from this one. Another program may state more or less; what only one
-        of them states is then not compared. A value that both state must be the same.
+    other: How the program that made the file differs from this one. Another program may state more or less;
+      what only one of them states is then not compared. A value that both state must be the same.
     """
     faults = [one for one in seen if one.kind == "value" or not other]
     for one in faults[:_MOST_SHOWN]:
@@ -338,15 +293,8 @@ def add_differences(
 def check_results_folder(folder: Path) -> Findings:
     """Compare the files of a folder of recalculated results.
 
-    Parameters
-    ----------
-    folder
-        The folder; its seal has no fault.
-
-    Returns
-    -------
-    Findings
-        What contradicts, and what was not compared.
+    folder: The folder; its seal has no fault.
+    Returns: What contradicts, and what was not compared.
     """
     from bench.results.derive_offline import check_offline
 

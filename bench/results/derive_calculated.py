@@ -42,24 +42,7 @@ def check_calculated(
 ) -> None:
     """Compare gates, projection, passport, readings, comparison and change with what the calibration gives.
 
-    Parameters
-    ----------
-    history
-        History of the run when its results were made.
-    job
-        Task of the run.
-    step
-        The solve step.
-    results
-        Content of results.json.
-    calibration
-        The calibration that it states.
-    views
-        The calibrated views.
-    judged
-        The gates of the solve step, as the calibration is judged by them.
-    found
-        Findings; they are added.
+    history: History of the run when its results were made.
     """
     readings = [attempt.stored["measured_deg"] for _, attempt in sorted(history.accepted().items())]
     options = solve_options(job, step, readings)

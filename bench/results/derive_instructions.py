@@ -20,17 +20,7 @@ _PRINCIPAL = re.compile(r" -I (\S+) -n ")
 
 
 def check_instructions(folder: Path, used: Mapping[str, Any], found: Findings) -> None:
-    """Compare VERIFY.txt with the instructions for the key that sealed the folder.
-
-    Parameters
-    ----------
-    folder
-        The sealed folder.
-    used
-        Software that wrote it.
-    found
-        Findings; they are added.
-    """
+    """Compare VERIFY.txt with the instructions for the key that sealed the folder."""
     try:
         had = (folder / INSTRUCTIONS).read_text(encoding="utf-8", errors="replace")
         signature = read_signature((folder / SIGNATURE).read_bytes())

@@ -44,18 +44,7 @@ def check_report(
 
     If there is a fault already, plots and images are not drawn again, and only the words are compared.
 
-    Parameters
-    ----------
-    folder
-        The folder.
-    results
-        Content of its results.json.
-    views
-        The calibrated poses, with the images that the report shows.
-    head
-        Hash of the journal's line that the report must print; empty for a report without one.
-    found
-        Findings; they are added.
+    head: Hash of the journal's line that the report must print; empty for a report without one.
     """
     try:
         due = render_report(ReportData(results, views, head), draw=not found.faults)
@@ -108,17 +97,7 @@ def _graphics_differ(had: str, due: str) -> str:
 def split_graphics(html: str) -> tuple[str, list[str]]:
     """Separate the graphics of a report from the rest.
 
-    Parameters
-    ----------
-    html
-        A report.
-
-    Returns
-    -------
-    rest
-        The document, with a mark in place of each graphic.
-    graphics
-        The ``<svg>`` elements, with all that they contain.
+    Returns: The ``<svg>`` elements, with all that they contain.
     """
     rest, graphics = [], []
     depth, last = 0, 0
@@ -148,22 +127,8 @@ def check_exports(
 ) -> None:
     """Compare the exports with those that are made of the results, byte by byte.
 
-    Parameters
-    ----------
-    folder
-        The folder.
-    names
-        Names of the files in ``exports/``, as the seal lists them.
-    results
-        Content of results.json.
-    calibration
-        The calibration that it states.
-    camera_name
-        Name of the camera in the exports.
-    target
-        The printed target or the board; None if the views show several.
-    found
-        Findings; they are added.
+    names: Names of the files in ``exports/``, as the seal lists them.
+    target: The printed target or the board; None if the views show several.
     """
     due = exports(calibration, camera_name=camera_name, target=target)
     other = other_software(results, _EXPORTS_BY)

@@ -44,38 +44,18 @@ class _Found:
 
 @dataclass(frozen=True)
 class RunViews:
-    """The content of views.h5.
-
-    Attributes
-    ----------
-    views
-        Stars and residuals of each pose.
-    pictures
-        For each pose a function that reads its image, (H, W) uint8; None for recalculated results, which have no
-        images.
-    """
+    """The content of views.h5."""
 
     views: Sequence[StoredView]
+    # For each pose a function that reads its image, (H, W) uint8; None for recalculated results, which have
+    # no images.
     pictures: Sequence[Callable[[], NDArray[np.uint8]] | None]
 
     @classmethod
     def read(cls, path: Path) -> Self:
         """Read a views.h5; its images are read when they are needed.
 
-        Parameters
-        ----------
-        path
-            The file.
-
-        Returns
-        -------
-        RunViews
-            The content.
-
-        Raises
-        ------
-        RunFolderError
-            When the file cannot be read, or does not have this layout.
+        Raises RunFolderError: When the file cannot be read, or does not have this layout.
         """
         views, pictured = read_views(path), has_pictures(path)
         numbers = range(1, len(views) + 1)
@@ -84,15 +64,7 @@ class RunViews:
     def as_file(self) -> bytes:
         """Return the bytes of a views.h5 with this content.
 
-        Returns
-        -------
-        bytes
-            The file, as a run writes it.
-
-        Raises
-        ------
-        RunFolderError
-            When an image cannot be read.
+        Raises RunFolderError: When an image cannot be read.
         """
         return views_file(
             [
@@ -105,20 +77,7 @@ class RunViews:
     def shown(self, results: Mapping[str, Any]) -> list[ViewPicture]:
         """Return the poses as the report shows them.
 
-        Parameters
-        ----------
-        results
-            Content of results.json.
-
-        Returns
-        -------
-        list of ViewPicture
-            With the images that the report shows.
-
-        Raises
-        ------
-        RunFolderError
-            When an image cannot be read.
+        Raises RunFolderError: When an image cannot be read.
         """
         names = pictured_poses(results).names
         return [
@@ -138,21 +97,8 @@ def check_views(
 ) -> RunViews | None:
     """Compare views.h5 of a run or of recalculated results with results.json.
 
-    Parameters
-    ----------
-    folder
-        The run folder.
-    results
-        Content of its results.json.
-    found
-        Findings; faults are added.
-    all_stars
-        Whether the calibration used all stars; with a guard band it leaves some out.
-
-    Returns
-    -------
-    RunViews or None
-        What the file holds; None if it cannot be read.
+    all_stars: Whether the calibration used all stars; with a guard band it leaves some out.
+    Returns: What the file holds; None if it cannot be read.
     """
     path = folder / VIEWS
     try:

@@ -24,19 +24,7 @@ class FormatCannotCarry(BenchError):
 def refuse_beyond(names: Sequence[str], camera: CameraModel, what: str) -> None:
     """Refuse a lens with other coefficients than a format has.
 
-    Parameters
-    ----------
-    names
-        Coefficients of the format.
-    camera
-        The camera.
-    what
-        Name of the format.
-
-    Raises
-    ------
-    FormatCannotCarry
-        If the lens has others.
+    Raises FormatCannotCarry: If the lens has others.
     """
     further = [name for name in camera.distortion if name not in names]
     if further:
@@ -49,17 +37,7 @@ def refuse_beyond(names: Sequence[str], camera: CameraModel, what: str) -> None:
 def refuse_skew(camera: CameraModel, what: str) -> None:
     """Refuse a camera with skew: the programs that read these formats ignore K[0, 1].
 
-    Parameters
-    ----------
-    camera
-        The camera.
-    what
-        Name of the format.
-
-    Raises
-    ------
-    FormatCannotCarry
-        If it has skew.
+    Raises FormatCannotCarry: If it has skew.
     """
     if SKEW in camera.distortion:
         raise FormatCannotCarry(
@@ -71,17 +49,7 @@ def refuse_skew(camera: CameraModel, what: str) -> None:
 def refuse_fisheye(camera: CameraModel, what: str) -> None:
     """Refuse a fisheye lens.
 
-    Parameters
-    ----------
-    camera
-        The camera.
-    what
-        Name of the format.
-
-    Raises
-    ------
-    FormatCannotCarry
-        If the lens is one.
+    Raises FormatCannotCarry: If the lens is one.
     """
     if camera.is_fisheye:
         raise FormatCannotCarry(
@@ -93,15 +61,7 @@ def refuse_fisheye(camera: CameraModel, what: str) -> None:
 def opencv_coefficients(camera: CameraModel) -> np.ndarray:
     """Return the coefficients of the lens in OpenCV's order.
 
-    Parameters
-    ----------
-    camera
-        The camera.
-
-    Returns
-    -------
-    ndarray
-        (5,) float64 k1 k2 p1 p2 k3, (8,) with k4 k5 k6 if the lens has them, or (4,) of a fisheye lens.
+    Returns: (5,) float64 k1 k2 p1 p2 k3, (8,) with k4 k5 k6 if the lens has them, or (4,) of a fisheye lens.
     """
     if camera.is_fisheye:
         return camera.fisheye_coefficients
@@ -112,15 +72,7 @@ def opencv_coefficients(camera: CameraModel) -> np.ndarray:
 def target_poses(calibration: Calibration) -> tuple[np.ndarray, np.ndarray]:
     """Return the poses of the target in the camera's frame.
 
-    Parameters
-    ----------
-    calibration
-        The calibration.
-
-    Returns
-    -------
-    tuple
-        (n, 3) float64 rotation vectors, rad, and (n, 3) float64 translations, mm: camera <- target.
+    Returns: (n, 3) float64 rotation vectors, rad, and (n, 3) float64 translations, mm: camera <- target.
     """
     rotations = calibration.rotations
     vectors = np.array([cv2.Rodrigues(rotation)[0].ravel() for rotation in rotations])
@@ -130,15 +82,7 @@ def target_poses(calibration: Calibration) -> tuple[np.ndarray, np.ndarray]:
 def image_size_fields(camera: CameraModel) -> dict[str, int]:
     """Return the size of the image as ROS and OpenCV name it.
 
-    Parameters
-    ----------
-    camera
-        The camera.
-
-    Returns
-    -------
-    dict
-        ``image_width`` and ``image_height``, px.
+    Returns: ``image_width`` and ``image_height``, px.
     """
     return {"image_width": camera.image_size[0], "image_height": camera.image_size[1]}
 
@@ -146,15 +90,8 @@ def image_size_fields(camera: CameraModel) -> dict[str, int]:
 def ros_matrix(matrix: np.ndarray) -> dict[str, Any]:
     """Return a matrix as ROS writes it.
 
-    Parameters
-    ----------
-    matrix
-        (m, n) float64.
-
-    Returns
-    -------
-    dict
-        ``rows``, ``cols`` and ``data``, row after row.
+    matrix: (m, n) float64.
+    Returns: ``rows``, ``cols`` and ``data``, row after row.
     """
     return {"rows": matrix.shape[0], "cols": matrix.shape[1], "data": matrix.ravel().tolist()}
 
@@ -162,15 +99,7 @@ def ros_matrix(matrix: np.ndarray) -> dict[str, Any]:
 def yaml_bytes(content: Mapping[str, Any]) -> bytes:
     """Return a YAML file with its keys in the given order.
 
-    Parameters
-    ----------
-    content
-        What to write.
-
-    Returns
-    -------
-    bytes
-        The file, UTF-8.
+    Returns: The file, UTF-8.
     """
     return yaml.safe_dump(content, sort_keys=False, default_flow_style=None, width=10_000).encode()
 
@@ -178,17 +107,8 @@ def yaml_bytes(content: Mapping[str, Any]) -> bytes:
 def file_storage_bytes(extension: str, content: Mapping[str, Any]) -> bytes:
     """Return a file of ``cv::FileStorage``.
 
-    Parameters
-    ----------
-    extension
-        ``.yaml`` or ``.json``.
-    content
-        What to write: numbers, texts, arrays, lists and further mappings.
-
-    Returns
-    -------
-    bytes
-        The file; the same with OpenCV 4 and 5.
+    extension: ``.yaml`` or ``.json``.
+    Returns: The file; the same with OpenCV 4 and 5.
     """
     storage = cv2.FileStorage(extension, cv2.FILE_STORAGE_WRITE | cv2.FILE_STORAGE_MEMORY)
     for name, value in content.items():

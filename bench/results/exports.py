@@ -62,21 +62,12 @@ def exports(
 ) -> dict[str, bytes]:
     """Write a calibration in every format that can represent it.
 
-    Parameters
-    ----------
-    calibration
-        The calibration.
-    camera_name
-        Name of the camera in the files. Every character that is not a letter, digit or ``_`` becomes ``_``, as ROS
-        requires.
-    target
-        The printed target or the board; None if the views show several. By default, it is the standard one.
-
-    Returns
-    -------
-    dict
-        File name to content. ``not-written.txt`` lists the formats that cannot represent the lens model or the targets,
-        with the reason; it is absent if there are none.
+    camera_name: Name of the camera in the files. Every character that is not a letter, digit or ``_`` becomes
+      ``_``, as ROS requires.
+    target: The printed target or the board; None if the views show several. By default, it is the standard
+      one.
+    Returns: File name to content. ``not-written.txt`` lists the formats that cannot represent the lens model
+      or the targets, with the reason; it is absent if there are none.
     """
     files: dict[str, bytes] = {}
     refused: list[str] = []
@@ -99,18 +90,6 @@ def opencv_yaml(calibration: Calibration, camera_name: str) -> bytes:
 
     ``extrinsic_parameters`` has one row for each view: rotation vector and translation (mm), camera <- target.
     ``fisheye_model`` is 1 if the coefficients are those of ``cv::fisheye``.
-
-    Parameters
-    ----------
-    calibration
-        The calibration.
-    camera_name
-        Name of the camera.
-
-    Returns
-    -------
-    bytes
-        The file.
     """
     return file_storage_bytes(
         ".yml",
@@ -133,17 +112,7 @@ def opencv_yaml(calibration: Calibration, camera_name: str) -> bytes:
 def ros_camera_info(calibration: Calibration, camera_name: str) -> bytes:
     """Write a ROS camera_info YAML with ``plumb_bob``, ``rational_polynomial`` or ``equidistant`` distortion.
 
-    Parameters
-    ----------
-    calibration
-        The calibration.
-    camera_name
-        Name of the camera; letters, digits and ``_`` only.
-
-    Returns
-    -------
-    bytes
-        The file.
+    camera_name: Name of the camera; letters, digits and ``_`` only.
     """
     camera = calibration.camera
     coefficients = opencv_coefficients(camera)
@@ -164,22 +133,8 @@ def ros_camera_info(calibration: Calibration, camera_name: str) -> bytes:
 def kalibr_camchain(calibration: Calibration, camera_name: str) -> bytes:
     """Write a Kalibr camchain of one camera: pinhole with radtan, or with equidistant for a fisheye lens.
 
-    Parameters
-    ----------
-    calibration
-        The calibration.
-    camera_name
-        Name of the camera, used in ``rostopic``.
-
-    Returns
-    -------
-    bytes
-        The file.
-
-    Raises
-    ------
-    FormatCannotCarry
-        When the lens has other coefficients than k1 k2 p1 p2, and is no fisheye lens.
+    camera_name: Name of the camera, used in ``rostopic``.
+    Raises FormatCannotCarry: When the lens has other coefficients than k1 k2 p1 p2, and is no fisheye lens.
     """
     camera = calibration.camera
     if not camera.is_fisheye:
@@ -202,22 +157,7 @@ def kalibr_camchain(calibration: Calibration, camera_name: str) -> bytes:
 def mrcal_cameramodel(calibration: Calibration, camera_name: str) -> bytes:
     """Write a mrcal cameramodel: LENSMODEL_OPENCV5 or 8, with the camera at the origin.
 
-    Parameters
-    ----------
-    calibration
-        The calibration.
-    camera_name
-        Name of the camera, written as a comment.
-
-    Returns
-    -------
-    bytes
-        The file.
-
-    Raises
-    ------
-    FormatCannotCarry
-        When the lens is a fisheye lens.
+    Raises FormatCannotCarry: When the lens is a fisheye lens.
     """
     camera = calibration.camera
     refuse_fisheye(camera, "mrcal's cameramodel")
@@ -233,20 +173,7 @@ def mrcal_cameramodel(calibration: Calibration, camera_name: str) -> bytes:
 
 
 def colmap_cameras(calibration: Calibration, camera_name: str) -> bytes:
-    """Write COLMAP's cameras.txt: OPENCV, FULL_OPENCV or OPENCV_FISHEYE; the principal point is shifted by 0.5 px.
-
-    Parameters
-    ----------
-    calibration
-        The calibration.
-    camera_name
-        Name of the camera, written as a comment.
-
-    Returns
-    -------
-    bytes
-        The file.
-    """
+    """Write COLMAP's cameras.txt: OPENCV, FULL_OPENCV or OPENCV_FISHEYE; the principal point is shifted by 0.5 px."""
     camera = calibration.camera
     if camera.is_fisheye:
         model, coefficients = "OPENCV_FISHEYE", camera.fisheye_coefficients
@@ -269,24 +196,8 @@ def metavision_json(
 
     ``pattern`` describes the squares of the star target, because the format has no stars, or the points of a board.
 
-    Parameters
-    ----------
-    calibration
-        The calibration.
-    camera_name
-        Name of the camera.
-    target
-        The printed target or the board; None if the views show several.
-
-    Returns
-    -------
-    bytes
-        The file.
-
-    Raises
-    ------
-    FormatCannotCarry
-        When the lens is a fisheye lens, or the views show several targets.
+    target: The printed target or the board; None if the views show several.
+    Raises FormatCannotCarry: When the lens is a fisheye lens, or the views show several targets.
     """
     refuse_fisheye(calibration.camera, "Metavision's intrinsics.json")
     if target is None:

@@ -28,17 +28,8 @@ def fixed_parts(rows: Sequence[BudgetRow], more: float = 1.0) -> dict[str, dict[
     of the stars, the information of `more` times as many poses leaves (1 + q) / (`more` + q) of it (own derivation for
     one parameter: a prior of information b contributes sqrt(b) / (a + b) if the stars have the information a).
 
-    Parameters
-    ----------
-    rows
-        Uncertainty budget of the calibration.
-    more
-        How many times as many poses can be recorded in all, at least 1.
-
-    Returns
-    -------
-    dict
-        Expanded uncertainty, px, by the name of the goal and by source; only sources that contribute.
+    more: How many times as many poses can be recorded in all, at least 1.
+    Returns: Expanded uncertainty, px, by the name of the goal and by source; only sources that contribute.
     """
     found: dict[str, dict[str, float]] = {}
     for goal, quantity in _QUANTITIES.items():

@@ -37,45 +37,20 @@ _UNITS = ("_px", "_mm")
 
 @dataclass(frozen=True)
 class PlanForecast:
-    """The forecast of a plan.
-
-    Attributes
-    ----------
-    forecast
-        Expected uncertainties.
-    poses
-        Number of poses that it is about.
-    chosen
-        How many of them an ``until`` is expected to choose during the run.
-    remarks
-        What the operator should know: limits that will not be met, and why; what limits the forecast.
-    """
+    """The forecast of a plan."""
 
     forecast: Forecast
     poses: int
-    chosen: int
+    chosen: int  # How many of them an ``until`` is expected to choose during the run
+    # What the operator should know: limits that will not be met, and why; what limits the forecast.
     remarks: tuple[str, ...]
 
 
 def expected_bench(station: Located[Station], *, noise_px: float | None = None) -> ExpectedBench:
     """Return the bench that a station file expects, without errors: approximate values, sufficient for studies.
 
-    Parameters
-    ----------
-    station
-        The station file.
-    noise_px
-        Standard uncertainty of a star for each axis, px; None for the station's value.
-
-    Returns
-    -------
-    ExpectedBench
-        Camera, collimator, field of view and noise.
-
-    Raises
-    ------
-    UsageError
-        When the station file has no ``expected`` section.
+    noise_px: Standard uncertainty of a star for each axis, px; None for the station's value.
+    Raises UsageError: When the station file has no ``expected`` section.
     """
     expected = station.value.expected
     if expected is None:
@@ -107,21 +82,7 @@ def expected_bench(station: Located[Station], *, noise_px: float | None = None) 
 def forecast_bench(planned: Plan) -> ExpectedBench:
     """Return the bench that a plan expects, with what its last calibration uses.
 
-    Parameters
-    ----------
-    planned
-        The plan.
-
-    Returns
-    -------
-    ExpectedBench
-        Bench with the errors of its collimator, the model and the lens that will be fitted, the passport, the readings
-        of the gimbal and the budget.
-
-    Raises
-    ------
-    UsageError
-        When the station file has no ``expected`` section.
+    Raises UsageError: When the station file has no ``expected`` section.
     """
     bench, station = expected_bench(planned.station), planned.station.value
     assert station.expected is not None
@@ -154,15 +115,7 @@ def expected_uncertainty(planned: Plan) -> PlanForecast | None:
     A sequence is not refused if the prediction fails, because the real bench may differ from the expected one. Poses
     that an ``until`` chooses during the run are predicted too, as many as it allows.
 
-    Parameters
-    ----------
-    planned
-        The plan.
-
-    Returns
-    -------
-    PlanForecast or None
-        None if the station expects nothing, the plan has no poses, or the poses show too few stars.
+    Returns: None if the station expects nothing, the plan has no poses, or the poses show too few stars.
     """
     if planned.station.value.expected is None or not planned.poses:
         return None
@@ -181,24 +134,9 @@ def expected_uncertainty(planned: Plan) -> PlanForecast | None:
 def suggest_poses(planned: Plan, count: int) -> list[SuggestedPose]:
     """Suggest further poses, within the station's limits, that improve the calibration most.
 
-    Parameters
-    ----------
-    planned
-        The plan with the poses so far.
-    count
-        Number of poses to suggest.
-
-    Returns
-    -------
-    list of SuggestedPose
-        Poses with the angle of each axis, degrees (``pan_deg``), the best first.
-
-    Raises
-    ------
-    UsageError
-        When the station file has no ``expected`` section.
-    calib.errors.CalibrationError
-        When no pose is suitable.
+    Returns: Poses with the angle of each axis, degrees (``pan_deg``), the best first.
+    Raises UsageError: When the station file has no ``expected`` section.
+    Raises calib.errors.CalibrationError: When no pose is suitable.
     """
     bench = forecast_bench(planned)
     return list(next_poses(bench, _poses_deg(planned), list(_candidates(planned)), count))
@@ -207,22 +145,10 @@ def suggest_poses(planned: Plan, count: int) -> list[SuggestedPose]:
 def forecasts_with(planned: Plan, further: Sequence[SuggestedPose]) -> list[Forecast | None]:
     """Predict the uncertainties that the poses of a plan give with the first further pose, the first two, and so on.
 
-    Parameters
-    ----------
-    planned
-        The plan.
-    further
-        Poses to add, in order.
-
-    Returns
-    -------
-    list
-        For each further pose the forecast with it and those before it; None if these poses show too few stars.
-
-    Raises
-    ------
-    UsageError
-        When the station file has no ``expected`` section.
+    further: Poses to add, in order.
+    Returns: For each further pose the forecast with it and those before it; None if these poses show too few
+      stars.
+    Raises UsageError: When the station file has no ``expected`` section.
     """
     bench, poses = forecast_bench(planned), _poses_deg(planned)
     found: list[Forecast | None] = []

@@ -38,38 +38,20 @@ _FEWEST_LABELLED = 3
 
 @dataclass(frozen=True)
 class Interim:
-    """A calibration from the poses so far.
+    """A calibration from the poses so far."""
 
-    Attributes
-    ----------
-    measurements
-        Measurements of the accepted recordings, in the order of their poses.
-    calibration
-        The calibration; None if the poses do not determine the camera.
-    why
-        Why there is no calibration; empty if there is one.
-    passport
-        Passport that the calibration uses, if any.
-    model
-        Model that was asked for.
-    """
-
+    # Measurements of the accepted recordings, in the order of their poses.
     measurements: Sequence[Measurement]
-    calibration: Calibration | None
-    why: str = ""
-    passport: Passport | None = None
+    calibration: Calibration | None  # The calibration; None if the poses do not determine the camera
+    why: str = ""  # Why there is no calibration; empty if there is one
+    passport: Passport | None = None  # Passport that the calibration uses, if any
     model: str = "spherical"
 
 
 class Decisions:
     """Decides for the ``until`` steps of one run.
 
-    Parameters
-    ----------
-    job
-        Task of the run.
-    folder
-        Run folder; the recordings are read from it if they have to be measured again.
+    folder: Run folder; the recordings are read from it if they have to be measured again.
     """
 
     def __init__(self, job: Job, folder: Path) -> None:
@@ -85,21 +67,7 @@ class Decisions:
     ) -> UntilDecided:
         """Calibrate from the accepted recordings, and decide what follows.
 
-        Parameters
-        ----------
-        step
-            The step that decides.
-        history
-            History of the run.
-        measured
-            Measurements already made, by pose; the others are made again from their recordings and added.
-        check
-            Called between pieces of work; raises if the run is to stop.
-
-        Returns
-        -------
-        UntilDecided
-            The decision, for the journal.
+        check: Called between pieces of work; raises if the run is to stop.
         """
         accepted = sorted(history.accepted().items())
         for index, attempt in accepted:
@@ -123,22 +91,7 @@ class Decisions:
 
 
 def decide(step: ChooseStep, job: Job, history: History, interim: Interim) -> UntilDecided:
-    """Decide what follows in an ``until``: the next pose, or the end.
-
-    Parameters
-    ----------
-    step
-        The step that decides.
-    job, history
-        Task and history of the run.
-    interim
-        Calibration from the accepted recordings.
-
-    Returns
-    -------
-    UntilDecided
-        The decision, for the journal.
-    """
+    """Decide what follows in an ``until``: the next pose, or the end."""
     until, accepted, calibration = step.until, history.accepted(), interim.calibration
     recorded = sum(pose in accepted for pose in until.poses)
     most = len(accepted) + max(0, until.at_most - recorded)

@@ -18,19 +18,7 @@ from bench.views.measure import Measurement
 def keep_views_of_run(job: Job, history: History, measured: Mapping[int, Measurement]) -> int:
     """Keep the views of the accepted recordings of a run.
 
-    Parameters
-    ----------
-    job
-        Task of the run. Views of a rehearsal, and of a board in place of the star target, are not kept.
-    history
-        History of the run; it states the hashes of the recordings.
-    measured
-        What the run measured, by pose.
-
-    Returns
-    -------
-    int
-        Number of views that are kept now.
+    job: Task of the run. Views of a rehearsal, and of a board in place of the star target, are not kept.
     """
     if type(job.camera_kind) not in {EventKind, FrameKind} or job.board is not None:
         return 0

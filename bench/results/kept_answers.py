@@ -47,27 +47,16 @@ class KeptAnswers(KeptEntries):
     def of_bench(cls) -> KeptAnswers:
         """Return the folder of this user's bench.
 
-        Returns
-        -------
-        KeptAnswers
-            In the folder of the bench's own files.
+        Returns: In the folder of the bench's own files.
         """
         return cls(home_folder() / FOLDER, MOST_BYTES)
 
     def answer(self, key: str, *, as_json: bool) -> str | None:
         """Return what was printed.
 
-        Parameters
-        ----------
-        key
-            As `answer_key` returns it.
-        as_json
-            Whether the form for programs is asked for, not that for people.
-
-        Returns
-        -------
-        str or None
-            The text; None if there is none, or it is broken.
+        key: As `answer_key` returns it.
+        as_json: Whether the form for programs is asked for, not that for people.
+        Returns: The text; None if there is none, or it is broken.
         """
         if not self.is_usable() or (data := self.read_entry(key)) is None:
             return None
@@ -80,12 +69,7 @@ class KeptAnswers(KeptEntries):
     def keep(self, key: str, text: str, as_json: str) -> None:
         """Keep what is printed.
 
-        Parameters
-        ----------
-        key
-            As `answer_key` returns it.
-        text, as_json
-            The form for people, and that for programs.
+        key: As `answer_key` returns it.
         """
         body = json.dumps({_TEXT: text, _JSON: as_json}).encode()
         self.write_entry(key, hashlib.sha256(key.encode() + body).hexdigest().encode() + b"\n" + body)
@@ -94,17 +78,8 @@ class KeptAnswers(KeptEntries):
 def answer_key(paths: Sequence[Path], options: Mapping[str, Any]) -> str | None:
     """Return the hash of all that decides what `calibrate` prints.
 
-    Parameters
-    ----------
-    paths
-        What is calibrated.
-    options
-        Values of the options by their names.
-
-    Returns
-    -------
-    str or None
-        64 hexadecimal digits; None if a path is no run, if an option names a file, or if a file cannot be read.
+    Returns: 64 hexadecimal digits; None if a path is no run, if an option names a file, or if a file cannot
+      be read.
     """
     if any(options.get(name) is not None for name in _OF_FILES):
         return None

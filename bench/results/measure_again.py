@@ -14,24 +14,8 @@ from bench.views.measure import Measurement
 def measure_again(job: Job, folder: Path, attempt: Attempt) -> Measurement:
     """Find the stars of an accepted recording again, with the grid that was expected when it was recorded.
 
-    Parameters
-    ----------
-    job
-        Task of the run.
-    folder
-        Run folder.
-    attempt
-        The accepted recording.
-
-    Returns
-    -------
-    Measurement
-        The measurement; its view is not None.
-
-    Raises
-    ------
-    BenchError
-        If no stars are found in the recording any more.
+    Returns: The measurement; its view is not None.
+    Raises BenchError: If no stars are found in the recording any more.
     """
     step = job.record_step(attempt.pose_index)
     path = folder / str(attempt.stored["capture"])

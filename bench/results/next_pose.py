@@ -52,53 +52,29 @@ _K = 2.0
 
 @dataclass(frozen=True)
 class Choice:
-    """The next pose.
+    """The next pose."""
 
-    Attributes
-    ----------
-    angles_deg
-        Angle by axis, degrees (``pan_deg``).
-    expected
-        Expanded uncertainties, px, that are expected with this pose added, by name of the goal.
-    lacks
-        What the poses so far lack besides information: ``rim``, ``roll``, or nothing.
-    why
-        Why this pose was chosen, in words.
-    """
-
-    angles_deg: Angles
+    angles_deg: Angles  # Angle by axis, degrees (``pan_deg``)
+    # Expanded uncertainties, px, that are expected with this pose added, by name of the goal.
     expected: Mapping[str, float]
+    # What the poses so far lack besides information: ``rim``, ``roll``, or nothing.
     lacks: Literal["", "rim", "roll"]
     why: str
 
 
 @dataclass(frozen=True)
 class Wish:
-    """What the next pose is chosen for.
+    """What the next pose is chosen for."""
 
-    Attributes
-    ----------
-    wanted
-        Goals: largest expanded uncertainties allowed, px, by name.
-    now
-        Expanded uncertainties reached, px; empty if the camera is not determined yet.
-    fixed
-        Part of each that no pose lowers, px.
-    rim, roll
-        Whether the model needs poses that show the rim; whether the poses so far need another roll.
-    needs_tag
-        Whether the pose must show the whole tag.
-    min_stars
-        Stars that a recording must have to be accepted.
-    """
-
-    wanted: Mapping[str, float]
+    wanted: Mapping[str, float]  # Goals: largest expanded uncertainties allowed, px, by name
+    # Expanded uncertainties reached, px; empty if the camera is not determined yet.
     now: Mapping[str, float]
-    fixed: Mapping[str, float]
+    fixed: Mapping[str, float]  # Part of each that no pose lowers, px
+    # rim, roll: Whether the model needs poses that show the rim; whether the poses so far need another roll.
     rim: bool
     roll: bool
-    needs_tag: bool
-    min_stars: int
+    needs_tag: bool  # Whether the pose must show the whole tag
+    min_stars: int  # Stars that a recording must have to be accepted
 
 
 def choose_pose(
@@ -113,27 +89,12 @@ def choose_pose(
 ) -> Choice | str:
     """Choose the next pose.
 
-    Parameters
-    ----------
-    station
-        The station; its limits bound the choice.
-    calibration
-        Calibration from the poses so far; None if there is none yet.
-    passport
-        Passport that the calibrations use, if any.
-    taken_deg
-        Angles of the poses recorded so far, degrees, in the order of the views of the calibration.
-    refused_deg
-        Angles of the poses that failed, degrees.
-    wish
-        What the pose is chosen for.
-    readings
-        What the readings of the gimbal are worth, without angles, if they enter the calibrations.
-
-    Returns
-    -------
-    Choice or str
-        The pose; or why there is none, as a sentence.
+    calibration: Calibration from the poses so far; None if there is none yet.
+    passport: Passport that the calibrations use, if any.
+    taken_deg: Angles of the poses recorded so far, degrees, in the order of the views of the calibration.
+    refused_deg: Angles of the poses that failed, degrees.
+    readings: What the readings of the gimbal are worth, without angles, if they enter the calibrations.
+    Returns: The pose; or why there is none, as a sentence.
     """
     if calibration is None and station.value.expected is None:
         return (

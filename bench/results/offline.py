@@ -36,39 +36,17 @@ _MOST_NAMES = 5
 
 @dataclass(frozen=True)
 class OfflineResult:
-    """Result of an offline calibration.
-
-    Attributes
-    ----------
-    calibration
-        The calibration.
-    planar
-        The planar calibration of the same points; None if there is none.
-    skipped
-        For each file that was left out, a sentence with the reason.
-    views
-        The views of the calibration.
-    options
-        Options of the engine.
-    sources
-        The files of the views, in their order.
-    passport
-        The collimator's passport that was used, if any.
-    target
-        The printed target that all views show: that of the run's station, or of the options; None if they differ.
-    paths
-        The files and folders that were given.
-    choices
-        The options that were given.
-    """
+    """Result of an offline calibration."""
 
     calibration: Calibration
-    planar: Calibration | None
-    skipped: Sequence[str]
+    planar: Calibration | None  # The planar calibration of the same points; None if there is none
+    skipped: Sequence[str]  # For each file that was left out, a sentence with the reason
     views: Sequence[View]
     options: CalibrationOptions = field(default_factory=CalibrationOptions)
-    sources: Sequence[ViewSource] = ()
-    passport: PassportInUse | None = None
+    sources: Sequence[ViewSource] = ()  # The files of the views, in their order
+    passport: PassportInUse | None = None  # The collimator's passport that was used, if any
+    # The printed target that all views show: that of the run's station, or of the options; None if they
+    # differ.
     target: StarTarget | None = field(default_factory=StarTarget)
     paths: Sequence[Path] = ()
     choices: OfflineOptions = field(default_factory=OfflineOptions)
@@ -101,10 +79,7 @@ class OfflineResult:
     def to_dict(self) -> dict[str, Any]:
         """Return the content as ``--json`` prints it.
 
-        Returns
-        -------
-        dict
-            The calibration's content, and ``planar passport gimbal_readings skipped``.
+        Returns: The calibration's content, and ``planar passport gimbal_readings skipped``.
         """
         return {
             **self.calibration.to_dict(),
@@ -120,28 +95,12 @@ def calibrate_paths(
 ) -> OfflineResult:
     """Make views from files and folders, and calibrate.
 
-    Parameters
-    ----------
-    paths
-        Run folders, folders of files, or files.
-    choices
-        Options of the calibration.
-    kept
-        Views of earlier calculations; None to find the stars in every recording. Evidence is never checked with them.
-
-    Returns
-    -------
-    OfflineResult
-        The calibration. A file in which the target is not found is left out, with the reason.
-
-    Raises
-    ------
-    UsageError
-        When a requested view does not exist, or a path cannot be used.
-    BenchError
-        When a file cannot be read, the image sizes differ, or no view is left.
-    calib.errors.CalibrationError
-        When the views do not determine the camera.
+    kept: Views of earlier calculations; None to find the stars in every recording. Evidence is never checked
+      with them.
+    Returns: The calibration. A file in which the target is not found is left out, with the reason.
+    Raises UsageError: When a requested view does not exist, or a path cannot be used.
+    Raises BenchError: When a file cannot be read, the image sizes differ, or no view is left.
+    Raises calib.errors.CalibrationError: When the views do not determine the camera.
     """
     sources = [source for path in paths for source in view_sources(path, choices)]
     if kept is not None:
@@ -152,17 +111,7 @@ def calibrate_paths(
 def with_kept_views(source: ViewSource, kept: KeptViews) -> ViewSource:
     """Return a source that takes its view from an earlier calculation, if there is one.
 
-    Parameters
-    ----------
-    source
-        The file.
-    kept
-        Views of earlier calculations.
-
-    Returns
-    -------
-    ViewSource
-        The same source; its views are the same to the last bit.
+    Returns: The same source; its views are the same to the last bit.
     """
     if source.decided_by is None:
         return source
@@ -172,26 +121,10 @@ def with_kept_views(source: ViewSource, kept: KeptViews) -> ViewSource:
 def calibrate_sources(sources: Sequence[ViewSource], choices: OfflineOptions) -> OfflineResult:
     """Calibrate from the files of views.
 
-    Parameters
-    ----------
-    sources
-        The files.
-    choices
-        Options of the calibration.
-
-    Returns
-    -------
-    OfflineResult
-        The calibration, without the paths that were given.
-
-    Raises
-    ------
-    UsageError
-        When a requested view does not exist.
-    BenchError
-        When a file cannot be read, the image sizes differ, or no view is left.
-    calib.errors.CalibrationError
-        When the views do not determine the camera.
+    Returns: The calibration, without the paths that were given.
+    Raises UsageError: When a requested view does not exist.
+    Raises BenchError: When a file cannot be read, the image sizes differ, or no view is left.
+    Raises calib.errors.CalibrationError: When the views do not determine the camera.
     """
     missing = [number for number in choices.view_numbers or () if number > len(sources)]
     if missing:
@@ -224,19 +157,8 @@ def _common_board(sources: Sequence[ViewSource], choices: OfflineOptions) -> Boa
 def require_common_views(first: Path, second: Path, choices: OfflineOptions) -> None:
     """Refuse two folders of a rig that share no pose, before any star is looked for.
 
-    Parameters
-    ----------
-    first, second
-        Run folders or folders of files.
-    choices
-        Options of the calibration.
-
-    Raises
-    ------
-    DegenerateViews
-        If no view of one has the name of a view of the other.
-    UsageError, BenchError
-        When a path cannot be used.
+    Raises DegenerateViews: If no view of one has the name of a view of the other.
+    Raises UsageError, BenchError: When a path cannot be used.
     """
     names = [{source.name for source in view_sources(path, choices)} for path in (first, second)]
     if not names[0] & names[1]:
@@ -282,15 +204,7 @@ def compare_methods(result: OfflineResult) -> list[MethodResult | MethodFailure]
 
     The published recipe needs a target at infinity, so it is left out for a board.
 
-    Parameters
-    ----------
-    result
-        The calibration and its views.
-
-    Returns
-    -------
-    list
-        The result of each method; if a method has no result, its entry says why.
+    Returns: The result of each method; if a method has no result, its entry says why.
     """
     lens = tuple(result.calibration.camera.distortion)
     options = replace(result.options, distortion=lens, gimbal=None)
@@ -303,10 +217,7 @@ def compare_methods(result: OfflineResult) -> list[MethodResult | MethodFailure]
 def _read_views(sources: Sequence[ViewSource]) -> tuple[list[View], list[ViewSource], list[str]]:
     """Read the views, with one image size and unique names; return also their sources, and why views were left out.
 
-    Raises
-    ------
-    BenchError
-        When a file cannot be read, the image sizes differ, or no view is left.
+    Raises BenchError: When a file cannot be read, the image sizes differ, or no view is left.
     """
     views: list[View] = []
     used: list[ViewSource] = []
@@ -334,10 +245,8 @@ def _first(skipped: Sequence[str]) -> str:
 def _one_size(views: Sequence[View], sized: Sequence[bool]) -> list[View]:
     """Give all views one image size; if no view has a known size, the largest of the point files.
 
-    Raises
-    ------
-    BenchError
-        When sizes differ, for example of portrait and landscape images: these are not the pixels of one camera.
+    Raises BenchError: When sizes differ, for example of portrait and landscape images: these are not the
+      pixels of one camera.
     """
     known = {view.image_size: view.name for view, is_sized in zip(views, sized, strict=True) if is_sized}
     width, height = (max(sides) for sides in zip(*(view.image_size for view in views), strict=True))

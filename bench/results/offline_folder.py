@@ -67,17 +67,8 @@ class Sealer(Protocol):
 def require_new(folder: Path) -> None:
     """Refuse a folder that holds anything.
 
-    Parameters
-    ----------
-    folder
-        The folder to write to.
-
-    Raises
-    ------
-    UsageError
-        If it is not empty.
-    StorageError
-        If it cannot be read.
+    Raises UsageError: If it is not empty.
+    Raises StorageError: If it cannot be read.
     """
     with storage_errors(folder):
         found = next(folder.iterdir(), None) if folder.is_dir() else None
@@ -92,23 +83,11 @@ def require_new(folder: Path) -> None:
 def write_offline_results(result: OfflineResult, folder: Path, key: BenchKey | None = None) -> None:
     """Write an offline calibration to a new folder, and seal it.
 
-    Parameters
-    ----------
-    result
-        The calibration and its views.
-    folder
-        The folder; it is made if it does not exist. ``results.json`` is written last, before the seal.
-    key
-        The bench's key; None leaves the folder a draft.
-
-    Raises
-    ------
-    UsageError
-        If the folder is not empty.
-    EvidenceError
-        If the folder cannot be sealed.
-    StorageError
-        If a file cannot be read or written.
+    folder: The folder; it is made if it does not exist. ``results.json`` is written last, before the seal.
+    key: The bench's key; None leaves the folder a draft.
+    Raises UsageError: If the folder is not empty.
+    Raises EvidenceError: If the folder cannot be sealed.
+    Raises StorageError: If a file cannot be read or written.
     """
     require_new(folder)
     write_files(folder, offline_files(result, folder.resolve().name, key))
@@ -119,17 +98,9 @@ def write_offline_results(result: OfflineResult, folder: Path, key: BenchKey | N
 def write_files(folder: Path, files: Mapping[str, bytes]) -> None:
     """Write the files of an offline calibration to a new folder, in their order.
 
-    Parameters
-    ----------
-    folder
-        The folder; it is made if it does not exist.
-    files
-        As `offline_files` returns them.
-
-    Raises
-    ------
-    StorageError
-        If a file cannot be written.
+    folder: The folder; it is made if it does not exist.
+    files: As `offline_files` returns them.
+    Raises StorageError: If a file cannot be written.
     """
     make_folder(folder / EXPORTS)
     for name, data in files.items():
@@ -146,28 +117,11 @@ def offline_files(
 ) -> dict[str, bytes]:
     """Return the files of an offline calibration, before its seal.
 
-    Parameters
-    ----------
-    result
-        The calibration and its views.
-    name
-        Name of the calibration, as the report prints it.
-    key
-        Who will seal the folder; None if it stays a draft.
-    sources
-        What `source_data` returns for each view; None to read and hash the files now.
-    read_from
-        For each folder that is a copy for this calculation only, the place that it was copied from.
-
-    Returns
-    -------
-    dict
-        Contents by name within the folder; ``results.json`` is the last one.
-
-    Raises
-    ------
-    StorageError
-        If a source cannot be read.
+    key: Who will seal the folder; None if it stays a draft.
+    sources: What `source_data` returns for each view; None to read and hash the files now.
+    read_from: For each folder that is a copy for this calculation only, the place that it was copied from.
+    Returns: Contents by name within the folder; ``results.json`` is the last one.
+    Raises StorageError: If a source cannot be read.
     """
     if sources is None:
         pairs = zip(result.sources, result.views, strict=True)
@@ -214,21 +168,9 @@ def offline_results(
 ) -> dict[str, Any]:
     """Return the content of results.json of an offline calibration.
 
-    Parameters
-    ----------
-    result
-        The calibration and its views.
-    name
-        Name of the calibration, as the report prints it.
-    sources
-        Path, size and hash of each input file.
-    key
-        Who will seal the folder; None if it stays a draft.
-
-    Returns
-    -------
-    dict
-        The schema of a run's results; ``run.offline`` is true, and there are no devices, gates and states.
+    key: Who will seal the folder; None if it stays a draft.
+    Returns: The schema of a run's results; ``run.offline`` is true, and there are no devices, gates and
+      states.
     """
     calibration = result.calibration
     return {
@@ -315,22 +257,7 @@ def _started(source: ViewSource) -> dict[str, Any]:
 def source_data(source: ViewSource, view: str) -> dict[str, Any]:
     """Return what sources.json states about the file of a view.
 
-    Parameters
-    ----------
-    source
-        The file.
-    view
-        Name of the view.
-
-    Returns
-    -------
-    dict
-        Name of the view, path, size and hash.
-
-    Raises
-    ------
-    StorageError
-        If the file cannot be read.
+    Raises StorageError: If the file cannot be read.
     """
     with storage_errors(source.path):
         size = source.path.stat().st_size

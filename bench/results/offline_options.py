@@ -31,73 +31,40 @@ from sequences.solve_schema import Readings
 
 @dataclass(frozen=True)
 class StationFile:
-    """The station file that the command line gave for the target.
+    """The station file that the command line gave for the target."""
 
-    Attributes
-    ----------
-    name
-        As it was given: a path, or the name of a station that is included.
-    path
-        Its place.
-    sha256
-        Hash of its bytes.
-    """
-
-    name: str
+    name: str  # As it was given: a path, or the name of a station that is included
     path: str
     sha256: str
 
 
 @dataclass(frozen=True)
 class OfflineOptions:
-    """Options of an offline calibration. An option that is None is that of the run's last solve step, or a default.
+    """Options of an offline calibration. An option that is None is that of the run's last solve step, or a default."""
 
-    Attributes
-    ----------
-    model, distortion, loss, guard_band
-        Options of the engine, see `CalibrationOptions`; ``distortion`` is the name of a set.
-    passport
-        Passport of the collimator, in place of that of the run.
-    without_passport
-        Whether to use no passport, not even that of the run.
-    readings
-        ``witness``: the readings of the run's gimbal do not enter the adjustment.
-    image_size
-        Width and height for point files, px.
-    view_numbers
-        Numbers of the views to use, from 1; None for all.
-    image
-        Kind of event image for RAW captures.
-    origin
-        Pixel origin of point files.
-    target
-        The printed target.
-    board
-        The board at finite distance that the views show in place of the star target; None for the star target.
-    reconstruct_hz
-        Cutoff frequency at which pictures of a moving camera are reconstructed from RAW files, Hz; None for
-        recordings of a camera that stands still before a flickering target.
-    pictures_at_s
-        Times of these pictures after the first event, s; None for times spread over the recording.
-    station
-        The station file whose target is ``target``; None for the standard target.
-    """
-
+    # model, distortion, loss, guard_band: Options of the engine, see `CalibrationOptions`; ``distortion`` is
+    # the name of a set.
     model: ModelName | None = None
     distortion: str | None = None
     loss: LossName | None = None
     guard_band: float | None = None
     passport: PassportInUse | None = None
-    without_passport: bool = False
+    without_passport: bool = False  # Whether to use no passport, not even that of the run
+    # ``witness``: the readings of the run's gimbal do not enter the adjustment.
     readings: Readings | None = None
-    image_size: tuple[int, int] | None = None
-    view_numbers: tuple[int, ...] | None = None
+    image_size: tuple[int, int] | None = None  # Width and height for point files, px
+    view_numbers: tuple[int, ...] | None = None  # Numbers of the views to use, from 1; None for all
     image: str = "auto"
     origin: Origin = "corner"
     target: StarTarget = field(default_factory=StarTarget)
+    # The board at finite distance that the views show in place of the star target; None for the star target.
     board: Board | None = None
+    # Cutoff frequency at which pictures of a moving camera are reconstructed from RAW files, Hz; None for
+    # recordings of a camera that stands still before a flickering target.
     reconstruct_hz: float | None = None
+    # Times of these pictures after the first event, s; None for times spread over the recording.
     pictures_at_s: tuple[float, ...] | None = None
+    # The station file whose target is ``target``; None for the standard target.
     station: StationFile | None = None
 
     @classmethod
@@ -121,42 +88,20 @@ class OfflineOptions:
     ) -> Self:
         """Parse the options of the command line.
 
-        Parameters
-        ----------
-        model, distortion, loss
-            Options of the engine, see `CalibrationOptions`; None for those of the run, or the defaults.
-        image_size
-            Width and height for point files, as ``1280x720``.
-        views
-            Numbers of the views to use, as ``1,5,9``.
-        image
-            Kind of event image.
-        origin
-            ``corner`` or ``centre``.
-        station
-            Path or name of the station whose target was recorded; None for the standard target.
-        passport
-            Passport file of the collimator; ``none`` for no passport, not even that of the run.
-        guard_band
-            Fraction of the visible disc's radius beyond which stars are left out, see `CalibrationOptions`.
-        readings
-            ``auto`` or ``witness``: whether the readings of the run's gimbal may enter the adjustment.
-        board
-            Description of a board at finite distance, as `calib.boards.board.Board.parse` reads it.
-        reconstruct_hz
-            Cutoff frequency for pictures of a moving camera, Hz.
-        pictures_at
-            Times of these pictures, s, as ``0.5,1,1.5``.
-
-        Returns
-        -------
-        OfflineOptions
-            The parsed options.
-
-        Raises
-        ------
-        UsageError
-            When an option is invalid; the message names it.
+        model, distortion, loss: Options of the engine, see `CalibrationOptions`; None for those of the run,
+          or the defaults.
+        image_size: Width and height for point files, as ``1280x720``.
+        views: Numbers of the views to use, as ``1,5,9``.
+        origin: ``corner`` or ``centre``.
+        station: Path or name of the station whose target was recorded; None for the standard target.
+        passport: Passport file of the collimator; ``none`` for no passport, not even that of the run.
+        guard_band: Fraction of the visible disc's radius beyond which stars are left out, see
+          `CalibrationOptions`.
+        readings: ``auto`` or ``witness``: whether the readings of the run's gimbal may enter the adjustment.
+        board: Description of a board at finite distance, as `calib.boards.board.Board.parse` reads it.
+        reconstruct_hz: Cutoff frequency for pictures of a moving camera, Hz.
+        pictures_at: Times of these pictures, s, as ``0.5,1,1.5``.
+        Raises UsageError: When an option is invalid; the message names it.
         """
         if image not in get_args(ImageKind):
             raise UsageError(
@@ -193,20 +138,8 @@ class OfflineOptions:
     def without_run(self, passport: PassportInUse | None = None) -> CalibrationOptions:
         """Return the engine's options for views that are not from one run.
 
-        Parameters
-        ----------
-        passport
-            Passport that all runs behind the views have in common; one of the command line replaces it.
-
-        Returns
-        -------
-        CalibrationOptions
-            The options; without a model, ``auto``.
-
-        Raises
-        ------
-        calib.errors.InputMismatch
-            If an option is unknown or out of range.
+        Returns: The options; without a model, ``auto``.
+        Raises calib.errors.InputMismatch: If an option is unknown or out of range.
         """
         used = self.passport or (None if self.without_passport else passport)
         found = used.passport if used and self.model != "planar" else None
@@ -223,24 +156,9 @@ class OfflineOptions:
     ) -> CalibrationOptions:
         """Return the engine's options for views of one run.
 
-        Parameters
-        ----------
-        job
-            Task of the run.
-        step
-            Its last solve step.
-        measured_deg
-            For each view the angles of the stage, degrees, as the journal holds them.
-
-        Returns
-        -------
-        CalibrationOptions
-            The options of the run; those of the command line replace them.
-
-        Raises
-        ------
-        calib.errors.InputMismatch
-            If an option is unknown or out of range.
+        step: Its last solve step.
+        measured_deg: For each view the angles of the stage, degrees, as the journal holds them.
+        Raises calib.errors.InputMismatch: If an option is unknown or out of range.
         """
         changed = self.step_of_run(step)
         options = solve_options(job, changed, measured_deg)
@@ -252,15 +170,7 @@ class OfflineOptions:
     def step_of_run(self, step: SolveStep) -> SolveStep:
         """Return the solve step of a run with the options of the command line.
 
-        Parameters
-        ----------
-        step
-            The run's last solve step.
-
-        Returns
-        -------
-        SolveStep
-            The step; its coefficients of the lens are unchanged.
+        step: The run's last solve step.
         """
         return replace(
             step,

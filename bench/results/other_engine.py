@@ -42,17 +42,7 @@ _SMALL_PX = 0.01
 def is_excused(one: Difference, sigma: Mapping[str, float]) -> bool:
     """Return whether a difference may come from another program.
 
-    Parameters
-    ----------
-    one
-        A difference between stored results and those of this program, beyond rounding.
-    sigma
-        Standard uncertainties of the calibration, from this program.
-
-    Returns
-    -------
-    bool
-        True if it is within the limits of this module.
+    Returns: True if it is within the limits of this module.
     """
     if one.kind != "value" or ".notes[" in one.where or one.where.startswith((*_TABLES, *_TABLES_OF_PLANAR)):
         return True
@@ -81,19 +71,7 @@ def _is_near(one: Difference, sigma: Mapping[str, float]) -> bool:
 def described(excused: Sequence[Difference], sigma: Mapping[str, float], most: int) -> str:
     """Return excused differences as text: the places of words and parts, and how large the differences of numbers are.
 
-    Parameters
-    ----------
-    excused
-        The differences.
-    sigma
-        Standard uncertainties of the calibration, from this program.
-    most
-        Largest number of places.
-
-    Returns
-    -------
-    str
-        ``calibration.notes[0], 433 numbers (...)``.
+    Returns: ``calibration.notes[0], 433 numbers (...)``.
     """
     numbers = [
         one for one in excused if one.kind == "value" and _is_number(one.stored) and _is_number(one.derived)
@@ -133,15 +111,7 @@ def _sizes(numbers: Sequence[Difference], sigma: Mapping[str, float]) -> str:
 def same_stars(stored: View, again: View) -> bool:
     """Return whether two programs found the same stars, within `MOST_PX`.
 
-    Parameters
-    ----------
-    stored, again
-        Views of one recording.
-
-    Returns
-    -------
-    bool
-        True if nearly all stars are the same, and none lies elsewhere.
+    Returns: True if nearly all stars are the same, and none lies elsewhere.
     """
     both, at, there = np.intersect1d(stored.ids, again.ids, return_indices=True)
     if len(both) < (1.0 - _MOST_STARS) * max(len(stored), len(again)):

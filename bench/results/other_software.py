@@ -11,17 +11,8 @@ from bench.results.results_content import software
 def other_software(results: Mapping[str, Any], names: Sequence[str]) -> str:
     """Return in which of some parts of the software results were made by another program than this one.
 
-    Parameters
-    ----------
-    results
-        Content of results.json.
-    names
-        Keys of ``run.software``.
-
-    Returns
-    -------
-    str
-        ``numpy 2.1 (here 2.2)``, several with commas; empty if all are the same.
+    names: Keys of ``run.software``.
+    Returns: ``numpy 2.1 (here 2.2)``, several with commas; empty if all are the same.
     """
     used, here = results["run"].get("software") or {}, software()
     return ", ".join(
@@ -34,14 +25,6 @@ def other_software(results: Mapping[str, Any], names: Sequence[str]) -> str:
 def other_program(used: Mapping[str, Any]) -> str:
     """Return how the program that made results differs from this one, in any part.
 
-    Parameters
-    ----------
-    used
-        Software of the results or of the journal.
-
-    Returns
-    -------
-    str
-        The differing parts; empty if the programs are the same.
+    Returns: The differing parts; empty if the programs are the same.
     """
     return other_software({"run": {"software": used}}, tuple(software()))

@@ -29,22 +29,10 @@ def parallax_check(
 ) -> dict[str, Any] | None:
     """Measure how far the entrance pupil is off the pivot, and what parallax that causes.
 
-    Parameters
-    ----------
-    calibration
-        Calibration of the views.
-    views
-        Views of the calibration, in its order.
-    station
-        The station; it may state the defocus of the collimator and the place of the pupil.
-    sequence
-        Name of the sequence.
-
-    Returns
-    -------
-    dict or None
-        As docs/results.md describes it. If the rims do not determine the place of the pupil: ``why_not`` alone for the
-        parallax test, None for other sequences.
+    views: Views of the calibration, in its order.
+    station: The station; it may state the defocus of the collimator and the place of the pupil.
+    Returns: As docs/results.md describes it. If the rims do not determine the place of the pupil: ``why_not``
+      alone for the parallax test, None for other sequences.
     """
     if calibration.collimator is None:
         why_not = "The planar model has no collimator, so the motion of the beam's disc has no scale. Use model: auto."

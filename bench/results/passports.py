@@ -24,22 +24,9 @@ from calib.model.passport import Passport
 def read_passport(path: Path) -> Passport:
     """Read a passport file.
 
-    Parameters
-    ----------
-    path
-        The file.
-
-    Returns
-    -------
-    Passport
-        The collimator's parameters and their covariance.
-
-    Raises
-    ------
-    UsageError
-        When there is no such file, or it is not a passport; the message says why.
-    StorageError
-        When it cannot be read.
+    Returns: The collimator's parameters and their covariance.
+    Raises UsageError: When there is no such file, or it is not a passport; the message says why.
+    Raises StorageError: When it cannot be read.
     """
     return read_passport_file(path)[0]
 
@@ -47,21 +34,9 @@ def read_passport(path: Path) -> Passport:
 def write_passport(path: Path, passport: Passport, key: BenchKey | None = None) -> None:
     """Write a passport to a new file.
 
-    Parameters
-    ----------
-    path
-        The file.
-    passport
-        The passport.
-    key
-        The bench's key, which seals it; None leaves it unsealed.
-
-    Raises
-    ------
-    UsageError
-        When the file exists.
-    StorageError
-        When it cannot be written.
+    key: The bench's key, which seals it; None leaves it unsealed.
+    Raises UsageError: When the file exists.
+    Raises StorageError: When it cannot be written.
     """
     if path.exists():
         raise UsageError(
@@ -74,26 +49,9 @@ def write_passport(path: Path, passport: Passport, key: BenchKey | None = None) 
 def seal_file(path: Path, output: Path, key: BenchKey) -> str:
     """Write a sealed copy of a passport that has no seal.
 
-    Parameters
-    ----------
-    path
-        The unsealed passport.
-    output
-        The new file.
-    key
-        The bench's key.
-
-    Returns
-    -------
-    str
-        Fingerprint of the key.
-
-    Raises
-    ------
-    UsageError
-        When it is not a passport, is sealed already, or the new file exists.
-    StorageError
-        When a file cannot be read or written.
+    key: The bench's key.
+    Raises UsageError: When it is not a passport, is sealed already, or the new file exists.
+    Raises StorageError: When a file cannot be read or written.
     """
     passport, data = read_passport_file(path)
     if (seal := read_passport_seal(data)) is not None:
@@ -105,20 +63,8 @@ def seal_file(path: Path, output: Path, key: BenchKey) -> str:
 def seals_of(paths: Sequence[Path]) -> dict[str, str]:
     """Return the seals of the sealed runs among the sources of a passport, so that it is bound to them.
 
-    Parameters
-    ----------
-    paths
-        Runs, recordings or folders.
-
-    Returns
-    -------
-    dict
-        SHA-256 of ``SHA256SUMS`` by the name of the run.
-
-    Raises
-    ------
-    StorageError
-        When a seal cannot be read.
+    Returns: SHA-256 of ``SHA256SUMS`` by the name of the run.
+    Raises StorageError: When a seal cannot be read.
     """
     found = {}
     for path in paths:
@@ -139,30 +85,13 @@ def passport_from_calibration(
 ) -> Passport:
     """Make a passport from a calibration, with the conditions under which it was made.
 
-    Parameters
-    ----------
-    calibration
-        The calibration; its model must include a collimator.
-    collimator
-        Serial number or name of the collimator, if known.
-    temperature_c
-        Temperature of the bench, degrees Celsius, if known.
-    now
-        Time at which the passport is made, UTC.
-    sources
-        Names of the recordings or runs behind the calibration.
-    seals
-        SHA-256 of the list of files of each source that is a sealed run, by its name.
-
-    Returns
-    -------
-    Passport
-        The collimator's parameters and their covariance.
-
-    Raises
-    ------
-    calib.errors.InputMismatch
-        When the calibration has no collimator (planar model).
+    calibration: The calibration; its model must include a collimator.
+    collimator: Serial number or name of the collimator, if known.
+    temperature_c: Temperature of the bench, degrees Celsius, if known.
+    now: Time at which the passport is made, UTC.
+    seals: SHA-256 of the list of files of each source that is a sealed run, by its name.
+    Returns: The collimator's parameters and their covariance.
+    Raises calib.errors.InputMismatch: When the calibration has no collimator (planar model).
     """
     conditions = {
         "collimator": collimator,
@@ -188,34 +117,15 @@ def passport_from_certificate(
 ) -> Passport:
     """Make a passport from a certificate of the collimator's focal length.
 
-    Parameters
-    ----------
-    r_mm
-        Certified focal length, mm.
-    sigma_mm
-        Its standard uncertainty, mm: the expanded uncertainty of the certificate divided by its coverage factor.
-    number
-        Number of the certificate.
-    issued
-        Date of the certificate, if known.
-    valid_until
-        Last day of its validity, year-month-day, if known.
-    collimator
-        Serial number or name of the collimator, if known.
-    temperature_c
-        Temperature at the certification, degrees Celsius, if known.
-    now
-        Time at which the passport is made, UTC.
-
-    Returns
-    -------
-    Passport
-        Passport with the focal length alone.
-
-    Raises
-    ------
-    UsageError
-        When focal length or uncertainty is not positive and finite.
+    r_mm: Certified focal length, mm.
+    sigma_mm: Its standard uncertainty, mm: the expanded uncertainty of the certificate divided by its
+      coverage factor.
+    issued: Date of the certificate, if known.
+    valid_until: Last day of its validity, year-month-day, if known.
+    collimator: Serial number or name of the collimator, if known.
+    temperature_c: Temperature at the certification, degrees Celsius, if known.
+    now: Time at which the passport is made, UTC.
+    Raises UsageError: When focal length or uncertainty is not positive and finite.
     """
     if not (0 < r_mm < float("inf") and 0 < sigma_mm < float("inf")):
         raise UsageError(

@@ -33,28 +33,15 @@ _SPLIT = re.compile(r"[,;\s]+")
 def read_point_file(path: Path, *, image_size: tuple[int, int] | None, origin: Origin = "corner") -> View:
     """Read one view from a point file.
 
-    Parameters
-    ----------
-    path
-        The file; its name without extension becomes the name of the view.
-    image_size
-        Width and height, px. If None, the smallest size that contains the points; it serves only as an initial value of
-        the principal point.
-    origin
-        Whether (0, 0) is the corner or the centre of the first pixel.
-
-    Returns
-    -------
-    View
-        Image points in OpenCV's pixel convention, with unit covariances, because a point file has no uncertainties.
-
-    Raises
-    ------
-    BenchError
-        When a line is not five numbers (the message has file and line), two lines have the same id, or a point is
-        outside the image.
-    StorageError
-        When the file cannot be read.
+    path: The file; its name without extension becomes the name of the view.
+    image_size: Width and height, px. If None, the smallest size that contains the points; it serves only as
+      an initial value of the principal point.
+    origin: Whether (0, 0) is the corner or the centre of the first pixel.
+    Returns: Image points in OpenCV's pixel convention, with unit covariances, because a point file has no
+      uncertainties.
+    Raises BenchError: When a line is not five numbers (the message has file and line), two lines have the
+      same id, or a point is outside the image.
+    Raises StorageError: When the file cannot be read.
     """
     rows = _rows(path)
     _refuse_outside(rows[:, :2], image_size, path)

@@ -36,10 +36,7 @@ FIRST = "This is the first calibration of this camera on this bench."
 def bench_ledger() -> Ledger:
     """Return the ledger of this bench, for reading.
 
-    Returns
-    -------
-    Ledger
-        The ledger; its file may not exist.
+    Returns: The ledger; its file may not exist.
     """
     return Ledger(home_folder(), utc_now=lambda: datetime.now(UTC), monotonic=time.monotonic)
 
@@ -47,19 +44,9 @@ def bench_ledger() -> Ledger:
 def previous_calibration(ledger: Ledger, place: Json, results: Json) -> dict[str, Any] | None:
     """Return the last calibration of the same camera before this run, and the change since then.
 
-    Parameters
-    ----------
-    ledger
-        Ledger of the bench.
-    place
-        What the ledger returned for this run when it was entered.
-    results
-        Results of this run: ``run``, ``devices`` and ``calibration``.
-
-    Returns
-    -------
-    dict or None
-        ``previous`` of results.json (docs/results.md); None if this run is not in the ledger.
+    place: What the ledger returned for this run when it was entered.
+    results: Results of this run: ``run``, ``devices`` and ``calibration``.
+    Returns: ``previous`` of results.json (docs/results.md); None if this run is not in the ledger.
     """
     if not place:
         return None
@@ -164,15 +151,8 @@ def _of_camera(calibration: Json) -> dict[str, Any]:
 def change_since(then: Json, now: Json) -> dict[str, Any] | None:
     """Return the change of the projection over the sensor.
 
-    Parameters
-    ----------
-    then, now
-        ``calibration`` of the earlier and of this result.
-
-    Returns
-    -------
-    dict or None
-        ``change`` of results.json (docs/results.md); None if this calibration states no covariance.
+    then, now: ``calibration`` of the earlier and of this result.
+    Returns: ``change`` of results.json (docs/results.md); None if this calibration states no covariance.
     """
     maps = change_maps(then, now)
     if maps is None:

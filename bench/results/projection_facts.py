@@ -31,21 +31,10 @@ def projection_facts(
     Propagation of the camera's covariance (`calib.uncertainty.projection_uncertainty`), along the worse direction;
     U = k u (JCGM 100:2008, 6.2.1).
 
-    Parameters
-    ----------
-    camera
-        The camera.
-    covariance
-        (K, K) covariance of its parameters, in the order of `CameraModel.parameter_names`.
-    k
-        Coverage factor.
-    points
-        For each view (N, 2) float64, px: its stars.
-
-    Returns
-    -------
-    dict or None
-        ``projection`` of results.json (docs/results.md); None if no corner of the sensor has an uncertainty.
+    covariance: (K, K) covariance of its parameters, in the order of `CameraModel.parameter_names`.
+    points: For each view (N, 2) float64, px: its stars.
+    Returns: ``projection`` of results.json (docs/results.md); None if no corner of the sensor has an
+      uncertainty.
     """
     found, size = projection_uncertainty(camera, covariance), camera.image_size
     corners = {name: float(found.sigma_px[at]) for name, at in _CORNERS.items()}

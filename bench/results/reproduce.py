@@ -49,40 +49,19 @@ _MOST_SHOWN = 12
 
 @dataclass(frozen=True)
 class SeenView:
-    """How a stored view differs from the one found again.
-
-    Attributes
-    ----------
-    name
-        Name of the view.
-    seen
-        What differs: ``other star ids``.
-    excused
-        Whether another program found it, and its stars are the same (`bench.results.other_engine.same_stars`).
-    """
+    """How a stored view differs from the one found again."""
 
     name: str
-    seen: Sequence[str]
+    seen: Sequence[str]  # What differs: ``other star ids``
+    # Whether another program found it, and its stars are the same (`bench.results.other_engine.same_stars`).
     excused: bool
 
 
 def check_recordings(folder: Path) -> Findings:
     """Measure every recording of a run again, calibrate again, and compare journal, results.json and views.h5.
 
-    Parameters
-    ----------
-    folder
-        The run folder; its seal, its journal and its files as compared with each other have no fault.
-
-    Returns
-    -------
-    Findings
-        Every number that differs, and which software made the results.
-
-    Raises
-    ------
-    OSError
-        When a file cannot be read.
+    folder: The run folder; its seal, its journal and its files as compared with each other have no fault.
+    Raises OSError: When a file cannot be read.
     """
     found = Findings()
     evidence = read_evidence(folder, found)
@@ -161,17 +140,7 @@ def _judged(kind: CameraKind, evidence: RunEvidence, attempt: Attempt, again: Me
 
 
 def check_numbers(stored: Mapping[str, Any], again: Mapping[str, Any], found: Findings) -> None:
-    """Compare all of results.json, except the comparison with an earlier run, whose folder may be gone.
-
-    Parameters
-    ----------
-    stored
-        Content of results.json.
-    again
-        What the recordings give now.
-    found
-        Findings; they are added.
-    """
+    """Compare all of results.json, except the comparison with an earlier run, whose folder may be gone."""
     had = {name: value for name, value in stored.items() if name != "previous"}
     rounded = list(differences(had, again))
     if not rounded:
@@ -249,14 +218,7 @@ def _check_views(folder: Path, solution: Solution, found: Findings, *, other: bo
 def tell_views(views: Sequence[SeenView], source: str, found: Findings) -> None:
     """Tell how the stored views of recordings differ from those found again.
 
-    Parameters
-    ----------
-    views
-        What differs in each view.
-    source
-        What the views come from: ``recordings``.
-    found
-        Findings; they are added.
+    source: What the views come from: ``recordings``.
     """
     excused = [view for view in views if view.seen and view.excused]
     if excused:
@@ -275,17 +237,7 @@ def tell_views(views: Sequence[SeenView], source: str, found: Findings) -> None:
 def views_differ(stored: View, again: View) -> list[str]:
     """Return which parts of two views differ.
 
-    Parameters
-    ----------
-    stored
-        View of views.h5.
-    again
-        The view that was found again.
-
-    Returns
-    -------
-    list of str
-        Names of the parts that differ by more than rounding.
+    stored: View of views.h5.
     """
     arrays: Sequence[tuple[str, Any, Any]] = [
         ("image sizes", stored.image_size, again.image_size),
@@ -308,15 +260,8 @@ def views_differ(stored: View, again: View) -> list[str]:
 def close(stored: NDArray[np.float64], again: NDArray[np.float64]) -> bool:
     """Return whether two arrays are equal but for rounding.
 
-    Parameters
-    ----------
-    stored, again
-        float64 arrays of any shape and unit.
-
-    Returns
-    -------
-    bool
-        Whether shapes are equal, and values within one millionth of the largest.
+    stored, again: float64 arrays of any shape and unit.
+    Returns: Whether shapes are equal, and values within one millionth of the largest.
     """
     if stored.shape != again.shape:
         return False

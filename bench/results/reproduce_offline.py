@@ -35,20 +35,9 @@ from drivers.errors import DriverError
 def check_recalculated(folder: Path) -> Findings:
     """Calibrate the sources of recalculated results again, with the same options, and compare every number.
 
-    Parameters
-    ----------
-    folder
-        The folder; its seal and its files as compared with each other have no fault.
-
-    Returns
-    -------
-    Findings
-        Every number that differs; or why the numbers could not be compared.
-
-    Raises
-    ------
-    OSError
-        When a file cannot be read.
+    folder: The folder; its seal and its files as compared with each other have no fault.
+    Returns: Every number that differs; or why the numbers could not be compared.
+    Raises OSError: When a file cannot be read.
     """
     found = Findings()
     described = read_json(folder / SOURCES)

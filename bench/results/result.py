@@ -34,33 +34,16 @@ from sequences.script import SolveStep
 
 @dataclass(frozen=True)
 class Outcome:
-    """Result of a run.
-
-    Attributes
-    ----------
-    results
-        Content of results.json.
-    report
-        Path of the report.
-    journal_head
-        Hash of the journal's last line when the results were made; the report prints it.
-    """
+    """Result of a run."""
 
     results: Mapping[str, Any]
     report: Path
+    # Hash of the journal's last line when the results were made; the report prints it.
     journal_head: str = ""
 
 
 class ResultWriter:
-    """Calculates and writes the results of one run.
-
-    Parameters
-    ----------
-    job
-        Task of the run.
-    folder
-        Run folder, locked by this process.
-    """
+    """Calculates and writes the results of one run."""
 
     def __init__(self, job: Job, folder: RunFolder) -> None:
         self.outcome: Outcome | None = None
@@ -77,26 +60,8 @@ class ResultWriter:
     ) -> Solved:
         """Calibrate from the accepted recordings.
 
-        Parameters
-        ----------
-        step
-            Model, distortion and loss.
-        history
-            History of the run; it states which recordings were accepted.
-        measured
-            Measurements already made, by pose; the others are made again from their recordings.
-        check
-            Called between pieces of work; raises if the run is to stop.
-
-        Returns
-        -------
-        Solved
-            Main numbers, for the journal.
-
-        Raises
-        ------
-        calib.errors.CalibrationError
-            If the views do not determine the camera.
+        check: Called between pieces of work; raises if the run is to stop.
+        Raises calib.errors.CalibrationError: If the views do not determine the camera.
         """
         keep_views_of_run(self._job, history, measured)
         self._solution = solve_run(self._job, self._folder.path, step, history, measured, check)
@@ -105,19 +70,9 @@ class ResultWriter:
     def write(self, log: RunLog, truth: Mapping[str, Any] | None) -> None:
         """Write results.json, views.h5, exports and the report.
 
-        Parameters
-        ----------
-        log
-            Journal and history of the run.
-        truth
-            Truth of the simulated world; None on a real bench.
-
-        Raises
-        ------
-        BenchError
-            If there is no calibration.
-        StorageError
-            If a file cannot be written.
+        truth: Truth of the simulated world; None on a real bench.
+        Raises BenchError: If there is no calibration.
+        Raises StorageError: If a file cannot be written.
         """
         if self._solution is None:
             raise BenchError(
@@ -149,18 +104,7 @@ class ResultWriter:
 
 
 def json_bytes(content: Mapping[str, Any]) -> bytes:
-    """Return JSON as results.json and the other files of results hold it.
-
-    Parameters
-    ----------
-    content
-        The content.
-
-    Returns
-    -------
-    bytes
-        The text of the file.
-    """
+    """Return JSON as results.json and the other files of results hold it."""
     return (json.dumps(content, indent=1, allow_nan=False) + "\n").encode()
 
 

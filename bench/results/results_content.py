@@ -34,23 +34,7 @@ def results_content(
 ) -> dict[str, Any]:
     """Return the content of results.json of a run, without the comparison with an earlier run.
 
-    Parameters
-    ----------
-    job
-        Task of the run.
-    history
-        History of the run.
-    solution
-        Its calibration.
-    truth
-        Truth of the simulated world; None on a real bench.
-    software_used
-        Versions of the software that calculated the solution.
-
-    Returns
-    -------
-    dict
-        The content (docs/results.md).
+    truth: Truth of the simulated world; None on a real bench.
     """
     calibration = solution.calibration
     of_journal = journal_content(job, history, calibration.views)
@@ -80,20 +64,9 @@ def results_content(
 def journal_content(job: Job, history: History, views: Sequence[ViewSummary]) -> dict[str, Any]:
     """Return the part of results.json that follows from journal, sequence and station.
 
-    Parameters
-    ----------
-    job
-        Task of the run.
-    history
-        History of the run when its results were written.
-    views
-        Summaries of the calibrated views, for the residuals of the poses.
-
-    Returns
-    -------
-    dict
-        ``run`` without ``software``, ``devices``, ``conditions``, ``poses``, ``gates`` of the poses, ``untils``,
-        ``deviations``, ``failures``, ``devices_left`` and ``states``.
+    history: History of the run when its results were written.
+    Returns: ``run`` without ``software``, ``devices``, ``conditions``, ``poses``, ``gates`` of the poses,
+      ``untils``, ``deviations``, ``failures``, ``devices_left`` and ``states``.
     """
     started, kind = history.started, job.camera_kind
     return {
@@ -130,17 +103,7 @@ def journal_content(job: Job, history: History, views: Sequence[ViewSummary]) ->
 def projection(calibration: Calibration, views: Sequence[View]) -> dict[str, Any] | None:
     """Return the uncertainty of a direction over the sensor, as results.json holds it.
 
-    Parameters
-    ----------
-    calibration
-        The calibration.
-    views
-        The calibrated views.
-
-    Returns
-    -------
-    dict or None
-        ``projection`` of results.json; None if no corner of the sensor has an uncertainty.
+    Returns: ``projection`` of results.json; None if no corner of the sensor has an uncertainty.
     """
     camera, k = calibration.camera, calibration.coverage_factor
     return projection_facts(camera, calibration.camera_covariance, k, [view.points_px for view in views])
@@ -149,15 +112,7 @@ def projection(calibration: Calibration, views: Sequence[View]) -> dict[str, Any
 def collimator_data(job: Job) -> dict[str, Any] | None:
     """Return what the station of a run states about its collimator, as results.json holds it.
 
-    Parameters
-    ----------
-    job
-        Task of the run.
-
-    Returns
-    -------
-    dict or None
-        None if the station states nothing.
+    Returns: None if the station states nothing.
     """
     return job.station.collimator.model_dump(mode="json", exclude_none=True) or None
 
@@ -165,15 +120,7 @@ def collimator_data(job: Job) -> dict[str, Any] | None:
 def target_data(job: Job) -> dict[str, str]:
     """Return what the station of a run states about the target as an object, as results.json holds it.
 
-    Parameters
-    ----------
-    job
-        Task of the run.
-
-    Returns
-    -------
-    dict
-        ``serial`` and ``description``, as far as stated; its geometry is in the station file.
+    Returns: ``serial`` and ``description``, as far as stated; its geometry is in the station file.
     """
     target = job.station.target
     stated = {"serial": target.serial, "description": target.description}
@@ -183,10 +130,7 @@ def target_data(job: Job) -> dict[str, str]:
 def software() -> dict[str, str]:
     """Return the versions of the software that contributes to a result and to its report.
 
-    Returns
-    -------
-    dict
-        Version by name, and the hashes of the program (`bench.results.forms`).
+    Returns: Version by name, and the hashes of the program (`bench.results.forms`).
     """
     parts = {"starbench": __version__, "python": platform.python_version()}
     for name in ("numpy", "scipy", "opencv-python-headless", "numba", "h5py"):

@@ -36,33 +36,18 @@ from sequences.script import SolveStep
 
 @dataclass(frozen=True)
 class Solution:
-    """A calibration, the data that it was made of, and how it was judged.
-
-    Attributes
-    ----------
-    calibration
-        The calibration.
-    planar
-        Calibration by the planar model on the same points; None if that is the calibration's own model.
-    measurements
-        Measurements of the accepted recordings.
-    judged
-        Gates of the solve step, as judged.
-    checks
-        `halves`, `gimbal` and `parallax` of the results, as far as they can be calculated.
-    readings
-        Whether the readings of the gimbal entered, with what statement, or why not.
-    passport
-        The collimator's passport that the calibration used, if any.
-    """
+    """A calibration, the data that it was made of, and how it was judged."""
 
     calibration: Calibration
+    # Calibration by the planar model on the same points; None if that is the calibration's own model.
     planar: Calibration | None
     measurements: Sequence[Measurement]
     judged: Sequence[Gate]
+    # `halves`, `gimbal` and `parallax` of the results, as far as they can be calculated.
     checks: Mapping[str, Any]
+    # Whether the readings of the gimbal entered, with what statement, or why not.
     readings: Mapping[str, Any]
-    passport: PassportInUse | None = None
+    passport: PassportInUse | None = None  # The collimator's passport that the calibration used, if any
 
 
 def solve_run(
@@ -75,32 +60,9 @@ def solve_run(
 ) -> Solution:
     """Calibrate from the accepted recordings of a run.
 
-    Parameters
-    ----------
-    job
-        Task of the run.
-    folder
-        The run folder.
-    step
-        Model, distortion, loss and limits.
-    history
-        History of the run; it states which recordings were accepted.
-    measured
-        Measurements already made, by pose; the others are made again from their recordings.
-    check
-        Called between pieces of work; raises if the run is to stop.
-
-    Returns
-    -------
-    Solution
-        The calibration, and what was calculated besides.
-
-    Raises
-    ------
-    calib.errors.CalibrationError
-        If the views do not determine the camera.
-    BenchError
-        If no stars are found in an accepted recording any more.
+    check: Called between pieces of work; raises if the run is to stop.
+    Raises calib.errors.CalibrationError: If the views do not determine the camera.
+    Raises BenchError: If no stars are found in an accepted recording any more.
     """
     measurements = []
     accepted = sorted(history.accepted().items())
@@ -139,18 +101,7 @@ def solve_run(
 
 
 def main_numbers(calibration: Calibration) -> Solved:
-    """Return the numbers of a calibration that the journal holds.
-
-    Parameters
-    ----------
-    calibration
-        The calibration.
-
-    Returns
-    -------
-    Solved
-        Model, values and standard uncertainties.
-    """
+    """Return the numbers of a calibration that the journal holds."""
     return {
         "model": calibration.model,
         "converged": calibration.converged,

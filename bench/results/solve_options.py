@@ -43,20 +43,10 @@ def solve_options(
 ) -> CalibrationOptions:
     """Return the engine's options for a solve step of a run.
 
-    Parameters
-    ----------
-    job
-        Task of the run.
-    step
-        The solve step.
-    measured_deg
-        For each view the angles of the stage, degrees, as the journal holds them: ``pan``, ``pan_encoder``.
-
-    Returns
-    -------
-    CalibrationOptions
-        Options with the passport of the run, the readings of the gimbal, the station's budget, and the prior of the
-        radial term that follows from it.
+    measured_deg: For each view the angles of the stage, degrees, as the journal holds them: ``pan``,
+      ``pan_encoder``.
+    Returns: Options with the passport of the run, the readings of the gimbal, the station's budget, and the
+      prior of the radial term that follows from it.
     """
     from bench.plan.job import calibration_options
 
@@ -70,15 +60,8 @@ def solve_options(
 def stated_radial_sigma(station: Station) -> float | None:
     """Return the prior of the radial term of the target's map, from the bow and the distortion that a station states.
 
-    Parameters
-    ----------
-    station
-        The station; its section `budget` states both, and a focal length of its collimator relates them.
-
-    Returns
-    -------
-    float or None
-        Standard uncertainty, dimensionless; None if the station does not state both, or no focal length.
+    station: The station; its section `budget` states both, and a focal length of its collimator relates them.
+    Returns: Standard uncertainty, dimensionless; None if the station does not state both, or no focal length.
     """
     collimator, expected = station.collimator, station.expected
     certificate = collimator.certificate
@@ -94,17 +77,8 @@ def stated_radial_sigma(station: Station) -> float | None:
 def require_enough_views(views: Sequence[View], options: CalibrationOptions) -> None:
     """Refuse one view without a passport that holds the collimator's centre.
 
-    Parameters
-    ----------
-    views
-        Views to calibrate from.
-    options
-        Options of the calibration.
-
-    Raises
-    ------
-    DegenerateViews
-        If there is one view, and it does not determine the camera; says what a passport would give.
+    Raises DegenerateViews: If there is one view, and it does not determine the camera; says what a passport
+      would give.
     """
     if len(views) == 1 and not (options.passport and determines_one_view(options.passport)):
         remedy = f"Record the target from more angles. {ONE_VIEW}"
@@ -114,17 +88,10 @@ def require_enough_views(views: Sequence[View], options: CalibrationOptions) -> 
 def gimbal_readings(station: Station, measured_deg: Sequence[Mapping[str, float]]) -> GimbalReadings | None:
     """Return the readings of the gimbal with their uncertainty.
 
-    Parameters
-    ----------
-    station
-        The station; its sections `gimbal` and `collimator` state the uncertainty and bound the parallax.
-    measured_deg
-        For each view the angles of the stage, degrees; the reading of an encoder replaces that of its axis.
-
-    Returns
-    -------
-    GimbalReadings or None
-        None if the station does not state the uncertainty of the readings.
+    station: The station; its sections `gimbal` and `collimator` state the uncertainty and bound the parallax.
+    measured_deg: For each view the angles of the stage, degrees; the reading of an encoder replaces that of
+      its axis.
+    Returns: None if the station does not state the uncertainty of the readings.
     """
     gimbal, defocus = station.gimbal, station.collimator.defocus
     if gimbal is None:
@@ -152,16 +119,8 @@ def limited_numbers(calibration: Calibration) -> dict[str, float]:
     Expanded uncertainty U = k u (JCGM 100:2008, 6.2.1). Corners: propagation of the camera's covariance
     (`calib.uncertainty.projection_uncertainty`), along the worst direction.
 
-    Parameters
-    ----------
-    calibration
-        The calibration.
-
-    Returns
-    -------
-    dict
-        By name without unit: ``rms``, ``mean``, ``sigma_...`` of each parameter, ``expanded_fx``, ``expanded_fy``,
-        ``worst_corner``.
+    Returns: By name without unit: ``rms``, ``mean``, ``sigma_...`` of each parameter, ``expanded_fx``,
+      ``expanded_fy``, ``worst_corner``.
     """
     k, sigma = calibration.coverage_factor, calibration.sigma
     found = {"rms": calibration.rms_px, "mean": calibration.mean_px}
@@ -177,22 +136,11 @@ def readings_result(
 ) -> dict[str, Any]:
     """Return what results.json states about the gimbal's readings.
 
-    Parameters
-    ----------
-    calibration
-        The calibration.
-    options
-        The options that it was made with.
-    witness
-        Whether the sequence keeps the readings out of the adjustment.
-    stated
-        Whether the station states the uncertainty of the readings.
-
-    Returns
-    -------
-    dict
-        ``entered``: whether they entered the adjustment; ``statement``: their uncertainties and the source of these;
-        ``bound``: what bounds the parallax, and the parallax that follows, as a share of r; ``why_not``.
+    witness: Whether the sequence keeps the readings out of the adjustment.
+    stated: Whether the station states the uncertainty of the readings.
+    Returns: ``entered``: whether they entered the adjustment; ``statement``: their uncertainties and the
+      source of these; ``bound``: what bounds the parallax, and the parallax that follows, as a share of r;
+      ``why_not``.
     """
     readings = options.gimbal
     entered = calibration.gimbal is not None and calibration.gimbal.entered

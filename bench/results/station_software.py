@@ -29,15 +29,8 @@ _NOT_STATED: Final = "not stated"
 def run_software(station: Station) -> dict[str, str]:
     """Return the versions of all software that contributes to a run on a station.
 
-    Parameters
-    ----------
-    station
-        The station.
-
-    Returns
-    -------
-    dict
-        `software`, and the version of each package of a plug-in and of each optional library that the station uses.
+    Returns: `software`, and the version of each package of a plug-in and of each optional library that the
+      station uses.
     """
     brought = {plugin.distribution: plugin.version for plugin in _used(station)}
     library = _LIBRARIES.get(_driver(station.camera))
@@ -47,15 +40,7 @@ def run_software(station: Station) -> dict[str, str]:
 def files_software(endings: Iterable[str]) -> dict[str, str]:
     """Return the versions of all software that contributes to an offline calibration.
 
-    Parameters
-    ----------
-    endings
-        Endings of the files, with the dot.
-
-    Returns
-    -------
-    dict
-        `software`, and the version of each optional library that reads such a file.
+    Returns: `software`, and the version of each optional library that reads such a file.
     """
     return _joined(_versions({_READERS[ending.lower()] for ending in endings if ending.lower() in _READERS}))
 
@@ -63,16 +48,8 @@ def files_software(endings: Iterable[str]) -> dict[str, str]:
 def plugins_of_run(station: Station) -> dict[str, dict[str, list[str]]]:
     """Return the plug-ins that a station uses, as ``run_started`` states them.
 
-    Parameters
-    ----------
-    station
-        The station.
-
-    Returns
-    -------
-    dict
-        ``plugins``: for each package the kinds and names of its drivers in this station, ``["stage turntable"]``;
-        empty if the station uses none.
+    Returns: ``plugins``: for each package the kinds and names of its drivers in this station, ``["stage
+      turntable"]``; empty if the station uses none.
     """
     found: dict[str, list[str]] = {}
     for plugin in _used(station):
@@ -83,15 +60,9 @@ def plugins_of_run(station: Station) -> dict[str, dict[str, list[str]]]:
 def plugins_stated(started: Mapping[str, Any]) -> dict[str, str]:
     """Return the plug-ins that a run used, by its journal.
 
-    Parameters
-    ----------
-    started
-        First line of the journal, or ``run`` of results.json.
-
-    Returns
-    -------
-    dict
-        Package and version, and the drivers that it brought: ``{"starbench-turntable 1.0": "stage turntable"}``.
+    started: First line of the journal, or ``run`` of results.json.
+    Returns: Package and version, and the drivers that it brought: ``{"starbench-turntable 1.0": "stage
+      turntable"}``.
     """
     versions = started.get("software") or {}
     return {
@@ -103,15 +74,7 @@ def plugins_stated(started: Mapping[str, Any]) -> dict[str, str]:
 def plugins_missing(started: Mapping[str, Any]) -> list[str]:
     """Return the plug-ins of a run that this computer does not have, or not in the version of the run.
 
-    Parameters
-    ----------
-    started
-        First line of the journal.
-
-    Returns
-    -------
-    list of str
-        Package and version of each.
+    started: First line of the journal.
     """
     here = {plugin.package for kind in GROUPS for plugin in plugins(kind) if not plugin.trouble}
     return [package for package in plugins_stated(started) if package not in here]

@@ -17,20 +17,9 @@ from calib.model.gimbal_estimate import GimbalEstimate
 def stored_calibration(stored: Mapping[str, Any]) -> Calibration:
     """Return the calibration that results.json states.
 
-    Parameters
-    ----------
-    stored
-        ``calibration`` of results.json.
-
-    Returns
-    -------
-    Calibration
-        Residuals and weights are empty, the candidates are not read; all other parts are as stored.
-
-    Raises
-    ------
-    KeyError, TypeError, ValueError
-        When a part is missing, or is not of the expected form.
+    stored: ``calibration`` of results.json.
+    Returns: Residuals and weights are empty, the candidates are not read; all other parts are as stored.
+    Raises KeyError, TypeError, ValueError: When a part is missing, or is not of the expected form.
     """
     names = tuple(stored["covariance"]["names"])
     values = {**stored["camera"], **(stored["collimator"] or {})}
@@ -68,20 +57,8 @@ def stored_calibration(stored: Mapping[str, Any]) -> Calibration:
 def stored_camera(stored: Mapping[str, Any]) -> CameraModel:
     """Return the camera that results.json states.
 
-    Parameters
-    ----------
-    stored
-        ``calibration`` of results.json.
-
-    Returns
-    -------
-    CameraModel
-        Intrinsics and distortion.
-
-    Raises
-    ------
-    KeyError, TypeError, ValueError
-        When a value is missing, or is not of the expected form.
+    stored: ``calibration`` of results.json.
+    Raises KeyError, TypeError, ValueError: When a value is missing, or is not of the expected form.
     """
     width, height = stored["image_size"]
     values = stored["camera"]
@@ -94,20 +71,9 @@ def stored_camera(stored: Mapping[str, Any]) -> CameraModel:
 def stored_collimator(values: Mapping[str, float] | None) -> Collimator | None:
     """Return the collimator that results.json states.
 
-    Parameters
-    ----------
-    values
-        ``calibration.collimator`` of results.json.
-
-    Returns
-    -------
-    Collimator or None
-        Its ``reference`` is None, because results.json does not contain it; None for the planar model.
-
-    Raises
-    ------
-    KeyError
-        When a value is missing.
+    values: ``calibration.collimator`` of results.json.
+    Returns: Its ``reference`` is None, because results.json does not contain it; None for the planar model.
+    Raises KeyError: When a value is missing.
     """
     if values is None:
         return None

@@ -22,15 +22,7 @@ _BOARD = "board"
 def options_data(options: OfflineOptions) -> dict[str, Any]:
     """Return options as JSON holds them.
 
-    Parameters
-    ----------
-    options
-        Options of an offline calibration.
-
-    Returns
-    -------
-    dict
-        Values by name; ``passport`` is the name of the file that the command line gave, or None.
+    Returns: Values by name; ``passport`` is the name of the file that the command line gave, or None.
     """
     plain = {one.name: getattr(options, one.name) for one in fields(options) if one.name not in _ELSEWHERE}
     return {
@@ -45,26 +37,10 @@ def options_of_data(
 ) -> OfflineOptions:
     """Return the options that `options_data` wrote.
 
-    Parameters
-    ----------
-    data
-        What sources.json holds.
-    passport
-        The passport that the command line gave; None if it gave none.
-    target
-        The target of sources.json; None for the standard target.
-
-    Returns
-    -------
-    OfflineOptions
-        The options.
-
-    Raises
-    ------
-    ValueError
-        If an option is unknown here: a later version wrote it.
-    calib.errors.CalibrationError
-        If the board is none.
+    passport: The passport that the command line gave; None if it gave none.
+    target: The target of sources.json; None for the standard target.
+    Raises ValueError: If an option is unknown here: a later version wrote it.
+    Raises calib.errors.CalibrationError: If the board is none.
     """
     known = {one.name for one in fields(OfflineOptions)}
     if unknown := sorted(set(data) - known):

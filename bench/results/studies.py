@@ -22,17 +22,8 @@ from sequences.reader import Located
 def sequence_poses_deg(sequence: str, station: str) -> tuple[list[dict[str, float]], Located[Station]]:
     """Return the poses that a sequence records.
 
-    Parameters
-    ----------
-    sequence
-        Path or name of the sequence.
-    station
-        Path or name of the station.
-
-    Returns
-    -------
-    tuple
-        Poses with an angle in degrees for each axis, named as in the engine (``pan_deg``), and the station file.
+    Returns: Poses with an angle in degrees for each axis, named as in the engine (``pan_deg``), and the
+      station file.
     """
     planned = make_plan(*load_documents(sequence, station))
     poses = [{f"{axis}_deg": angle for axis, angle in pose.angles_deg.items()} for pose in planned.poses]
@@ -41,44 +32,19 @@ def sequence_poses_deg(sequence: str, station: str) -> tuple[list[dict[str, floa
 
 @dataclass(frozen=True)
 class PlannedStudy:
-    """What all calibrations of a study have in common.
-
-    Attributes
-    ----------
-    bench
-        The expected bench.
-    poses_deg
-        For each pose its angles, named as in the engine (``pan_deg``), degrees.
-    options
-        How to calibrate.
-    seed
-        Random seed of the noise.
-    drift_mm
-        Standard deviation, for each axis, of the distance between a view's centre and the shared centre, mm.
-    outliers
-        Share of the stars that have a gross error.
-    """
+    """What all calibrations of a study have in common."""
 
     bench: ExpectedBench
+    # For each pose its angles, named as in the engine (``pan_deg``), degrees.
     poses_deg: Sequence[Mapping[str, float]]
     options: CalibrationOptions
     seed: int
+    # Standard deviation, for each axis, of the distance between a view's centre and the shared centre, mm.
     drift_mm: float = 0.0
     outliers: float = 0.0
 
     def calibrate(self, runs: range) -> list[Repetition]:
-        """Calibrate a simulated camera repeatedly with random noise (Monte Carlo method, JCGM 101).
-
-        Parameters
-        ----------
-        runs
-            Numbers of the calibrations; each has noise of its own.
-
-        Returns
-        -------
-        list of Repetition
-            One for each.
-        """
+        """Calibrate a simulated camera repeatedly with random noise (Monte Carlo method, JCGM 101)."""
         return [
             calibrate_once(
                 self.bench,
@@ -106,26 +72,9 @@ def plan_study(
 ) -> PlannedStudy:
     """Read the files of a study.
 
-    Parameters
-    ----------
-    sequence, station
-        Path or name of the sequence with the poses, and of the station with the expected bench.
-    seed, drift_mm, outliers
-        As `PlannedStudy` has them.
-    noise_px
-        Standard deviation of a star for each axis, px; None for the station's value.
-    model, loss
-        Model and loss of the calibrations.
-
-    Returns
-    -------
-    PlannedStudy
-        The study.
-
-    Raises
-    ------
-    ScriptError, UsageError
-        When the files cannot be used.
+    seed, drift_mm, outliers: As `PlannedStudy` has them.
+    noise_px: Standard deviation of a star for each axis, px; None for the station's value.
+    Raises ScriptError, UsageError: When the files cannot be used.
     """
     poses, described = sequence_poses_deg(sequence, station)
     bench = expected_bench(described, noise_px=noise_px)
@@ -136,17 +85,7 @@ def plan_study(
 def write_study_plot(study: MonteCarloStudy, path: Path) -> None:
     """Draw the z-scores of each parameter as histograms beside the normal distribution, in an SVG file.
 
-    Parameters
-    ----------
-    study
-        The study.
-    path
-        The file to write.
-
-    Raises
-    ------
-    StorageError
-        When the file cannot be written.
+    Raises StorageError: When the file cannot be written.
     """
     from bench.report.study_plot import study_plot
 

@@ -26,14 +26,10 @@ LEAST_SPAN_H = 0.5
 
 @dataclass(frozen=True)
 class Slope:
-    """Change of a parameter, with its standard uncertainty.
+    """Change of a parameter, with its standard uncertainty."""
 
-    Attributes
-    ----------
-    value, sigma
-        Change per hour or per degree Celsius in the parameter's unit, and its standard uncertainty.
-    """
-
+    # value, sigma: Change per hour or per degree Celsius in the parameter's unit, and its standard
+    # uncertainty.
     value: float
     sigma: float
 
@@ -45,42 +41,29 @@ class Slope:
     def to_dict(self) -> dict[str, Any]:
         """Return the content as JSON holds it.
 
-        Returns
-        -------
-        dict
-            ``value sigma seen``; ``seen`` is `significant`.
+        Returns: ``value sigma seen``; ``seen`` is `significant`.
         """
         return {"value": self.value, "sigma": self.sigma, "seen": self.significant}
 
 
 @dataclass(frozen=True)
 class Trend:
-    """One parameter of one camera in several runs.
-
-    Attributes
-    ----------
-    name
-        The parameter.
-    mean, sigma, birge
-        As in `agreement.Agreement`.
-    per_hour, per_c
-        Slope against time and against the camera's temperature; None if time or temperature varies too little.
-    """
+    """One parameter of one camera in several runs."""
 
     name: str
+    # mean, sigma, birge: As in `agreement.Agreement`.
     mean: float
     sigma: float
     birge: float
+    # per_hour, per_c: Slope against time and against the camera's temperature; None if time or temperature
+    # varies too little.
     per_hour: Slope | None
     per_c: Slope | None
 
     def to_dict(self) -> dict[str, Any]:
         """Return the content as JSON holds it.
 
-        Returns
-        -------
-        dict
-            ``name mean sigma birge per_hour per_c``.
+        Returns: ``name mean sigma birge per_hour per_c``.
         """
         return {
             "name": self.name,
@@ -99,19 +82,8 @@ def fit_slope(x: Sequence[float], y: Sequence[float], sigma: Sequence[float]) ->
     than their uncertainties predict, the slope's uncertainty is multiplied by the Birge ratio of the residuals with
     n - 2 degrees of freedom (Birge, Phys. Rev. 40 (1932) 207).
 
-    Parameters
-    ----------
-    x
-        Abscissa of each point, h or degrees Celsius.
-    y
-        Value of each point.
-    sigma
-        Standard uncertainty of each value, greater than 0.
-
-    Returns
-    -------
-    Slope or None
-        None with fewer than three points, or if x does not vary.
+    sigma: Standard uncertainty of each value, greater than 0.
+    Returns: None with fewer than three points, or if x does not vary.
 
     Examples
     --------
@@ -142,15 +114,8 @@ def fit_slope(x: Sequence[float], y: Sequence[float], sigma: Sequence[float]) ->
 def trends_of(runs: Sequence[IndexedRun]) -> list[Trend]:
     """Compute the trend of every parameter that all runs have estimated.
 
-    Parameters
-    ----------
-    runs
-        Runs of one camera and one model, each with a calibration, oldest first.
-
-    Returns
-    -------
-    list of Trend
-        One for each parameter; empty with fewer than two runs.
+    runs: Runs of one camera and one model, each with a calibration, oldest first.
+    Returns: One for each parameter; empty with fewer than two runs.
     """
     if len(runs) < 2:
         return []
@@ -173,17 +138,8 @@ def trends_of(runs: Sequence[IndexedRun]) -> list[Trend]:
 def hours_after(utc: str, begin_utc: str) -> float:
     """Return the time between two moments.
 
-    Parameters
-    ----------
-    utc
-        Later moment, ISO 8601.
-    begin_utc
-        Earlier moment, ISO 8601.
-
-    Returns
-    -------
-    float
-        Difference, h.
+    utc: Later moment, ISO 8601.
+    begin_utc: Earlier moment, ISO 8601.
     """
     return (datetime.fromisoformat(utc) - datetime.fromisoformat(begin_utc)).total_seconds() / 3600.0
 
@@ -191,15 +147,8 @@ def hours_after(utc: str, begin_utc: str) -> float:
 def by_camera(runs: Sequence[IndexedRun]) -> dict[tuple[str, str], list[IndexedRun]]:
     """Group the runs that have a calibration by camera and model.
 
-    Parameters
-    ----------
-    runs
-        Runs in any order.
-
-    Returns
-    -------
-    dict
-        Runs by serial number and model, oldest first.
+    runs: Runs in any order.
+    Returns: Runs by serial number and model, oldest first.
     """
     found: dict[tuple[str, str], list[IndexedRun]] = {}
     for run in sorted(runs, key=lambda run: (run.begun_utc, run.folder)):

@@ -27,48 +27,24 @@ HOPELESS = 4.0
 
 @dataclass(frozen=True)
 class ExpectedCourse:
-    """What an ``until`` is expected to do.
+    """What an ``until`` is expected to do."""
 
-    Attributes
-    ----------
-    until
-        Number of its first step.
-    poses
-        Expected number of accepted recordings of the step; None if it will not meet its goals.
-    reached
-        Expanded uncertainties expected at its end, px, by name of the goal.
-    text
-        The expectation in words.
-    """
-
-    until: int
+    until: int  # Number of its first step
+    # Expected number of accepted recordings of the step; None if it will not meet its goals.
     poses: int | None
-    reached: Mapping[str, float]
+    reached: Mapping[str, float]  # Expanded uncertainties expected at its end, px, by name of the goal
     text: str
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the expectation for JSON output.
-
-        Returns
-        -------
-        dict
-            All attributes by name.
-        """
+        """Return the expectation for JSON output."""
         return asdict(self)
 
 
 def expected_courses(planned: Plan) -> list[ExpectedCourse]:
     """Predict what each ``until`` of a plan will do.
 
-    Parameters
-    ----------
-    planned
-        A plan without faults.
-
-    Returns
-    -------
-    list of ExpectedCourse
-        One for each ``until``; empty if the station expects nothing.
+    planned: A plan without faults.
+    Returns: One for each ``until``; empty if the station expects nothing.
     """
     if planned.station.value.expected is None:
         return []

@@ -52,32 +52,19 @@ _JPEG_BEGINS, _JPEG_SCAN, _JPEG_ENDS = b"\xff\xd8", b"\xff\xda", b"\xff\xd9"
 
 @dataclass(frozen=True)
 class ViewSource:
-    """A file from which a view can be made.
-
-    Attributes
-    ----------
-    path
-        The file.
-    read
-        Reads the file and returns its view.
-    sized
-        Whether the size of its image is known.
-    job, attempt
-        Task of the run and journal lines about the recording, if the file is a recording of a run.
-    decided_by
-        What decides the view besides the bytes of the file, as values that JSON can hold; None for a file whose views
-        are not kept (`bench.views.kept_views`).
-    view_name
-        Name of its view, if the file gives several; else empty.
-    """
+    """A file from which a view can be made."""
 
     path: Path
     read: Callable[[], View]
-    sized: bool = True
+    sized: bool = True  # Whether the size of its image is known
+    # job, attempt: Task of the run and journal lines about the recording, if the file is a recording of a
+    # run.
     job: Job | None = None
     attempt: Attempt | None = None
+    # What decides the view besides the bytes of the file, as values that JSON can hold; None for a file whose
+    # views are not kept (`bench.views.kept_views`).
     decided_by: Mapping[str, Any] | None = None
-    view_name: str = ""
+    view_name: str = ""  # Name of its view, if the file gives several; else empty
 
     @property
     def name(self) -> str:
@@ -88,23 +75,10 @@ class ViewSource:
 def view_sources(path: Path, choices: OfflineOptions) -> Iterator[ViewSource]:
     """List the files of a path from which views can be made.
 
-    Parameters
-    ----------
-    path
-        A run folder, a folder of files, or a file.
-    choices
-        Options of the calibration.
-
-    Yields
-    ------
-    ViewSource
-        For a run folder, its accepted recordings in order of the poses; for another folder, its known files in natural
-        order of their names.
-
-    Raises
-    ------
-    UsageError
-        When the path does not exist, or nothing in it can be used.
+    path: A run folder, a folder of files, or a file.
+    Yields: For a run folder, its accepted recordings in order of the poses; for another folder, its known
+      files in natural order of their names.
+    Raises UsageError: When the path does not exist, or nothing in it can be used.
     """
     if not path.exists():
         raise UsageError("There is no such file or folder.", where=str(path), remedy="Check the path.")
@@ -158,22 +132,7 @@ def _run_sources(folder: Path, choices: OfflineOptions) -> Iterator[ViewSource]:
 
 
 def decided_by_run(job: Job, step: RecordStep, attempt: Attempt) -> dict[str, Any]:
-    """Return what decides the view of a recording of a run.
-
-    Parameters
-    ----------
-    job
-        Task of the run.
-    step
-        The step that recorded it.
-    attempt
-        The accepted recording.
-
-    Returns
-    -------
-    dict
-        Values that JSON can hold.
-    """
+    """Return what decides the view of a recording of a run."""
     return {
         "kind": f"run, {job.camera_kind.name} camera",
         "name": step.pose.name,
@@ -199,13 +158,7 @@ def _decided_by(kind: str, path: Path, choices: OfflineOptions) -> dict[str, Any
 
 
 def _refuse_truncated(path: Path) -> None:
-    """Refuse an incomplete recording: its last word is cut, or its size differs from that in the run's journal.
-
-    Raises
-    ------
-    RecordingCorrupt
-        With the byte at which it ends.
-    """
+    """Refuse an incomplete recording: its last word is cut, or its size differs from that in the run's journal."""
     from drivers.camera.raw_file import RawFile
 
     size = path.stat().st_size

@@ -21,19 +21,7 @@ from sequences.script import PromptStep, RecordStep
 
 
 class Attempts:
-    """The attempts of one run.
-
-    Parameters
-    ----------
-    machine, steps, safe_points
-        State machine of the run, what takes steps through it, and the safe points between attempts.
-    folder, log
-        Folder and journal of the run.
-    ending
-        File name ending of recordings.
-    say
-        Prints a line for the operator.
-    """
+    """The attempts of one run."""
 
     def __init__(
         self,
@@ -56,17 +44,8 @@ class Attempts:
     def record(self, step: RecordStep) -> None:
         """Record until a recording is accepted; after the last allowed attempt, do what the sequence specifies.
 
-        Parameters
-        ----------
-        step
-            The step that records.
-
-        Raises
-        ------
-        PoseFailed
-            If all attempts failed and the step says ``fail``.
-        Aborted
-            If an operator, or the default answer, decides not to try again.
+        Raises PoseFailed: If all attempts failed and the step says ``fail``.
+        Raises Aborted: If an operator, or the default answer, decides not to try again.
         """
         while (reasons := self._try_attempts(step)) is not None:
             pose = step.pose
@@ -87,15 +66,7 @@ class Attempts:
             )
 
     def keep_lost_recording(self, step: RecordStep, why: str) -> None:
-        """Move what exists of an incomplete recording to quarantine, and journal it.
-
-        Parameters
-        ----------
-        step
-            The step that was recording.
-        why
-            Why the recording is incomplete.
-        """
+        """Move what exists of an incomplete recording to quarantine, and journal it."""
         pose, attempt = step.pose, self._log.history.next_attempt(step.pose.index)
         kept = self._folder.quarantine_part(pose.index, attempt, self._ending)
         self._log.write(

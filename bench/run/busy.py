@@ -17,12 +17,7 @@ REPEAT_S = 60.0
 class BusyWatch:
     """Writes ``computer_busy`` when the computer is too busy.
 
-    Parameters
-    ----------
-    log
-        Where it is written.
-    clock
-        Clock of the run; it knows how late the computer is.
+    log: Where it is written.
     """
 
     def __init__(self, log: RunLog, clock: BenchClock) -> None:

@@ -42,33 +42,18 @@ Line = Annotated[str, Field(min_length=1, max_length=200, pattern=r"^[^\x00-\x1f
 
 
 class Command(BaseModel):
-    """Command of an operator to a run.
-
-    Attributes
-    ----------
-    id
-        Unique name of the command; the journal's answer carries it.
-    word
-        Kind of command.
-    by
-        Name of the operator.
-    pose
-        Pose to skip; None for the current one.
-    answer
-        Answer to the question of the run: ``continue`` or ``abort``.
-    take_over
-        Whether to become the owner of a run that another operator holds.
-    """
+    """Command of an operator to a run."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
 
     format: Literal["starbench/command/1"] = "starbench/command/1"
+    # Unique name of the command; the journal's answer carries it.
     id: Line = Field(default_factory=lambda: uuid.uuid4().hex)
     word: Word
     by: Line
-    pose: Annotated[int, Field(ge=1)] | None = None
-    answer: Answer | None = None
-    take_over: bool = False
+    pose: Annotated[int, Field(ge=1)] | None = None  # Pose to skip; None for the current one
+    answer: Answer | None = None  # Answer to the question of the run: ``continue`` or ``abort``
+    take_over: bool = False  # Whether to become the owner of a run that another operator holds
 
     @model_validator(mode="after")
     def _answers(self) -> Command:
@@ -80,10 +65,7 @@ class Command(BaseModel):
 def operator_at_terminal() -> str:
     """Return the name of the person at this terminal.
 
-    Returns
-    -------
-    str
-        ``user@host``.
+    Returns: ``user@host``.
     """
     try:
         user = getpass.getuser()
@@ -95,19 +77,8 @@ def operator_at_terminal() -> str:
 def refusal(command: Command, history: History, poses: Mapping[int, str]) -> str:
     """Return why a command is refused.
 
-    Parameters
-    ----------
-    command
-        The command; ``pose`` of ``skip`` is filled in.
-    history
-        History of the run so far.
-    poses
-        Names of the poses to record, by index.
-
-    Returns
-    -------
-    str
-        The reason; empty if the command is accepted.
+    command: The command; ``pose`` of ``skip`` is filled in.
+    Returns: The reason; empty if the command is accepted.
     """
     if command.word == "abort":
         return ""
@@ -133,18 +104,8 @@ def _skip_refusal(pose: int | None, history: History, poses: Mapping[int, str]) 
 class CommandInbox:
     """Commands to the run of this process, answered from ``open`` to ``close`` by a separate thread.
 
-    Parameters
-    ----------
-    folder
-        Run folder, locked by this process.
-    log
-        Where decisions are written; runner and status act on them.
-    poses
-        Names of the poses to record, by index.
-    clock
-        Asked to stop by ``abort``; asked to fail if a decision cannot be journaled.
-    round_tasks
-        Other functions to call in every round: heartbeat, interlocks.
+    log: Where decisions are written; runner and status act on them.
+    clock: Asked to stop by ``abort``; asked to fail if a decision cannot be journaled.
     """
 
     def __init__(
@@ -171,15 +132,7 @@ class CommandInbox:
     def open(self) -> Self:
         """Begin to accept commands. Commands to an earlier process that has died are refused.
 
-        Returns
-        -------
-        CommandInbox
-            This inbox.
-
-        Raises
-        ------
-        StorageError
-            If the folder cannot be created, or an answer cannot be written.
+        Raises StorageError: If the folder cannot be created, or an answer cannot be written.
         """
         make_folder(self._inbox.folder)
         self._drain("it was sent to a process that has died")
@@ -214,14 +167,8 @@ class CommandInbox:
     def decide(self, command: Command | None, name: str, why_not: str = "") -> None:
         """Decide on a command and write the decision to the journal.
 
-        Parameters
-        ----------
-        command
-            The command; None for a file that is not a command.
-        name
-            Name of its file.
-        why_not
-            Reason to refuse any command; empty if the decision depends on the command.
+        command: The command; None for a file that is not a command.
+        why_not: Reason to refuse any command; empty if the decision depends on the command.
         """
         if command is None:
             self._log.write(Event.COMMANDED, id=name, word="unknown", taken=False, why="it is not a command")
@@ -243,15 +190,7 @@ def _inbox_of(folder: Path) -> Inbox[Command]:
 def remove_inbox(folder: Path) -> None:
     """Remove the inbox of a run that accepts no more commands. A sealed run folder must not contain one.
 
-    Parameters
-    ----------
-    folder
-        Run folder.
-
-    Raises
-    ------
-    StorageError
-        If it cannot be removed.
+    Raises StorageError: If it cannot be removed.
     """
     path = folder / CONTROL
     with storage_errors(path):
@@ -266,26 +205,11 @@ def remove_inbox(folder: Path) -> None:
 def send(folder: Path, command: Command, *, patience_s: float = _PATIENCE_S) -> dict[str, Any]:
     """Send a command to a running run, and wait for its answer.
 
-    Parameters
-    ----------
-    folder
-        Run folder.
-    command
-        The command.
-    patience_s
-        Longest wait for the answer, s.
-
-    Returns
-    -------
-    dict
-        The journal's answer: ``word by pose taken why``.
-
-    Raises
-    ------
-    RunFolderError
-        If no process works on the run, it ended, or it did not answer in time. The command is then withdrawn.
-    StorageError
-        If the command cannot be written.
+    patience_s: Longest wait for the answer, s.
+    Returns: The journal's answer: ``word by pose taken why``.
+    Raises RunFolderError: If no process works on the run, it ended, or it did not answer in time. The command
+      is then withdrawn.
+    Raises StorageError: If the command cannot be written.
     """
     inbox = _inbox_of(folder)
     if not is_locked(folder) or not inbox.folder.is_dir():
@@ -334,15 +258,7 @@ def _answer_in(folder: Path, command_id: str, begin: int) -> dict[str, Any] | No
 def command_text(answer: Mapping[str, Any]) -> str:
     """Return what happened to a command, as a sentence.
 
-    Parameters
-    ----------
-    answer
-        The journal's answer, as `send` returns it.
-
-    Returns
-    -------
-    str
-        The sentence.
+    answer: The journal's answer, as `send` returns it.
 
     Examples
     --------

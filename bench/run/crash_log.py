@@ -24,20 +24,7 @@ CRASH_LOG = "crash.txt"
 def crash_log(folder: Path) -> Iterator[None]:
     """Write a crash of this process inside the block to ``crash.txt``; remove the empty file at the end.
 
-    Parameters
-    ----------
-    folder
-        Run folder.
-
-    Yields
-    ------
-    None
-        Nothing; the block runs with fault handling on.
-
-    Raises
-    ------
-    StorageError
-        If the file cannot be created or removed.
+    Raises StorageError: If the file cannot be created or removed.
     """
     path = folder / CRASH_LOG
     outer = faulthandler.is_enabled()
@@ -58,17 +45,8 @@ def crash_log(folder: Path) -> Iterator[None]:
 def write_crash_log(folder: Path, what: str) -> None:
     """Write why a process died, for a process that could not write it itself.
 
-    Parameters
-    ----------
-    folder
-        Run folder; nothing is written if it does not exist.
-    what
-        Cause of death, one line.
-
-    Raises
-    ------
-    StorageError
-        If it cannot be written.
+    folder: Run folder; nothing is written if it does not exist.
+    Raises StorageError: If it cannot be written.
     """
     if folder.is_dir():
         write_atomic(folder / CRASH_LOG, f"{what}\n".encode())
@@ -77,20 +55,8 @@ def write_crash_log(folder: Path, what: str) -> None:
 def read_crash(folder: Path) -> str | None:
     """Return how the last process crashed.
 
-    Parameters
-    ----------
-    folder
-        Run folder.
-
-    Returns
-    -------
-    str or None
-        First line of the crash log; None if the process did not crash, or was killed from outside.
-
-    Raises
-    ------
-    StorageError
-        If the file cannot be read.
+    Returns: First line of the crash log; None if the process did not crash, or was killed from outside.
+    Raises StorageError: If the file cannot be read.
     """
     path = folder / CRASH_LOG
     with storage_errors(path):
@@ -101,15 +67,7 @@ def read_crash(folder: Path) -> str | None:
 def archive_crash(folder: RunFolder) -> None:
     """Move the crash log to ``quarantine/`` for later inspection, or remove it if it is empty.
 
-    Parameters
-    ----------
-    folder
-        Run folder, locked by this process.
-
-    Raises
-    ------
-    StorageError
-        If it cannot be moved.
+    Raises StorageError: If it cannot be moved.
     """
     path = folder.path / CRASH_LOG
     with storage_errors(path):

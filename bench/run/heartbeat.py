@@ -39,37 +39,18 @@ SLOW_STATES = frozenset(
 
 @dataclass(frozen=True)
 class Heartbeat:
-    """Last heartbeat of a process.
-
-    Attributes
-    ----------
-    pid, started
-        Process id, and start time of the process in kernel ticks, because process ids are reused.
-    moment_ns
-        Time at which its work last made progress, ns; comparable within one process only.
-    thread
-        Number of the thread that wrote it.
-    work
-        Where the process shares the moment at which its work last used the clock (`bench.base.work_moment`).
-    """
+    """Last heartbeat of a process."""
 
     pid: int
     started: int
-    moment_ns: int
+    moment_ns: int  # Time at which its work last made progress, ns; comparable within one process only
     thread: int = 0
+    # Where the process shares the moment at which its work last used the clock (`bench.base.work_moment`).
     work: int = NOT_SHARED
 
 
 class HeartbeatWriter:
-    """Writes heartbeats for this process's work on a run.
-
-    Parameters
-    ----------
-    folder
-        Run folder.
-    clock
-        Clock of the work; the work makes progress as long as it uses the clock.
-    """
+    """Writes heartbeats for this process's work on a run."""
 
     def __init__(self, folder: Path, clock: BenchClock) -> None:
         self._path = folder / CONTROL / HEARTBEAT
@@ -85,13 +66,7 @@ class HeartbeatWriter:
         processor, s."""
 
     def entering(self, state: str) -> None:
-        """Take note of the state that the work enters.
-
-        Parameters
-        ----------
-        state
-            Name of the state.
-        """
+        """Take note of the state that the work enters."""
         self._state, self._since_s = state, time.monotonic()
         self._work.used(self._since_s)
         self._work.entering(with_devices=state not in SLOW_STATES)
@@ -99,10 +74,7 @@ class HeartbeatWriter:
     def beat(self) -> None:
         """Write a heartbeat, unless the work has stalled.
 
-        Raises
-        ------
-        StorageError
-            If it cannot be written.
+        Raises StorageError: If it cannot be written.
         """
         stalled_s = self.stalled_s()
         starved_s = self._starved_s(stalled_s)
@@ -113,22 +85,13 @@ class HeartbeatWriter:
             self._path.write_bytes(text.encode())
 
     def stalled_s(self) -> float:
-        """Return how long ago the work last made progress.
-
-        Returns
-        -------
-        float
-            Seconds.
-        """
+        """Return how long ago the work last made progress."""
         return min(self._clock.inactive_s(), time.monotonic() - self._since_s)
 
     def supervisor_is_gone(self) -> bool:
         """Return whether the supervisor of this process has ended; True only once.
 
-        Returns
-        -------
-        bool
-            True at the first call after the supervisor has ended.
+        Returns: True at the first call after the supervisor has ended.
         """
         gone = self._supervisor is not None and os.getppid() != self._supervisor
         if gone:
@@ -161,15 +124,7 @@ class HeartbeatWriter:
 def read_heartbeat(folder: Path) -> Heartbeat | None:
     """Read the last heartbeat of the process that works on a run.
 
-    Parameters
-    ----------
-    folder
-        Run folder.
-
-    Returns
-    -------
-    Heartbeat or None
-        None while no process accepts commands for the run.
+    Returns: None while no process accepts commands for the run.
     """
     try:
         numbers = [int(number) for number in (folder / CONTROL / HEARTBEAT).read_bytes().split()]
@@ -181,15 +136,7 @@ def read_heartbeat(folder: Path) -> Heartbeat | None:
 def open_process(heartbeat: Heartbeat) -> int | None:
     """Open the process that wrote a heartbeat.
 
-    Parameters
-    ----------
-    heartbeat
-        Heartbeat of the process.
-
-    Returns
-    -------
-    int or None
-        File descriptor to wait for and to signal (pidfd); None if the process has ended.
+    Returns: File descriptor to wait for and to signal (pidfd); None if the process has ended.
     """
     try:
         process = os.pidfd_open(heartbeat.pid)

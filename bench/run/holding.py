@@ -26,18 +26,7 @@ HOLD_NOTIFY_INTERVAL_S = 600.0
 class Holding:
     """The work of the state ``holding``.
 
-    Parameters
-    ----------
-    devices
-        Devices of the run; they are made to rest.
-    log
-        Journal of questions, answers and releases.
-    interlocks
-        Decide when a run that one of them holds continues.
-    clock
-        Clock of all waits, so that a stop ends them.
-    say
-        Prints a line for the operator.
+    interlocks: Decide when a run that one of them holds continues.
     """
 
     def __init__(
@@ -57,21 +46,12 @@ class Holding:
     def hold(self, question: PromptStep | None, trip: Trip | None, *, by: str) -> None:
         """Hold until the operator releases the run, the interlock clears, or the question is answered.
 
-        Parameters
-        ----------
-        question
-            Question to the operator, if neither an operator nor an interlock holds the run.
-        trip
-            Interlock that holds the run, if any.
-        by
-            Operator who holds the run; empty if there is none.
-
-        Raises
-        ------
-        Aborted
-            If a stop was requested, the answer was to abort, or an operator has held the run for too long.
-        InterlockHeld
-            If an interlock has held the run for too long.
+        question: Question to the operator, if neither an operator nor an interlock holds the run.
+        trip: Interlock that holds the run, if any.
+        by: Operator who holds the run; empty if there is none.
+        Raises Aborted: If a stop was requested, the answer was to abort, or an operator has held the run for
+          too long.
+        Raises InterlockHeld: If an interlock has held the run for too long.
         """
         if by:
             self._until_released()
@@ -128,12 +108,7 @@ class Holding:
 class HoldNotifier:
     """Notifies absent people that a run holds; about the same interlock not too often.
 
-    Parameters
-    ----------
-    clock
-        Clock of the run.
-    notify
-        Called with the occasion (``hold``), a short text and the hash of the journal's line.
+    notify: Called with the occasion (``hold``), a short text and the hash of the journal's line.
     """
 
     def __init__(self, clock: BenchClock, notify: Callable[[str, str, str], None]) -> None:
@@ -142,15 +117,7 @@ class HoldNotifier:
         self._notified_s: dict[str, float] = {}
 
     def entering(self, facts: Entering, line: str) -> None:
-        """Notify that the run holds. A door that opens again and again does not cause a hundred messages.
-
-        Parameters
-        ----------
-        facts
-            Journal line of the hold.
-        line
-            Hash of that line.
-        """
+        """Notify that the run holds. A door that opens again and again does not cause a hundred messages."""
         rule, now_s = str(facts.get("rule", "")), self._clock.monotonic()
         if rule and now_s - self._notified_s.get(rule, -HOLD_NOTIFY_INTERVAL_S) < HOLD_NOTIFY_INTERVAL_S:
             return

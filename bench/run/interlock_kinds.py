@@ -36,69 +36,37 @@ class Sensors(Protocol):
     def camera_c(self) -> float | None:
         """Read the temperature of the camera.
 
-        Returns
-        -------
-        float or None
-            Degrees Celsius; None if the camera does not measure it.
+        Returns: Degrees Celsius; None if the camera does not measure it.
         """
         ...
 
     def last_mev_s(self) -> float:
-        """Return the event rate of the last recording.
-
-        Returns
-        -------
-        float
-            Millions of events per second.
-        """
+        """Return the event rate of the last recording."""
         ...
 
     def dark_mev_s(self, duration_s: float) -> float:
         """Measure the event rate in the dark.
 
-        Parameters
-        ----------
-        duration_s
-            Length of the measurement, s.
-
-        Returns
-        -------
-        float
-            Millions of events per second.
+        duration_s: Length of the measurement, s.
         """
         ...
 
     def reopen(self) -> str:
         """Open the devices again.
 
-        Returns
-        -------
-        str
-            Why that failed; empty if all devices are open.
+        Returns: Why that failed; empty if all devices are open.
         """
         ...
 
 
 @dataclass(frozen=True)
 class Door:
-    """A file that states whether the enclosure is closed. If it cannot be read, the door counts as open.
+    """A file that states whether the enclosure is closed. If it cannot be read, the door counts as open."""
 
-    Attributes
-    ----------
-    config
-        Section ``door`` of the station file.
-    name
-        Name in the station file.
-    poll_s
-        Time between two checks, s.
-    utc_s
-        Returns the system time, s since 1970.
-    """
-
-    config: DoorConfig
+    config: DoorConfig  # Section ``door`` of the station file
     name: InterlockName = field(default=DOOR, init=False)
-    poll_s: float = field(default=0.1, init=False)
-    utc_s: Callable[[], float] = time.time
+    poll_s: float = field(default=0.1, init=False)  # Time between two checks, s
+    utc_s: Callable[[], float] = time.time  # Returns the system time, s since 1970
 
     @property
     def max_hold_s(self) -> float:
@@ -136,24 +104,12 @@ def _read_sensor(path: str) -> tuple[str, float]:
 
 @dataclass(frozen=True)
 class DiskSpace:
-    """Free space on the disk of the run folder.
+    """Free space on the disk of the run folder."""
 
-    Attributes
-    ----------
-    config
-        Section ``disk_space`` of the station file.
-    folder
-        Run folder.
-    name
-        Name in the station file.
-    poll_s
-        Time between two checks, s.
-    """
-
-    config: DiskSpaceConfig
+    config: DiskSpaceConfig  # Section ``disk_space`` of the station file
     folder: Path
     name: InterlockName = field(default="disk_space", init=False)
-    poll_s: float = field(default=1.0, init=False)
+    poll_s: float = field(default=1.0, init=False)  # Time between two checks, s
 
     @property
     def max_hold_s(self) -> float:
@@ -163,10 +119,7 @@ class DiskSpace:
     def why(self, *, held: bool) -> str:
         """See `Interlock.why`.
 
-        Raises
-        ------
-        StorageError
-            If the free space cannot be read.
+        Raises StorageError: If the free space cannot be read.
         """
         with storage_errors(self.folder):
             free_gb = shutil.disk_usage(self.folder).free / 1e9
@@ -178,24 +131,12 @@ class DiskSpace:
 
 @dataclass(frozen=True)
 class CameraTemperature:
-    """Temperature of the sensor; a camera that does not measure it never holds the run.
+    """Temperature of the sensor; a camera that does not measure it never holds the run."""
 
-    Attributes
-    ----------
-    config
-        Section ``camera_temperature`` of the station file.
-    read_c
-        Reads the temperature, degrees Celsius.
-    name
-        Name in the station file.
-    poll_s
-        Time between two checks, s.
-    """
-
-    config: CameraTemperatureConfig
-    read_c: Callable[[], float | None]
+    config: CameraTemperatureConfig  # Section ``camera_temperature`` of the station file
+    read_c: Callable[[], float | None]  # Reads the temperature, degrees Celsius
     name: InterlockName = field(default="camera_temperature", init=False)
-    poll_s: float = field(default=5.0, init=False)
+    poll_s: float = field(default=5.0, init=False)  # Time between two checks, s
 
     @property
     def max_hold_s(self) -> float:
@@ -205,10 +146,7 @@ class CameraTemperature:
     def why(self, *, held: bool) -> str:
         """See `Interlock.why`.
 
-        Raises
-        ------
-        DriverError
-            If the camera does not answer.
+        Raises DriverError: If the camera does not answer.
         """
         found_c = self.read_c()
         most_c = self.config.release_c if held else self.config.max_c
@@ -219,27 +157,13 @@ class CameraTemperature:
 
 @dataclass(frozen=True)
 class EventRate:
-    """Event rate of the last recording; while it holds, that of a short recording in the dark.
+    """Event rate of the last recording; while it holds, that of a short recording in the dark."""
 
-    Attributes
-    ----------
-    config
-        Section ``event_rate`` of the station file.
-    last_mev_s
-        Returns the event rate of the last recording, Mev/s.
-    dark_mev_s
-        Measures the event rate in the dark for a time in s, Mev/s.
-    name
-        Name in the station file.
-    poll_s
-        Time between two checks, s.
-    """
-
-    config: EventRateConfig
-    last_mev_s: Callable[[], float]
-    dark_mev_s: Callable[[float], float]
+    config: EventRateConfig  # Section ``event_rate`` of the station file
+    last_mev_s: Callable[[], float]  # Returns the event rate of the last recording, Mev/s
+    dark_mev_s: Callable[[float], float]  # Measures the event rate in the dark for a time in s, Mev/s
     name: InterlockName = field(default="event_rate", init=False)
-    poll_s: float = field(default=2.0, init=False)
+    poll_s: float = field(default=2.0, init=False)  # Time between two checks, s
 
     @property
     def max_hold_s(self) -> float:
@@ -249,10 +173,7 @@ class EventRate:
     def why(self, *, held: bool) -> str:
         """See `Interlock.why`.
 
-        Raises
-        ------
-        DriverError
-            If the camera does not answer.
+        Raises DriverError: If the camera does not answer.
         """
         if held:
             found, most = self.dark_mev_s(self.config.probe_ms * 1e-3), self.config.release_mev_s
@@ -265,20 +186,10 @@ class EventRate:
 
 @dataclass(frozen=True)
 class DeviceLost:
-    """A lost device: holds until all devices can be opened again, each with the serial number it had.
+    """A lost device: holds until all devices can be opened again, each with the serial number it had."""
 
-    Attributes
-    ----------
-    config
-        Section ``device_lost`` of the station file.
-    reopen
-        Opens the devices again; returns why that failed, or an empty text.
-    name
-        Name in the station file.
-    """
-
-    config: DeviceLostConfig
-    reopen: Callable[[], str]
+    config: DeviceLostConfig  # Section ``device_lost`` of the station file
+    reopen: Callable[[], str]  # Opens the devices again; returns why that failed, or an empty text
     name: InterlockName = field(default=DEVICE_LOST, init=False)
 
     @property
@@ -294,10 +205,7 @@ class DeviceLost:
     def why(self, *, held: bool) -> str:
         """See `Interlock.why`. It never begins to hold by itself.
 
-        Raises
-        ------
-        WrongDevice
-            If another device answers in the place of the lost one.
+        Raises WrongDevice: If another device answers in the place of the lost one.
         """
         return self.reopen() if held else ""
 
@@ -305,19 +213,9 @@ class DeviceLost:
 def interlocks_of(config: InterlocksConfig, folder: Path, sensors: Sensors) -> list[Interlock]:
     """Create the interlocks that a station file asks for.
 
-    Parameters
-    ----------
-    config
-        Section ``interlocks`` of the station file.
-    folder
-        Run folder.
-    sensors
-        Readings of the run's devices.
-
-    Returns
-    -------
-    list of Interlock
-        In a fixed order.
+    config: Section ``interlocks`` of the station file.
+    sensors: Readings of the run's devices.
+    Returns: In a fixed order.
     """
     found: list[Interlock] = []
     if config.door is not None:

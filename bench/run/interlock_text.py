@@ -8,15 +8,8 @@ from drivers.errors import DriverError
 def loss_text(error: DriverError) -> str:
     """Return how a device was lost, for a run that holds: it continues by itself, so nobody has to resume it.
 
-    Parameters
-    ----------
-    error
-        What the driver reported.
-
-    Returns
-    -------
-    str
-        Place, what is wrong, and remedy, without the last full stop: whoever quotes it ends the sentence.
+    Returns: Place, what is wrong, and remedy, without the last full stop: whoever quotes it ends the
+      sentence.
 
     Examples
     --------
@@ -30,16 +23,6 @@ def loss_text(error: DriverError) -> str:
 
 def interlock_text(name: str) -> str:
     """Return the name of an interlock as text.
-
-    Parameters
-    ----------
-    name
-        Name in the station file.
-
-    Returns
-    -------
-    str
-        The name with spaces.
 
     Examples
     --------

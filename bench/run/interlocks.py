@@ -47,30 +47,15 @@ class Interlock(Protocol):
     def why(self, *, held: bool) -> str:
         """Return why the interlock holds.
 
-        Parameters
-        ----------
-        held
-            Whether it holds the run now; then the stricter limit for continuing applies.
-
-        Returns
-        -------
-        str
-            The reason; empty if it does not hold.
+        held: Whether it holds the run now; then the stricter limit for continuing applies.
+        Returns: The reason; empty if it does not hold.
         """
         ...
 
 
 @dataclass(frozen=True)
 class Trip:
-    """An interlock that holds the run, and why.
-
-    Attributes
-    ----------
-    interlock
-        The interlock.
-    why
-        The reason.
-    """
+    """An interlock that holds the run, and why."""
 
     interlock: Interlock
     why: str
@@ -84,12 +69,7 @@ class Trip:
 class Interlocks:
     """All interlocks of a station.
 
-    Parameters
-    ----------
-    interlocks
-        Interlocks of the station.
-    clock
-        Clock of the run; interrupted when the door opens while devices are at work.
+    clock: Clock of the run; interrupted when the door opens while devices are at work.
     """
 
     def __init__(self, interlocks: Sequence[Interlock], clock: BenchClock) -> None:
@@ -109,13 +89,7 @@ class Interlocks:
                 self._clock.interrupt(self._interrupting.text)
 
     def entering(self, state: str) -> None:
-        """Let an open door interrupt the work in states that use devices, and in no other state.
-
-        Parameters
-        ----------
-        state
-            State that the run enters.
-        """
+        """Let an open door interrupt the work in states that use devices, and in no other state."""
         with self._lock:
             self._guarding = state in GUARDED
             if not self._guarding:
@@ -128,12 +102,8 @@ class Interlocks:
     def require_clear(self) -> None:
         """Check that no interlock holds before work continues.
 
-        Raises
-        ------
-        Interrupted
-            If one holds; ``take_interruption`` then returns it.
-        StorageError, DriverError
-            If an interlock cannot be checked.
+        Raises Interrupted: If one holds; ``take_interruption`` then returns it.
+        Raises StorageError, DriverError: If an interlock cannot be checked.
         """
         for interlock in self._interlocks:
             if why := interlock.why(held=False):
@@ -144,27 +114,13 @@ class Interlocks:
     def device_lost(self, why: str) -> Trip | None:
         """Return what holds the run after a device was lost.
 
-        Parameters
-        ----------
-        why
-            How the loss was noticed.
-
-        Returns
-        -------
-        Trip or None
-            None if the station file has no ``device_lost`` interlock.
+        Returns: None if the station file has no ``device_lost`` interlock.
         """
         interlock = next((i for i in self._interlocks if i.name == DEVICE_LOST), None)
         return Trip(interlock, why) if interlock is not None else None
 
     def take_interruption(self) -> Trip:
-        """Return the interlock that has just interrupted the work, and clear the interruption of the clock.
-
-        Returns
-        -------
-        Trip
-            The interlock and its reason.
-        """
+        """Return the interlock that has just interrupted the work, and clear the interruption of the clock."""
         with self._lock:
             trip, self._interrupting = self._interrupting, None
             self._clock.clear_interruption()
@@ -174,22 +130,9 @@ class Interlocks:
     def wait_until_clear(self, trip: Trip) -> float:
         """Wait until an interlock clears.
 
-        Parameters
-        ----------
-        trip
-            The interlock that holds the run.
-
-        Returns
-        -------
-        float
-            How long that took, s.
-
-        Raises
-        ------
-        InterlockHeld
-            If all holds of this interlock together took too long.
-        Aborted
-            If a stop was requested.
+        Returns: How long that took, s.
+        Raises InterlockHeld: If all holds of this interlock together took too long.
+        Raises Aborted: If a stop was requested.
         """
         begin_s = self._clock.monotonic()
         interlock = trip.interlock

@@ -28,15 +28,7 @@ from bench.run.machine import END_STATES
 def line_text(entry: Entry) -> str:
     """Return a journal line as text.
 
-    Parameters
-    ----------
-    entry
-        Line of the journal.
-
-    Returns
-    -------
-    str
-        Time and text; empty for lines that only programs need.
+    Returns: Time and text; empty for lines that only programs need.
     """
     make_text = _ENTRY_TEXTS.get(entry.event)
     text = make_text(entry.data) if make_text is not None else ""

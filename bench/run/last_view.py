@@ -30,43 +30,21 @@ _MOST_BYTES = 64 << 20
 
 @dataclass(frozen=True)
 class LastView:
-    """The picture of a recording.
+    """The picture of a recording."""
 
-    Attributes
-    ----------
-    pose, attempt
-        Number of the pose and of the attempt, from 1.
-    nodes
-        Column and row of each star on the target.
-    points_px
-        Place of each star, [x, y], px, to a thousandth.
-    fault
-        Why no stars were found; empty if there are some.
-    png
-        The image as a PNG file.
-    """
-
+    # pose, attempt: Number of the pose and of the attempt, from 1.
     pose: int
     attempt: int
     nodes: Sequence[Sequence[float]]
-    points_px: Sequence[Sequence[float]]
-    fault: str
+    points_px: Sequence[Sequence[float]]  # Place of each star, [x, y], px, to a thousandth
+    fault: str  # Why no stars were found; empty if there are some
     png: bytes
 
 
 def leave_view(folder: Path, pose: int, attempt: int, found: Measurement, target: StarTarget) -> None:
     """Leave the picture of a recording for others; nothing happens if there is no image or nobody can be told.
 
-    Parameters
-    ----------
-    folder
-        Run folder.
-    pose, attempt
-        Number of the pose and of the attempt, from 1.
-    found
-        What the recording showed.
-    target
-        The printed target.
+    pose, attempt: Number of the pose and of the attempt, from 1.
     """
     if found.image is None or not (folder / CONTROL).is_dir():
         return
@@ -89,15 +67,7 @@ def leave_view(folder: Path, pose: int, attempt: int, found: Measurement, target
 def read_last_view(folder: Path) -> LastView | None:
     """Read the picture of the last recording of a run in progress.
 
-    Parameters
-    ----------
-    folder
-        Run folder.
-
-    Returns
-    -------
-    LastView or None
-        None if there is none.
+    Returns: None if there is none.
     """
     try:
         head, _, png = read_bounded(folder / CONTROL / LAST_VIEW, _MOST_BYTES).partition(b"\n")

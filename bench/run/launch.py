@@ -64,23 +64,13 @@ AskPassphrase = Callable[[Path], bytes]
 
 @dataclass(frozen=True)
 class Launch:
-    """What the caller provides, to begin a run or to resume one.
-
-    Attributes
-    ----------
-    clock
-        Clock of the run.
-    stream
-        Stream for progress; standard error by default.
-    ask_passphrase
-        Asks for the passphrase of a protected signing key.
-    secrets_revoked
-        Whether the operator says that the secrets found in a finished run are worthless by now, so that it is sealed.
-    """
+    """What the caller provides, to begin a run or to resume one."""
 
     clock: BenchClock
-    stream: TextIO | None = None
-    ask_passphrase: AskPassphrase | None = None
+    stream: TextIO | None = None  # Stream for progress; standard error by default
+    ask_passphrase: AskPassphrase | None = None  # Asks for the passphrase of a protected signing key
+    # Whether the operator says that the secrets found in a finished run are worthless by now, so that it is
+    # sealed.
     secrets_revoked: bool = False
 
 
@@ -96,35 +86,12 @@ def start_run(
 ) -> RunEnd:
     """Run a sequence on a station, from the plan to the sealed report.
 
-    Parameters
-    ----------
-    sequence, station
-        Paths of the files, or names of those that are included.
-    output
-        New run folder; where None, a folder in ``runs/``, named by time and sequence.
-    seed
-        Random seed of a simulated bench; drawn and recorded where None.
-    operator
-        Name of the operator.
-    launch
-        Clock, progress stream and passphrase.
-    settings
-        Settings that replace those of the files (`bench.plan.plan.load_documents`); the copies of both files
-        in the run folder hold them.
-
-    Returns
-    -------
-    RunEnd
-        How the run ended.
-
-    Raises
-    ------
-    ScriptError
-        With all faults of the files.
-    RunFolderError, StorageError
-        If the folder cannot be used.
-    EvidenceError
-        If the signing key cannot be used.
+    output: New run folder; where None, a folder in ``runs/``, named by time and sequence.
+    seed: Random seed of a simulated bench; drawn and recorded where None.
+    settings: Settings that replace those of the files (`bench.plan.plan.load_documents`); the copies of both
+      files in the run folder hold them.
+    Raises RunFolderError, StorageError: If the folder cannot be used.
+    Raises EvidenceError: If the signing key cannot be used.
     """
     seed = secrets.randbits(31) if seed is None else seed
     job = Job.from_files(sequence, station, seed=seed, operator=operator, settings=settings)
@@ -172,26 +139,9 @@ def resume_run(folder_path: Path, launch: Launch) -> RunEnd:
     All stored recordings are kept. The step at which the run stopped is repeated, after the move that it
     depends on.
 
-    Parameters
-    ----------
-    folder_path
-        Run folder.
-    launch
-        Clock, progress stream and passphrase.
-
-    Returns
-    -------
-    RunEnd
-        How the run ended.
-
-    Raises
-    ------
-    RunFolderError
-        If there is no run, it is sealed, or another process works on it.
-    JournalBroken
-        If the hash chain of its journal is broken.
-    ScriptError
-        If its sequence or station file has faults.
+    Raises RunFolderError: If there is no run, it is sealed, or another process works on it.
+    Raises JournalBroken: If the hash chain of its journal is broken.
+    Raises ScriptError: If its sequence or station file has faults.
     """
     with (
         RunFolder.open(folder_path) as folder,
@@ -224,20 +174,7 @@ def resume_run(folder_path: Path, launch: Launch) -> RunEnd:
 def read_intentions(folder_path: Path) -> list[str]:
     """Return what resuming a run would do. Nothing is changed.
 
-    Parameters
-    ----------
-    folder_path
-        Run folder.
-
-    Returns
-    -------
-    list of str
-        Sentences, one action each.
-
-    Raises
-    ------
-    RunFolderError, JournalBroken, ScriptError
-        As for `resume_run`.
+    Raises RunFolderError, JournalBroken, ScriptError: As for `resume_run`.
     """
     require_resumable(folder_path)
     job, history = _job_of(folder_path, read_journal(folder_path / JOURNAL)[0])
@@ -265,17 +202,7 @@ def _job_of(folder: Path, entries: Iterable[Entry]) -> tuple[Job, History]:
 def default_folder(plan: Plan, now: datetime) -> Path:
     """Return the default folder of a run, named by time and sequence.
 
-    Parameters
-    ----------
-    plan
-        Plan of the run.
-    now
-        Time at which the run begins.
-
-    Returns
-    -------
-    Path
-        A folder below ``runs/``.
+    Returns: A folder below ``runs/``.
     """
     ascii_name = "".join(c if c.isalnum() and c.isascii() else "-" for c in plan.sequence.value.name.lower())
     name = "-".join(filter(None, ascii_name.split("-")))[:40] or "run"

@@ -25,15 +25,7 @@ from bench.run.runner import RunEnd
 def ledger_of(clock: BenchClock) -> Ledger:
     """Return the ledger of this bench.
 
-    Parameters
-    ----------
-    clock
-        Clock of the run.
-
-    Returns
-    -------
-    Ledger
-        The ledger; its file may not exist.
+    Returns: The ledger; its file may not exist.
     """
     return Ledger(home_folder(), utc_now=clock.utc_now, monotonic=clock.monotonic)
 
@@ -41,19 +33,8 @@ def ledger_of(clock: BenchClock) -> Ledger:
 def refuse_broken_ledger(ledger: Ledger, job: Job) -> None:
     """Refuse a run if its station is strict and the ledger has a break that nobody has explained.
 
-    Parameters
-    ----------
-    ledger
-        The ledger.
-    job
-        Task of the run.
-
-    Raises
-    ------
-    EvidenceError
-        When it is refused; nothing was written.
-    StorageError
-        When the ledger cannot be read.
+    Raises EvidenceError: When it is refused; nothing was written.
+    Raises StorageError: When the ledger cannot be read.
     """
     if job.station.ledger.strict:
         ledger.refuse_break(job.station.ledger.anchor, sealed_strangers(ledger.home))
@@ -62,29 +43,10 @@ def refuse_broken_ledger(ledger: Ledger, job: Job) -> None:
 def enter_in_ledger(ledger: Ledger, job: Job, folder: Path, known: LedgerPlace | None = None) -> LedgerPlace:
     """Enter a run in the ledger, or find it there.
 
-    Parameters
-    ----------
-    ledger
-        The ledger.
-    job
-        Task of the run.
-    folder
-        Its folder.
-    known
-        Place of a run that began before; it is entered again if the ledger does not have it, because it began on
-        another bench, without a ledger, or in a ledger that was lost.
-
-    Returns
-    -------
-    dict
-        The place, for the journal and the report; with what is wrong with the ledger.
-
-    Raises
-    ------
-    EvidenceError
-        When the ledger has an unexplained break, and the station is strict.
-    StorageError
-        When the ledger cannot be read or written.
+    known: Place of a run that began before; it is entered again if the ledger does not have it, because it
+      began on another bench, without a ledger, or in a ledger that was lost.
+    Raises EvidenceError: When the ledger has an unexplained break, and the station is strict.
+    Raises StorageError: When the ledger cannot be read or written.
     """
     station = job.station
     anchor, strict = station.ledger.anchor, station.ledger.strict
@@ -117,15 +79,7 @@ def enter_in_ledger(ledger: Ledger, job: Job, folder: Path, known: LedgerPlace |
 def ledger_lines(place: LedgerPlace) -> list[str]:
     """Return what the operator must know about the ledger before a run begins.
 
-    Parameters
-    ----------
-    place
-        Place of the run.
-
-    Returns
-    -------
-    list of str
-        Lines of text; usually none.
+    Returns: Lines of text; usually none.
     """
     faults = [f"FAULT OF THE LEDGER: {fault}" for fault in place.get("faults", ())]
     return faults + [f"WARNING: {warning}" for warning in place.get("warnings", ())]
@@ -134,19 +88,8 @@ def ledger_lines(place: LedgerPlace) -> list[str]:
 def record_revoked_secrets(ledger: Ledger, place: LedgerPlace, folder: Path) -> None:
     """Enter in the ledger that a run is sealed with secrets in it, which a person says are worthless by now.
 
-    Parameters
-    ----------
-    ledger
-        The ledger.
-    place
-        Place of the run.
-    folder
-        Its folder; nothing is entered if it holds no secret.
-
-    Raises
-    ------
-    EvidenceError, StorageError
-        When the ledger cannot be written.
+    folder: Its folder; nothing is entered if it holds no secret.
+    Raises EvidenceError, StorageError: When the ledger cannot be written.
     """
     if found := [str(one) for one in scan(folder)]:
         ledger.append("secrets_revoked", number=place["number"], found=found)
@@ -156,24 +99,7 @@ def record_revoked_secrets(ledger: Ledger, place: LedgerPlace, folder: Path) -> 
 def ledger_entry(ledger: Ledger, place: LedgerPlace, folder: Path) -> Iterator[Callable[[RunEnd], RunEnd]]:
     """Write to the ledger how the run of the block ended; "failed" if the block raises.
 
-    Parameters
-    ----------
-    ledger
-        The ledger.
-    place
-        Place of the run.
-    folder
-        Its folder.
-
-    Yields
-    ------
-    Callable
-        Call it with the end of the run; it returns its argument.
-
-    Raises
-    ------
-    StorageError
-        When the ledger cannot be written.
+    Raises StorageError: When the ledger cannot be written.
     """
     how = "failed"
 

@@ -80,22 +80,13 @@ class Listener(Protocol):
     """Receives every change of state; the run's journal is the main one."""
 
     def entering(self, data: Entering) -> None:
-        """Receive a change before it is made.
-
-        Parameters
-        ----------
-        data
-            States, step and circumstances of the change.
-        """
+        """Receive a change before it is made."""
         ...
 
     def left_off(self, data: LeftOff) -> None:
         """Receive the end of the work of a state, successful or not.
 
-        Parameters
-        ----------
-        data
-            The state, and the error if the work failed.
+        data: The state, and the error if the work failed.
         """
         ...
 
@@ -103,17 +94,9 @@ class Listener(Protocol):
 class RunMachine:
     """The state machine of one run.
 
-    Parameters
-    ----------
-    work
-        Work to do on entering a state, by the state's name.
-    listener
-        Receives every change before it is made, and the end of its work.
-
-    Raises
-    ------
-    ValueError
-        If work is given for a state that does not exist.
+    work: Work to do on entering a state, by the state's name.
+    listener: Receives every change before it is made, and the end of its work.
+    Raises ValueError: If work is given for a state that does not exist.
     """
 
     def __init__(self, work: Mapping[str, Work], listener: Listener) -> None:
@@ -143,24 +126,8 @@ class RunMachine:
     ) -> None:
         """Take an edge and do the work of the state that it enters.
 
-        Parameters
-        ----------
-        trigger
-            Name of the edge.
-        step
-            Step of the script that the edge is taken for. The work receives the step; the journal, its
-            number.
-        causes
-            Passed to the work only.
-        circumstances
-            Passed to work and journal.
-
-        Raises
-        ------
-        transitions.MachineError
-            If the present state has no such edge.
-        Exception
-            Any error of the work or the journal; the machine then stays in the state whose work failed.
+        causes: Passed to the work only.
+        Raises transitions.MachineError: If the present state has no such edge.
         """
         self._unwritten: Exception | None = None
         self.trigger(trigger, step, *causes, **circumstances)  # type: ignore[attr-defined]
@@ -170,15 +137,7 @@ class RunMachine:
     def can(self, trigger: str) -> bool:
         """Return whether an edge leaves the present state.
 
-        Parameters
-        ----------
-        trigger
-            Name of the edge.
-
-        Returns
-        -------
-        bool
-            True if it does.
+        Returns: True if it does.
         """
         return trigger in self._machine.get_triggers(self.state)
 

@@ -23,25 +23,11 @@ def preflight(devices: Devices, job: Job) -> dict[str, Any]:
 
     Nothing moves and the light stays off.
 
-    Parameters
-    ----------
-    devices
-        Open devices; their serial numbers were compared with the station file when they were opened.
-    job
-        The task of the run.
-
-    Returns
-    -------
-    dict
-        ``camera``, ``stage`` (a list) and ``light``: identities; ``camera_settings``: settings as read back;
-        ``connections``, of an event camera: see `connections`.
-
-    Raises
-    ------
-    PreflightFailed
-        With every reason at once.
-    drivers.errors.DriverError
-        If a device does not answer, or is not the one that the station file names.
+    devices: Open devices; their serial numbers were compared with the station file when they were opened.
+    Returns: ``camera``, ``stage`` (a list) and ``light``: identities; ``camera_settings``: settings as read
+      back; ``connections``, of an event camera: see `connections`.
+    Raises drivers.errors.DriverError: If a device does not answer, or is not the one that the station file
+      names.
     """
     stage, light = devices.stage.identify(), devices.light.identify()
     camera = devices.camera.identify()
@@ -71,20 +57,10 @@ def preflight(devices: Devices, job: Job) -> dict[str, Any]:
 def connections(camera: CameraIdentity, settings: Mapping[str, Any], light: Light) -> dict[str, str]:
     """Return what camera and light answer about the cables between them and to the computer.
 
-    Parameters
-    ----------
-    camera
-        Identity of the camera.
-    settings
-        Settings of the camera, as read back.
-    light
-        The open light. A generator's sync polarity is made normal.
-
-    Returns
-    -------
-    dict
-        In words: ``camera_link``, ``camera_firmware``, ``trigger_input``, ``sync_polarity``, ``sync_level``. What a
-        device does not state is said to be so; the wiring test (`bench.run.wiring`) measures it.
+    light: The open light. A generator's sync polarity is made normal.
+    Returns: In words: ``camera_link``, ``camera_firmware``, ``trigger_input``, ``sync_polarity``,
+      ``sync_level``. What a device does not state is said to be so; the wiring test (`bench.run.wiring`)
+      measures it.
     """
     link = camera.link_mbit_s
     built = f", built {camera.firmware_built}" if camera.firmware_built else ""
@@ -102,15 +78,7 @@ def connections(camera: CameraIdentity, settings: Mapping[str, Any], light: Ligh
 def stage_faults(devices: Devices) -> list[str]:
     """Read the faults and warnings of the stage.
 
-    Parameters
-    ----------
-    devices
-        Open devices.
-
-    Returns
-    -------
-    list of str
-        One text per fault; empty if there are none.
+    Returns: One text per fault; empty if there are none.
     """
     return [f"stage: {fault}" for fault in devices.stage.faults()]
 
@@ -118,15 +86,7 @@ def stage_faults(devices: Devices) -> list[str]:
 def require_no_faults(reasons: list[str]) -> None:
     """Raise an error if there is any reason against continuing.
 
-    Parameters
-    ----------
-    reasons
-        Reasons against continuing.
-
-    Raises
-    ------
-    PreflightFailed
-        With every reason, if there is at least one.
+    Raises PreflightFailed: With every reason, if there is at least one.
     """
     if reasons:
         raise PreflightFailed(

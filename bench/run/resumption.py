@@ -23,17 +23,7 @@ CRASHES_ALLOWED = 1
 def remaining_steps(steps: Sequence[ScriptStep], done: Iterable[int]) -> list[ScriptStep]:
     """Return the steps to do: those not done, and those done that the first of them depends on.
 
-    Parameters
-    ----------
-    steps
-        All steps of the script.
-    done
-        Numbers of the steps that are done.
-
-    Returns
-    -------
-    list
-        Steps to do, in the order of the script.
+    Returns: Steps to do, in the order of the script.
     """
     done = set(done)
     undone = [i for i, step in enumerate(steps) if step.number not in done]
@@ -48,33 +38,14 @@ def remaining_steps(steps: Sequence[ScriptStep], done: Iterable[int]) -> list[Sc
 def steps_to_do(job: Job, history: History) -> list[ScriptStep]:
     """Return the steps that a run still has to do.
 
-    Parameters
-    ----------
-    job, history
-        Task and history of the run.
-
-    Returns
-    -------
-    list
-        Steps in the order of the script, without those that an ``until`` left out because it ended.
+    Returns: Steps in the order of the script, without those that an ``until`` left out because it ended.
     """
     left_out = {step.number for step in job.steps if history.is_left_out(step.number)}
     return remaining_steps(job.steps, history.done_steps | left_out)
 
 
 def pose_names(job: Job, history: History) -> dict[int, str]:
-    """Return the names of the poses that have angles: those of the sequence and those chosen so far.
-
-    Parameters
-    ----------
-    job, history
-        Task and history of the run.
-
-    Returns
-    -------
-    dict
-        Name by pose index.
-    """
+    """Return the names of the poses that have angles: those of the sequence and those chosen so far."""
     poses = [step.pose for step in job.steps if isinstance(step, RecordStep)]
     chosen = history.chosen
     return {pose.index: pose.name for pose in poses if not pose.chosen_in_run or pose.index in chosen}
@@ -83,17 +54,7 @@ def pose_names(job: Job, history: History) -> dict[int, str]:
 def steps_to_repeat(steps: Sequence[ScriptStep], step: ScriptStep) -> list[ScriptStep]:
     """Return the steps before ``step`` that the next recording depends on: move and settling.
 
-    Parameters
-    ----------
-    steps
-        All steps of the script.
-    step
-        The step that comes next.
-
-    Returns
-    -------
-    list
-        Steps to repeat; empty if a move comes before the next recording, or no recording follows.
+    Returns: Steps to repeat; empty if a move comes before the next recording, or no recording follows.
     """
     here = next(i for i, candidate in enumerate(steps) if candidate.number == step.number)
     coming = (s for s in steps[here:] if isinstance(s, MoveStep | RecordStep))
@@ -108,17 +69,8 @@ def steps_of_pose(steps: Sequence[ScriptStep], pose_index: int) -> list[ScriptSt
 
     If the run chooses the pose, the step that chooses it is one of them.
 
-    Parameters
-    ----------
-    steps
-        All steps of the script.
-    pose_index
-        Number of the pose, from 1.
-
-    Returns
-    -------
-    list
-        Steps to leave out if the pose is skipped.
+    pose_index: Number of the pose, from 1.
+    Returns: Steps to leave out if the pose is skipped.
     """
     here = next(i for i, s in enumerate(steps) if isinstance(s, RecordStep) and s.pose.index == pose_index)
     moves = [i for i, s in enumerate(steps) if isinstance(s, MoveStep)]
@@ -132,18 +84,7 @@ def steps_of_pose(steps: Sequence[ScriptStep], pose_index: int) -> list[ScriptSt
 
 
 def poses_crashed_too_often(history: History) -> dict[int, str]:
-    """Return the poses that must not be tried again because the process crashed there too often.
-
-    Parameters
-    ----------
-    history
-        History of the run.
-
-    Returns
-    -------
-    dict
-        Reason, by pose index.
-    """
+    """Return the poses that must not be tried again because the process crashed there too often."""
     accepted = history.accepted()
     return {
         pose: f"the process crashed {crashes} times at this pose"
@@ -155,17 +96,7 @@ def poses_crashed_too_often(history: History) -> dict[int, str]:
 def intentions(job: Job, history: History, crash: str | None) -> list[str]:
     """Return what resuming a run will do, before it is done.
 
-    Parameters
-    ----------
-    job, history
-        Task and history of the run.
-    crash
-        How the process that worked on it crashed (`bench.run.crash_log`); None if it did not.
-
-    Returns
-    -------
-    list of str
-        Sentences, one action each.
+    crash: How the process that worked on it crashed (`bench.run.crash_log`); None if it did not.
     """
     if history.ended == "finished":
         return ["The run is finished; only its seal is missing. It will be sealed; no device is opened."]

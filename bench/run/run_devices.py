@@ -31,21 +31,9 @@ NOT_REOPENED = "the devices were lost and could not be opened again; nothing con
 class RunDevices:
     """Stage, light and camera of a run, open or not.
 
-    Attributes
-    ----------
-    unsafe
-        Stage and light if they did not confirm a safe state, as text.
-    was_opened
-        Whether the devices were open at some time.
-
-    Parameters
-    ----------
-    job, folder, log
-        Task, folder and journal of the run.
-    open_devices
-        Opens the station's devices.
-    say
-        Prints a line for the operator.
+    unsafe: Stage and light if they did not confirm a safe state, as text.
+    was_opened: Whether the devices were open at some time.
+    open_devices: Opens the station's devices.
     """
 
     def __init__(
@@ -82,15 +70,7 @@ class RunDevices:
     def open(self) -> Devices:
         """Open the devices, unless they are open.
 
-        Returns
-        -------
-        Devices
-            The open devices.
-
-        Raises
-        ------
-        DriverError, SimulationError
-            As `Devices` raises them.
+        Raises DriverError, SimulationError: As `Devices` raises them.
         """
         if self._devices is None:
             try:
@@ -104,20 +84,14 @@ class RunDevices:
     def truth(self) -> Mapping[str, Any] | None:
         """Return the truth of the simulated bench.
 
-        Returns
-        -------
-        dict or None
-            None on a real bench, and where no device is open.
+        Returns: None on a real bench, and where no device is open.
         """
         return self._devices.truth() if self._devices is not None else None
 
     def position_deg(self) -> dict[str, float]:
         """Read the stage's axes.
 
-        Returns
-        -------
-        dict
-            Angle by axis, degrees, and ``{axis}_encoder`` where an axis has an encoder.
+        Returns: Angle by axis, degrees, and ``{axis}_encoder`` where an axis has an encoder.
         """
         stage = self.opened.stage
         return {**stage.position_deg(), **{f"{axis}_encoder": a for axis, a in stage.encoder_deg().items()}}
@@ -127,10 +101,7 @@ class RunDevices:
     def switch_off_light(self) -> None:
         """Switch the light off, if devices are open.
 
-        Raises
-        ------
-        DriverError
-            When the light does not confirm.
+        Raises DriverError: When the light does not confirm.
         """
         if self._devices is not None:
             self._devices.light.off()
@@ -170,13 +141,7 @@ class RunDevices:
         self._log.write(Event.DEVICES_LEFT, devices=ends)
 
     def ends(self) -> list[DeviceEnd]:
-        """Return how the run leaves each device, as far as anything is known.
-
-        Returns
-        -------
-        list of DeviceEnd
-            One for stage, light and camera.
-        """
+        """Return how the run leaves each device, as far as anything is known."""
         return all_ends(self._ends)
 
     def close(self) -> None:
@@ -189,15 +154,8 @@ class RunDevices:
     def reopen(self) -> str:
         """Close all devices and open them again, each with the serial number it had. Nothing moves.
 
-        Returns
-        -------
-        str
-            Why a device cannot be opened yet; empty when all are open.
-
-        Raises
-        ------
-        WrongDevice
-            When another device answers in the place of one.
+        Returns: Why a device cannot be opened yet; empty when all are open.
+        Raises WrongDevice: When another device answers in the place of one.
         """
         if self._devices is not None:
             self._devices.close()
@@ -214,10 +172,7 @@ class RunDevices:
     def camera_c(self) -> float | None:
         """Read the temperature of the event camera's sensor.
 
-        Returns
-        -------
-        float or None
-            Degrees Celsius; None where no camera is open or it does not measure its temperature.
+        Returns: Degrees Celsius; None where no camera is open or it does not measure its temperature.
         """
         if self._devices is None or not self._is_event_camera:
             return None
@@ -226,10 +181,7 @@ class RunDevices:
     def last_mev_s(self) -> float:
         """Return the event rate of the last recording, unless a dark recording was made since.
 
-        Returns
-        -------
-        float
-            Millions of events a second; 0 where there is no such recording.
+        Returns: Millions of events a second; 0 where there is no such recording.
         """
         attempts = self._log.history.attempts
         if len(attempts) <= self._attempts_with_rate_checked:
@@ -239,15 +191,8 @@ class RunDevices:
     def dark_mev_s(self, duration_s: float) -> float:
         """Measure the event rate by a short recording in the dark, which is not kept.
 
-        Parameters
-        ----------
-        duration_s
-            Length of the recording, s.
-
-        Returns
-        -------
-        float
-            Millions of events a second; 0 for a camera without events.
+        duration_s: Length of the recording, s.
+        Returns: Millions of events a second; 0 for a camera without events.
         """
         self._attempts_with_rate_checked = len(self._log.history.attempts)
         if not self._is_event_camera:

@@ -17,14 +17,7 @@ from bench.run.status_text import status_text
 class RunMessages:
     """Writes messages about one run.
 
-    Parameters
-    ----------
-    courier
-        Takes messages to the outbox and delivers them.
-    folder
-        Run folder.
-    say
-        Prints for the operator why a message could not be written; the run continues.
+    say: Prints for the operator why a message could not be written; the run continues.
     """
 
     def __init__(self, courier: Courier, folder: Path, say: Callable[[str], None]) -> None:
@@ -35,14 +28,8 @@ class RunMessages:
     def write(self, occasion: str, what: str, key: str) -> None:
         """Write a message with the run's status, if the station file asks for it. Returns at once.
 
-        Parameters
-        ----------
-        occasion
-            ``failure``, ``hold`` or ``end``.
-        what
-            Short text for the subject.
-        key
-            Unique name of this message: the hash of the journal's line that caused it.
+        occasion: ``failure``, ``hold`` or ``end``.
+        key: Unique name of this message: the hash of the journal's line that caused it.
         """
         if not self._courier.is_wanted(occasion):
             return

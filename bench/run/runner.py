@@ -61,58 +61,29 @@ class _EndData(TypedDict):
 
 @dataclass(frozen=True)
 class RunEnd:
-    """How a run ended.
+    """How a run ended."""
 
-    Attributes
-    ----------
-    how, why
-        ``finished``, ``aborted`` or ``failed``; and why it did not finish.
-    folder
-        Run folder.
-    outcome
-        Result of the run, if there is one.
-    unsafe
-        Devices that did not confirm a safe state, as text; empty if all did.
-    failure
-        Error that ended a failed run, with its place and remedy; None for other runs.
-    opened
-        Whether the devices were open at some time.
-    devices
-        How the run left each device.
-    """
-
+    # how, why: ``finished``, ``aborted`` or ``failed``; and why it did not finish.
     how: End
     why: str
     folder: Path
-    outcome: Outcome | None
-    unsafe: Sequence[str] = ()
+    outcome: Outcome | None  # Result of the run, if there is one
+    unsafe: Sequence[str] = ()  # Devices that did not confirm a safe state, as text; empty if all did
+    # Error that ended a failed run, with its place and remedy; None for other runs.
     failure: Failure | None = None
-    opened: bool = False
+    opened: bool = False  # Whether the devices were open at some time
     devices: Sequence[DeviceEnd] = ()
 
 
 class Runner:
     """Work of one process on one run.
 
-    Parameters
-    ----------
-    job
-        Task of the run: script, station, seed.
-    folder, journal
-        Run folder and journal, locked by this process.
-    open_devices
-        Opens the station's devices; called when a step first needs them.
-    clock
-        Clock of the run; a requested stop ends the run safely.
-    progress
-        Shows progress to the operator.
-    notify
-        Called with the occasion (``hold``, ``failure``), a short text and the hash of the journal's line,
-        when absent people should be notified before the run ends.
-    results
-        Calculates and writes the results; a ``ResultWriter`` of the folder where None.
-    decisions
-        Decides for the ``until`` steps; ``Decisions`` of the folder where None.
+    open_devices: Opens the station's devices; called when a step first needs them.
+    clock: Clock of the run; a requested stop ends the run safely.
+    notify: Called with the occasion (``hold``, ``failure``), a short text and the hash of the journal's line,
+      when absent people should be notified before the run ends.
+    results: Calculates and writes the results; a ``ResultWriter`` of the folder where None.
+    decisions: Decides for the ``until`` steps; ``Decisions`` of the folder where None.
     """
 
     def __init__(
@@ -163,15 +134,8 @@ class Runner:
     def run(self) -> RunEnd:
         """Do every step that is not done yet.
 
-        Returns
-        -------
-        RunEnd
-            Also if the run was aborted or failed; the bench is then safe and the run can be resumed.
-
-        Raises
-        ------
-        Exception
-            Only for a defect of the program; the bench is safe even then.
+        Returns: Also if the run was aborted or failed; the bench is then safe and the run can be resumed.
+        Raises Exception: Only for a defect of the program; the bench is safe even then.
         """
         try:
             with self._inbox:
@@ -360,13 +324,7 @@ class Runner:
     # ------------------------------------------------------------------ changes of state, and the supervisor
 
     def entering(self, data: Entering) -> None:
-        """Journal a change of state before it is made; then update heartbeat, interlocks and progress.
-
-        Parameters
-        ----------
-        data
-            States, step and circumstances of the change.
-        """
+        """Journal a change of state before it is made; then update heartbeat, interlocks and progress."""
         self._log.write_entering(data)
         state = data["state"]
         self._heartbeat.entering(state)
@@ -378,10 +336,7 @@ class Runner:
     def left_off(self, data: LeftOff) -> None:
         """Journal that the work of a state has ended; nothing interrupts the time between two states.
 
-        Parameters
-        ----------
-        data
-            The state, and the error if the work failed.
+        data: The state, and the error if the work failed.
         """
         self._log.write_left_off(data)
         self._interlocks.left_off()

@@ -21,20 +21,8 @@ from bench.run.steps import Steps
 class SafePoints:
     """The safe points of one run.
 
-    Parameters
-    ----------
-    job, log
-        Task and journal of the run.
-    machine
-        State machine of the run.
-    steps
-        Repeats steps after a hold.
-    interlocks
-        All of them must be clear before a run continues.
-    clock
-        Clock of the run.
-    say
-        Prints a line for the operator.
+    steps: Repeats steps after a hold.
+    interlocks: All of them must be clear before a run continues.
     """
 
     def __init__(
@@ -59,17 +47,8 @@ class SafePoints:
     def reach(self, step: ScriptStep) -> None:
         """Stop, hold or skip poses, as asked, before a step.
 
-        Parameters
-        ----------
-        step
-            The step that comes next.
-
-        Raises
-        ------
-        Aborted
-            When a stop was asked for.
-        Interrupted
-            When an interlock holds.
+        Raises Aborted: When a stop was asked for.
+        Raises Interrupted: When an interlock holds.
         """
         self._clock.check()
         self._interlocks.require_clear()
@@ -87,12 +66,7 @@ class SafePoints:
     def skip(self, pose_index: int, why: str) -> None:
         """Skip a pose: its steps will not be done.
 
-        Parameters
-        ----------
-        pose_index
-            Number of the pose, from 1.
-        why
-            The reason, for journal and report.
+        pose_index: Number of the pose, from 1.
         """
         name = self._job.record_step(pose_index).pose.name
         what = f"Pose {pose_index} ({name}) was skipped: {why}."
@@ -102,15 +76,7 @@ class SafePoints:
     def is_skipped(self, step: ScriptStep) -> bool:
         """Return whether a step belongs to a skipped pose alone, or is not needed because its ``until`` ended.
 
-        Parameters
-        ----------
-        step
-            A step of the script.
-
-        Returns
-        -------
-        bool
-            True where the step must not be done.
+        Returns: True where the step must not be done.
         """
         for pose in self._log.history.skipped.keys() - self._steps_skipped.keys():
             self._steps_skipped[pose] = {s.number for s in steps_of_pose(self._job.steps, pose)}

@@ -44,20 +44,8 @@ from sequences.script import (
 class StateWork:
     """The work of the states. Each method receives the step for which its state is entered.
 
-    Parameters
-    ----------
-    job, folder, log
-        Task, folder and journal of the run.
-    devices
-        Devices of the run.
-    holding
-        The work of the state ``holding``.
-    results
-        Calculates and writes the results.
-    decisions
-        Decides for the ``until`` steps.
-    clock
-        Clock of all waits, so that a stop ends them.
+    holding: The work of the state ``holding``.
+    decisions: Decides for the ``until`` steps.
     """
 
     def __init__(
@@ -84,10 +72,7 @@ class StateWork:
     def table(self) -> Mapping[str, Callable[..., None]]:
         """Return the work of each state that has any, for the state machine.
 
-        Returns
-        -------
-        dict
-            Method to call, by the state's name.
+        Returns: Method to call, by the state's name.
         """
         return {
             "recovering": self.recover,
@@ -132,13 +117,7 @@ class StateWork:
         require_no_faults(stage_faults(devices))
 
     def set_light(self, step: LightStep, **_: Any) -> None:
-        """Set the light as the step says.
-
-        Parameters
-        ----------
-        step
-            The light step.
-        """
+        """Set the light as the step says."""
         light = self._devices.opened.light
         if step.flicker is None:
             light.off()
@@ -147,34 +126,17 @@ class StateWork:
         light.on()
 
     def slew(self, step: MoveStep, **_: Any) -> None:
-        """Move the stage to the step's pose.
-
-        Parameters
-        ----------
-        step
-            The move step.
-        """
+        """Move the stage to the step's pose."""
         self._devices.opened.stage.move_to(step.pose.angles_deg)
 
     def stand_still(self, step: SettleStep | WaitStep, **_: Any) -> None:
-        """Wait for the duration of the step.
-
-        Parameters
-        ----------
-        step
-            The settle or wait step.
-        """
+        """Wait for the duration of the step."""
         self._clock.sleep(step.duration_s)
 
     def record(self, step: RecordStep, *, attempt: int, **_: Any) -> None:
         """Record at the step's pose. On return, the recording is complete, in its place and journaled.
 
-        Parameters
-        ----------
-        step
-            The record step.
-        attempt
-            Number of the attempt, from 1.
+        attempt: Number of the attempt, from 1.
         """
         pose, kind, devices = step.pose, self._job.camera_kind, self._devices.opened
         before = self._devices.position_deg()
@@ -201,12 +163,7 @@ class StateWork:
     def check(self, step: RecordStep, *, attempt: int, **_: Any) -> None:
         """Measure the recording just stored; accept it or journal why not.
 
-        Parameters
-        ----------
-        step
-            The record step.
-        attempt
-            Number of the attempt, from 1.
+        attempt: Number of the attempt, from 1.
         """
         pose, job, history = step.pose, self._job, self._log.history
         stored = next(a for a in history.attempts_at(pose.index) if a.attempt == attempt).stored
@@ -233,13 +190,7 @@ class StateWork:
         )
 
     def choose(self, step: ChooseStep, **_: Any) -> None:
-        """Choose the next pose of an ``until``, or end it; a decision that the journal holds is kept.
-
-        Parameters
-        ----------
-        step
-            The step that chooses.
-        """
+        """Choose the next pose of an ``until``, or end it; a decision that the journal holds is kept."""
         history = self._log.history
         if any(decided["step"] == step.number for decided in history.decisions):
             return
@@ -249,24 +200,16 @@ class StateWork:
     def back_off(self, _step: RecordStep, *, wait_s: float, **_: Any) -> None:
         """Wait after a rejected recording, so that its cause may pass.
 
-        Parameters
-        ----------
-        wait_s
-            Duration, s.
+        wait_s: Duration, s.
         """
         self._clock.sleep(wait_s)
 
     def hold(self, step: ScriptStep | None, trip: Trip | None = None, *, by: str = "", **_: Any) -> None:
         """Hold for an operator, for an interlock, or for the answer to the step's question.
 
-        Parameters
-        ----------
-        step
-            Step that comes next, or the prompt step; None before the first step.
-        trip
-            Interlock that holds the run, if any.
-        by
-            Operator who holds the run; empty if there is none.
+        step: Step that comes next, or the prompt step; None before the first step.
+        trip: Interlock that holds the run, if any.
+        by: Operator who holds the run; empty if there is none.
         """
         question = step if isinstance(step, PromptStep) else None
         if question is not None and self._job.board is not None:
@@ -283,13 +226,7 @@ class StateWork:
         devices.stage.move_to(dict.fromkeys(devices.stage.axes, 0.0))
 
     def solve(self, step: SolveStep, **_: Any) -> None:
-        """Calibrate from the accepted recordings.
-
-        Parameters
-        ----------
-        step
-            The solve step.
-        """
+        """Calibrate from the accepted recordings."""
         solved = self._results.solve(step, self._log.history, self._measured, self._clock.check)
         self._log.write(Event.SOLVED, **solved)
 

@@ -36,77 +36,52 @@ _USUAL_K = 2.0
 
 @dataclass(frozen=True)
 class Status:
-    """Status of a run.
+    """Status of a run."""
 
-    Attributes
-    ----------
-    run_id, folder, simulated
-        Name and folder of the run, and whether any device is simulated.
-    running, sealed
-        Whether a process works on the run, and whether it is finished and sealed.
-    evidence
-        ``DRAFT``, ``SEALED`` or ``AUTHORISED``, and who signed, as one line.
-    state
-        Last state that was entered; if no process works on the run, the state in which it was left.
-    ended, why
-        ``finished``, ``aborted`` or ``failed``, and why; empty while the run has not ended.
-    pose, pose_name
-        Number and name of the pose at work; None and empty between poses.
-    poses, accepted, skipped, attempts
-        How many poses there are, how many are recorded, how many are skipped; how many recordings were made. Poses that
-        the run may still choose are not counted.
-    most_poses
-        How many poses there are at most, with those that the run may still choose.
-    uncertainty
-        What an ``until`` has reached, and its goals; empty if the run has decided nothing yet.
-    result
-        Focal lengths with their expanded uncertainty, as text; empty if nothing is calibrated yet.
-    left_s
-        Expected time until the end, s; None if no process works on the run.
-    held_by
-        Operator or interlock that holds the run, and why; empty while none does.
-    question
-        Question to the operator; empty while there is none.
-    resumed, deviations
-        How often the run was resumed; deviations from the sequence.
-    last, advice
-        Last journal lines as text, the newest last; and what to do next.
-    devices
-        How stage, light and camera were left: ``device``, ``state``, ``said``. Empty while a process works on the run.
-    busy, lateness
-        How late a busy computer was, as text and as a histogram (`drivers.lateness`); empty if the journal has none.
-    ledger_number, ledger_head
-        Number of the run in its bench's ledger, and the hash of its line there; None for a rehearsal.
-    """
-
+    # run_id, folder, simulated: Name and folder of the run, and whether any device is simulated.
     run_id: str
     folder: str
     simulated: bool
+    # running, sealed: Whether a process works on the run, and whether it is finished and sealed.
     running: bool
     sealed: bool
-    evidence: str
+    evidence: str  # ``DRAFT``, ``SEALED`` or ``AUTHORISED``, and who signed, as one line
+    # Last state that was entered; if no process works on the run, the state in which it was left.
     state: str
+    # ended, why: ``finished``, ``aborted`` or ``failed``, and why; empty while the run has not ended.
     ended: str
     why: str
+    # pose, pose_name: Number and name of the pose at work; None and empty between poses.
     pose: int | None
     pose_name: str
+    # poses, accepted, skipped, attempts: How many poses there are, how many are recorded, how many are
+    # skipped; how many recordings were made. Poses that the run may still choose are not counted.
     poses: int
-    most_poses: int
+    most_poses: int  # How many poses there are at most, with those that the run may still choose
     accepted: int
     skipped: int
     attempts: int
+    # What an ``until`` has reached, and its goals; empty if the run has decided nothing yet.
     uncertainty: str
+    # Focal lengths with their expanded uncertainty, as text; empty if nothing is calibrated yet.
     result: str
-    left_s: float | None
-    held_by: str
-    question: str
+    left_s: float | None  # Expected time until the end, s; None if no process works on the run
+    held_by: str  # Operator or interlock that holds the run, and why; empty while none does
+    question: str  # Question to the operator; empty while there is none
     resumed: int
     deviations: Sequence[str]
+    # last, advice: Last journal lines as text, the newest last; and what to do next.
     last: Sequence[str]
     advice: str
+    # How stage, light and camera were left: ``device``, ``state``, ``said``. Empty while a process works on
+    # the run.
     devices: Sequence[Mapping[str, str]] = ()
+    # busy, lateness: How late a busy computer was, as text and as a histogram (`drivers.lateness`); empty if
+    # the journal has none.
     busy: str = ""
     lateness: Mapping[str, Any] = field(default_factory=dict)
+    # ledger_number, ledger_head: Number of the run in its bench's ledger, and the hash of its line there;
+    # None for a rehearsal.
     ledger_number: int | None = None
     ledger_head: str | None = None
 
@@ -118,13 +93,7 @@ class Status:
         return self.ledger_number, self.ledger_head
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the status for JSON output.
-
-        Returns
-        -------
-        dict
-            Values that can be written as JSON.
-        """
+        """Return the status for JSON output."""
         return {"schema": "starbench/status/1", **asdict(self)}
 
 
@@ -142,26 +111,10 @@ class _Plan(TypedDict):
 def read_status(folder: Path, utc_now: Callable[[], datetime] = lambda: datetime.now(UTC)) -> Status:
     """Read the status of a run. Nothing is changed, and its process is not disturbed.
 
-    Parameters
-    ----------
-    folder
-        Run folder.
-    utc_now
-        Returns the present time, UTC.
-
-    Returns
-    -------
-    Status
-        The status.
-
-    Raises
-    ------
-    RunFolderError
-        If there is no run.
-    JournalBroken
-        If the hash chain of its journal is broken.
-    StorageError
-        If it cannot be read.
+    utc_now: Returns the present time, UTC.
+    Raises RunFolderError: If there is no run.
+    Raises JournalBroken: If the hash chain of its journal is broken.
+    Raises StorageError: If it cannot be read.
     """
     return read_with_entries(folder, utc_now())[0]
 
@@ -171,22 +124,8 @@ def read_with_entries(folder: Path, now: datetime) -> tuple[Status, Sequence[Ent
 
     The lock is read first: a run that ends meanwhile does not appear as killed.
 
-    Parameters
-    ----------
-    folder
-        The run folder.
-    now
-        The time, UTC.
-
-    Returns
-    -------
-    tuple
-        The status, and all lines of the journal.
-
-    Raises
-    ------
-    RunFolderError
-        If it is no run folder.
+    now: The time, UTC.
+    Raises RunFolderError: If it is no run folder.
     """
     if not (folder / JOURNAL).is_file():
         raise RunFolderError(

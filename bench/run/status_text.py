@@ -13,34 +13,12 @@ _WORTH_TELLING_S = 5.0
 
 
 def status_text(status: Status) -> str:
-    """Return a status as text.
-
-    Parameters
-    ----------
-    status
-        The status.
-
-    Returns
-    -------
-    str
-        Lines of text.
-    """
+    """Return a status as text."""
     return "\n".join([*head_lines(status), *(f"  {line}" for line in status.last), status.advice])
 
 
 def head_lines(status: Status) -> list[str]:
-    """Return the first part of a status as text: state, counts, uncertainty and deviations.
-
-    Parameters
-    ----------
-    status
-        The status.
-
-    Returns
-    -------
-    list of str
-        Lines of text.
-    """
+    """Return the first part of a status as text: state, counts, uncertainty and deviations."""
     poses = f"{'at most ' if status.most_poses > status.poses else ''}{status.most_poses}"
     counts = f"{status.accepted} of {poses} poses recorded, {counted(status.attempts, 'recording')}"
     counts += f", {status.skipped} skipped" if status.skipped else ""

@@ -43,14 +43,8 @@ _TRIGGERS: Mapping[type, str] = {
 class Steps:
     """Steps of one run's script.
 
-    Parameters
-    ----------
-    job
-        The script.
-    log
-        The run's journal, which holds the poses that the run has chosen.
-    machine
-        The run's state machine.
+    log: The run's journal, which holds the poses that the run has chosen.
+    machine: The run's state machine.
     """
 
     def __init__(self, job: Job, log: RunLog, machine: RunMachine) -> None:
@@ -59,13 +53,7 @@ class Steps:
         self._machine = machine
 
     def take(self, step: ScriptStep) -> None:
-        """Take the one edge of a step that records nothing.
-
-        Parameters
-        ----------
-        step
-            Any step but a RecordStep.
-        """
+        """Take the one edge of a step that records nothing."""
         if isinstance(step, MoveStep):
             step = self._job.at_its_pose(step, self._log.history.chosen)
             self.fire_at("slew", step, target_deg=dict(step.pose.angles_deg))
@@ -75,38 +63,16 @@ class Steps:
     def fire_at(
         self, trigger: str, step: MoveStep | RecordStep, **circumstances: Unpack[Circumstances]
     ) -> None:
-        """Take an edge for a step at its pose.
-
-        Parameters
-        ----------
-        trigger
-            The edge.
-        step
-            The step; its pose is journaled.
-        circumstances
-            What the journal states besides.
-        """
+        """Take an edge for a step at its pose."""
         at_pose: Circumstances = {"pose": step.pose.index, "pose_name": step.pose.name, **circumstances}
         self._machine.fire(trigger, self._job.at_its_pose(step, self._log.history.chosen), **at_pose)
 
     def set_light(self, light: LightStep) -> None:
-        """Set the light as a light step specifies, whether or not the script has reached that step.
-
-        Parameters
-        ----------
-        light
-            The light step.
-        """
+        """Set the light as a light step specifies, whether or not the script has reached that step."""
         self._machine.fire("set_light", light)
 
     def prepare_again(self, step: ScriptStep) -> None:
-        """Set up the bench again after a hold: the light, and the move and settling that the next recording needs.
-
-        Parameters
-        ----------
-        step
-            The step that comes next.
-        """
+        """Set up the bench again after a hold: the light, and the move and settling that the next recording needs."""
         here = self._job.index_of(step)
         left_out = self._log.history.is_left_out
         coming = (later for later in self._job.steps[here:] if not left_out(later.number))

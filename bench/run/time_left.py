@@ -19,12 +19,8 @@ _FIXED = frozenset({"prompt", "wait", "settle"})
 class TimeLeft:
     """Time left of one run; `apply` follows the journal.
 
-    Parameters
-    ----------
-    steps
-        ``steps`` of plan.json, in order.
-    duration_s
-        ``duration_s`` of plan.json.
+    steps: ``steps`` of plan.json, in order.
+    duration_s: ``duration_s`` of plan.json.
     """
 
     def __init__(self, steps: Sequence[Mapping[str, Any]], duration_s: float) -> None:
@@ -43,15 +39,7 @@ class TimeLeft:
         self._mark_utc = ""
 
     def apply(self, entry: Entry, history: History) -> None:
-        """Follow one line of the journal.
-
-        Parameters
-        ----------
-        entry
-            The line.
-        history
-            History of the run, to which the line is applied already.
-        """
+        """Follow one line of the journal."""
         if entry.event in {Event.STEP_DONE, Event.RUN_STARTED, Event.RUN_RESUMED}:
             self._mark_utc = entry.utc
         if entry.event == Event.STEP_DONE:
@@ -78,17 +66,8 @@ class TimeLeft:
     def left_s(self, now: datetime, *, held: bool) -> float:
         """Return the time left.
 
-        Parameters
-        ----------
-        now
-            The present time, with its time zone.
-        held
-            Whether the run is held; time does not pass for it then.
-
-        Returns
-        -------
-        float
-            Time, s. From the third step on, the planned times are scaled by what the steps so far took.
+        held: Whether the run is held; time does not pass for it then.
+        Returns: Time, s. From the third step on, the planned times are scaled by what the steps so far took.
         """
         left_s = self._scaled_s(self._duration_s, self._fixed_s)
         if held or not self._mark_utc:
@@ -99,15 +78,7 @@ class TimeLeft:
     def left_at_step_s(self, step: int) -> float:
         """Return the planned time from the last step done to the begin of a later step, scaled.
 
-        Parameters
-        ----------
-        step
-            Number of the later step.
-
-        Returns
-        -------
-        float
-            Time, s.
+        Returns: Time, s.
         """
         own_s = self._planned_s.get(step, 0.0)
         fixed_s = self._fixed_after_s.get(step, 0.0) - (own_s if step in self._fixed else 0.0)
@@ -123,16 +94,7 @@ class TimeLeft:
     def next_of(self, numbers: Sequence[int], done: set[int]) -> int | None:
         """Return the first of some steps that is still to come.
 
-        Parameters
-        ----------
-        numbers
-            Numbers of the steps, in order.
-        done
-            Numbers of the steps that are done.
-
-        Returns
-        -------
-        int or None
-            Its number; None if none is to come.
+        numbers: Numbers of the steps, in order.
+        Returns: Its number; None if none is to come.
         """
         return next((n for n in numbers if n not in done and self._after_s.get(n, 0.0) > self._begun_s), None)

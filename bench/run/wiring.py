@@ -43,17 +43,7 @@ _BURST = 3.0
 
 @dataclass(frozen=True)
 class WiringFault:
-    """A fault of the wiring.
-
-    Attributes
-    ----------
-    name
-        In two or three words.
-    what
-        What was seen.
-    remedy
-        What to do.
-    """
+    """A fault of the wiring."""
 
     name: str
     what: str
@@ -62,53 +52,22 @@ class WiringFault:
 
 @dataclass(frozen=True)
 class WiringReport:
-    """What the self-test saw.
+    """What the self-test saw."""
 
-    Attributes
-    ----------
-    faults
-        What is wrong; empty if light, cable and trigger input agree.
-    seen
-        Numbers of events and edges, in one sentence.
-    """
-
-    faults: Sequence[WiringFault]
+    faults: Sequence[WiringFault]  # What is wrong; empty if light, cable and trigger input agree
     seen: str
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the report for JSON output.
-
-        Returns
-        -------
-        dict
-            Values that can be written as JSON.
-        """
+        """Return the report for JSON output."""
         return {"schema": "starbench/wiring/1", **asdict(self)}
 
 
 def check_wiring(devices: Devices, station: Station, clock: BenchClock) -> WiringReport:
     """Switch the light on, record, switch it off, and compare edges with events.
 
-    Parameters
-    ----------
-    devices
-        The open devices.
-    station
-        The station file.
-    clock
-        Every wait goes through it.
-
-    Returns
-    -------
-    WiringReport
-        What was seen.
-
-    Raises
-    ------
-    UsageError
-        If the camera is no event camera; nothing is switched then.
-    drivers.errors.DriverError
-        If a device fails; the light is then off, or the error of switching it off is raised.
+    Raises UsageError: If the camera is no event camera; nothing is switched then.
+    Raises drivers.errors.DriverError: If a device fails; the light is then off, or the error of switching it
+      off is raised.
     """
     kind = camera_kind(station)
     if kind.name != "event":
@@ -137,20 +96,7 @@ def check_wiring(devices: Devices, station: Station, clock: BenchClock) -> Wirin
 
 
 def judge(dark: Triggers, events: Events, edges: Triggers) -> WiringReport:
-    """Compare the edges with the events of a flicker of `FREQUENCY_HZ` and `DUTY_PERCENT`.
-
-    Parameters
-    ----------
-    dark
-        Edges while the light was off.
-    events, edges
-        Of the recording with the light on.
-
-    Returns
-    -------
-    WiringReport
-        What is wrong.
-    """
+    """Compare the edges with the events of a flicker of `FREQUENCY_HZ` and `DUTY_PERCENT`."""
     span_s = _span_s(events, edges)
     expected = span_s * FREQUENCY_HZ
     seen = (

@@ -25,22 +25,8 @@ _ENDS: Final = {"CR": b"\r", "LF": b"\n", "CRLF": b"\r\n", "space": b" "}
 def template(text: str, known: frozenset[str], readable: frozenset[str] | None) -> Template:
     """Read a template; a fault of it becomes one of the document.
 
-    Parameters
-    ----------
-    text
-        The template.
-    known, readable
-        See `drivers.described.template.parse_template`.
-
-    Returns
-    -------
-    Template
-        The template.
-
-    Raises
-    ------
-    PydanticCustomError
-        When it cannot be used.
+    known, readable: See `drivers.described.template.parse_template`.
+    Raises PydanticCustomError: When it cannot be used.
     """
     try:
         return parse_template(text, known=known, readable=readable)
@@ -51,17 +37,8 @@ def template(text: str, known: frozenset[str], readable: frozenset[str] | None) 
 def request_check(known: frozenset[str], value: str = "") -> Callable[[str], str]:
     """Return a check of a request that may carry one value, and then must.
 
-    Parameters
-    ----------
-    known
-        Names that may stand without a kind.
-    value
-        Name of the value; empty for none.
-
-    Returns
-    -------
-    callable
-        The check, for pydantic.
+    known: Names that may stand without a kind.
+    value: Name of the value; empty for none.
     """
 
     def check(text: str) -> str:
@@ -80,17 +57,8 @@ def request_check(known: frozenset[str], value: str = "") -> Callable[[str], str
 def reply_check(known: frozenset[str], value: str = "") -> Callable[[str], str]:
     """Return a check of a reply that must have one value, or need not have any.
 
-    Parameters
-    ----------
-    known
-        Names that may stand without a kind, besides ``request``.
-    value
-        Name of the value; empty for none.
-
-    Returns
-    -------
-    callable
-        The check, for pydantic.
+    known: Names that may stand without a kind, besides ``request``.
+    value: Name of the value; empty for none.
     """
 
     def check(text: str) -> str:
@@ -109,19 +77,9 @@ def reply_check(known: frozenset[str], value: str = "") -> Callable[[str], str]:
 def make_exchange(send: str, reply: str | None, known: frozenset[str], value: str = "") -> of.Exchange:
     """Return an exchange for the driver, from templates that were checked.
 
-    Parameters
-    ----------
-    send, reply
-        The templates; None for no reply.
-    known
-        Names that may stand without a kind.
-    value
-        Name of the value that the request carries; empty for none.
-
-    Returns
-    -------
-    Exchange
-        The exchange.
+    send, reply: The templates; None for no reply.
+    known: Names that may stand without a kind.
+    value: Name of the value that the request carries; empty for none.
     """
     return of.Exchange(
         template(send, known, frozenset({value} - {""})),
@@ -139,13 +97,7 @@ class Command(StrictModel):
     reply: Annotated[Line, AfterValidator(reply_check(NOTHING))]
 
     def exchange(self) -> of.Exchange:
-        """Return the exchange for the driver.
-
-        Returns
-        -------
-        Exchange
-            As the driver takes it.
-        """
+        """Return the exchange for the driver."""
         return make_exchange(self.send, self.reply, NOTHING)
 
 
@@ -172,13 +124,7 @@ class StateQuery(StrictModel):
         return self
 
     def switch(self) -> of.Switch:
-        """Return the query for the driver.
-
-        Returns
-        -------
-        Switch
-            As the driver takes it.
-        """
+        """Return the query for the driver."""
         return of.Switch(make_exchange(self.send, self.reply, ADDRESS), tuple(self.when))
 
 
@@ -252,13 +198,7 @@ class Described(StrictModel):
     notices: Annotated[tuple[NoticeConfig, ...], Field(max_length=20)] = ()
 
     def of_line(self) -> of.LineDescription:
-        """Return the line for the driver.
-
-        Returns
-        -------
-        LineDescription
-            As the driver takes it.
-        """
+        """Return the line for the driver."""
         return of.LineDescription(
             maker=self.maker,
             model=self.model,

@@ -17,66 +17,22 @@ SHIPPED_DESCRIPTIONS: Final = Path(__file__).parent / "descriptions"
 
 
 def read_stage_protocol(path: Path) -> Located[StageProtocol]:
-    """Read the description of a stage.
-
-    Parameters
-    ----------
-    path
-        The file.
-
-    Returns
-    -------
-    Located of StageProtocol
-        The description.
-
-    Raises
-    ------
-    DocumentFaults
-        With every fault of the file.
-    """
+    """Read the description of a stage."""
     return read_document(path, StageProtocol)
 
 
 def read_light_protocol(path: Path) -> Located[LightProtocol]:
-    """Read the description of a light.
-
-    Parameters
-    ----------
-    path
-        The file.
-
-    Returns
-    -------
-    Located of LightProtocol
-        The description.
-
-    Raises
-    ------
-    DocumentFaults
-        With every fault of the file.
-    """
+    """Read the description of a light."""
     return read_document(path, LightProtocol)
 
 
 def find_description(name_or_path: str, folder: Path | None) -> Path:
     """Find the file of a description.
 
-    Parameters
-    ----------
-    name_or_path
-        Name of a shipped description, or a path.
-    folder
-        Folder to which a path is relative; None for the working directory.
-
-    Returns
-    -------
-    Path
-        The file, which need not exist if a path was given.
-
-    Raises
-    ------
-    DocumentFaults
-        If a bare name is neither a file nor shipped; the message lists the shipped names.
+    name_or_path: Name of a shipped description, or a path.
+    folder: Folder to which a path is relative; None for the working directory.
+    Returns: The file, which need not exist if a path was given.
+    Raises DocumentFaults: If a bare name is neither a file nor shipped; the message lists the shipped names.
     """
     path = Path(name_or_path)
     if folder is not None and (path.name != name_or_path or path.suffix):

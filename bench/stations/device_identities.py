@@ -21,15 +21,7 @@ def serial_devices(station: Station) -> tuple[str, ...]:
 
     A strobe controller has no serial number, and that of a generator or a board is optional in the file.
 
-    Parameters
-    ----------
-    station
-        The station file.
-
-    Returns
-    -------
-    tuple of str
-        Family and serial number of each device, such as ``Zaber 100101``, without repetition.
+    Returns: Family and serial number of each device, such as ``Zaber 100101``, without repetition.
     """
     found: list[tuple[str, str, str | None]] = []
     match station.stage:
@@ -60,20 +52,7 @@ def serial_devices(station: Station) -> tuple[str, ...]:
 def hold_serial_devices(station: Station) -> Iterator[None]:
     """Lock the serial devices of a station against other processes of this computer, for the duration of the block.
 
-    Parameters
-    ----------
-    station
-        The station file.
-
-    Yields
-    ------
-    None
-        While the devices are locked.
-
-    Raises
-    ------
-    drivers.errors.PortBusy
-        When another process uses one of the devices, through any port.
+    Raises drivers.errors.PortBusy: When another process uses one of the devices, through any port.
     """
     with hold_devices(serial_devices(station)):
         yield
@@ -83,20 +62,8 @@ def hold_serial_devices(station: Station) -> Iterator[None]:
 def hold_devices(devices: Iterable[str]) -> Iterator[None]:
     """Lock devices against other processes of this computer, for the duration of the block.
 
-    Parameters
-    ----------
-    devices
-        Family and serial number of each, from `serial_devices`.
-
-    Yields
-    ------
-    None
-        While the devices are locked.
-
-    Raises
-    ------
-    drivers.errors.PortBusy
-        When another process uses one of the devices, through any port.
+    devices: Family and serial number of each, from `serial_devices`.
+    Raises drivers.errors.PortBusy: When another process uses one of the devices, through any port.
     """
     with ExitStack() as holds:
         for device in devices:

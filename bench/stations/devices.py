@@ -49,32 +49,15 @@ LEFT_DEVICES = "left_devices"
 class Devices:
     """A stage, a light and a camera, open. Opening moves nothing and switches nothing on.
 
-    Parameters
-    ----------
-    station
-        The station file.
-    seed
-        Random seed of the simulated bench, if the station uses it.
-    clock
-        The run's clock; every wait of a driver goes through it.
-    wire_log
-        Records the bytes on serial lines; None to record nothing.
-
-    Attributes
-    ----------
-    stage, light, camera
-        The open devices.
-    late
-        Devices that may still be opening, by name; empty here (see `bench.stations.separate_devices`).
-
-    Raises
-    ------
-    drivers.errors.DriverError
-        When a device cannot be opened, or is not the one that the station file names; the others are then closed.
-    SimulationError
-        When the simulated bench does not start.
+    seed: Random seed of the simulated bench, if the station uses it.
+    clock: The run's clock; every wait of a driver goes through it.
+    wire_log: Records the bytes on serial lines; None to record nothing.
+    Raises drivers.errors.DriverError: When a device cannot be opened, or is not the one that the station file
+      names; the others are then closed.
+    Raises SimulationError: When the simulated bench does not start.
     """
 
+    # Devices that may still be opening, by name; empty here (see `bench.stations.separate_devices`).
     late: Mapping[str, Any] = MappingProxyType({})
     stage: Stage
     light: Light
@@ -98,10 +81,7 @@ class Devices:
     def truth(self) -> dict[str, Any] | None:
         """Read the true parameters of the simulated bench, for the final comparison only.
 
-        Returns
-        -------
-        dict or None
-            Parameters by part; None on a real bench.
+        Returns: Parameters by part; None on a real bench.
         """
         return self._simulation.truth() if self._simulation is not None else None
 
@@ -113,20 +93,14 @@ class Devices:
     def make_safe(self) -> list[str]:
         """Stop the stage, switch the light off and stop the camera: each of them, even if another one fails.
 
-        Returns
-        -------
-        list of str
-            A sentence for stage and light each that did not confirm; empty when both are safe.
+        Returns: A sentence for stage and light each that did not confirm; empty when both are safe.
         """
         return unsafe_devices(self.make_each_safe())
 
     def make_each_safe(self) -> list[DeviceEnd]:
         """Stop the stage, switch the light off and stop the camera: each of them, even if another one fails.
 
-        Returns
-        -------
-        list of DeviceEnd
-            What each device answered. A device that is not open is left out.
+        Returns: What each device answered. A device that is not open is left out.
         """
         if self._simulation is not None and not self._simulation.alive:
             return lost_ends(
@@ -177,15 +151,7 @@ class Devices:
 def left_devices(error: BaseException) -> list[DeviceEnd]:
     """Return how an opening that failed left the devices that were open before.
 
-    Parameters
-    ----------
-    error
-        The error of the opening.
-
-    Returns
-    -------
-    list of DeviceEnd
-        Empty if none was open.
+    Returns: Empty if none was open.
     """
     return list(getattr(error, LEFT_DEVICES, ()))
 
@@ -193,20 +159,7 @@ def left_devices(error: BaseException) -> list[DeviceEnd]:
 def stop_stage(stage: Stage) -> str:
     """Stop a stage.
 
-    Parameters
-    ----------
-    stage
-        The open stage.
-
-    Returns
-    -------
-    str
-        What it answered.
-
-    Raises
-    ------
-    drivers.errors.DriverError
-        When it does not confirm.
+    Raises drivers.errors.DriverError: When it does not confirm.
     """
     stage.stop()
     try:
@@ -219,20 +172,7 @@ def stop_stage(stage: Stage) -> str:
 def switch_off(light: Light) -> str:
     """Switch a light off.
 
-    Parameters
-    ----------
-    light
-        The open light.
-
-    Returns
-    -------
-    str
-        What it answered.
-
-    Raises
-    ------
-    drivers.errors.DriverError
-        When it does not confirm.
+    Raises drivers.errors.DriverError: When it does not confirm.
     """
     light.off()
     return "it was read back as off"
@@ -252,26 +192,9 @@ PortName = Callable[[str], str]
 def open_stage(station: Station, port: PortName, clock: BenchClock, wire_log: WireLog | None) -> Stage:
     """Open the stage of a station. Nothing moves, and nothing is switched on.
 
-    Parameters
-    ----------
-    station
-        The station file.
-    port
-        Returns the system's name of a port.
-    clock
-        Every wait of the driver goes through it.
-    wire_log
-        Records the bytes on serial lines; None to record nothing.
-
-    Returns
-    -------
-    Stage
-        The open device.
-
-    Raises
-    ------
-    drivers.errors.DriverError
-        If it cannot be opened, or is not the one that the station file names.
+    port: Returns the system's name of a port.
+    wire_log: Records the bytes on serial lines; None to record nothing.
+    Raises drivers.errors.DriverError: If it cannot be opened, or is not the one that the station file names.
     """
     match station.stage:
         case station_stages.ZaberStageConfig() as config:
@@ -307,26 +230,9 @@ def open_stage(station: Station, port: PortName, clock: BenchClock, wire_log: Wi
 def open_light(station: Station, port: PortName, clock: BenchClock, wire_log: WireLog | None) -> Light:
     """Open the light of a station. Nothing moves, and nothing is switched on.
 
-    Parameters
-    ----------
-    station
-        The station file.
-    port
-        Returns the system's name of a port.
-    clock
-        Every wait of the driver goes through it.
-    wire_log
-        Records the bytes on serial lines; None to record nothing.
-
-    Returns
-    -------
-    Light
-        The open device.
-
-    Raises
-    ------
-    drivers.errors.DriverError
-        If it cannot be opened, or is not the one that the station file names.
+    port: Returns the system's name of a port.
+    wire_log: Records the bytes on serial lines; None to record nothing.
+    Raises drivers.errors.DriverError: If it cannot be opened, or is not the one that the station file names.
     """
     match station.light:
         case station_lights.ScpiLightConfig() as config:
@@ -358,24 +264,8 @@ def open_light(station: Station, port: PortName, clock: BenchClock, wire_log: Wi
 def open_camera(station: Station, port: PortName, clock: BenchClock) -> Camera:  # noqa: PLR0911 - one for each driver
     """Open the camera of a station. Nothing moves, and nothing is switched on.
 
-    Parameters
-    ----------
-    station
-        The station file.
-    port
-        Returns the system's name of a port.
-    clock
-        Every wait of the driver goes through it.
-
-    Returns
-    -------
-    Camera
-        The open device.
-
-    Raises
-    ------
-    drivers.errors.DriverError
-        If it cannot be opened, or is not the one that the station file names.
+    port: Returns the system's name of a port.
+    Raises drivers.errors.DriverError: If it cannot be opened, or is not the one that the station file names.
     """
     match station.camera:
         case station_cameras.SimulatedEvk4Config() as config:

@@ -21,70 +21,32 @@ BY_ID = Path("/dev/serial/by-id")
 
 @dataclass(frozen=True)
 class FoundPort:
-    """A serial port.
+    """A serial port."""
 
-    Attributes
-    ----------
-    name
-        Name for a station file: below ``/dev/serial/by-id``, if the system provides it.
-    device
-        The system's name, which may belong to another device after a restart.
-    what
-        Description of the adapter, from the adapter itself.
-    serial
-        Serial number of the adapter, not of the device behind it.
-    note
-        Why the port cannot be used; empty if it can.
-    """
-
-    name: str
-    device: str
+    name: str  # Name for a station file: below ``/dev/serial/by-id``, if the system provides it
+    device: str  # The system's name, which may belong to another device after a restart
     what: str
-    serial: str
-    note: str
+    serial: str  # Serial number of the adapter, not of the device behind it
+    note: str  # Why the port cannot be used; empty if it can
 
 
 @dataclass(frozen=True)
 class Discovery:
-    """What is connected.
-
-    Attributes
-    ----------
-    ports
-        Serial ports.
-    cameras
-        Cameras.
-    missing
-        Sentences that say what is missing in order to find or use more.
-    """
+    """What is connected."""
 
     ports: tuple[FoundPort, ...]
     cameras: tuple[FoundCamera, ...]
-    missing: tuple[str, ...]
+    missing: tuple[str, ...]  # Sentences that say what is missing in order to find or use more
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the discovery as ``--json`` prints it.
-
-        Returns
-        -------
-        dict
-            All attributes.
-        """
+        """Return the discovery as ``--json`` prints it."""
         return asdict(self)
 
 
 def discover(by_id: Path = BY_ID) -> Discovery:
     """List the serial ports and cameras of this computer.
 
-    Parameters
-    ----------
-    by_id
-        Folder with links to the serial ports.
-
-    Returns
-    -------
-    Discovery
-        The ports in the order of their system names, and the cameras.
+    Returns: The ports in the order of their system names, and the cameras.
     """
     names = {os.path.realpath(link): str(link) for link in by_id.iterdir()} if by_id.is_dir() else {}
     ports = tuple(_port(info, names) for info in sorted(list_ports.comports(), key=lambda info: info.device))

@@ -76,13 +76,7 @@ class LightSettingConfig(StrictModel):
         return self
 
     def setting(self) -> of.LightSetting:
-        """Return the setting for the driver.
-
-        Returns
-        -------
-        AxisSetting or LightSetting
-            The setting.
-        """
+        """Return the setting for the driver."""
         lowest, highest = self.range or (float("-inf"), float("inf"))
         return of.LightSetting(
             quantity=self.quantity,
@@ -130,13 +124,7 @@ class LightProtocol(Described):
         return next((one.range for one in self.settings if one.quantity == "frequency_hz"), None)
 
     def for_driver(self) -> of.LightDescription:
-        """Return the description for the driver.
-
-        Returns
-        -------
-        StageDescription or LightDescription
-            The description.
-        """
+        """Return the description for the driver."""
         return of.LightDescription(
             line=self.of_line(),
             on=self.on.exchange(),

@@ -21,17 +21,9 @@ def make_orphans_safe(station: Station, clock: BenchClock) -> list[DeviceEnd]:
 
     Each device is opened anew, even if the other one fails.
 
-    Parameters
-    ----------
-    station
-        The station file of the dead process.
-    clock
-        Every wait of a driver goes through it.
-
-    Returns
-    -------
-    list of DeviceEnd
-        What stage and light answered; the camera is not asked. Simulated devices are left out: none is there to ask.
+    clock: Every wait of a driver goes through it.
+    Returns: What stage and light answered; the camera is not asked. Simulated devices are left out: none is
+      there to ask.
     """
     ends = []
     asked: tuple[tuple[DeviceName, list[str], Callable[[Station, BenchClock], str]], ...] = (

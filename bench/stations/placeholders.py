@@ -42,18 +42,7 @@ ToFillIn = BeforeValidator(_accept_placeholder)
 
 
 def find_placeholders(station: Tree) -> list[Fault]:
-    """Find the values of a drafted station file that are not filled in yet.
-
-    Parameters
-    ----------
-    station
-        The document, with the positions of its values.
-
-    Returns
-    -------
-    list of Fault
-        One fault for each placeholder, at its line.
-    """
+    """Find the values of a drafted station file that are not filled in yet."""
     return [
         Fault(
             station.file, *station.spot(path), path_text(path), f"this value is missing (placeholder {text})."

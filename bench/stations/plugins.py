@@ -35,29 +35,14 @@ _BASES: Final[dict[Kind, tuple[type[StrictModel], ...]]] = {
 
 @dataclass(frozen=True)
 class Plugin:
-    """One entry point of a package.
-
-    Attributes
-    ----------
-    kind
-        Kind of the device.
-    name
-        Name of the driver.
-    package
-        Name and version of the package.
-    section
-        Class of the section; None if it cannot be used.
-    trouble
-        Why it cannot be used; empty if it can.
-    distribution, version
-        Name of the package, and its version; both are empty if no package is known.
-    """
+    """One entry point of a package."""
 
     kind: Kind
     name: str
     package: str
-    section: type[StrictModel] | None
-    trouble: str = ""
+    section: type[StrictModel] | None  # Class of the section; None if it cannot be used
+    trouble: str = ""  # Why it cannot be used; empty if it can
+    # distribution, version: Name of the package, and its version; both are empty if no package is known.
     distribution: str = ""
     version: str = ""
 
@@ -66,15 +51,7 @@ class Plugin:
 def plugins(kind: Kind) -> tuple[Plugin, ...]:
     """Load the plug-ins of a kind, once a process. No exception of a plug-in passes through.
 
-    Parameters
-    ----------
-    kind
-        Kind of the device.
-
-    Returns
-    -------
-    tuple of Plugin
-        In the order of their names.
+    Returns: In the order of their names.
     """
     found: dict[str, Plugin] = {}
     for entry in sorted(entry_points(group=GROUPS[kind]), key=lambda entry: entry.name):
@@ -87,20 +64,7 @@ def plugins(kind: Kind) -> tuple[Plugin, ...]:
 
 
 def with_plugins(kind: Kind, built_in: Sequence[type[BaseModel]]) -> Any:
-    """Return the type of a section: any built-in driver or plug-in, told apart by ``driver``.
-
-    Parameters
-    ----------
-    kind
-        Kind of the device.
-    built_in
-        Sections of the built-in drivers.
-
-    Returns
-    -------
-    type
-        A union, for a field of the station.
-    """
+    """Return the type of a section: any built-in driver or plug-in, told apart by ``driver``."""
     taken = {name for section in built_in for name in _driver_names(section)}
     brought = [plugin for plugin in plugins(kind) if plugin.name not in taken]
     models = [*built_in, *(_broken(one) if one.section is None else one.section for one in brought)]

@@ -30,12 +30,7 @@ _LIGHT_FAMILY: Final = "generator "
 class LateDevice:
     """A device that is opened on its own thread.
 
-    Parameters
-    ----------
-    name
-        ``stage`` or ``light``.
-    opener
-        Opens the device, and leaves on the stack how it is closed.
+    name: ``stage`` or ``light``.
     """
 
     def __init__(self, name: str, opener: Callable[[ExitStack], Any]) -> None:
@@ -57,10 +52,7 @@ class LateDevice:
     def listen(self, on_end: Callable[[], None]) -> None:
         """Have a function called after each attempt to open it, by the opening thread.
 
-        Parameters
-        ----------
-        on_end
-            Called without arguments; at once if an attempt has ended already.
+        on_end: Called without arguments; at once if an attempt has ended already.
         """
         with self._lock:
             self._on_end = on_end
@@ -80,17 +72,8 @@ class LateDevice:
     def get(self) -> Any:
         """Return the open device.
 
-        Returns
-        -------
-        object
-            The device.
-
-        Raises
-        ------
-        StillOpening
-            If it is being opened.
-        DriverError
-            Why it could not be opened.
+        Raises StillOpening: If it is being opened.
+        Raises DriverError: Why it could not be opened.
         """
         device, error = self._device, self._error
         if device is not None:
@@ -131,23 +114,12 @@ class LateDevice:
 class SeparateDevices(Devices):
     """A camera that is open, and a stage and a light that open meanwhile.
 
-    Parameters
-    ----------
-    station
-        The station file.
-    seed
-        Random seed of the simulated bench, if the station uses it.
-    clock
-        Every wait of a driver goes through it.
-    wire_log
-        Records the bytes on serial lines; None to record nothing.
-
-    Raises
-    ------
-    drivers.errors.DriverError
-        When the camera cannot be opened, or is not the one that the station file names.
-    SimulationError
-        When the simulated bench does not start.
+    seed: Random seed of the simulated bench, if the station uses it.
+    clock: Every wait of a driver goes through it.
+    wire_log: Records the bytes on serial lines; None to record nothing.
+    Raises drivers.errors.DriverError: When the camera cannot be opened, or is not the one that the station
+      file names.
+    Raises SimulationError: When the simulated bench does not start.
     """
 
     def __init__(self, station: Station, *, seed: int, clock: BenchClock, wire_log: WireLog | None) -> None:

@@ -102,13 +102,7 @@ class AxisSettingConfig(StrictModel):
         return self
 
     def setting(self) -> of.AxisSetting:
-        """Return the setting for the driver.
-
-        Returns
-        -------
-        AxisSetting or LightSetting
-            The setting.
-        """
+        """Return the setting for the driver."""
         return of.AxisSetting(
             quantity=self.quantity,
             set=make_exchange(self.set.send, self.set.reply, ADDRESS, "value"),
@@ -148,13 +142,7 @@ class StageProtocol(Described):
         return "{address}" in self.axis.move.send
 
     def for_driver(self) -> of.StageDescription:
-        """Return the description for the driver.
-
-        Returns
-        -------
-        StageDescription or LightDescription
-            The description.
-        """
+        """Return the description for the driver."""
         axis = self.axis
         return of.StageDescription(
             line=self.of_line(),

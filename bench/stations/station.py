@@ -119,22 +119,9 @@ class Station(StrictModel):
 def load_station(name_or_path: str, settings: Mapping[str, str] | None = None) -> Located[Station]:
     """Read a station file.
 
-    Parameters
-    ----------
-    name_or_path
-        Path of the file, or name of a shipped station such as ``simulated``.
-    settings
-        Values that replace those of the file: YAML texts by path, such as ``camera.biases.bias_fo``.
-
-    Returns
-    -------
-    Located of Station
-        The station, with the positions of its values.
-
-    Raises
-    ------
-    DocumentFaults
-        When the file is not valid, with all faults.
+    name_or_path: Path of the file, or name of a shipped station such as ``simulated``.
+    settings: Values that replace those of the file: YAML texts by path, such as ``camera.biases.bias_fo``.
+    Raises DocumentFaults: When the file is not valid, with all faults.
     """
     station = read_document(find_document(name_or_path, SHIPPED_STATIONS), Station, settings)
     use_descriptions(station)

@@ -65,13 +65,7 @@ class BoardConfig(StrictModel):
         return self
 
     def board(self) -> Board:
-        """Return the board for the calibration engine.
-
-        Returns
-        -------
-        Board
-            The board.
-        """
+        """Return the board for the calibration engine."""
         return Board(self.kind, self.columns, self.rows, self.pitch_mm, self.frequencies_hz or ())
 
     @property

@@ -139,15 +139,7 @@ class BudgetConfig(StrictModel):
         The temperature on the bench is that of the collimator, unless the section states another one. Without any, the
         target and the collimator are taken to be at their reference temperatures.
 
-        Parameters
-        ----------
-        collimator
-            Section `collimator` of the station: its temperature, and that of its certificate.
-
-        Returns
-        -------
-        tuple of TypeBTerm
-            One term for each part of the section.
+        collimator: Section `collimator` of the station: its temperature, and that of its certificate.
         """
         certificate = collimator.certificate
         certificate_c = certificate.temperature_c if isinstance(certificate, CertificateConfig) else None
@@ -175,16 +167,9 @@ class BudgetConfig(StrictModel):
         height z at the distance R gives k = z r / R^2. A relative displacement d at the angle a gives k = d / tan(a)^2.
         Own derivation, to first order.
 
-        Parameters
-        ----------
-        r_mm
-            Focal length of the collimator, mm.
-
-        Returns
-        -------
-        float or None
-            Standard uncertainty of the term; None if bow and distortion are not both stated with a value above zero,
-            because the term stands for both.
+        r_mm: Focal length of the collimator, mm.
+        Returns: Standard uncertainty of the term; None if bow and distortion are not both stated with a value
+          above zero, because the term stands for both.
         """
         bow, distortion = self.print_bow, self.collimator_distortion
         if bow is None or distortion is None:

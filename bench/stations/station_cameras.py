@@ -97,20 +97,8 @@ class OpenCvCameraConfig(FrameCameraConfig):
     def source_in_use(self, environ: Mapping[str, str] = os.environ) -> str:
         """Return the source to open.
 
-        Parameters
-        ----------
-        environ
-            Environment variables of the process.
-
-        Returns
-        -------
-        str
-            The source; it is secret if an environment variable holds it.
-
-        Raises
-        ------
-        UsageError
-            When the environment variable is not set, or holds something that is not a source.
+        Returns: The source; it is secret if an environment variable holds it.
+        Raises UsageError: When the environment variable is not set, or holds something that is not a source.
         """
         if self.source is not None:
             return self.source

@@ -178,23 +178,11 @@ def draft_station(
 ) -> str:
     """Write a new station file.
 
-    Parameters
-    ----------
-    name
-        Name of the bench.
-    found
-        What is connected. The first adapter is used for the stage, the second for the light.
-    stage
-        Driver of the stage: a key of ``STAGE_SECTIONS``.
-    light
-        Driver of the light: a key of ``LIGHT_SECTIONS``.
-    camera
-        Driver of the camera: a key of ``CAMERA_SECTIONS``; None for the first connected camera, event cameras first.
-
-    Returns
-    -------
-    str
-        Text of the file.
+    found: What is connected. The first adapter is used for the stage, the second for the light.
+    stage: Driver of the stage: a key of ``STAGE_SECTIONS``.
+    light: Driver of the light: a key of ``LIGHT_SECTIONS``.
+    camera: Driver of the camera: a key of ``CAMERA_SECTIONS``; None for the first connected camera, event
+      cameras first.
     """
     # A port of the computer itself mostly has nothing behind it: it is listed, and not chosen.
     ports = [port.name for port in found.ports if not port.device.startswith("/dev/ttyS")]

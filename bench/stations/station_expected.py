@@ -50,17 +50,7 @@ class ExpectedConfig(StrictModel):
     def errors(self, collimator: CollimatorConfig, gimbal: GimbalConfig | None) -> CollimatorErrors:
         """Return the expected errors of the collimator.
 
-        Parameters
-        ----------
-        collimator
-            What the station states about the collimator: its defocus.
-        gimbal
-            What the station states about the gimbal: how far the pupil is from the pivot.
-
-        Returns
-        -------
-        CollimatorErrors
-            Errors for a forecast; a defocus that is not stated has a typical size.
+        Returns: Errors for a forecast; a defocus that is not stated has a typical size.
         """
         off = gimbal.pupil_off_pivot_mm if gimbal else None
         return CollimatorErrors(

@@ -55,15 +55,7 @@ class ScpiLightConfig(StrictModel):
     def settings(self, flicker: Flicker) -> LightSettings:
         """Convert the flicker of a sequence to settings of the driver.
 
-        Parameters
-        ----------
-        flicker
-            Waveform, frequency and level.
-
-        Returns
-        -------
-        LightSettings
-            With the levels of this lamp, V.
+        Returns: With the levels of this lamp, V.
         """
         return LightSettings(
             waveform=flicker.waveform,
@@ -104,15 +96,7 @@ class GardasoftLightConfig(StrictModel):
     def settings(self, flicker: Flicker) -> LightSettings:
         """Convert the flicker of a sequence to settings of the driver, which takes 5 V as full brightness.
 
-        Parameters
-        ----------
-        flicker
-            Waveform, frequency and level.
-
-        Returns
-        -------
-        LightSettings
-            The level is in ``high_v``, V.
+        Returns: The level is in ``high_v``, V.
         """
         return LightSettings(
             waveform=flicker.waveform,

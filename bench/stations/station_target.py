@@ -122,13 +122,7 @@ class TargetConfig(StrictModel):
         return self.drawing.size_mm or (width + margin, height + margin)
 
     def pattern(self) -> StarTarget:
-        """Return the pattern for the calibration engine.
-
-        Returns
-        -------
-        StarTarget
-            The pattern.
-        """
+        """Return the pattern for the calibration engine."""
         return StarTarget(
             squares_x=self.squares[0],
             squares_y=self.squares[1],
@@ -143,10 +137,7 @@ class TargetConfig(StrictModel):
     def in_simulation(self) -> dict[str, Any]:
         """Return the sections of the simulated world that describe this target.
 
-        Returns
-        -------
-        dict
-            Sections ``target`` and ``reticle``, as JSON has them.
+        Returns: Sections ``target`` and ``reticle``, as JSON has them.
         """
         keys = {"squares", "pitch_mm", "segments", "tag_family", "tag_id", "tag_square", "tag_squares"}
         return {"target": self.model_dump(mode="json", include=keys), "reticle": {"polarity": self.polarity}}

@@ -175,18 +175,7 @@ class TextLightConfig(LightSection):
 
 
 def use_descriptions(station: Located[Any]) -> None:
-    """Read the descriptions that a station file names, and check that they fit its sections.
-
-    Parameters
-    ----------
-    station
-        The station file.
-
-    Raises
-    ------
-    DocumentFaults
-        With every fault of the descriptions, and of the sections against them.
-    """
+    """Read the descriptions that a station file names, and check that they fit its sections."""
     faults: list[Fault] = []
     for name in PROTOCOL_COPIES:
         section = getattr(station.value, name)
@@ -202,15 +191,7 @@ def use_descriptions(station: Located[Any]) -> None:
 def description_documents(station: Any) -> dict[str, bytes]:
     """Return the descriptions that a run folder keeps.
 
-    Parameters
-    ----------
-    station
-        The station.
-
-    Returns
-    -------
-    dict
-        Bytes by name of the file; empty if no section has driver ``text``.
+    Returns: Bytes by name of the file; empty if no section has driver ``text``.
     """
     found = {}
     for name, copy in PROTOCOL_COPIES.items():

@@ -24,10 +24,7 @@ class Block:
     If the size of the terminal has changed, the visible part of the terminal is cleared first: terminals differ in how
     they wrap the lines that are already there.
 
-    Parameters
-    ----------
-    stream
-        Where to write; None for standard output.
+    stream: Where to write; None for standard output.
     """
 
     def __init__(self, stream: TextIO | None = None) -> None:
@@ -46,14 +43,9 @@ class Block:
         Long lines of head and tail are wrapped, those of the log are cut off. If the terminal is too low, the oldest
         lines of the log are left out, then the last lines of the head.
 
-        Parameters
-        ----------
-        head
-            First lines; the second one is bold.
-        log
-            Lines in the middle, the newest last.
-        tail
-            Last lines.
+        head: First lines; the second one is bold.
+        log: Lines in the middle, the newest last.
+        tail: Last lines.
         """
         size = self._console.size
         changed, self._size = size != self._size, size

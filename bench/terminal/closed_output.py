@@ -48,10 +48,7 @@ def outlive_readers() -> None:
 def output_is_lost() -> bool:
     """Return whether the reader of standard output has gone.
 
-    Returns
-    -------
-    bool
-        False as long as nothing was written after it had gone.
+    Returns: False as long as nothing was written after it had gone.
     """
     return bool(getattr(getattr(getattr(sys.stdout, "buffer", None), "raw", None), "lost", False))
 

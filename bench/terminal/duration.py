@@ -6,15 +6,8 @@ from __future__ import annotations
 def clock_text(seconds: float) -> str:
     """Return a duration as hours, minutes and seconds.
 
-    Parameters
-    ----------
-    seconds
-        The duration, s; a negative one counts as zero.
-
-    Returns
-    -------
-    str
-        ``m:ss``, or ``h:mm:ss`` from one hour on.
+    seconds: The duration, s; a negative one counts as zero.
+    Returns: ``m:ss``, or ``h:mm:ss`` from one hour on.
 
     Examples
     --------

@@ -21,10 +21,7 @@ _PLAIN = {
 def replace_unencodable(*streams: TextIO | None) -> None:
     """Make text streams replace characters that their encoding lacks. Otherwise writing them would raise an error.
 
-    Parameters
-    ----------
-    *streams
-        Streams such as standard output; anything that is not a text stream is left as it is.
+    streams: Streams such as standard output; anything that is not a text stream is left as it is.
     """
     codecs.register_error(_NAME, _replaced)
     for stream in streams:
@@ -34,16 +31,6 @@ def replace_unencodable(*streams: TextIO | None) -> None:
 
 def printable(text: str) -> str:
     r"""Write characters that would steer a terminal as escape sequences; names of files may hold them.
-
-    Parameters
-    ----------
-    text
-        A message.
-
-    Returns
-    -------
-    str
-        The text; line feeds and tabs stay.
 
     Examples
     --------

@@ -21,16 +21,9 @@ _ENDING_EARLY = frozenset({"aborting", "aborted", "failed"})
 class Progress:
     """Shows the progress of a run: one live line on a terminal; elsewhere a new line for each change of state.
 
-    Parameters
-    ----------
-    monotonic
-        Returns the time of the run's clock, s.
-    total_s
-        Expected duration of the whole run, s.
-    poses
-        Number of poses.
-    stream
-        Where to write; None for standard error.
+    monotonic: Returns the time of the run's clock, s.
+    total_s: Expected duration of the whole run, s.
+    stream: Where to write; None for standard error.
     """
 
     def __init__(
@@ -60,24 +53,16 @@ class Progress:
     def done(self, seconds: float) -> None:
         """Set how much of the expected duration has passed.
 
-        Parameters
-        ----------
-        seconds
-            Time from the start of the run in the plan, s.
+        seconds: Time from the start of the run in the plan, s.
         """
         self._done_s, self._counted_from_s = seconds, self._monotonic()
 
     def show(self, state: str, *, pose: int | None = None, detail: str = "") -> None:
         """Show the present state.
 
-        Parameters
-        ----------
-        state
-            State of the run's state machine.
-        pose
-            Number of the present pose, from 1; None if it has not changed.
-        detail
-            Further words, shown in brackets after the pose.
+        state: State of the run's state machine.
+        pose: Number of the present pose, from 1; None if it has not changed.
+        detail: Further words, shown in brackets after the pose.
         """
         self._state, self._detail = state, detail
         self._pose = pose or self._pose
@@ -85,13 +70,7 @@ class Progress:
             self._print(Text(self._plain()))
 
     def say(self, message: str) -> None:
-        """Print a line that remains on the terminal.
-
-        Parameters
-        ----------
-        message
-            The line.
-        """
+        """Print a line that remains on the terminal."""
         self._print(Text(message))
 
     def _print(self, text: Text) -> None:
@@ -103,10 +82,7 @@ class Progress:
     def left_s(self) -> float:
         """Return the expected time to the end of the run: that of the plan, counted down during the present step.
 
-        Returns
-        -------
-        float
-            Seconds, not negative.
+        Returns: Seconds, not negative.
         """
         return max(0.0, self._total_s - self._done_s - (self._monotonic() - self._counted_from_s))
 

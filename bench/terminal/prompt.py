@@ -24,18 +24,10 @@ _NO = {"a", "abort", "n", "no"}
 
 @dataclass(frozen=True)
 class Reply:
-    """An answer.
+    """An answer."""
 
-    Attributes
-    ----------
-    word
-        ``continue`` or ``abort``.
-    by
-        Who gave it: ``operator`` at this terminal, a name, or ``time-out``.
-    """
-
-    word: str
-    by: str
+    word: str  # ``continue`` or ``abort``
+    by: str  # Who gave it: ``operator`` at this terminal, a name, or ``time-out``
 
 
 def ask(
@@ -50,33 +42,12 @@ def ask(
 ) -> Reply:
     """Ask the operator, and wait for an answer.
 
-    Parameters
-    ----------
-    text
-        The question.
-    default
-        The answer if nobody answers in time: ``continue`` or ``abort``.
-    timeout_s
-        How long to wait, s.
-    clock
-        Its waits are ended by a request to stop.
-    say
-        Shows a line to the operator.
-    terminal
-        Where answers are typed; None for standard input. If it is not a terminal, or is closed, only ``elsewhere``
-        gives an answer. An empty line is the default.
-    elsewhere
-        Returns the answer given from another terminal (`starbench answer`); None while there is none.
-
-    Returns
-    -------
-    Reply
-        The answer, and who gave it.
-
-    Raises
-    ------
-    Aborted, Interrupted
-        When the clock is asked to stop or to pause.
+    default: The answer if nobody answers in time: ``continue`` or ``abort``.
+    timeout_s: How long to wait, s.
+    terminal: Where answers are typed; None for standard input. If it is not a terminal, or is closed, only
+      ``elsewhere`` gives an answer. An empty line is the default.
+    elsewhere: Returns the answer given from another terminal (`starbench answer`); None while there is none.
+    Raises Aborted, Interrupted: When the clock is asked to stop or to pause.
     """
     source = sys.stdin if terminal is None else terminal
     here = source is not None and source.isatty()  # None: the process has no standard input

@@ -22,15 +22,8 @@ _RESEND_AFTER_S = 0.05
 def stop_on_signals(request_stop: Callable[[str], None]) -> Iterator[None]:
     """Turn SIGINT, SIGTERM and SIGHUP into a request to stop while the block runs. Only for the main thread.
 
-    Parameters
-    ----------
-    request_stop
-        Called in the signal handler with the reason, such as ``SIGINT received``.
-
-    Yields
-    ------
-    None
-        Earlier handlers are restored after the block.
+    request_stop: Called in the signal handler with the reason, such as ``SIGINT received``.
+    Yields: Earlier handlers are restored after the block.
     """
     received = 0
 
@@ -58,10 +51,7 @@ def reliable_interrupts() -> Iterator[None]:
     Python ignores an exception raised in a finalizer (documentation of ``sys.unraisablehook``). In work that writes
     files piece by piece this happens to KeyboardInterrupt often; it is then sent again.
 
-    Yields
-    ------
-    None
-        Earlier handlers are restored after the block.
+    Yields: Earlier handlers are restored after the block.
     """
     hook = sys.unraisablehook
     # A shell starts background jobs with SIGINT ignored; SIGTERM is handled below in any case.

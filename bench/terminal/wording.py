@@ -8,17 +8,7 @@ _TIMES = {1: "once", 2: "twice"}
 def counted(number: int, noun: str) -> str:
     """Return a number with its noun, in the plural unless the number is 1.
 
-    Parameters
-    ----------
-    number
-        How many.
-    noun
-        The noun in the singular; its plural ends in "s".
-
-    Returns
-    -------
-    str
-        Number and noun.
+    noun: The noun in the singular; its plural ends in "s".
 
     Examples
     --------
@@ -31,15 +21,7 @@ def counted(number: int, noun: str) -> str:
 def times(number: int) -> str:
     """Return how often something was done.
 
-    Parameters
-    ----------
-    number
-        How often.
-
-    Returns
-    -------
-    str
-        ``once``, ``twice``, or the number with "times".
+    Returns: ``once``, ``twice``, or the number with "times".
 
     Examples
     --------

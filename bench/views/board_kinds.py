@@ -28,16 +28,8 @@ _LEAST_SHARE = 0.5
 class EventBoardKind(EventKind):
     """An event camera in front of a board.
 
-    Parameters
-    ----------
-    biases
-        Offsets of the biases from their factory values.
-    board
-        The board.
-    own_hz
-        Frequency of the board's own flicker, Hz; None if the station's light drives it.
-    roi
-        Region of interest: the only part of the sensor that sends events; None for the whole sensor.
+    own_hz: Frequency of the board's own flicker, Hz; None if the station's light drives it.
+    roi: Region of interest: the only part of the sensor that sends events; None for the whole sensor.
     """
 
     def __init__(
@@ -81,17 +73,7 @@ class EventBoardKind(EventKind):
 
 
 class FrameBoardKind(FrameKind):
-    """A frame camera in front of a board.
-
-    Parameters
-    ----------
-    frames
-        How many frames are taken of each placement.
-    settings
-        Settings of the camera.
-    board
-        The board.
-    """
+    """A frame camera in front of a board."""
 
     def __init__(self, frames: int, settings: FrameSettings, board: Board) -> None:
         super().__init__(frames, settings)

@@ -37,34 +37,13 @@ class CameraKind(Protocol):
     """File name ending of its recordings."""
 
     def light_for(self, flicker: Flicker) -> Flicker:
-        """Return what the light does if a sequence asks for a flicker.
-
-        Parameters
-        ----------
-        flicker
-            Flicker of the sequence.
-
-        Returns
-        -------
-        Flicker
-            Flicker, or steady light, for this kind of camera.
-        """
+        """Return what the light does if a sequence asks for a flicker."""
         ...
 
     def prepare(self, camera: Camera) -> tuple[dict[str, Any], list[str]]:
         """Set the camera.
 
-        Parameters
-        ----------
-        camera
-            Open camera of this kind.
-
-        Returns
-        -------
-        settings
-            Settings as read back, by name.
-        reasons
-            Every reason against a run; empty if there is none.
+        Returns: Every reason against a run; empty if there is none.
         """
         ...
 
@@ -73,21 +52,7 @@ class CameraKind(Protocol):
     ) -> RecordingFacts | FrameFacts:
         """Record into a new file.
 
-        Parameters
-        ----------
-        camera
-            Open camera of this kind.
-        path
-            File to write.
-        step
-            Step that records.
-        frequency_hz
-            Frequency of the flicker, Hz.
-
-        Returns
-        -------
-        RecordingFacts or FrameFacts
-            What the driver states about the recording.
+        frequency_hz: Frequency of the flicker, Hz.
         """
         ...
 
@@ -103,25 +68,9 @@ class CameraKind(Protocol):
     ) -> Measurement:
         """Find the stars in a recording.
 
-        Parameters
-        ----------
-        path
-            File of the recording.
-        step
-            Step that recorded.
-        frequency_hz
-            Frequency of the flicker, Hz.
-        target
-            The printed target.
-        expected_grid
-            Predicts where the stars lie; used only if the tag does not label them.
-        motion
-            Whether to measure how far the stars moved, which takes twice as long as finding them.
-
-        Returns
-        -------
-        Measurement
-            View, image and numbers, or the fault.
+        frequency_hz: Frequency of the flicker, Hz.
+        expected_grid: Predicts where the stars lie; used only if the tag does not label them.
+        motion: Whether to measure how far the stars moved, which takes twice as long as finding them.
         """
         ...
 
@@ -130,53 +79,18 @@ class CameraKind(Protocol):
     ) -> tuple[list[Gate], list[str]]:
         """Judge a recording by its numbers.
 
-        Parameters
-        ----------
-        facts
-            What the driver stated about the recording.
-        step
-            Step that recorded, with its gates.
-        frequency_hz
-            Frequency of the flicker, Hz.
-        found
-            What the recording showed.
-
-        Returns
-        -------
-        gates
-            The gates as judged.
-        reasons
-            Reasons against the recording other than a failed gate.
+        frequency_hz: Frequency of the flicker, Hz.
         """
         ...
 
     def counts(self, facts: StoredFacts) -> dict[str, Any]:
-        """Return what results state about a recording.
-
-        Parameters
-        ----------
-        facts
-            What the driver stated about the recording.
-
-        Returns
-        -------
-        dict
-            Values that can be written as JSON.
-        """
+        """Return what results state about a recording."""
         ...
 
     def conditions(self, accepted: Sequence[StoredFacts]) -> dict[str, Any]:
         """Return what results state about the camera's state during the accepted recordings.
 
-        Parameters
-        ----------
-        accepted
-            Facts of the accepted recordings, at least one.
-
-        Returns
-        -------
-        dict
-            Values that can be written as JSON.
+        accepted: Facts of the accepted recordings, at least one.
         """
         ...
 
@@ -184,12 +98,7 @@ class CameraKind(Protocol):
 class EventKind:
     """An event camera under a flickering light.
 
-    Parameters
-    ----------
-    biases
-        Offsets of the biases from their factory values.
-    roi
-        Region of interest: the only part of the sensor that sends events; None for the whole sensor.
+    roi: Region of interest: the only part of the sensor that sends events; None for the whole sensor.
     """
 
     name = "event"
@@ -284,15 +193,7 @@ class EventKind:
 
 
 class FrameKind:
-    """A frame camera under a steady light.
-
-    Parameters
-    ----------
-    frames
-        How many frames are taken at each pose.
-    settings
-        Settings of the camera.
-    """
+    """A frame camera under a steady light."""
 
     name = "frame"
     ending = ".tif"

@@ -24,57 +24,28 @@ from drivers.camera.raw_file import RawFile
 
 
 class EventData(NamedTuple):
-    """Content of a recording.
+    """Content of a recording."""
 
-    Attributes
-    ----------
-    events, triggers
-        Events and trigger edges, times from the first of them on.
-    size
-        Width and height of the sensor, px.
-    origin_us
-        Time of the first event or edge by the sensor's clock, us.
-    """
-
+    # events, triggers: Events and trigger edges, times from the first of them on.
     events: Events
     triggers: Triggers
-    size: tuple[int, int]
-    origin_us: int
+    size: tuple[int, int]  # Width and height of the sensor, px
+    origin_us: int  # Time of the first event or edge by the sensor's clock, us
 
 
 class WholeImage(NamedTuple):
-    """The event image of whole flicker periods.
+    """The event image of whole flicker periods."""
 
-    Attributes
-    ----------
-    image
-        (H, W) float32.
-    halves
-        Returns images of the same kind of the first and the second half of the periods; raises TooFewEvents if there
-        are too few.
-    """
-
-    image: NDArray[np.float32]
+    image: NDArray[np.float32]  # (H, W) float32
+    # Returns images of the same kind of the first and the second half of the periods; raises TooFewEvents if
+    # there are too few.
     halves: Callable[[], Iterator[NDArray[np.float32]]]
 
 
 def read_events(path: Path) -> EventData:
     """Read a recording.
 
-    Parameters
-    ----------
-    path
-        RAW file.
-
-    Returns
-    -------
-    EventData
-        Its content.
-
-    Raises
-    ------
-    drivers.errors.RecordingFileError
-        If the file cannot be read.
+    Raises drivers.errors.RecordingFileError: If the file cannot be read.
     """
     raw = RawFile.open(path)
     events, triggers = raw.read()
@@ -94,32 +65,12 @@ def whole_image(
 ) -> WholeImage:
     """Make the event image of whole flicker periods.
 
-    Parameters
-    ----------
-    data
-        The recording.
-    image
-        Kind of event image, or ``auto``.
-    periods
-        Number of whole flicker periods to use; None for all that the recording holds.
-    expected_hz
-        Nominal frequency of the flicker, Hz; None if unknown.
-    facts
-        Changed in place: numbers about flicker and image are added.
-    one_phase
-        Whether the light of all pixels changes at the same moment, as that of a lamp does.
-    compare_flicker
-        Whether to add what the events alone tell about the flicker to the facts.
-
-    Returns
-    -------
-    WholeImage
-        The image.
-
-    Raises
-    ------
-    calib.errors.CalibrationError
-        If the events show no flicker, or are too few.
+    image: Kind of event image, or ``auto``.
+    periods: Number of whole flicker periods to use; None for all that the recording holds.
+    expected_hz: Nominal frequency of the flicker, Hz; None if unknown.
+    one_phase: Whether the light of all pixels changes at the same moment, as that of a lamp does.
+    compare_flicker: Whether to add what the events alone tell about the flicker to the facts.
+    Raises calib.errors.CalibrationError: If the events show no flicker, or are too few.
     """
     events, triggers, size, origin_us = data
     flicker = _flicker(triggers, (events.t, events.p), expected_hz)
@@ -137,24 +88,10 @@ def whole_image(
 def recorded_image(path: Path, image: str = "auto") -> ChosenImage:
     """Return the event image in which a board is searched, of all whole flicker periods of a recording.
 
-    Parameters
-    ----------
-    path
-        RAW file.
-    image
-        Kind of event image, or ``auto``.
-
-    Returns
-    -------
-    ChosenImage
-        The image that `bench.views.measure_board` would use.
-
-    Raises
-    ------
-    calib.errors.CalibrationError
-        If the events show no flicker, or are too few.
-    drivers.errors.RecordingFileError
-        If the file cannot be read.
+    image: Kind of event image, or ``auto``.
+    Returns: The image that `bench.views.measure_board` would use.
+    Raises calib.errors.CalibrationError: If the events show no flicker, or are too few.
+    Raises drivers.errors.RecordingFileError: If the file cannot be read.
     """
     events, triggers, size, _ = read_events(path)
     flicker = _flicker(triggers, (events.t, events.p), None)

@@ -25,19 +25,8 @@ def grid_from_earlier_poses(history: History, stored: CaptureStored, target: Sta
 
     The prediction is that of `calib.stars.pointing.predict_grid`.
 
-    Parameters
-    ----------
-    history
-        History of the run so far.
-    stored
-        Journal line of the recording; it holds the gimbal's angles.
-    target
-        The printed target.
-
-    Returns
-    -------
-    ExpectedGrid
-        Call it with the image size, px; it raises DegenerateViews if no prediction is possible.
+    stored: Journal line of the recording; it holds the gimbal's angles.
+    Returns: Call it with the image size, px; it raises DegenerateViews if no prediction is possible.
     """
     # Loaded here, because it needs OpenCV and numba, which a plan that reads angles does not.
     from calib.stars.pointing import LabelledView, predict_grid
@@ -58,15 +47,7 @@ def grid_from_earlier_poses(history: History, stored: CaptureStored, target: Sta
 def grid_from_journal(attempt: Attempt) -> ExpectedGrid | None:
     """Return the grid that was expected when a recording was accepted.
 
-    Parameters
-    ----------
-    attempt
-        The accepted recording.
-
-    Returns
-    -------
-    ExpectedGrid or None
-        None if the tag labelled its stars.
+    Returns: None if the tag labelled its stars.
     """
     grid = attempt.measured.get("expected_grid")
     return None if grid is None else lambda _image_size: np.array(grid)
@@ -75,15 +56,8 @@ def grid_from_journal(attempt: Attempt) -> ExpectedGrid | None:
 def best_angles_deg(measured_deg: Mapping[str, float]) -> dict[str, float]:
     """Return the angles of a stage: by encoder if the axis has one, else the position stated.
 
-    Parameters
-    ----------
-    measured_deg
-        Angle by axis, degrees; ``pan_encoder`` is what the encoder of ``pan`` states.
-
-    Returns
-    -------
-    dict
-        Angle by axis, degrees.
+    measured_deg: Angle by axis, degrees; ``pan_encoder`` is what the encoder of ``pan`` states.
+    Returns: Angle by axis, degrees.
     """
     axes = ("pan", "tilt", "roll")
     return {a: measured_deg.get(f"{a}_encoder", measured_deg[a]) for a in axes if a in measured_deg}

@@ -33,22 +33,9 @@ def measure_frames(
 ) -> Measurement:
     """Read the frames of a pose and find the stars in them.
 
-    Parameters
-    ----------
-    path
-        File of one frame or several.
-    name
-        Name of the pose.
-    target
-        The printed target.
-    expected_grid
-        Predicts where the stars lie; used only if the tag does not label them.
-
-    Returns
-    -------
-    Measurement
-        Also if the file cannot be read or shows no stars; then it holds the fault. Its facts are ``image``
-        (``kind``, ``reason``, ``pictures``), ``motion_px``, and those of `find_stars`.
+    expected_grid: Predicts where the stars lie; used only if the tag does not label them.
+    Returns: Also if the file cannot be read or shows no stars; then it holds the fault. Its facts are
+      ``image`` (``kind``, ``reason``, ``pictures``), ``motion_px``, and those of `find_stars`.
     """
     facts: MeasuredFacts = {}
     image: StoredImage | None = None
@@ -68,22 +55,7 @@ def measure_frames(
 
 
 def frame_gates(facts: FrameFacts, gates: Gates, found: Measurement) -> list[Gate]:
-    """Judge the frames of a pose; of the sequence's gates, those about stars apply.
-
-    Parameters
-    ----------
-    facts
-        What the driver states about the capture.
-    gates
-        Gates of the sequence.
-    found
-        What the frames showed.
-
-    Returns
-    -------
-    list of Gate
-        The gates as judged.
-    """
+    """Judge the frames of a pose; of the sequence's gates, those about stars apply."""
     judged = [
         at_least("stars", found.stars, gates.min_stars, ""),
         at_most("saturated pixels", 100 * facts.saturated_share, 100 * MOST_SATURATED, "%"),
@@ -97,15 +69,7 @@ def frame_gates(facts: FrameFacts, gates: Gates, found: Measurement) -> list[Gat
 def frame_rejection_reasons(facts: FrameFacts) -> list[str]:
     """Return why frames are rejected, whatever they show.
 
-    Parameters
-    ----------
-    facts
-        What the driver states about the capture.
-
-    Returns
-    -------
-    list of str
-        Reasons; empty if there is none.
+    Returns: Reasons; empty if there is none.
     """
     return [] if facts.complete else ["fewer frames were recorded than asked for"]
 

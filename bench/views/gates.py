@@ -37,35 +37,18 @@ MARGIN = 0.1
 
 @dataclass(frozen=True)
 class Gate:
-    """One gate as judged.
-
-    Attributes
-    ----------
-    name
-        Name of the number.
-    value
-        The number found.
-    unit
-        Its unit; empty for a pure number.
-    limit
-        The limit as text, such as ``>= 40``.
-    verdict
-        ``pass``, ``marginal`` or ``fail``.
-    """
+    """One gate as judged."""
 
     name: str
     value: float
-    unit: str
-    limit: str
-    verdict: Verdict
+    unit: str  # Its unit; empty for a pure number
+    limit: str  # The limit as text, such as ``>= 40``
+    verdict: Verdict  # ``pass``, ``marginal`` or ``fail``
 
     def as_data(self) -> GateData:
         """Return the gate as results and journal hold it.
 
-        Returns
-        -------
-        GateData
-            The gate's fields.
+        Returns: The gate's fields.
         """
         return {
             "name": self.name,
@@ -79,21 +62,7 @@ class Gate:
 def at_least(name: str, value: float, limit: float, unit: str) -> Gate:
     """Judge a value that must not be below its limit.
 
-    Parameters
-    ----------
-    name
-        Name of the number.
-    value
-        The number found.
-    limit
-        Smallest value that passes.
-    unit
-        Unit of value and limit; empty for a pure number.
-
-    Returns
-    -------
-    Gate
-        The gate as judged.
+    unit: Unit of value and limit; empty for a pure number.
 
     Examples
     --------
@@ -107,21 +76,7 @@ def at_least(name: str, value: float, limit: float, unit: str) -> Gate:
 def at_most(name: str, value: float, limit: float, unit: str) -> Gate:
     """Judge a value that must not be above its limit.
 
-    Parameters
-    ----------
-    name
-        Name of the number.
-    value
-        The number found.
-    limit
-        Largest value that passes.
-    unit
-        Unit of value and limit; empty for a pure number.
-
-    Returns
-    -------
-    Gate
-        The gate as judged.
+    unit: Unit of value and limit; empty for a pure number.
 
     Examples
     --------
@@ -137,24 +92,9 @@ def recording_gates(
 ) -> list[Gate]:
     """Judge one recording by its numbers.
 
-    Parameters
-    ----------
-    facts
-        What the driver states about the recording.
-    gates
-        Gates of the sequence.
-    frequency_hz
-        Nominal frequency of the flicker, Hz.
-    measured
-        Numbers measured in the recording (`bench.views.measure.measure`); what is absent or None is not
-        judged.
-    stars
-        Number of stars found.
-
-    Returns
-    -------
-    list of Gate
-        The gates as judged.
+    frequency_hz: Nominal frequency of the flicker, Hz.
+    measured: Numbers measured in the recording (`bench.views.measure.measure`); what is absent or None is not
+      judged.
     """
     rate_mev_s = facts.events / facts.duration_s / 1e6 if facts.duration_s > 0 else 0.0
     judged = [
@@ -180,21 +120,7 @@ def gate_values(
 ) -> dict[str, Any]:
     """Return all numbers of a recording that a sequence may limit.
 
-    Parameters
-    ----------
-    facts
-        What the driver states about the recording.
-    gates
-        Gates of the sequence.
-    frequency_hz
-        Nominal frequency of the flicker, Hz.
-    measured
-        Numbers measured in the recording.
-
-    Returns
-    -------
-    dict
-        Number by name.
+    frequency_hz: Nominal frequency of the flicker, Hz.
     """
     values = {**measured, **(measured.get("image") or {})}
     if gates.require_triggers and "triggers_expected" in measured:
@@ -240,18 +166,9 @@ def _in_phase(lag_periods: float) -> Gate:
 def solution_gates(limits: Mapping[str, float], found: Mapping[str, float]) -> list[Gate]:
     """Judge a calibration by the limits of its solve step.
 
-    Parameters
-    ----------
-    limits
-        Largest value of each number, by name with unit: ``rms_px``, ``sigma_r_mm``, ``sigma_k1``.
-    found
-        Numbers by name without unit (``rms``, ``sigma_r``). A parameter that the chosen model lacks is
-        absent.
-
-    Returns
-    -------
-    list of Gate
-        The gates as judged.
+    limits: Largest value of each number, by name with unit: ``rms_px``, ``sigma_r_mm``, ``sigma_k1``.
+    found: Numbers by name without unit (``rms``, ``sigma_r``). A parameter that the chosen model lacks is
+      absent.
 
     Examples
     --------
@@ -267,18 +184,7 @@ def solution_gates(limits: Mapping[str, float], found: Mapping[str, float]) -> l
 
 
 def failed_gate_texts(judged: Sequence[Gate]) -> list[str]:
-    """Return which gates failed, with the value found, the limit and, where it is known, what to do.
-
-    Parameters
-    ----------
-    judged
-        Gates as judged.
-
-    Returns
-    -------
-    list of str
-        One text per failed gate.
-    """
+    """Return which gates failed, with the value found, the limit and, where it is known, what to do."""
     return [
         f"{g.name} {g.value:.6g}{' ' + g.unit if g.unit else ''}, needed {g.limit}"
         f"{f' ({ADVICE[g.name]})' if g.name in ADVICE else ''}"
@@ -290,19 +196,7 @@ def failed_gate_texts(judged: Sequence[Gate]) -> list[str]:
 def rejection_reasons(facts: RecordingFacts, gates: Gates, judged: Sequence[Gate]) -> list[str]:
     """Return why a recording is rejected.
 
-    Parameters
-    ----------
-    facts
-        What the driver states about the recording.
-    gates
-        Gates of the sequence.
-    judged
-        Gates as judged.
-
-    Returns
-    -------
-    list of str
-        Reasons; empty if the recording is accepted.
+    Returns: Reasons; empty if the recording is accepted.
     """
     reasons = failed_gate_texts(judged)
     reasons += [f"data lost: {gap}" for gap in facts.gaps]

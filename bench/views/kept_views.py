@@ -64,15 +64,7 @@ _RIM = ("points_mm", "sigmas_mm", "lit_mm")
 
 @dataclass
 class KeptViews(KeptEntries):
-    """A folder of views; several processes may use it at once.
-
-    Attributes
-    ----------
-    most_bytes
-        Size of all entries together.
-    found, used
-        Numbers of views found in recordings, and of views taken from the folder.
-    """
+    """A folder of views; several processes may use it at once."""
 
     most_bytes: int = MOST_BYTES
     found: int = 0
@@ -86,29 +78,14 @@ class KeptViews(KeptEntries):
     def of_bench(cls) -> KeptViews:
         """Return the folder of this user's bench.
 
-        Returns
-        -------
-        KeptViews
-            In the folder of the bench's own files.
+        Returns: In the folder of the bench's own files.
         """
         return cls(home_folder() / FOLDER)
 
     def view(self, path: Path, options: Mapping[str, Any], find: Callable[[], View]) -> View:
         """Return the view of a recording. A recording in which no stars are found is not kept.
 
-        Parameters
-        ----------
-        path
-            The recording.
-        options
-            Everything else that decides the view, as values that JSON can hold.
-        find
-            Finds the stars in the recording.
-
-        Returns
-        -------
-        View
-            The same as ``find`` returns.
+        Returns: The same as ``find`` returns.
         """
         if not self.is_usable():
             return find()
@@ -132,15 +109,8 @@ class KeptViews(KeptEntries):
     def read(self, key: str) -> View | None:
         """Return the view of a key.
 
-        Parameters
-        ----------
-        key
-            As `view_key` returns it.
-
-        Returns
-        -------
-        View or None
-            None if there is no entry, or it is broken; a broken one is deleted and told.
+        key: As `view_key` returns it.
+        Returns: None if there is no entry, or it is broken; a broken one is deleted and told.
         """
         data = self.read_entry(key)
         if data is None:
@@ -154,12 +124,7 @@ class KeptViews(KeptEntries):
     def write(self, key: str, view: View) -> None:
         """Keep a view. If this is not possible, say so and go on.
 
-        Parameters
-        ----------
-        key
-            As `view_key` returns it.
-        view
-            The view.
+        key: As `view_key` returns it.
         """
         self.write_entry(key, pack_view(view, key))
 
@@ -167,22 +132,9 @@ class KeptViews(KeptEntries):
 def view_key(recording_sha256: str, options: Mapping[str, Any]) -> str:
     """Return the key of a view.
 
-    Parameters
-    ----------
-    recording_sha256
-        SHA-256 of the recording.
-    options
-        Everything else that decides the view, as values that JSON can hold.
-
-    Returns
-    -------
-    str
-        64 hexadecimal digits.
-
-    Raises
-    ------
-    TypeError, ValueError
-        If an option cannot be written as JSON.
+    recording_sha256: SHA-256 of the recording.
+    Returns: 64 hexadecimal digits.
+    Raises TypeError, ValueError: If an option cannot be written as JSON.
     """
     parts = {
         "format": FORMAT,
@@ -197,10 +149,7 @@ def view_key(recording_sha256: str, options: Mapping[str, Any]) -> str:
 def detector_version() -> str:
     """Return the version of everything that finds stars: this program's sources, the libraries, the processor.
 
-    Returns
-    -------
-    str
-        64 hexadecimal digits.
+    Returns: 64 hexadecimal digits.
     """
     digest = hashlib.sha256(f"{platform.machine()} {platform.python_version()}\n".encode())
     for library in _LIBRARIES:
@@ -216,18 +165,7 @@ def detector_version() -> str:
 
 
 def source_files(root: Path) -> Iterable[Path]:
-    """Return the source files of `DETECTOR_SOURCES`.
-
-    Parameters
-    ----------
-    root
-        Folder of the packages.
-
-    Yields
-    ------
-    Path
-        A file.
-    """
+    """Return the source files of `DETECTOR_SOURCES`."""
     for name in DETECTOR_SOURCES:
         path = root / name
         if path.is_dir():
@@ -237,20 +175,7 @@ def source_files(root: Path) -> Iterable[Path]:
 
 
 def pack_view(view: View, key: str) -> bytes:
-    """Return a view as an entry: a line of JSON with the hash of the rest, then the arrays as a NumPy archive.
-
-    Parameters
-    ----------
-    view
-        The view.
-    key
-        Its key.
-
-    Returns
-    -------
-    bytes
-        The entry.
-    """
+    """Return a view as an entry: a line of JSON with the hash of the rest, then the arrays as a NumPy archive."""
     arrays: dict[str, NDArray[Any]] = {name: getattr(view, name) for name in _ARRAYS}
     head: dict[str, Any] = {
         "format": FORMAT,
@@ -270,24 +195,11 @@ def pack_view(view: View, key: str) -> bytes:
 def unpack_view(data: bytes, key: str) -> View:
     """Return the view of an entry.
 
-    Parameters
-    ----------
-    data
-        The entry, as `pack_view` returns it.
-    key
-        The key that it must have.
-
-    Returns
-    -------
-    View
-        Equal to the one that was kept, to the last bit.
-
-    Raises
-    ------
-    ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile
-        If the entry is broken.
-    calib.errors.InputMismatch
-        If its arrays are no view.
+    data: The entry, as `pack_view` returns it.
+    key: The key that it must have.
+    Returns: Equal to the one that was kept, to the last bit.
+    Raises ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile: If the entry is broken.
+    Raises calib.errors.InputMismatch: If its arrays are no view.
     """
     stated, _, body = data.partition(b"\n")
     if hashlib.sha256(body).hexdigest().encode() != stated:

@@ -59,26 +59,16 @@ correlated at 0.5 degrees and not at 10 degrees (docs/stars.md)."""
 
 @dataclass(frozen=True)
 class Measurement:
-    """What a recording showed.
+    """What a recording showed."""
 
-    Attributes
-    ----------
-    view
-        The stars; None if none were found, then ``fault`` states why.
-    image
-        Event image in which the stars were detected; None if it could not be made or was not asked for.
-    facts
-        Numbers for gates, journal and report: image kind and reason, window, periods, events per edge, ON
-        share, hot pixels, flicker frequency and its source, triggers expected and found, motion, what
-        labelled the stars and where their grid lies.
-    fault
-        Why there is no view; empty if there is one.
-    """
-
-    view: View | None
+    view: View | None  # The stars; None if none were found, then ``fault`` states why
+    # Event image in which the stars were detected; None if it could not be made or was not asked for.
     image: StoredImage | None
+    # Numbers for gates, journal and report: image kind and reason, window, periods, events per edge, ON
+    # share, hot pixels, flicker frequency and its source, triggers expected and found, motion, what labelled
+    # the stars and where their grid lies.
     facts: MeasuredFacts = field(default_factory=MeasuredFacts)
-    fault: str = ""
+    fault: str = ""  # Why there is no view; empty if there is one
 
     @property
     def stars(self) -> int:
@@ -99,31 +89,15 @@ def measure(
 ) -> Measurement:
     """Read a recording and find the stars in it.
 
-    Parameters
-    ----------
-    path
-        RAW file.
-    name
-        Name of the pose.
-    target
-        The printed target.
-    image
-        Kind of event image, or ``auto``.
-    periods
-        Number of whole flicker periods to use; None for all that the recording holds.
-    expected_hz
-        Nominal frequency of the flicker, Hz; None if unknown.
-    expected_grid
-        Predicts where the stars lie; used only if the tag does not label them.
-    motion
-        Whether to measure how far the stars moved from the first half of the recording to the second, which takes twice
-        as long as finding them. Without it, what else only gates and report need is left out too: the image for people,
-        the flicker by the events, and the width of the stars' edges. The view depends on none of these.
-
-    Returns
-    -------
-    Measurement
-        Also if the file cannot be read or shows no stars; then it holds the fault.
+    image: Kind of event image, or ``auto``.
+    periods: Number of whole flicker periods to use; None for all that the recording holds.
+    expected_hz: Nominal frequency of the flicker, Hz; None if unknown.
+    expected_grid: Predicts where the stars lie; used only if the tag does not label them.
+    motion: Whether to measure how far the stars moved from the first half of the recording to the second,
+      which takes twice as long as finding them. Without it, what else only gates and report need is left out
+      too: the image for people, the flicker by the events, and the width of the stars' edges. The view
+      depends on none of these.
+    Returns: Also if the file cannot be read or shows no stars; then it holds the fault.
     """
     facts: MeasuredFacts = {}
     stored: StoredImage | None = None
@@ -156,32 +130,11 @@ def find_stars(
     the homography of the view's grid, (3, 3) from [column row 1] to [u v 1] px as lists,
     ``expected_grid``, the one that was expected, and ``edge_width_px``, the blur of the stars' edges, px.
 
-    Parameters
-    ----------
-    image
-        (H, W), any numeric dtype, grey values.
-    target
-        The printed target.
-    name
-        Name of the pose.
-    expected_grid
-        Predicts where the stars lie; None if no prediction is available.
-    facts
-        Changed in place.
-    edge_width
-        Whether to measure the width of the stars' edges.
-
-    Returns
-    -------
-    View
-        The stars and the rim.
-
-    Raises
-    ------
-    StarsUnnamed
-        If neither the tag nor the expected grid labels the stars.
-    CalibrationError
-        If no stars are found.
+    image: (H, W), any numeric dtype, grey values.
+    expected_grid: Predicts where the stars lie; None if no prediction is available.
+    edge_width: Whether to measure the width of the stars' edges.
+    Raises StarsUnnamed: If neither the tag nor the expected grid labels the stars.
+    Raises CalibrationError: If no stars are found.
     """
     try:
         detection = detect_stars(image, target, name=name)
@@ -208,15 +161,7 @@ def aligned_poses(facts: Iterable[MeasuredFacts]) -> int:
     Such an edge crosses all pixels of a row at the same place, so the errors of neighbouring stars are
     correlated. The covariance of a single star cannot express this (docs/stars.md).
 
-    Parameters
-    ----------
-    facts
-        Facts of recordings, as `measure` returns them.
-
-    Returns
-    -------
-    int
-        Number of such recordings.
+    facts: Facts of recordings, as `measure` returns them.
     """
     return sum(
         edge_angle_deg(np.array(one["grid"])) < _ALIGNED_DEG
@@ -228,15 +173,8 @@ def aligned_poses(facts: Iterable[MeasuredFacts]) -> int:
 def edge_angle_deg(grid: NDArray[np.float64]) -> float:
     """Return the angle between the star edges and the pixel rows or diagonals, whichever is smaller.
 
-    Parameters
-    ----------
-    grid
-        (3, 3) float64, from [column row 1] to [u v 1] px.
-
-    Returns
-    -------
-    float
-        Angle, degrees, 0 to 22.5.
+    grid: (3, 3) float64, from [column row 1] to [u v 1] px.
+    Returns: Angle, degrees, 0 to 22.5.
 
     Examples
     --------
@@ -253,19 +191,9 @@ def edge_angle_deg(grid: NDArray[np.float64]) -> float:
 def motion_px(halves: Iterable[NDArray[Any]], target: StarTarget, facts: MeasuredFacts) -> float | None:
     """Return the length of the stars' shift from the first half of a recording to the second.
 
-    Parameters
-    ----------
-    halves
-        Images of the two halves, each (H, W), grey values.
-    target
-        The printed target.
-    facts
-        Facts of the whole recording; its ``grid`` labels the stars if the tag cannot.
-
-    Returns
-    -------
-    float or None
-        Length, px; None if the halves do not show it.
+    halves: Images of the two halves, each (H, W), grey values.
+    facts: Facts of the whole recording; its ``grid`` labels the stars if the tag cannot.
+    Returns: Length, px; None if the halves do not show it.
     """
     grid = np.array(facts["grid"])
     try:
@@ -278,15 +206,7 @@ def motion_px(halves: Iterable[NDArray[Any]], target: StarTarget, facts: Measure
 def plain_facts(facts: Any) -> Any:
     """Replace numbers that are not finite by None, because JSON has none.
 
-    Parameters
-    ----------
-    facts
-        Facts, or a part of them.
-
-    Returns
-    -------
-    Any
-        The same without such numbers.
+    Returns: The same without such numbers.
     """
     if isinstance(facts, dict):
         return {name: plain_facts(fact) for name, fact in facts.items()}

@@ -31,18 +31,10 @@ _LEAST_LIT = 1e-3
 
 
 class BoardSource(NamedTuple):
-    """How a board was recorded.
-
-    Attributes
-    ----------
-    board
-        The board.
-    own_hz
-        Frequency of its own flicker, Hz; None if the station's light drives it.
-    """
+    """How a board was recorded."""
 
     board: Board
-    own_hz: float | None = None
+    own_hz: float | None = None  # Frequency of its own flicker, Hz; None if the station's light drives it
 
 
 def measure_board(
@@ -56,25 +48,10 @@ def measure_board(
 ) -> Measurement:
     """Read a recording of events and find a board in it.
 
-    Parameters
-    ----------
-    path
-        RAW file.
-    name
-        Name of the placement.
-    board
-        The board.
-    image
-        Kind of event image, or ``auto``; blinking dots have their own.
-    periods
-        Number of whole flicker periods to use; None for all that the recording holds.
-    expected_hz
-        Nominal frequency of the flicker, Hz; None if unknown.
-
-    Returns
-    -------
-    Measurement
-        Also if the file cannot be read or shows no board; then it holds the fault.
+    image: Kind of event image, or ``auto``; blinking dots have their own.
+    periods: Number of whole flicker periods to use; None for all that the recording holds.
+    expected_hz: Nominal frequency of the flicker, Hz; None if unknown.
+    Returns: Also if the file cannot be read or shows no board; then it holds the fault.
     """
     facts: MeasuredFacts = {}
     stored: list[StoredImage] = []
@@ -93,19 +70,8 @@ def measure_board(
 def measure_board_frames(path: Path, *, name: str, board: Board) -> Measurement:
     """Read the frames of a placement and find a board in their mean.
 
-    Parameters
-    ----------
-    path
-        File of one frame or several.
-    name
-        Name of the placement.
-    board
-        The board; no blinking dots, which need events.
-
-    Returns
-    -------
-    Measurement
-        Also if the file cannot be read or shows no board; then it holds the fault.
+    board: The board; no blinking dots, which need events.
+    Returns: Also if the file cannot be read or shows no board; then it holds the fault.
     """
     facts: MeasuredFacts = {}
     stored: StoredImage | None = None
@@ -172,15 +138,8 @@ def _of_dots(data: EventData, board: Board, name: str, stored: list[StoredImage]
 def stored_image(stored: list[StoredImage]) -> Any:
     """Return a function that keeps an image.
 
-    Parameters
-    ----------
-    stored
-        Where to keep it.
-
-    Returns
-    -------
-    callable
-        Takes the image, (H, W) float32.
+    stored: Where to keep it.
+    Returns: Takes the image, (H, W) float32.
     """
 
     def keep(image: NDArray[np.float32]) -> None:

@@ -24,28 +24,11 @@ _LEAST_APART_S = 0.1
 class MovingRecording:
     """Pictures of one recording.
 
-    Parameters
-    ----------
-    path
-        RAW file.
-    cutoff_hz
-        Cutoff frequency of the filter, Hz.
-    at_s
-        Times of the pictures after the first event, s, ascending; None for at most 40 times, spread evenly.
-
-    Attributes
-    ----------
-    at_s
-        Times of the pictures.
-
-    Raises
-    ------
-    UsageError
-        If a time lies after the end of the recording.
-    calib.errors.TooFewEvents
-        If the recording holds no event.
-    drivers.errors.RecordingFileError
-        If the file cannot be read.
+    cutoff_hz: Cutoff frequency of the filter, Hz.
+    at_s: Times of the pictures after the first event, s, ascending; None for at most 40 times, spread evenly.
+    Raises UsageError: If a time lies after the end of the recording.
+    Raises calib.errors.TooFewEvents: If the recording holds no event.
+    Raises drivers.errors.RecordingFileError: If the file cannot be read.
     """
 
     def __init__(self, path: Path, cutoff_hz: float, at_s: Sequence[float] | None = None) -> None:
@@ -65,20 +48,8 @@ class MovingRecording:
     def picture(self, number: int) -> ReconstructedPicture:
         """Return a picture; fastest in the order of their times.
 
-        Parameters
-        ----------
-        number
-            Which one, from 0.
-
-        Returns
-        -------
-        ReconstructedPicture
-            The picture.
-
-        Raises
-        ------
-        drivers.errors.RecordingFileError
-            If the file cannot be read.
+        number: Which one, from 0.
+        Raises drivers.errors.RecordingFileError: If the file cannot be read.
         """
         if number < self._next:
             self._next, self._stream = 0, self._reconstructed()

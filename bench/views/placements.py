@@ -22,19 +22,7 @@ if TYPE_CHECKING:
 def with_advice(step: PromptStep, history: History, board: Board) -> PromptStep:
     """Add to a question what the last placement showed, and where the board is needed next.
 
-    Parameters
-    ----------
-    step
-        The question.
-    history
-        History of the run so far.
-    board
-        The board.
-
-    Returns
-    -------
-    PromptStep
-        The question; its text is unchanged if nothing has been recorded.
+    Returns: The question; its text is unchanged if nothing has been recorded.
     """
     if not history.attempts:
         return step
@@ -45,17 +33,7 @@ def with_advice(step: PromptStep, history: History, board: Board) -> PromptStep:
 def placements_seen(history: History, board: Board) -> Sequence[Seen]:
     """Return where the board stood in the accepted recordings.
 
-    Parameters
-    ----------
-    history
-        History of the run so far.
-    board
-        The board.
-
-    Returns
-    -------
-    list of Seen
-        In the order of the recordings.
+    Returns: In the order of the recordings.
     """
     from calib.boards.coverage import Seen
     from calib.model.homography import apply_homography

@@ -11,17 +11,8 @@ def periods_in_window(window_ms: float, frequency_hz: float) -> int:
 
     An image over a part of a period would favour one polarity, so windows are rounded to whole periods.
 
-    Parameters
-    ----------
-    window_ms
-        Length of the window, ms.
-    frequency_hz
-        Frequency of the flicker, Hz.
-
-    Returns
-    -------
-    int
-        Number of periods.
+    window_ms: Length of the window, ms.
+    frequency_hz: Frequency of the flicker, Hz.
 
     Examples
     --------
@@ -34,17 +25,9 @@ def periods_in_window(window_ms: float, frequency_hz: float) -> int:
 def recording_duration_s(window_ms: float, frequency_hz: float) -> float:
     """Return the recording time that contains the window's whole periods at any phase of the light.
 
-    Parameters
-    ----------
-    window_ms
-        Length of the window, ms.
-    frequency_hz
-        Frequency of the flicker, Hz.
-
-    Returns
-    -------
-    float
-        Duration, s.
+    window_ms: Length of the window, ms.
+    frequency_hz: Frequency of the flicker, Hz.
+    Returns: Duration, s.
 
     Examples
     --------

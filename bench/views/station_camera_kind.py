@@ -12,18 +12,7 @@ from bench.views.camera_kinds import CameraKind, EventKind, FrameKind
 
 
 def camera_kind(station: Station) -> CameraKind:
-    """Return the kind of a station's camera.
-
-    Parameters
-    ----------
-    station
-        The station file.
-
-    Returns
-    -------
-    CameraKind
-        What a run does with this camera.
-    """
+    """Return the kind of a station's camera."""
     config, shown = station.camera, station.board
     if shown is not None:
         if isinstance(config, FrameCameraConfig):

@@ -14,13 +14,7 @@ from calib.events.grey_image import to_uint8
 
 @dataclass(frozen=True)
 class StoredImage:
-    """An image for people, 8 bits per pixel, compressed without loss; a run keeps one for each of its poses.
-
-    Attributes
-    ----------
-    png
-        The image as a PNG file.
-    """
+    """An image for people, 8 bits per pixel, compressed without loss; a run keeps one for each of its poses."""
 
     png: bytes
 
@@ -28,25 +22,14 @@ class StoredImage:
     def from_image(cls, image: NDArray[Any]) -> StoredImage:
         """Stretch the grey values of an image (`calib.events.grey_image.to_uint8`) and compress it.
 
-        Parameters
-        ----------
-        image
-            (H, W), any numeric dtype, grey values.
-
-        Returns
-        -------
-        StoredImage
-            The compressed image.
+        image: (H, W), any numeric dtype, grey values.
         """
         return cls(cv2.imencode(".png", to_uint8(image), (cv2.IMWRITE_PNG_COMPRESSION, 1))[1].tobytes())
 
     def decoded(self) -> NDArray[np.uint8]:
         """Return the image.
 
-        Returns
-        -------
-        numpy.ndarray
-            (H, W) uint8, grey values.
+        Returns: (H, W) uint8, grey values.
         """
         image = cv2.imdecode(np.frombuffer(self.png, np.uint8), cv2.IMREAD_GRAYSCALE)
         assert image is not None

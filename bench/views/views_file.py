@@ -32,17 +32,10 @@ _REMEDY = "Delete the file; `starbench.load` then finds the stars again in the c
 
 @dataclass(frozen=True, eq=False)
 class StoredView:
-    """One pose as `views.h5` holds it, without its image.
-
-    Attributes
-    ----------
-    view
-        The stars that were found.
-    residuals_px
-        (N, 2) float64, px, star found minus star projected by the run's calibration.
-    """
+    """One pose as `views.h5` holds it, without its image."""
 
     view: View
+    # (N, 2) float64, px, star found minus star projected by the run's calibration.
     residuals_px: NDArray[np.float64]
 
 
@@ -52,10 +45,7 @@ class Pictured(Protocol):
     def decoded(self) -> NDArray[np.uint8]:
         """Return the image.
 
-        Returns
-        -------
-        numpy.ndarray
-            (H, W) uint8, grey values.
+        Returns: (H, W) uint8, grey values.
         """
         ...
 
@@ -78,17 +68,9 @@ def views_file(
 ) -> bytes:
     """Return views, residuals and images as an HDF5 file.
 
-    Parameters
-    ----------
-    measurements
-        One for each pose, with a view; without an image if there is none, as for recalculated results.
-    residuals_px
-        One array for each view, (N, 2) float64, px, star found minus star projected.
-
-    Returns
-    -------
-    bytes
-        The file, in the layout of docs/run-folder.md.
+    measurements: One for each pose, with a view; without an image if there is none, as for recalculated
+      results.
+    residuals_px: One array for each view, (N, 2) float64, px, star found minus star projected.
     """
     memory = io.BytesIO()
     with h5py.File(memory, "w") as file:
@@ -114,20 +96,8 @@ def views_file(
 def read_views(path: Path) -> list[StoredView]:
     """Read the views and residuals of a `views.h5`, in the order of its groups.
 
-    Parameters
-    ----------
-    path
-        The file.
-
-    Returns
-    -------
-    list of StoredView
-        One for each pose. The images stay in the file (`read_picture`).
-
-    Raises
-    ------
-    RunFolderError
-        If the file cannot be read, or does not have this layout.
+    Returns: One for each pose. The images stay in the file (`read_picture`).
+    Raises RunFolderError: If the file cannot be read, or does not have this layout.
     """
     with _opened(path) as file:
         return [_stored_view(member(file, _group_name(number))) for number in range(1, len(file) + 1)]
@@ -136,20 +106,7 @@ def read_views(path: Path) -> list[StoredView]:
 def has_pictures(path: Path) -> bool:
     """Return whether a `views.h5` holds the images of the poses.
 
-    Parameters
-    ----------
-    path
-        The file.
-
-    Returns
-    -------
-    bool
-        False for the views of recalculated results.
-
-    Raises
-    ------
-    RunFolderError
-        If the file cannot be read, or does not have this layout.
+    Raises RunFolderError: If the file cannot be read, or does not have this layout.
     """
     with _opened(path) as file:
         return all("picture" in group for group in file.values())
@@ -158,22 +115,9 @@ def has_pictures(path: Path) -> bool:
 def read_picture(path: Path, number: int) -> NDArray[np.uint8]:
     """Read the image of one pose from a `views.h5`.
 
-    Parameters
-    ----------
-    path
-        The file.
-    number
-        Number of the group, from 1.
-
-    Returns
-    -------
-    numpy.ndarray
-        (H, W) uint8, grey values, the image as the report shows it.
-
-    Raises
-    ------
-    RunFolderError
-        If the file cannot be read, or does not have this layout.
+    number: Number of the group, from 1.
+    Returns: (H, W) uint8, grey values, the image as the report shows it.
+    Raises RunFolderError: If the file cannot be read, or does not have this layout.
     """
     with _opened(path) as file:
         return np.asarray(_array(member(file, _group_name(number)), "picture"), np.uint8)

@@ -51,18 +51,8 @@ _COOKIE_AGE_S = 30 * 24 * 3600
 class Guard:
     """ASGI middleware with the checks of this module.
 
-    Parameters
-    ----------
-    app
-        The pages.
-    host
-        Name or address at which they are served.
-    port
-        Port of the server.
-    token
-        The token; None if none is needed.
-    monotonic
-        Returns the time of a monotonic clock, s.
+    token: The token; None if none is needed.
+    monotonic: Returns the time of a monotonic clock, s.
     """
 
     def __init__(
@@ -84,13 +74,7 @@ class Guard:
         self._wrong_s: deque[float] = deque(maxlen=_MOST_WRONG)
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Check a request and pass it on, or answer it.
-
-        Parameters
-        ----------
-        scope, receive, send
-            As the ASGI specification defines them.
-        """
+        """Check a request and pass it on, or answer it."""
         if scope["type"] == "lifespan":
             await self._app(scope, receive, send)
             return

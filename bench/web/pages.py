@@ -30,20 +30,10 @@ def page_app(
 ) -> Starlette:
     """Make the application of a set of pages.
 
-    Parameters
-    ----------
-    routes
-        Pages, and what they ask for.
-    assets
-        Folder with the pages' own scripts and styles, served below ``/assets/own/``; None if there is none.
-    lifespan
-        Context manager around the life of the server.
-
-    Returns
-    -------
-    Starlette
-        The application. The shared assets are below ``/assets/``. Every foreseen error becomes an answer with
-        ``{"error": {"kind", "what", "where", "remedy"}}``.
+    assets: Folder with the pages' own scripts and styles, served below ``/assets/own/``; None if there is
+      none.
+    Returns: The application. The shared assets are below ``/assets/``. Every foreseen error becomes an answer
+      with ``{"error": {"kind", "what", "where", "remedy"}}``.
     """
     mounts: list[BaseRoute] = []
     if assets is not None:
@@ -57,20 +47,7 @@ def page_app(
 async def read_object(request: Request) -> dict[str, Any]:
     """Read the JSON object that a request carries.
 
-    Parameters
-    ----------
-    request
-        The request.
-
-    Returns
-    -------
-    dict
-        The object.
-
-    Raises
-    ------
-    UsageError
-        If the body is larger than 16 KiB, or not a JSON object.
+    Raises UsageError: If the body is larger than 16 KiB, or not a JSON object.
     """
     body = b""
     async for part in request.stream():
@@ -89,17 +66,7 @@ async def read_object(request: Request) -> dict[str, Any]:
 def error_answer(failure: Failure, status: int) -> Response:
     """Return an error as an answer.
 
-    Parameters
-    ----------
-    failure
-        The error.
-    status
-        HTTP status.
-
-    Returns
-    -------
-    Response
-        JSON, ``{"error": {"kind", "what", "where", "remedy", "message"}}``.
+    Returns: JSON, ``{"error": {"kind", "what", "where", "remedy", "message"}}``.
     """
     return JSONResponse({"error": {**failure.to_dict(), "message": failure.message}}, status_code=status)
 

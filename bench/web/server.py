@@ -33,13 +33,7 @@ _BACKLOG = 128
 
 
 def announce_url(url: str) -> None:
-    """Print the URL of the pages as a line of its own, at once.
-
-    Parameters
-    ----------
-    url
-        The URL.
-    """
+    """Print the URL of the pages as a line of its own, at once."""
     sys.stdout.write(f"{url}\n")
     sys.stdout.flush()
 
@@ -55,28 +49,14 @@ def serve_pages(
 ) -> None:
     """Serve pages until SIGINT, SIGTERM or SIGHUP. Only for the main thread.
 
-    Parameters
-    ----------
-    app
-        The pages.
-    host
-        Name or address at which to serve them.
-    port
-        Port; 0 for any free one.
-    token
-        Secret that a person must enter in the browser; None if none is needed.
-    open_browser
-        Whether to open the page in a browser of this computer.
-    announce
-        Called with the URL when the server accepts connections; by default it prints the URL.
-
-    Raises
-    ------
-    UsageError
-        If the port is in use, the address is not of this computer, or other computers could use the pages without a
-        token.
-    KeyboardInterrupt
-        After the end by a signal, when everything is closed; the command line then prints ``Stopped.``.
+    port: Port; 0 for any free one.
+    token: Secret that a person must enter in the browser; None if none is needed.
+    open_browser: Whether to open the page in a browser of this computer.
+    announce: Called with the URL when the server accepts connections; by default it prints the URL.
+    Raises UsageError: If the port is in use, the address is not of this computer, or other computers could
+      use the pages without a token.
+    Raises KeyboardInterrupt: After the end by a signal, when everything is closed; the command line then
+      prints ``Stopped.``.
     """
     server = PageServer(app, host=host, port=port, token=token)
 
@@ -93,17 +73,8 @@ def serve_pages(
 class PageServer:
     """A server of pages that is bound to its port.
 
-    Parameters
-    ----------
-    app
-        The pages.
-    host, port, token
-        As for `serve_pages`.
-
-    Raises
-    ------
-    UsageError
-        As `serve_pages`.
+    host, port, token: As for `serve_pages`.
+    Raises UsageError: As `serve_pages`.
     """
 
     def __init__(
@@ -135,10 +106,7 @@ class PageServer:
     def serve(self, ready: Callable[[], None] = lambda: None) -> None:
         """Serve until a signal, or `stop` from another thread.
 
-        Parameters
-        ----------
-        ready
-            Called once, when the server accepts connections.
+        ready: Called once, when the server accepts connections.
         """
         self._server.ready = ready
         try:

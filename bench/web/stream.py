@@ -31,29 +31,16 @@ _HEADERS = [
 
 @dataclass(frozen=True)
 class Message:
-    """One message of a stream.
-
-    Attributes
-    ----------
-    data
-        Text, usually one JSON object.
-    event
-        Name of the event; a page listens for it.
-    id
-        Id; empty if a reader that reconnects need not name this message.
-    """
+    """One message of a stream."""
 
     data: str
-    event: str = "message"
-    id: str = ""
+    event: str = "message"  # Name of the event; a page listens for it
+    id: str = ""  # Id; empty if a reader that reconnects need not name this message
 
     def encoded(self) -> bytes:
         r"""Return the bytes of the message.
 
-        Returns
-        -------
-        bytes
-            UTF-8, with the empty line that ends the message.
+        Returns: UTF-8, with the empty line that ends the message.
 
         Examples
         --------
@@ -75,15 +62,7 @@ def _encoded(data: str, event: str, number: str) -> bytes:
 def last_id(request: Request) -> str:
     """Return the id of the last message that the reader has.
 
-    Parameters
-    ----------
-    request
-        Request for a stream.
-
-    Returns
-    -------
-    str
-        From the header ``Last-Event-ID``, else from the query ``after``; empty if the reader has none.
+    Returns: From the header ``Last-Event-ID``, else from the query ``after``; empty if the reader has none.
     """
     return request.headers.get("last-event-id") or request.query_params.get("after", "")
 
@@ -94,12 +73,9 @@ class EventStream:
     If the reader is slow, the source is asked for the next message only when the last one has gone; so a source that
     tells the latest state leaves out what lies between.
 
-    Parameters
-    ----------
-    messages
-        Source of the messages; closed at the end, so that its ``finally`` blocks run.
-    heartbeat_s
-        After this time without a message, an event ``beat`` is sent, s. It shows the page that the link works.
+    messages: Source of the messages; closed at the end, so that its ``finally`` blocks run.
+    heartbeat_s: After this time without a message, an event ``beat`` is sent, s. It shows the page that the
+      link works.
     """
 
     def __init__(self, messages: AsyncIterator[Message], *, heartbeat_s: float = HEARTBEAT_S) -> None:
@@ -107,13 +83,7 @@ class EventStream:
         self._heartbeat_s = heartbeat_s
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Send the stream.
-
-        Parameters
-        ----------
-        scope, receive, send
-            As the ASGI specification defines them.
-        """
+        """Send the stream."""
         await send({"type": "http.response.start", "status": 200, "headers": _HEADERS})
         await _send_part(send, f"retry: {_RETRY_MS}\n\n".encode())
         closing = scope.get(CLOSING)
@@ -167,18 +137,7 @@ class Changes:
                 loop.call_soon_threadsafe(event.set)
 
     async def after(self, number: int) -> int:
-        """Wait until the number is another one.
-
-        Parameters
-        ----------
-        number
-            Number that the caller knows.
-
-        Returns
-        -------
-        int
-            The number now.
-        """
+        """Wait until the number is another one."""
         while True:
             with self._lock:
                 if self._number != number:

@@ -24,22 +24,9 @@ _MOST_BYTES = 4096
 def page_token(token_file: Path | None, environ: Mapping[str, str] = os.environ) -> str | None:
     """Return the token of the pages.
 
-    Parameters
-    ----------
-    token_file
-        File that holds the token; None if the environment variable counts.
-    environ
-        Environment variables of the process.
-
-    Returns
-    -------
-    str or None
-        The token; None if there is none.
-
-    Raises
-    ------
-    UsageError
-        If the file cannot be read, if others may read it, or if the token is too short.
+    token_file: File that holds the token; None if the environment variable counts.
+    Returns: The token; None if there is none.
+    Raises UsageError: If the file cannot be read, if others may read it, or if the token is too short.
     """
     if token_file is None:
         where, token = TOKEN_VARIABLE, environ.get(TOKEN_VARIABLE, "").strip()
@@ -59,17 +46,8 @@ def page_token(token_file: Path | None, environ: Mapping[str, str] = os.environ)
 def require_token(host: str, token: str | None) -> None:
     """Check that pages for other computers have a token.
 
-    Parameters
-    ----------
-    host
-        Name or address at which the pages are served.
-    token
-        The token; None if there is none.
-
-    Raises
-    ------
-    UsageError
-        If other computers could use the pages without a token.
+    token: The token; None if there is none.
+    Raises UsageError: If other computers could use the pages without a token.
     """
     if token is None and not is_loopback(host):
         raise UsageError(
@@ -83,15 +61,7 @@ def require_token(host: str, token: str | None) -> None:
 def is_loopback(host: str) -> bool:
     """Return whether a name or an address means this computer only.
 
-    Parameters
-    ----------
-    host
-        Name or address.
-
-    Returns
-    -------
-    bool
-        True for ``localhost``, 127.0.0.0/8 and ::1.
+    Returns: True for ``localhost``, 127.0.0.0/8 and ::1.
 
     Examples
     --------
@@ -111,15 +81,7 @@ def session_of(token: str) -> str:
 
     It depends on the token alone, so that a browser stays signed in when the server is started again.
 
-    Parameters
-    ----------
-    token
-        The token.
-
-    Returns
-    -------
-    str
-        64 hexadecimal digits, HMAC-SHA256 (RFC 2104).
+    Returns: 64 hexadecimal digits, HMAC-SHA256 (RFC 2104).
     """
     return hmac.new(token.encode(), b"starbench page session", hashlib.sha256).hexdigest()
 

@@ -36,40 +36,23 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Bundle:
-    """Which parameters are estimated, from which stars, with which priors.
-
-    Attributes
-    ----------
-    observations
-        The stars of n views.
-    names
-        Names of the G free shared parameters.
-    free_centres
-        Whether each view has its own centre.
-    displacements
-        (N, 2, T) float64 displacement of each star, mm, by a unit of each of the collimator's aberrations, in their
-        order (`calib.model.aberrations`); None if there are no aberrations.
-    drift_mm
-        Prior 1-sigma per axis of a free centre about the collimator's centre, mm; infinite for no prior.
-    prior
-        Prior of shared parameters; None for no prior.
-    noise_variance
-        Variance of a component of the weighted residuals. Priors and readings are multiplied by it to balance them with
-        the stars.
-    gimbal
-        Readings of the gimbal as observations; None if they are not used.
-    poses
-        The pose of each view, as an index; None if each view is a pose of its own.
-    """
+    """Which parameters are estimated, from which stars, with which priors."""
 
     observations: Observations
     names: tuple[str, ...]
-    free_centres: bool = False
+    free_centres: bool = False  # Whether each view has its own centre
+    # (N, 2, T) float64 displacement of each star, mm, by a unit of each of the collimator's aberrations, in
+    # their order (`calib.model.aberrations`); None if there are no aberrations.
     displacements: Array | None = None
+    # Prior 1-sigma per axis of a free centre about the collimator's centre, mm; infinite for no prior.
     drift_mm: float = float("inf")
-    prior: Prior | None = None
+    prior: Prior | None = None  # Prior of shared parameters; None for no prior
+    # Variance of a component of the weighted residuals. Priors and readings are multiplied by it to balance
+    # them with the stars.
     noise_variance: float = 1.0
+    # Readings of the gimbal as observations; None if they are not used.
     gimbal: GimbalObservations | None = None
+    # The pose of each view, as an index; None if each view is a pose of its own.
     poses: tuple[int, ...] | None = None
 
     @property
@@ -112,18 +95,7 @@ class Bundle:
         return [self.names.index(name) for name in self.prior.names] if self.prior else []
 
     def subset(self, kept: Sequence[int]) -> Bundle:
-        """Return the bundle of some of the views.
-
-        Parameters
-        ----------
-        kept
-            Indices of the views to keep.
-
-        Returns
-        -------
-        Bundle
-            Bundle with the same free parameters and priors.
-        """
+        """Return the bundle of some of the views."""
         obs, shifts = self.observations, self.displacements
         if len(kept) == 1:
             fewer = obs.of_view(kept[0])
@@ -141,19 +113,7 @@ class Bundle:
         )
 
     def thinned(self, stars: int) -> Bundle:
-        """Return a bundle with fewer stars, evenly spread over each view's list.
-
-        Parameters
-        ----------
-        stars
-            Approximate number of stars of each view.
-
-        Returns
-        -------
-        Bundle
-            Bundle with the same free parameters and priors. Views that have fewer than twice as many stars keep all of
-            them.
-        """
+        """Return a bundle with fewer stars, evenly spread over each view's list."""
         obs = self.observations
         steps = [max(1, (rows.stop - rows.start) // stars) for rows in obs.slices]
         kept = [np.arange(rows.start, rows.stop, step) for rows, step in zip(obs.slices, steps, strict=True)]
@@ -166,15 +126,7 @@ class Bundle:
         Half the squared distance from the mean in the metric of the prior's information: a Gaussian prior is one more
         observation (Triggs et al., 2000), here times the noise variance.
 
-        Parameters
-        ----------
-        parameters
-            Where to evaluate the cost.
-
-        Returns
-        -------
-        float
-            Contribution in units of weighted squared residuals.
+        parameters: Where to evaluate the cost.
         """
         cost = float((parameters.offsets**2).sum()) / self.drift_mm**2 if self.has_drift_prior else 0.0
         if self.prior is not None:
@@ -191,15 +143,8 @@ class Bundle:
 
         They are the residuals of arXiv:2512.16092, eq. 6, with the opposite sign.
 
-        Parameters
-        ----------
-        parameters
-            Where to evaluate the residuals.
-
-        Returns
-        -------
-        Array
-            (N, 2) residuals, px; NaN for a star that cannot be projected.
+        parameters: Where to evaluate the residuals.
+        Returns: (N, 2) residuals, px; NaN for a star that cannot be projected.
         """
         return residuals_px(self.observations, self.displacements, parameters).T
 
@@ -208,15 +153,8 @@ class Bundle:
 
         Their sum of squares is the weighted one of Triggs et al. (2000), section 3.2.
 
-        Parameters
-        ----------
-        parameters
-            Where to evaluate the residuals.
-
-        Returns
-        -------
-        Array
-            (N, 2) weighted residuals, not to be written to; NaN for a star that cannot be projected.
+        parameters: Where to evaluate the residuals.
+        Returns: (N, 2) weighted residuals, not to be written to; NaN for a star that cannot be projected.
         """
         obs = self.observations
         return obs.remembered(
@@ -231,20 +169,10 @@ class Bundle:
         The linearisation is that of Gauss and Newton, with the curvature of the robust cost (Triggs et al., 2000,
         section 4.3).
 
-        Parameters
-        ----------
-        parameters
-            Where to linearise.
-        influence
-            (N, 2) gradient of the cost by each weighted residual.
-        curvature_root
-            (N, 2, 2) symmetric square root of the second derivative of the cost by each weighted residual; None for the
-            identity.
-
-        Returns
-        -------
-        NormalEquations
-            Equations of all free parameters, with priors.
+        parameters: Where to linearise.
+        influence: (N, 2) gradient of the cost by each weighted residual.
+        curvature_root: (N, 2, 2) symmetric square root of the second derivative of the cost by each weighted
+          residual; None for the identity.
         """
         obs = self.observations
         gradient = np.ascontiguousarray(obs.unwhitened(influence).T)
@@ -253,34 +181,16 @@ class Bundle:
     def robust_equations(self, parameters: AdjustmentParameters, loss: Loss) -> NormalEquations:
         """Linearise a robust cost with its own curvature (Triggs et al., 2000, section 4.3).
 
-        Parameters
-        ----------
-        parameters
-            Where to linearise.
-        loss
-            Cost of a weighted residual.
-
-        Returns
-        -------
-        NormalEquations
-            Equations of all free parameters, with priors.
+        parameters: Where to linearise.
+        loss: Cost of a weighted residual.
         """
         return self._equations(parameters, self.pull(parameters, loss))
 
     def pull(self, parameters: AdjustmentParameters, loss: Loss) -> Pull:
         """Return gradient and curvature of a robust cost by the image points (Triggs et al., 2000, section 4.3).
 
-        Parameters
-        ----------
-        parameters
-            Where to evaluate them.
-        loss
-            Cost of a weighted residual.
-
-        Returns
-        -------
-        Pull
-            Gradient and curvature.
+        parameters: Where to evaluate them.
+        loss: Cost of a weighted residual.
         """
         residuals = self.weighted_residuals(parameters)
         return robust_pull(self.observations, residuals, loss.number, float(loss.limit))
@@ -306,19 +216,9 @@ class Bundle:
         the scores add up to zero. The local parameters are eliminated by the Schur complement (Triggs et al., 2000,
         section 6.1).
 
-        Parameters
-        ----------
-        parameters
-            Where to linearise.
-        loss
-            Cost of a weighted residual; it enters the scores.
-        curved
-            Whether the information has the curvature of the robust cost; else that of least squares.
-
-        Returns
-        -------
-        ViewScores
-            One information and one score for each view.
+        parameters: Where to linearise.
+        loss: Cost of a weighted residual; it enters the scores.
+        curved: Whether the information has the curvature of the robust cost; else that of least squares.
         """
         n, pull = len(self.names), self.pull(parameters, loss)
         if not curved:
@@ -332,17 +232,9 @@ class Bundle:
     def view_equations(self, parameters: AdjustmentParameters, loss: Loss) -> tuple[Array, Array]:
         """Return the equations of each view with a robust cost (Triggs et al., 2000, section 4.3), without priors.
 
-        Parameters
-        ----------
-        parameters
-            Where to linearise.
-        loss
-            Cost of a weighted residual.
-
-        Returns
-        -------
-        tuple of Array
-            (n, G + L, G + L) normal matrices and (n, G + L) negative gradients.
+        parameters: Where to linearise.
+        loss: Cost of a weighted residual.
+        Returns: (n, G + L, G + L) normal matrices and (n, G + L) negative gradients.
         """
         return self._view_equations(parameters, self.pull(parameters, loss))
 
@@ -361,15 +253,9 @@ class Bundle:
 
         A rotation on the camera's side changes the residual of a reading by itself, to first order.
 
-        Parameters
-        ----------
-        parameters
-            Where to linearise.
-
-        Returns
-        -------
-        tuple of Array or None
-            (n, G + L, G + L) normal matrices and (n, G + L) negative gradients; None if readings are not used.
+        parameters: Where to linearise.
+        Returns: (n, G + L, G + L) normal matrices and (n, G + L) negative gradients; None if readings are not
+          used.
         """
         if self.gimbal is None or parameters.gimbal is None:
             return None
@@ -399,34 +285,16 @@ class Bundle:
 
         They are those of `calib.adjustment.linearisation.blocks`.
 
-        Parameters
-        ----------
-        parameters
-            Where to evaluate the derivatives.
-
-        Yields
-        ------
-        Array
-            (G + L, 2, n_i) derivatives of one view's n_i image points, px per unit, by the G free shared parameters and
-            by the L local ones (rotation in rad, then centre in mm).
+        parameters: Where to evaluate the derivatives.
+        Yields: (G + L, 2, n_i) derivatives of one view's n_i image points, px per unit, by the G free shared
+          parameters and by the L local ones (rotation in rad, then centre in mm).
         """
         for block in blocks(self.observations, self.displacements, parameters, self.places(parameters)):
             for own in block.own:
                 yield block.jacobian[:, :, own]
 
     def places(self, parameters: AdjustmentParameters) -> Places:
-        """Return where the derivatives by the free parameters come from.
-
-        Parameters
-        ----------
-        parameters
-            Camera, collimator and gimbal that have these parameters.
-
-        Returns
-        -------
-        Places
-            Kind and index of each free shared parameter, and the number of local ones.
-        """
+        """Return where the derivatives by the free parameters come from."""
         kinds = {
             "camera": parameters.camera.parameter_names,
             "centre": CENTRE,

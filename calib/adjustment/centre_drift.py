@@ -33,19 +33,8 @@ def centre_drift(bundle: Bundle, parameters: AdjustmentParameters, loss: Loss) -
     The centres are freed with a weak prior, and the adjustment is repeated from the given optimum. Own statistic: the
     root of the mean over the views of offset^2, divided by r.
 
-    Parameters
-    ----------
-    bundle
-        Bundle of a model whose views share one centre.
-    parameters
-        Its optimum.
-    loss
-        Loss with the limit that the adjustment ended with.
-
-    Returns
-    -------
-    Array
-        (3,) root mean square movement as shares of r.
+    bundle: Bundle of a model whose views share one centre.
+    Returns: (3,) root mean square movement as shares of r.
     """
     r = parameters.collimator.r
     freed = replace(bundle, free_centres=True, drift_mm=_DRIFT_SIGMA * r)

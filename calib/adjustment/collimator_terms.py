@@ -34,27 +34,9 @@ def add_terms(
 ) -> tuple[Bundle, AdjustmentParameters]:
     """Add aberrations to a bundle: those of a passport at its values, the others free with their prior.
 
-    Parameters
-    ----------
-    views
-        Views of one camera.
-    discs
-        Their visible discs; none if no term needs them.
-    bundle
-        Bundle of the ideal model.
-    start
-        Its optimum; its centre becomes the reference if the passport has none.
-    terms
-        Names of the free aberrations.
-    passport
-        Passport of the collimator.
-    radial_sigma
-        Prior 1-sigma of the radial term, if the bench states it.
-
-    Returns
-    -------
-    tuple of Bundle and AdjustmentParameters
-        The bundle with the terms, and the start with the collimator.
+    discs: Their visible discs; none if no term needs them.
+    start: Its optimum; its centre becomes the reference if the passport has none.
+    radial_sigma: Prior 1-sigma of the radial term, if the bench states it.
     """
     ideal, held = start.collimator, passport.terms if passport else ()
     collimator = passport.collimator(ideal) if passport else ideal
@@ -79,21 +61,10 @@ def term_displacements(
     The equations are those of `calib.model.aberrations`. The turn of a view is the direction of its optical axis in the
     target's frame.
 
-    Parameters
-    ----------
-    views
-        Views of one camera.
-    discs
-        Their visible discs; none if no term needs them.
-    parameters
-        The collimator's reference, and the rotations of the views.
-    terms
-        T names of aberrations, in their order in the collimator.
-
-    Returns
-    -------
-    Array
-        (N, 2, T) displacements, mm, view after view.
+    discs: Their visible discs; none if no term needs them.
+    parameters: The collimator's reference, and the rotations of the views.
+    terms: T names of aberrations, in their order in the collimator.
+    Returns: (N, 2, T) displacements, mm, view after view.
     """
     reference = parameters.collimator.reference
     assert reference is not None

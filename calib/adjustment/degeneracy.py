@@ -33,15 +33,7 @@ def require_distinct_poses(parameters: AdjustmentParameters) -> None:
 
     The chord between two rotations turned by an angle t is |R - S| = sqrt(8) sin(t / 2), in the Frobenius norm.
 
-    Parameters
-    ----------
-    parameters
-        Optimum of the adjustment.
-
-    Raises
-    ------
-    DegenerateViews
-        If no view is rotated from the first one by at least half a degree.
+    Raises DegenerateViews: If no view is rotated from the first one by at least half a degree.
     """
     away = (parameters.rotations - parameters.rotations[0]).reshape(-1, 9)
     chord = np.sqrt(8.0) * np.sin(np.deg2rad(_SAME_POSE_DEG) / 2.0)
@@ -59,21 +51,9 @@ def require_constrained(
 
     Own limit: sigma(f) <= 0.05 f.
 
-    Parameters
-    ----------
-    parameters
-        Optimum of the adjustment.
-    names
-        G names of the parameters of the covariance.
-    covariance
-        (G, G) covariance of the parameters.
-    why
-        Explanation of the geometry, for the message; may be empty.
-
-    Raises
-    ------
-    DegenerateViews
-        If the 1-sigma of a focal length is more than 5 % of it.
+    covariance: (G, G) covariance of the parameters.
+    why: Explanation of the geometry, for the message; may be empty.
+    Raises DegenerateViews: If the 1-sigma of a focal length is more than 5 % of it.
     """
     sigmas = dict(zip(names, np.sqrt(np.diag(covariance)), strict=True))
     for name, value in (("fx", parameters.camera.fx), ("fy", parameters.camera.fy)):
@@ -91,17 +71,7 @@ def require_visible_rims(views: Sequence[View], discs: Sequence[Disc]) -> None:
     A disc is known if its centre is known to 0.06 of its radius (1-sigma), by the view's own rim or with the help of
     others.
 
-    Parameters
-    ----------
-    views
-        Views of one bench.
-    discs
-        Their visible discs.
-
-    Raises
-    ------
-    DegenerateViews
-        If fewer than half of the discs are known; names the first view whose disc is not.
+    Raises DegenerateViews: If fewer than half of the discs are known; names the first view whose disc is not.
     """
     hidden = [view.name for view, disc in zip(views, discs, strict=True) if not disc.is_known]
     unknown = any(not np.isfinite(disc.sigma_mm) for disc in discs)
@@ -120,17 +90,7 @@ def explain_weak_geometry(views: Sequence[View], parameters: AdjustmentParameter
     Own rules: a roll, if the parts of all rotation vectors across the axis are below 0.05 of the longest vector; one
     axis, if the second singular value of the vectors is.
 
-    Parameters
-    ----------
-    views
-        Views of one camera.
-    parameters
-        Their optimum.
-
-    Returns
-    -------
-    str
-        One sentence; empty if the geometry looks sound.
+    Returns: One sentence; empty if the geometry looks sound.
     """
     turns = relative_rotations_deg(parameters.rotations)
     lengths = np.linalg.norm(turns, axis=1)
@@ -149,15 +109,8 @@ def relative_rotations_deg(rotations: Array) -> Array:
 
     The vectors are those of R_i R_1^T (Diebel, 2006).
 
-    Parameters
-    ----------
-    rotations
-        (n, 3, 3) rotations, camera <- target.
-
-    Returns
-    -------
-    Array
-        (n - 1, 3) rotation vectors, degrees.
+    rotations: (n, 3, 3) rotations, camera <- target.
+    Returns: (n - 1, 3) rotation vectors, degrees.
     """
     return np.asarray(np.rad2deg(log_map(rotations[1:] @ rotations[0].T)))
 
@@ -167,17 +120,7 @@ def beam_half_angle_deg(parameters: AdjustmentParameters, views: Sequence[View])
 
     Own definition: the largest angle between the ray of a star and the mean ray of its view.
 
-    Parameters
-    ----------
-    parameters
-        Optimum of the adjustment.
-    views
-        Views of one camera.
-
-    Returns
-    -------
-    float
-        Half angle, degrees.
+    Returns: Half angle, degrees.
     """
     widest = 0.0
     for view, centre in zip(views, parameters.centres, strict=True):

@@ -186,16 +186,13 @@ def view_equations(
 ) -> None:
     """Compute the normal matrix and the gradient of each view, without priors: J^T C J and J^T g.
 
-    Parameters
-    ----------
-    target, displacements, bounds, state, fisheye, rotations, offsets
-        As for `calib.adjustment.star_kernels.residuals_px`. All stars must be in front of the camera.
-    places
-        (G,) int64 places of the free shared parameters in the state; `NOWHERE` for one that moves no star.
-    gradient, curvature
-        (2, M) and (3, M) float64 from `calib.adjustment.star_kernels.robust_curvature`.
-    normal, right
-        (n, G + L, G + L) and (n, G + L) float64 results; L is 3, or 6 with the centre of each view.
+    target, displacements, bounds, state, fisheye, rotations, offsets: As for
+      `calib.adjustment.star_kernels.residuals_px`. All stars must be in front of the camera.
+    places: (G,) int64 places of the free shared parameters in the state; `NOWHERE` for one that moves no
+      star.
+    gradient, curvature: (2, M) and (3, M) float64 from `calib.adjustment.star_kernels.robust_curvature`.
+    normal, right: (n, G + L, G + L) and (n, G + L) float64 results; L is 3, or 6 with the centre of each
+      view.
     """
     shared = len(places)
     dense, freed = _dense(places, right.shape[1] - shared)

@@ -32,35 +32,16 @@ _SAME_READING_DEG = 0.02
 
 @dataclass(frozen=True)
 class GimbalObservations:
-    """Readings of all views and their weight.
+    """Readings of all views and their weight."""
 
-    Attributes
-    ----------
-    angles_deg
-        (n, 3) float64 readings of pan, tilt, roll, degrees.
-    sigma_rad
-        Standard uncertainty of a reading, rad.
-    """
-
-    angles_deg: Array
-    sigma_rad: float
+    angles_deg: Array  # (n, 3) float64 readings of pan, tilt, roll, degrees
+    sigma_rad: float  # Standard uncertainty of a reading, rad
     _kept: list[tuple[Gimbal, tuple[Array, Array, Array]]] = field(
         default_factory=list, init=False, repr=False, compare=False
     )
 
     def subset(self, kept: Sequence[int]) -> GimbalObservations:
-        """Return the readings of some of the views.
-
-        Parameters
-        ----------
-        kept
-            Indices of the views to keep.
-
-        Returns
-        -------
-        GimbalObservations
-            Readings with the same weight.
-        """
+        """Return the readings of some of the views."""
         return replace(self, angles_deg=self.angles_deg[list(kept)])
 
     def information(self, gimbal: Gimbal) -> Array:
@@ -69,15 +50,7 @@ class GimbalObservations:
         An encoder repeats its error at the same reading, so that m views with one reading of an axis know this axis no
         better than one view: each gets m times the variance about it. Own approximation of the joint covariance.
 
-        Parameters
-        ----------
-        gimbal
-            Gives the directions of the axes.
-
-        Returns
-        -------
-        Array
-            (n, 3, 3) inverse covariances of the rotation vectors on the camera's side, 1 / rad^2.
+        Returns: (n, 3, 3) inverse covariances of the rotation vectors on the camera's side, 1 / rad^2.
         """
         axes = self._turned(gimbal)[1]
         covariance = axes * self._variances[:, None] @ np.swapaxes(axes, 1, 2)
@@ -101,17 +74,8 @@ class GimbalObservations:
 
         Rotation part of the robot-world and hand-eye equation (Zhuang, Roth and Sudhakar, 1994).
 
-        Parameters
-        ----------
-        gimbal
-            Parameters of the gimbal.
-        rotations
-            (n, 3, 3) rotations of the views, camera <- target.
-
-        Returns
-        -------
-        Array
-            (n, 3) rotation vectors on the camera's side, rad.
+        rotations: (n, 3, 3) rotations of the views, camera <- target.
+        Returns: (n, 3) rotation vectors on the camera's side, rad.
         """
         read = self._turned(gimbal)[0] @ gimbal.base_from_target
         return log_map(rotations @ np.swapaxes(read, 1, 2))
@@ -122,17 +86,9 @@ class GimbalObservations:
         Own derivation for small residuals: a turn of A or B on its left side turns the prediction by it, or by A G
         times it. A scale turns it about its axis by the reading, the angle between the axes about the axis of delta.
 
-        Parameters
-        ----------
-        gimbal
-            Where to evaluate the derivatives.
-        names
-            G names of free parameters; those that are not the gimbal's give zeros.
-
-        Returns
-        -------
-        Array
-            (n, 3, G) derivatives, rad per unit of each parameter.
+        gimbal: Where to evaluate the derivatives.
+        names: G names of free parameters; those that are not the gimbal's give zeros.
+        Returns: (n, 3, G) derivatives, rad per unit of each parameter.
         """
         n = len(self.angles_deg)
         out = np.zeros((n, 3, len(names)))
@@ -155,15 +111,7 @@ class GimbalObservations:
         Own choice: the scale of an axis is free if the axis moved and its scale is not certain; the angle between pan
         and tilt is free if both moved.
 
-        Parameters
-        ----------
-        scale_sigma
-            Standard uncertainty of the scales; 0 if they are certain.
-
-        Returns
-        -------
-        Prior
-            Names and priors; the means are those of an ideal gimbal, and zero for the two rotations.
+        scale_sigma: Standard uncertainty of the scales; 0 if they are certain.
         """
         moved = np.ptp(self.angles_deg, axis=0) > _MOVED_DEG
         sigmas = dict.fromkeys((*MOUNTING, *STANDING), _OPEN_SIGMA_RAD)

@@ -47,19 +47,8 @@ def spherical_starts(
     then Zhang's camera and a range of focal lengths, each with the median of its centres. Distortion starts at zero.
     Sources: arXiv:2512.16092, eq. 5, for the spherical solutions; Zhang (2000), section 3.1, for Zhang's camera.
 
-    Parameters
-    ----------
-    homographies
-        (n, 3, 3) homographies from `calib.model.homography.view_homography`.
-    image_size
-        Width and height, px.
-    distortion
-        Names of the distortion coefficients.
-
-    Yields
-    ------
-    AdjustmentParameters
-        Starting values.
+    homographies: (n, 3, 3) homographies from `calib.model.homography.view_homography`.
+    image_size: Width and height, px.
     """
     solutions = [
         linear_solution(homographies, image_size, free_principal_point=free) for free in (True, False)
@@ -82,19 +71,8 @@ def planar_starts(
 
     Zhang's camera and all poses: Zhang (2000), section 3.1.
 
-    Parameters
-    ----------
-    homographies
-        (n, 3, 3) homographies from `calib.model.homography.view_homography`.
-    image_size
-        Width and height, px.
-    distortion
-        Names of the distortion coefficients, which start at zero.
-
-    Yields
-    ------
-    AdjustmentParameters
-        Starting values; the centres of the views are their offsets.
+    homographies: (n, 3, 3) homographies from `calib.model.homography.view_homography`.
+    image_size: Width and height, px.
     """
     matrices = [
         zhang_matrix(homographies, image_size, free_principal_point=True),
@@ -116,21 +94,8 @@ def passport_starts(
 
     The camera follows from the known centre by arXiv:2512.16092, eq. 5.
 
-    Parameters
-    ----------
-    homographies
-        (n, 3, 3) homographies from `calib.model.homography.view_homography`; n >= 1.
-    image_size
-        Width and height, px.
-    distortion
-        Names of the distortion coefficients, which start at zero.
-    passport
-        The collimator.
-
-    Yields
-    ------
-    AdjustmentParameters
-        Starting values with the collimator of the passport.
+    homographies: (n, 3, 3) homographies from `calib.model.homography.view_homography`; n >= 1.
+    image_size: Width and height, px.
     """
     spherical = list(spherical_starts(homographies, image_size, distortion))
     middle = spherical[0].collimator if len(homographies) > 1 else _looked_at(homographies, image_size)
@@ -146,22 +111,7 @@ def best_start(bundle: Bundle, starts: Sequence[AdjustmentParameters]) -> Adjust
 
     All are refined a little on a share of the stars; the best few are refined further. Own procedure.
 
-    Parameters
-    ----------
-    bundle
-        Stars and free parameters.
-    starts
-        Starting values to compare.
-
-    Returns
-    -------
-    AdjustmentParameters
-        The refined values with the least cost.
-
-    Raises
-    ------
-    DegenerateViews
-        If no start leads to a real camera.
+    Raises DegenerateViews: If no start leads to a real camera.
     """
     thinned = bundle.thinned(_COMPARISON_STARS)
 

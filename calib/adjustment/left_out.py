@@ -22,19 +22,8 @@ def costs_of_views(bundle: Bundle, candidates: Sequence[AdjustmentParameters], l
 
     The costs are those of `Loss.cost` (Huber, 1964; Holland and Welsch, 1977).
 
-    Parameters
-    ----------
-    bundle
-        Bundle of n views.
-    candidates
-        P parameters with the rotations of all n views.
-    loss
-        Cost of a weighted residual.
-
-    Returns
-    -------
-    Array
-        (P, n) costs; infinite if a star cannot be projected.
+    loss: Cost of a weighted residual.
+    Returns: (P, n) costs; infinite if a star cannot be projected.
     """
     obs = bundle.observations
     costs = np.empty((len(candidates), len(obs.slices)))
@@ -65,26 +54,12 @@ def rms_alone(
 ) -> Array:
     """Return how well the camera of other views explains each view, of which only the rotation is adjusted.
 
-    Parameters
-    ----------
-    bundle
-        Bundle of n views.
-    others
-        For each view the camera and the collimator that the others give.
-    rotations
-        (n, 3, 3) rotations of the views, the start.
-    centres
-        (n, 3) centres of the views, mm. They count for a view that was placed by hand; the others have the centre of
-        the collimator.
-    by_hand
-        (n,) bool, whether the centre is adjusted too.
-    tolerance
-        As for `calib.adjustment.levenberg_marquardt.refine`.
-
-    Returns
-    -------
-    Array
-        (n,) root mean square residual, px.
+    rotations: (n, 3, 3) rotations of the views, the start.
+    centres: (n, 3) centres of the views, mm. They count for a view that was placed by hand; the others have
+      the centre of the collimator.
+    by_hand: (n,) bool, whether the centre is adjusted too.
+    tolerance: As for `calib.adjustment.levenberg_marquardt.refine`.
+    Returns: (n,) root mean square residual, px.
     """
     obs, loss = bundle.observations, Loss("l2")
     shifts, limits = shifts_of(obs, bundle.displacements), tolerances(bundle, tolerance)

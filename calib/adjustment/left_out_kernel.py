@@ -30,16 +30,10 @@ def costs_of_views(
 ) -> None:
     """Compute the robust cost of each view with each of P sets of parameters (Huber, 1964; Holland and Welsch, 1977).
 
-    Parameters
-    ----------
-    target, displacements, points, factors, bounds, fisheye
-        As for `calib.adjustment.search_kernel.search`.
-    states, rotations, offsets
-        (P, 16 + T), (P, n, 3, 3) and (P, n, 3) float64 parameters.
-    loss, limit
-        As for `calib.adjustment.star_kernels.robust_cost`.
-    costs
-        (P, n) float64 result; infinite if a star cannot be projected.
+    target, displacements, points, factors, bounds, fisheye: As for `calib.adjustment.search_kernel.search`.
+    states, rotations, offsets: (P, 16 + T), (P, n, 3, 3) and (P, n, 3) float64 parameters.
+    loss, limit: As for `calib.adjustment.star_kernels.robust_cost`.
+    costs: (P, n) float64 result; infinite if a star cannot be projected.
     """
     views, first = len(bounds), 0
     residuals = np.empty((2, (bounds[:, 1] - bounds[:, 0]).sum()))

@@ -46,23 +46,11 @@ _EPSILON = float(np.finfo(float).eps)
 
 @dataclass(frozen=True)
 class Refinement:
-    """The end of a refinement.
-
-    Attributes
-    ----------
-    parameters
-        The parameters of least cost found.
-    cost
-        Their robust cost.
-    converged
-        Whether no further step promises a reduction above the tolerance.
-    iterations
-        Number of steps tried.
-    """
+    """The end of a refinement."""
 
     parameters: AdjustmentParameters
     cost: float
-    converged: bool
+    converged: bool  # Whether no further step promises a reduction above the tolerance
     iterations: int
 
 
@@ -76,25 +64,11 @@ def refine(
 ) -> Refinement:
     """Minimise the robust cost (Marquardt, 1963; damping by the rule of Nielsen, 1999).
 
-    Parameters
-    ----------
-    bundle
-        Stars, free parameters and priors.
-    start
-        Starting values.
-    loss
-        Cost of a weighted residual.
-    max_iterations
-        Largest number of steps tried.
-    tolerance
-        The refinement ends when the predicted reduction is below this share of the cost.
-    views
-        Indices of the views that take part; None for all. The starting values are those of these views.
-
-    Returns
-    -------
-    Refinement
-        ``converged`` is False if the number of steps was reached, or if a star cannot be projected at the start.
+    loss: Cost of a weighted residual.
+    tolerance: The refinement ends when the predicted reduction is below this share of the cost.
+    views: Indices of the views that take part; None for all. The starting values are those of these views.
+    Returns: ``converged`` is False if the number of steps was reached, or if a star cannot be projected at
+      the start.
     """
     if bundle.gimbal is None or start.gimbal is None:
         return _search(bundle, start, loss, max_iterations, tolerance, views)
@@ -107,15 +81,8 @@ def search_with_readings(
 ) -> Refinement:
     """Minimise the cost of a bundle that may have readings of the gimbal (Marquardt, 1963; Nielsen, 1999).
 
-    Parameters
-    ----------
-    bundle, start, loss, max_iterations, tolerance
-        As for `refine`.
-
-    Returns
-    -------
-    Refinement
-        As from `refine`.
+    bundle, start, loss, max_iterations, tolerance: As for `refine`.
+    Returns: As from `refine`.
     """
     parameters, cost = start, _cost(bundle, start, loss)
     equations = bundle.robust_equations(start, loss) if np.isfinite(cost) else None
@@ -184,17 +151,7 @@ def _search(
 def tolerances(bundle: Bundle, tolerance: float) -> Array:
     """Return the tolerances of `calib.adjustment.search_kernel.search`.
 
-    Parameters
-    ----------
-    bundle
-        The stars.
-    tolerance
-        Share of the cost below which a predicted reduction ends the search.
-
-    Returns
-    -------
-    Array
-        (3,) relative and absolute tolerance, and how much rounding changes the root of twice the cost.
+    Returns: (3,) relative and absolute tolerance, and how much rounding changes the root of twice the cost.
     """
     return np.array([tolerance, _ABSOLUTE_TOLERANCE, _rounding(bundle, 0.5)])
 

@@ -27,57 +27,31 @@ _BLOCK_STARS = 2000
 
 @dataclass(frozen=True)
 class Places:
-    """Where the derivatives by the free parameters come from.
+    """Where the derivatives by the free parameters come from."""
 
-    Attributes
-    ----------
-    shared
-        For each of G free shared parameters its kind (``camera``, ``centre``, ``aberration`` or ``gimbal``) and its
-        index among the parameters of that kind.
-    local
-        Number L of local parameters of each view: 3 for the rotation; 6 with a free centre.
-    """
-
+    # For each of G free shared parameters its kind (``camera``, ``centre``, ``aberration`` or ``gimbal``) and
+    # its index among the parameters of that kind.
     shared: Sequence[tuple[str, int]]
-    local: int
+    local: int  # Number L of local parameters of each view: 3 for the rotation; 6 with a free centre
 
 
 @dataclass(frozen=True)
 class Pull:
-    """How the cost of each star depends on its image point.
+    """How the cost of each star depends on its image point."""
 
-    Attributes
-    ----------
-    gradient
-        (2, N) float64 negative gradient of the cost, 1 / px.
-    curvature
-        (3, N) float64 elements xx, xy and yy of the second derivative, 1 / px^2.
-    """
-
-    gradient: Array
-    curvature: Array
+    gradient: Array  # (2, N) float64 negative gradient of the cost, 1 / px
+    curvature: Array  # (3, N) float64 elements xx, xy and yy of the second derivative, 1 / px^2
 
 
 @dataclass(frozen=True)
 class Block:
-    """Consecutive views with their derivatives.
-
-    Attributes
-    ----------
-    views
-        Indices of the views.
-    rows
-        Rows of the stars of all these views.
-    own
-        For each view, its rows within the block.
-    jacobian
-        (G + L, 2, N) derivatives of the block's N image points, px per unit, by the G free shared and the L local
-        parameters (rotation in rad, then centre in mm).
-    """
+    """Consecutive views with their derivatives."""
 
     views: range
     rows: slice
     own: Sequence[slice]
+    # (G + L, 2, N) derivatives of the block's N image points, px per unit, by the G free shared and the L
+    # local parameters (rotation in rad, then centre in mm).
     jacobian: Array
 
 
@@ -106,21 +80,9 @@ def blocks(
     Own derivation, by the chain rule: with P = R (X - c), a rotation t on the camera's side moves P by t x P, and a
     shift s of the centre moves it by -R s.
 
-    Parameters
-    ----------
-    observations
-        The stars of all views.
-    displacements
-        (N, 2, T) float64 displacement of each star by a unit of each aberration, mm; None if there are none.
-    parameters
-        Camera, collimator, rotations and centres.
-    places
-        The free parameters.
-
-    Yields
-    ------
-    Block
-        At least one view each.
+    displacements: (N, 2, T) float64 displacement of each star by a unit of each aberration, mm; None if there
+      are none.
+    Yields: At least one view each.
     """
     for views in _views_in_blocks(observations.slices):
         own = [observations.slices[i] for i in views]
@@ -182,23 +144,11 @@ def view_equations(
 
     J^T C J and J^T g, with the curvature C of the robust cost (Triggs et al., 2000, section 4.3).
 
-    Parameters
-    ----------
-    observations, parameters
-        As for `blocks`.
-    displacements
-        (N, 2, T) float64 displacement of each star by a unit of each aberration, mm; None if there are none.
-    names
-        Names of the G free shared parameters.
-    free_centres
-        Whether the centre of each view is free.
-    pull
-        Gradient and curvature of the cost by the image points.
-
-    Returns
-    -------
-    tuple of Array
-        (n, G + L, G + L) normal matrices and (n, G + L) gradients.
+    observations, parameters: As for `blocks`.
+    displacements: (N, 2, T) float64 displacement of each star by a unit of each aberration, mm; None if there
+      are none.
+    free_centres: Whether the centre of each view is free.
+    Returns: (n, G + L, G + L) normal matrices and (n, G + L) gradients.
     """
     obs, state = observations, packed(parameters)
     views, width = len(obs.slices), len(names) + (6 if free_centres else 3)
@@ -225,17 +175,10 @@ def residuals_px(
 ) -> Array:
     """Return the residuals of all stars: image point found minus image point predicted (arXiv:2512.16092, eq. 6).
 
-    Parameters
-    ----------
-    observations, parameters
-        As for `blocks`.
-    displacements
-        (N, 2, T) float64 displacement of each star by a unit of each aberration, mm; None if there are none.
-
-    Returns
-    -------
-    Array
-        (2, N) float64 residuals, px; NaN for a star that cannot be projected.
+    observations, parameters: As for `blocks`.
+    displacements: (N, 2, T) float64 displacement of each star by a unit of each aberration, mm; None if there
+      are none.
+    Returns: (2, N) float64 residuals, px; NaN for a star that cannot be projected.
     """
     found = np.empty_like(observations.point_rows)
     star_kernels.residuals_px(
@@ -255,17 +198,8 @@ def residuals_px(
 def shifts_of(observations: Observations, displacements: Array | None) -> Array:
     """Return displacements for `calib.adjustment.star_kernels`.
 
-    Parameters
-    ----------
-    observations
-        N stars.
-    displacements
-        (N, 2, T) float64 displacements, mm; None if there are none.
-
-    Returns
-    -------
-    Array
-        (N, 2, T) float64 contiguous displacements; T is 0 if there are none.
+    displacements: (N, 2, T) float64 displacements, mm; None if there are none.
+    Returns: (N, 2, T) float64 contiguous displacements; T is 0 if there are none.
     """
     if displacements is None:
         return np.empty((len(observations.view), 2, 0))
@@ -275,17 +209,8 @@ def shifts_of(observations: Observations, displacements: Array | None) -> Array:
 def squares(observations: Observations, curvature_root: Array | None) -> Array:
     """Return the curvature of the cost by the image points, W^T C W: whitening W, curvature C of the robust cost.
 
-    Parameters
-    ----------
-    observations
-        N stars.
-    curvature_root
-        (N, 2, 2) symmetric square root of C; None for the identity.
-
-    Returns
-    -------
-    Array
-        (3, N) elements xx, xy and yy, 1 / px^2.
+    curvature_root: (N, 2, 2) symmetric square root of C; None for the identity.
+    Returns: (3, N) elements xx, xy and yy, 1 / px^2.
     """
     a, b, c = observations.factors
     if curvature_root is None:
@@ -301,19 +226,8 @@ def squares(observations: Observations, curvature_root: Array | None) -> Array:
 def robust_pull(observations: Observations, residuals: Array, loss: int, limit: float) -> Pull:
     """Return gradient and curvature of a robust cost (Triggs et al., 2000, section 4.3).
 
-    Parameters
-    ----------
-    observations
-        N stars.
-    residuals
-        (N, 2) weighted residuals.
-    loss, limit
-        As for `calib.adjustment.star_kernels.robust_cost`.
-
-    Returns
-    -------
-    Pull
-        Gradient and curvature by the image points.
+    residuals: (N, 2) weighted residuals.
+    loss, limit: As for `calib.adjustment.star_kernels.robust_cost`.
     """
     pull = Pull(np.empty((2, len(residuals))), np.empty((3, len(residuals))))
     star_kernels.robust_curvature(

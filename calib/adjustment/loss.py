@@ -19,17 +19,8 @@ class Loss:
 
     Huber (1964) is the loss of arXiv:2512.16092, eq. 7, divided by two.
 
-    Parameters
-    ----------
-    name
-        ``l2``: e^2 / 2. ``huber``: linear above the limit. ``cauchy``: logarithmic above it.
-    limit
-        Length at which the loss leaves the parabola, in standard deviations.
-
-    Raises
-    ------
-    InputMismatch
-        If the name is unknown.
+    name: ``l2``: e^2 / 2. ``huber``: linear above the limit. ``cauchy``: logarithmic above it.
+    Raises InputMismatch: If the name is unknown.
     """
 
     name: str
@@ -49,15 +40,7 @@ class Loss:
 
         ``huber``: Huber (1964). ``cauchy``: Holland and Welsch (1977), limit^2 / 2 log(1 + (e / limit)^2).
 
-        Parameters
-        ----------
-        lengths
-            (N,) lengths of the weighted residuals.
-
-        Returns
-        -------
-        float
-            Sum of rho(e).
+        lengths: (N,) lengths of the weighted residuals.
         """
         if self.name == "huber" and np.isfinite(self.limit):
             inside = np.minimum(lengths, self.limit)
@@ -71,15 +54,8 @@ class Loss:
 
         They are the weights of iteratively reweighted least squares (Huber, 1964; Holland and Welsch, 1977).
 
-        Parameters
-        ----------
-        lengths
-            (N,) lengths of the weighted residuals.
-
-        Returns
-        -------
-        Array
-            (N,) weights, 0 to 1.
+        lengths: (N,) lengths of the weighted residuals.
+        Returns: (N,) weights, 0 to 1.
         """
         if self.name == "huber" and np.isfinite(self.limit):
             return np.asarray(self.limit / np.maximum(lengths, self.limit))
@@ -92,15 +68,8 @@ class Loss:
 
         They follow from the losses of Huber (1964) and of Holland and Welsch (1977).
 
-        Parameters
-        ----------
-        lengths
-            (N,) lengths of the weighted residuals.
-
-        Returns
-        -------
-        Array
-            (N,) second derivatives; negative where the Cauchy loss is concave.
+        lengths: (N,) lengths of the weighted residuals.
+        Returns: (N,) second derivatives; negative where the Cauchy loss is concave.
         """
         if self.name == "huber" and np.isfinite(self.limit):
             return np.where(lengths <= self.limit, 1.0, 0.0)
@@ -115,15 +84,8 @@ class Loss:
         across it. This is the second derivative of a robust cost of Triggs et al. (2000), section 4.3, who also limit
         it where it is negative; the root is this project's own.
 
-        Parameters
-        ----------
-        residuals
-            (N, 2) weighted residuals.
-
-        Returns
-        -------
-        Array or None
-            (N, 2, 2) square roots; None if all are the identity.
+        residuals: (N, 2) weighted residuals.
+        Returns: (N, 2, 2) square roots; None if all are the identity.
         """
         if not np.isfinite(self.limit):
             return None
@@ -140,15 +102,8 @@ class Loss:
 def lengths(residuals: Array) -> Array:
     """Return the lengths of residuals.
 
-    Parameters
-    ----------
-    residuals
-        (N, 2) residuals.
-
-    Returns
-    -------
-    Array
-        (N,) lengths.
+    residuals: (N, 2) residuals.
+    Returns: (N,) lengths.
     """
     x, y = residuals.T
     return np.asarray(np.sqrt(x * x + y * y))

@@ -17,36 +17,20 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class NormalEquations:
-    """J^T W J and J^T W e, split into blocks of shared and of local (per-view) parameters.
+    """J^T W J and J^T W e, split into blocks of shared and of local (per-view) parameters."""
 
-    Attributes
-    ----------
-    shared, shared_gradient
-        (G, G) and (G,) float64 blocks of the G shared parameters.
-    local, local_gradient
-        (n, L, L) and (n, L) float64 blocks of the L local parameters of each of n views.
-    coupling
-        (n, G, L) float64 blocks between shared and local parameters.
-    """
-
+    # shared, shared_gradient: (G, G) and (G,) float64 blocks of the G shared parameters.
     shared: Array
     shared_gradient: Array
+    # local, local_gradient: (n, L, L) and (n, L) float64 blocks of the L local parameters of each of n views.
     local: Array
     local_gradient: Array
-    coupling: Array
+    coupling: Array  # (n, G, L) float64 blocks between shared and local parameters
 
     def damped(self, damping: float) -> NormalEquations:
         """Return the equations with Marquardt's damping: diagonals times 1 + damping (Marquardt, 1963).
 
-        Parameters
-        ----------
-        damping
-            Damping factor, at least 0.
-
-        Returns
-        -------
-        NormalEquations
-            Damped equations with the same gradient.
+        damping: Damping factor, at least 0.
         """
         diagonal = np.arange(self.local.shape[1])
         local, shared = self.local.copy(), self.shared.copy()
@@ -59,10 +43,7 @@ class NormalEquations:
 
         Source: Triggs et al. (2000), section 6.1; Brown (1976).
 
-        Returns
-        -------
-        Array
-            (G, G) information matrix.
+        Returns: (G, G) information matrix.
         """
         solved = np.linalg.solve(self.local, np.swapaxes(self.coupling, 1, 2))
         return np.asarray(self.shared - (self.coupling @ solved).sum(axis=0))
@@ -73,15 +54,8 @@ class NormalEquations:
         The shared parameters are solved by the Schur complement, the local ones by back-substitution (Triggs et al.,
         2000, section 6.1; Brown, 1976). The reduced system is scaled to a unit diagonal (van der Sluis, 1969).
 
-        Returns
-        -------
-        tuple of Array
-            (G,) step of the shared parameters; (n, L) step of the local ones.
-
-        Raises
-        ------
-        numpy.linalg.LinAlgError
-            If the equations are singular.
+        Returns: (G,) step of the shared parameters; (n, L) step of the local ones.
+        Raises numpy.linalg.LinAlgError: If the equations are singular.
         """
         right = np.concatenate([np.swapaxes(self.coupling, 1, 2), self.local_gradient[:, :, None]], axis=2)
         solved = np.linalg.solve(self.local, right)
@@ -97,54 +71,26 @@ class NormalEquations:
 
         Own derivation: a step d that solves N d = g lowers the quadratic model g.d - d.(N d) / 2 by g.d / 2.
 
-        Parameters
-        ----------
-        shared
-            (G,) step of the shared parameters.
-        local
-            (n, L) step of the local parameters.
-
-        Returns
-        -------
-        float
-            Gradient times step, in the unit of the cost.
+        shared: (G,) step of the shared parameters.
+        local: (n, L) step of the local parameters.
         """
         return float(self.shared_gradient @ shared + (self.local_gradient * local).sum())
 
 
 @dataclass(frozen=True)
 class ViewScores:
-    """Information and scores of n views for the G shared parameters, with their L local parameters eliminated.
+    """Information and scores of n views for the G shared parameters, with their L local parameters eliminated."""
 
-    Attributes
-    ----------
-    information
-        (n, G, G) float64 information.
-    score
-        (n, G) float64 contribution to the negative gradient of the cost.
-    answer
-        (n, L, G) float64: the local parameters change by minus this times a change of the shared ones.
-    """
-
-    information: Array
-    score: Array
+    information: Array  # (n, G, G) float64 information
+    score: Array  # (n, G) float64 contribution to the negative gradient of the cost
+    # (n, L, G) float64: the local parameters change by minus this times a change of the shared ones.
     answer: Array
 
     @classmethod
     def of(cls, normal: Array, gradient: Array, count: int) -> ViewScores:
         """Eliminate the local parameters of each view by the Schur complement (Triggs et al., 2000, section 6.1).
 
-        Parameters
-        ----------
-        normal, gradient
-            (n, G + L, G + L) normal matrices and (n, G + L) negative gradients.
-        count
-            Number G of shared parameters.
-
-        Returns
-        -------
-        ViewScores
-            Information and scores.
+        normal, gradient: (n, G + L, G + L) normal matrices and (n, G + L) negative gradients.
         """
         coupling = normal[:, :count, count:]
         right = np.concatenate([np.swapaxes(coupling, 1, 2), gradient[:, count:, None]], axis=2)

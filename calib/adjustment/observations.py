@@ -19,28 +19,15 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Observations:
-    """The N stars of all views, view after view.
+    """The N stars of all views, view after view."""
 
-    Attributes
-    ----------
-    target
-        (N, 3) float64 positions on the target, mm, with Z = 0.
-    points_px
-        (N, 2) float64 image points, px.
-    whitening
-        (N, 2, 2) float64 inverse Cholesky factors of the stars' covariances, 1 / px. They give residuals unit
-        covariance.
-    slices
-        The rows of each view.
-    view
-        (N,) int64 index of the view of each row.
-    """
-
-    target: Array
-    points_px: Array
+    target: Array  # (N, 3) float64 positions on the target, mm, with Z = 0
+    points_px: Array  # (N, 2) float64 image points, px
+    # (N, 2, 2) float64 inverse Cholesky factors of the stars' covariances, 1 / px. They give residuals unit
+    # covariance.
     whitening: Array
     slices: tuple[slice, ...]
-    view: NDArray[np.int64]
+    view: NDArray[np.int64]  # (N,) int64 index of the view of each row
     _remembered: list[tuple[tuple[object, ...], Array]] = field(
         default_factory=list, init=False, repr=False, compare=False
     )
@@ -49,20 +36,8 @@ class Observations:
     def from_views(cls, views: Sequence[View]) -> Observations:
         """Stack the stars of views.
 
-        Parameters
-        ----------
-        views
-            Views of one camera.
-
-        Returns
-        -------
-        Observations
-            The stars of the views, in their order.
-
-        Raises
-        ------
-        InputMismatch
-            If the covariance of a star is not positive definite.
+        Returns: The stars of the views, in their order.
+        Raises InputMismatch: If the covariance of a star is not positive definite.
         """
         counts = [len(view) for view in views]
         target = np.concatenate([view.target_mm for view in views])
@@ -109,17 +84,8 @@ class Observations:
     def remembered(self, given: tuple[object, ...], of: Callable[[], Array]) -> Array:
         """Return the result of a function; the last one is kept and returned for the same objects.
 
-        Parameters
-        ----------
-        given
-            Objects that the result depends on besides these observations; they never change.
-        of
-            The function.
-
-        Returns
-        -------
-        Array
-            The array that it returns, of any shape; not to be written to.
+        given: Objects that the result depends on besides these observations; they never change.
+        Returns: The array that it returns, of any shape; not to be written to.
         """
         if self._remembered and all(a is b for a, b in zip(self._remembered[0][0], given, strict=True)):
             return self._remembered[0][1]
@@ -133,15 +99,8 @@ class Observations:
 
         This is generalised least squares (Aitken, 1936), with the inverse of the Cholesky factor of each covariance.
 
-        Parameters
-        ----------
-        vectors
-            (N, 2) vectors, px.
-
-        Returns
-        -------
-        Array
-            (N, 2) vectors in standard deviations.
+        vectors: (N, 2) vectors, px.
+        Returns: (N, 2) vectors in standard deviations.
         """
         # The factors are lower triangular; written out, this is several times faster than small products.
         a, b, c = self.factors
@@ -153,15 +112,8 @@ class Observations:
 
         Own derivation, by the chain rule: if w = L^-1 v, the gradient by v is L^-T times that by w.
 
-        Parameters
-        ----------
-        vectors
-            (N, 2) gradients by weighted residuals.
-
-        Returns
-        -------
-        Array
-            (N, 2) gradients by image points, 1 / px.
+        vectors: (N, 2) gradients by weighted residuals.
+        Returns: (N, 2) gradients by image points, 1 / px.
         """
         a, b, c = self.factors
         x, y = vectors.T
@@ -170,31 +122,12 @@ class Observations:
     def rows(self, views: Sequence[int]) -> list[NDArray[np.int64]]:
         """Return the rows of some views.
 
-        Parameters
-        ----------
-        views
-            Indices of the views.
-
-        Returns
-        -------
-        list of NDArray of int64
-            Row indices, shape (N_i,), of each view.
+        Returns: Row indices, shape (N_i,), of each view.
         """
         return [np.arange(self.slices[i].start, self.slices[i].stop) for i in views]
 
     def of_view(self, i: int) -> Observations:
-        """Return the observations of one view.
-
-        Parameters
-        ----------
-        i
-            Index of the view.
-
-        Returns
-        -------
-        Observations
-            One view, whose arrays are parts of these.
-        """
+        """Return the observations of one view."""
         rows = self.slices[i]
         count = rows.stop - rows.start
         return Observations(
@@ -208,15 +141,8 @@ class Observations:
     def with_rows(self, rows: Sequence[NDArray[np.int64]]) -> Observations:
         """Return observations that consist of given rows.
 
-        Parameters
-        ----------
-        rows
-            For each new view, its row indices, shape (N_i,) int64.
-
-        Returns
-        -------
-        Observations
-            One view for each entry of `rows`.
+        rows: For each new view, its row indices, shape (N_i,) int64.
+        Returns: One view for each entry of `rows`.
         """
         every = np.concatenate(rows)
         counts = [len(r) for r in rows]

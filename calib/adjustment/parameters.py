@@ -22,25 +22,14 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class AdjustmentParameters:
-    """A camera, a collimator, and the rotation and centre of each of n views.
-
-    Attributes
-    ----------
-    camera, collimator
-        The parameters that the views share.
-    rotations
-        (n, 3, 3) float64 rotations, camera <- target.
-    offsets
-        (n, 3) float64 centre of each view minus the collimator's centre, mm; zero in the spherical model.
-    gimbal
-        The gimbal, if its readings are observations.
-    """
+    """A camera, a collimator, and the rotation and centre of each of n views."""
 
     camera: CameraModel
     collimator: Collimator
-    rotations: Array
+    rotations: Array  # (n, 3, 3) float64 rotations, camera <- target
+    # (n, 3) float64 centre of each view minus the collimator's centre, mm; zero in the spherical model.
     offsets: Array
-    gimbal: Gimbal | None = None
+    gimbal: Gimbal | None = None  # The gimbal, if its readings are observations
 
     @property
     def centres(self) -> Array:
@@ -56,15 +45,7 @@ class AdjustmentParameters:
     def values(self, names: Sequence[str]) -> Array:
         """Return values of shared parameters.
 
-        Parameters
-        ----------
-        names
-            K names of shared parameters.
-
-        Returns
-        -------
-        Array
-            (K,) values, each in the unit of its parameter.
+        Returns: (K,) values, each in the unit of its parameter.
         """
         known = self.shared
         return np.array([known[name] for name in names])
@@ -74,39 +55,17 @@ class AdjustmentParameters:
 
         A rotation is updated by a small rotation about itself, R <- exp([t]x) R, as Triggs et al. (2000) recommend.
 
-        Parameters
-        ----------
-        names
-            G names of the free shared parameters.
-        shared
-            (G,) increments of these parameters.
-        local
-            (n, 3) rotation vectors, rad, that turn each view on the camera's side; or (n, 6), followed by shifts of
-            each view's centre, mm.
-
-        Returns
-        -------
-        AdjustmentParameters
-            New parameters; rotations stay orthogonal.
+        shared: (G,) increments of these parameters.
+        local: (n, 3) rotation vectors, rad, that turn each view on the camera's side; or (n, 6), followed by
+          shifts of each view's centre, mm.
         """
         return self.after_steps(names, shared[None], local[None])[0]
 
     def after_steps(self, names: Sequence[str], shared: Array, local: Array) -> list[AdjustmentParameters]:
         """Return the parameters after each of P steps, as `after_step`.
 
-        Parameters
-        ----------
-        names
-            G names of the free shared parameters.
-        shared
-            (P, G) increments of these parameters.
-        local
-            (P, n, L) increments of the local ones.
-
-        Returns
-        -------
-        list of AdjustmentParameters
-            One for each step.
+        shared: (P, G) increments of these parameters.
+        local: (P, n, L) increments of the local ones.
         """
         rotations = exp_map(local[:, :, :3]) @ self.rotations
         offsets = self.offsets + local[:, :, 3:] if local.shape[2] > 3 else [self.offsets] * len(local)
@@ -126,17 +85,6 @@ class AdjustmentParameters:
         return AdjustmentParameters(camera, self.collimator.with_values(known), rotations, offsets, gimbal)
 
     def subset(self, kept: Sequence[int]) -> AdjustmentParameters:
-        """Return the parameters of some of the views.
-
-        Parameters
-        ----------
-        kept
-            Indices of the views to keep.
-
-        Returns
-        -------
-        AdjustmentParameters
-            Parameters with the same camera and collimator.
-        """
+        """Return the parameters of some of the views."""
         index = list(kept)
         return replace(self, rotations=self.rotations[index], offsets=self.offsets[index])

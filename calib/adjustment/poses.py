@@ -21,15 +21,8 @@ def poses_of(rotations: Array) -> tuple[int, ...]:
 
     A view belongs to the first pose whose first view is turned by less than 0.2 degrees against it. Own rule.
 
-    Parameters
-    ----------
-    rotations
-        (n, 3, 3) rotations of the views, camera <- target.
-
-    Returns
-    -------
-    tuple of int
-        For each view the index of its pose; poses are numbered in the order of their first views.
+    rotations: (n, 3, 3) rotations of the views, camera <- target.
+    Returns: For each view the index of its pose; poses are numbered in the order of their first views.
     """
     flat = np.asarray(rotations).reshape(len(rotations), 9)
     # The chord between two rotations turned by an angle t: |R - S| = sqrt(8) sin(t / 2), in the Frobenius norm.
@@ -46,16 +39,5 @@ def poses_of(rotations: Array) -> tuple[int, ...]:
 
 
 def members(poses: Sequence[int]) -> list[list[int]]:
-    """Return the views of each pose.
-
-    Parameters
-    ----------
-    poses
-        For each view the index of its pose.
-
-    Returns
-    -------
-    list of list of int
-        For each pose the indices of its views.
-    """
+    """Return the views of each pose."""
     return [[i for i, pose in enumerate(poses) if pose == k] for k in range(max(poses) + 1)]

@@ -23,16 +23,10 @@ def add_pinhole(
 ) -> None:
     """Add the products of fx, fy, cx and cy among themselves, J^T C J and J^T g, for some stars.
 
-    Parameters
-    ----------
-    bent
-        (2, `CHUNK`) float64 distorted normalised points of these stars: the derivatives by fx and fy.
-    gradient, curvature
-        (2, M) and (3, M) float64, as for `calib.adjustment.equation_kernels.view_equations`.
-    first, count
-        The first of these stars in ``gradient``, and their number.
-    normal, right
-        (4, 4) and (4,) or longer, float64 sums to add to; of ``normal`` the lower half.
+    bent: (2, `CHUNK`) float64 distorted normalised points of these stars: the derivatives by fx and fy.
+    gradient, curvature: (2, M) and (3, M) float64, as for `calib.adjustment.equation_kernels.view_equations`.
+    first, count: The first of these stars in ``gradient``, and their number.
+    normal, right: (4, 4) and (4,) or longer, float64 sums to add to; of ``normal`` the lower half.
     """
     end = first + count
     xx, xy, yy = curvature[0, first:end], curvature[1, first:end], curvature[2, first:end]
@@ -86,16 +80,10 @@ def add_columns(
 ) -> None:
     """Add the products of D further parameters with each other and with fx, fy, cx and cy, for some stars.
 
-    Parameters
-    ----------
-    columns
-        (D, 2, `CHUNK`) float64 derivatives J of these stars.
-    bent, gradient, curvature, first, count
-        As for `add_pinhole`.
-    weighted
-        (D, 2, `CHUNK`) float64 room for C J.
-    normal, by_pinhole, right
-        (D, D), (D, 4) and (D,) float64 sums to add to; of ``normal`` the lower half.
+    columns: (D, 2, `CHUNK`) float64 derivatives J of these stars.
+    bent, gradient, curvature, first, count: As for `add_pinhole`.
+    weighted: (D, 2, `CHUNK`) float64 room for C J.
+    normal, by_pinhole, right: (D, D), (D, 4) and (D,) float64 sums to add to; of ``normal`` the lower half.
     """
     end = first + count
     xx, xy, yy = curvature[0, first:end], curvature[1, first:end], curvature[2, first:end]
@@ -151,18 +139,12 @@ def gather(
 ) -> None:
     """Write the sums of a view to its normal equations.
 
-    Parameters
-    ----------
-    places
-        (G,) int64 places of the free shared parameters in the state.
-    dense
-        (D,) int64 which of the view's parameters are those of `add_columns`.
-    pinhole, by_pinhole, own
-        (4, 4), (D, 4) and (D, D) float64 products of `add_pinhole` and of `add_columns`.
-    scores
-        (4 + D,) float64 gradients by fx, fy, cx and cy, and by the others.
-    normal, right
-        (G + L, G + L) and (G + L,) float64 results; zero for a parameter that moves no star.
+    places: (G,) int64 places of the free shared parameters in the state.
+    dense: (D,) int64 which of the view's parameters are those of `add_columns`.
+    pinhole, by_pinhole, own: (4, 4), (D, 4) and (D, D) float64 products of `add_pinhole` and of
+      `add_columns`.
+    scores: (4 + D,) float64 gradients by fx, fy, cx and cy, and by the others.
+    normal, right: (G + L, G + L) and (G + L,) float64 results; zero for a parameter that moves no star.
     """
     normal[:] = 0.0
     right[:] = 0.0

@@ -33,29 +33,16 @@ _FALSE_ALARMS = 1e-3
 
 @dataclass(frozen=True)
 class ReadingsTest:
-    """Whether readings agree with the stars and with the statements about them.
+    """Whether readings agree with the stars and with the statements about them."""
 
-    Attributes
-    ----------
-    chi_square, degrees_of_freedom
-        Weighted squares of the readings' residuals and of the distances of the gimbal's parameters and of a
-        certificate's radius from what is stated.
-    rms_deg
-        Root mean square rotation between reading and stars, degrees.
-    sigma_rad
-        Standard uncertainty of a reading in the test, rad.
-    times_stated
-        This uncertainty over the stated one.
-    source
-        Where the statements come from.
-    """
-
+    # chi_square, degrees_of_freedom: Weighted squares of the readings' residuals and of the distances of the
+    # gimbal's parameters and of a certificate's radius from what is stated.
     chi_square: float
     degrees_of_freedom: int
-    rms_deg: float
-    sigma_rad: float
+    rms_deg: float  # Root mean square rotation between reading and stars, degrees
+    sigma_rad: float  # Standard uncertainty of a reading in the test, rad
     times_stated: float = 1.0
-    source: str = ""
+    source: str = ""  # Where the statements come from
 
     @property
     def contradicted(self) -> bool:
@@ -86,25 +73,11 @@ def add_readings(
     A scale and an eccentricity act alike over a small range of angles: an error a sin(angle + phase) has the slope
     a cos(phase), at most a in rad.
 
-    Parameters
-    ----------
-    views
-        Views of one camera.
-    discs
-        Their visible discs; none if no term needs them.
-    bundle
-        Bundle without readings.
-    parameters
-        Its optimum.
-    readings
-        One reading for each view, with `GimbalReadings.parallax`.
-    radius
-        Prior of the radius by a certificate; None if there is none.
-
-    Returns
-    -------
-    tuple of Bundle and AdjustmentParameters
-        Bundle and start with the gimbal's parameters.
+    discs: Their visible discs; none if no term needs them.
+    bundle: Bundle without readings.
+    readings: One reading for each view, with `GimbalReadings.parallax`.
+    radius: Prior of the radius by a certificate; None if there is none.
+    Returns: Bundle and start with the gimbal's parameters.
     """
     assert readings.parallax is not None
     observations = GimbalObservations(readings.angles, float(np.deg2rad(readings.reading_sigma_deg)))
@@ -136,21 +109,7 @@ def with_turns(
 ) -> Bundle:
     """Return the bundle with displacements for the turns of given parameters.
 
-    Parameters
-    ----------
-    views
-        Views of one camera.
-    discs
-        Their visible discs; none if no term needs them.
-    bundle
-        Bundle with terms of the collimator.
-    parameters
-        Rotations from which the turns are taken.
-
-    Returns
-    -------
-    Bundle
-        The same bundle, with new displacements.
+    discs: Their visible discs; none if no term needs them.
     """
     terms = tuple(parameters.collimator.aberrations)
     return replace(bundle, displacements=term_displacements(views, discs, parameters, terms))
@@ -161,20 +120,6 @@ def check_readings(bundle: Bundle, parameters: AdjustmentParameters, stated: Gim
 
     The sum of the squares of the weighted residuals has a chi-square distribution if the errors are normal (Rao, 1973).
     The stars determine the rotations much better than the readings do, so each view gives three degrees of freedom.
-
-    Parameters
-    ----------
-    bundle
-        Bundle with readings.
-    parameters
-        Its optimum.
-    stated
-        The readings with the uncertainty that the station states.
-
-    Returns
-    -------
-    ReadingsTest
-        Chi-square with its degrees of freedom.
     """
     assert bundle.gimbal is not None
     assert parameters.gimbal is not None

@@ -43,17 +43,9 @@ def _pivot(matrix: Any, i: int) -> int:
 def solve_in_place(matrix: Any, right: Any) -> bool:
     """Solve matrix x = right in place, by Gaussian elimination with partial pivoting (Golub and Van Loan, 2013).
 
-    Parameters
-    ----------
-    matrix
-        (L, L) float64; overwritten.
-    right
-        (L, M) float64 right sides; overwritten by the solutions.
-
-    Returns
-    -------
-    bool
-        False if a pivot is zero.
+    matrix: (L, L) float64; overwritten.
+    right: (L, M) float64 right sides; overwritten by the solutions.
+    Returns: False if a pivot is zero.
     """
     n, m = right.shape
     for i in range(n):
@@ -262,35 +254,17 @@ def search(
 ) -> tuple[float, bool, int]:
     """Minimise the robust cost (Marquardt, 1963; damping by the rule of Nielsen, 1999), in place.
 
-    Parameters
-    ----------
-    target, displacements, points, bounds, fisheye
-        As for `calib.adjustment.star_kernels.residuals_px`.
-    factors
-        (3, N) float64 elements 00, 10 and 11 of the whitening of each star, 1 / px.
-    places
-        (G,) int64 places of the free shared parameters in the state.
-    state, rotations, offsets
-        The parameters: the start, then the end.
-    free_centres
-        Whether the centre of each view is free.
-    loss, limit
-        As for `calib.adjustment.star_kernels.robust_cost`.
-    drift
-        Prior information on a free centre, times the noise variance; 0 for none.
-    prior_at, prior, mean
-        (K,) int64 indices of the free parameters that have a prior, (K, K) float64 its information times the noise
-        variance, and (K,) float64 its mean.
-    max_iterations
-        Largest number of steps tried.
-    tolerances
-        (3,) float64 relative and absolute tolerance of the predicted reduction, and how much rounding changes the root
-        of twice the cost.
-
-    Returns
-    -------
-    tuple of float, bool and int
-        Cost at the end, whether no further step promises a reduction, and the number of steps tried.
+    target, displacements, points, bounds, fisheye: As for `calib.adjustment.star_kernels.residuals_px`.
+    factors: (3, N) float64 elements 00, 10 and 11 of the whitening of each star, 1 / px.
+    places: (G,) int64 places of the free shared parameters in the state.
+    free_centres: Whether the centre of each view is free.
+    loss, limit: As for `calib.adjustment.star_kernels.robust_cost`.
+    drift: Prior information on a free centre, times the noise variance; 0 for none.
+    prior_at, prior, mean: (K,) int64 indices of the free parameters that have a prior, (K, K) float64 its
+      information times the noise variance, and (K,) float64 its mean.
+    tolerances: (3,) float64 relative and absolute tolerance of the predicted reduction, and how much rounding
+      changes the root of twice the cost.
+    Returns: Cost at the end, whether no further step promises a reduction, and the number of steps tried.
     """
     shared, views, stars = len(places), len(rotations), (bounds[:, 1] - bounds[:, 0]).sum()
     width = shared + (6 if free_centres else 3)

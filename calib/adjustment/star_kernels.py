@@ -46,16 +46,11 @@ def project(
 
     A star appears at its position X on the target plus its displacement by the aberrations.
 
-    Parameters
-    ----------
-    target, displacements, state
-        As for `residuals_px`.
-    rotation, centre
-        (3, 3) rotation R, camera <- target, and (3,) centre c, mm.
-    first, count
-        The first of M stars, and their number, at most `CHUNK`.
-    p, plane
-        (3, `CHUNK`) float64 points, mm, and (2, `CHUNK`) float64 x / z and y / z; NaN for a point behind the camera.
+    target, displacements, state: As for `residuals_px`.
+    rotation, centre: (3, 3) rotation R, camera <- target, and (3,) centre c, mm.
+    first, count: The first of M stars, and their number, at most `CHUNK`.
+    p, plane: (3, `CHUNK`) float64 points, mm, and (2, `CHUNK`) float64 x / z and y / z; NaN for a point
+      behind the camera.
     """
     # One loop writes few rows, so that the compiler can show that they do not overlap with those it reads.
     end = first + count
@@ -121,24 +116,16 @@ def residuals_px(
 ) -> None:
     """Write the residuals of all stars: image point found minus image point predicted (arXiv:2512.16092, eq. 6).
 
-    Parameters
-    ----------
-    target
-        (3, N) float64 positions on the target, mm.
-    displacements
-        (N, 2, T) float64 displacement of each star by a unit of each aberration, mm.
-    points
-        (2, N) float64 image points, px.
-    bounds
-        (n, 2) int64 first star of each of n views, and the first behind it.
-    state
-        (16 + T,) float64 the shared parameters.
-    fisheye
-        Whether the lens is a fisheye lens.
-    rotations, offsets
-        (n, 3, 3) float64 rotations, and (n, 3) float64 centres of the views minus the shared one, mm.
-    out
-        (2, M) float64 residuals of the views' stars, view after view, px; NaN for a star that cannot be projected.
+    target: (3, N) float64 positions on the target, mm.
+    displacements: (N, 2, T) float64 displacement of each star by a unit of each aberration, mm.
+    points: (2, N) float64 image points, px.
+    bounds: (n, 2) int64 first star of each of n views, and the first behind it.
+    state: (16 + T,) float64 the shared parameters.
+    fisheye: Whether the lens is a fisheye lens.
+    rotations, offsets: (n, 3, 3) float64 rotations, and (n, 3) float64 centres of the views minus the shared
+      one, mm.
+    out: (2, M) float64 residuals of the views' stars, view after view, px; NaN for a star that cannot be
+      projected.
     """
     centre, at = np.empty(3), 0
     p, plane = np.empty((3, CHUNK)), np.empty((2, CHUNK))
@@ -164,14 +151,9 @@ def residuals_px(
 def whiten(residuals: Any, factors: Any, bounds: Any) -> None:
     """Divide residuals by their standard deviations, in place (Aitken, 1936); infinite if a star was not projected.
 
-    Parameters
-    ----------
-    residuals
-        (2, M) float64 residuals of the views' stars, view after view, px.
-    factors
-        (3, N) float64 elements 00, 10 and 11 of the whitening of each star, 1 / px.
-    bounds
-        (n, 2) int64 first star of each view, and the first behind it.
+    residuals: (2, M) float64 residuals of the views' stars, view after view, px.
+    factors: (3, N) float64 elements 00, 10 and 11 of the whitening of each star, 1 / px.
+    bounds: (n, 2) int64 first star of each view, and the first behind it.
     """
     at = 0
     for i in range(len(bounds)):
@@ -188,21 +170,9 @@ def whiten(residuals: Any, factors: Any, bounds: Any) -> None:
 def robust_cost(residuals: Any, first: int, end: int, loss: int, limit: float) -> float:
     """Return the sum of the robust costs of some stars, as `Loss.cost` (Huber, 1964; Holland and Welsch, 1977).
 
-    Parameters
-    ----------
-    residuals
-        (2, M) float64 weighted residuals.
-    first, end
-        The first of the stars, and the first behind them.
-    loss
-        Number of the loss, see `LOSSES`.
-    limit
-        Length at which the loss leaves the parabola.
-
-    Returns
-    -------
-    float
-        The cost.
+    residuals: (2, M) float64 weighted residuals.
+    first, end: The first of the stars, and the first behind them.
+    loss: Number of the loss, see `LOSSES`.
     """
     total = 0.0
     for k in range(first, end):
@@ -227,22 +197,12 @@ def robust_curvature(
     The curvature is rho'' along the residual, zero where negative, and rho' / e across it, as in
     `Loss.curvature_root` (Triggs et al., 2000, section 4.3).
 
-    Parameters
-    ----------
-    residuals
-        (2, M) float64 weighted residuals of the views' stars, view after view.
-    factors
-        (3, N) float64 elements 00, 10 and 11 of the whitening of each star, 1 / px.
-    bounds
-        (n, 2) int64 first star of each view, and the first behind it.
-    loss
-        Number of the loss, see `LOSSES`.
-    limit
-        Length at which the loss leaves the parabola.
-    gradient
-        (2, M) float64 negative gradient, 1 / px.
-    curvature
-        (3, M) float64 elements xx, xy and yy of the curvature, 1 / px^2.
+    residuals: (2, M) float64 weighted residuals of the views' stars, view after view.
+    factors: (3, N) float64 elements 00, 10 and 11 of the whitening of each star, 1 / px.
+    bounds: (n, 2) int64 first star of each view, and the first behind it.
+    loss: Number of the loss, see `LOSSES`.
+    gradient: (2, M) float64 negative gradient, 1 / px.
+    curvature: (3, M) float64 elements xx, xy and yy of the curvature, 1 / px^2.
     """
     at, across, excess = 0, np.empty(CHUNK), np.empty(CHUNK)
     for i in range(len(bounds)):

@@ -32,15 +32,7 @@ _NO_LENS = (0.0,) * (CENTRE_AT - LENS_AT)
 def packed(parameters: AdjustmentParameters) -> Array:
     """Return the shared parameters as the state of `calib.adjustment.star_kernels`.
 
-    Parameters
-    ----------
-    parameters
-        Camera and collimator with T aberrations.
-
-    Returns
-    -------
-    Array
-        (16 + T,) float64 pinhole, coefficients of the lens's family, skew, centre, aberrations.
+    Returns: (16 + T,) float64 pinhole, coefficients of the lens's family, skew, centre, aberrations.
     """
     camera, centre = parameters.camera, parameters.collimator
     state = [camera.fx, camera.fy, camera.cx, camera.cy, *_NO_LENS, centre.x, centre.y, centre.r]
@@ -52,17 +44,7 @@ def packed(parameters: AdjustmentParameters) -> Array:
 def unpacked(parameters: AdjustmentParameters, state: Array) -> tuple[CameraModel, Collimator]:
     """Return camera and collimator with the values of a state: the inverse of `packed`.
 
-    Parameters
-    ----------
-    parameters
-        Camera and collimator whose coefficients and aberrations are wanted.
-    state
-        (16 + T,) float64 from `packed`.
-
-    Returns
-    -------
-    tuple of CameraModel and Collimator
-        The same models with other values.
+    state: (16 + T,) float64 from `packed`.
     """
     camera, collimator, values = parameters.camera, parameters.collimator, state.tolist()
     fx, fy, cx, cy = values[:LENS_AT]
@@ -80,19 +62,9 @@ def state_places(
 ) -> NDArray[np.int64]:
     """Return where parameters stand in the state.
 
-    Parameters
-    ----------
-    parameters
-        Camera and collimator.
-    names
-        Names of G shared parameters.
-    displacements
-        (N, 2, T) float64 displacements, mm; None if there are none.
-
-    Returns
-    -------
-    NDArray of int64
-        (G,) places, not to be written to; `calib.adjustment.star_kernels.NOWHERE` for a parameter that moves no star.
+    displacements: (N, 2, T) float64 displacements, mm; None if there are none.
+    Returns: (G,) places, not to be written to; `calib.adjustment.star_kernels.NOWHERE` for a parameter that
+      moves no star.
     """
     shown = () if displacements is None else tuple(parameters.collimator.aberrations)
     return _places(tuple(names), shown)

@@ -21,18 +21,10 @@ _REGULAR_SHARE = 0.6
 
 
 class BlinkPeriods(NamedTuple):
-    """Periods of all pixels, each (H, W).
+    """Periods of all pixels, each (H, W)."""
 
-    Attributes
-    ----------
-    frequency_hz
-        float64, Hz; nan for a pixel that does not blink regularly.
-    starts
-        int32, number of periods that started.
-    """
-
-    frequency_hz: NDArray[np.float64]
-    starts: NDArray[np.int32]
+    frequency_hz: NDArray[np.float64]  # float64, Hz; nan for a pixel that does not blink regularly
+    starts: NDArray[np.int32]  # int32, number of periods that started
 
 
 def blink_periods(
@@ -47,17 +39,8 @@ def blink_periods(
     Own procedure: the median interval numbers the starts, so that a missed or an additional one does not matter; the
     least-squares line through the numbered starts gives the period.
 
-    Parameters
-    ----------
-    t_us, x, y, p
-        (N,) events in the order of their times: time, us; column; row; polarity, 1 is ON.
-    size
-        Width and height of the sensor, px.
-
-    Returns
-    -------
-    BlinkPeriods
-        Frequency of each pixel.
+    t_us, x, y, p: (N,) events in the order of their times: time, us; column; row; polarity, 1 is ON.
+    size: Width and height of the sensor, px.
     """
     width, height = size
     counts = _count_starts(x, y, p, width, height)
@@ -147,19 +130,10 @@ def lock_in(t_us: Any, x: Any, y: Any, p: Any, dot_of_pixel: Any, frequencies_hz
     detection (Scofield, 1994, American Journal of Physics 62, 129). Noise adds with random phases, so it nearly
     vanishes.
 
-    Parameters
-    ----------
-    t_us, x, y, p
-        (N,) events: time, us; column; row; polarity, 1 is ON.
-    dot_of_pixel
-        (H, W) int, index of the dot to which the pixel belongs; -1 for none.
-    frequencies_hz
-        (D,) float64, Hz, of each dot.
-
-    Returns
-    -------
-    NDArray
-        (H, W) float32, about the number of events of a period.
+    t_us, x, y, p: (N,) events: time, us; column; row; polarity, 1 is ON.
+    dot_of_pixel: (H, W) int, index of the dot to which the pixel belongs; -1 for none.
+    frequencies_hz: (D,) float64, Hz, of each dot.
+    Returns: (H, W) float32, about the number of events of a period.
     """
     height, width = dot_of_pixel.shape
     real = np.zeros((height, width), np.float64)

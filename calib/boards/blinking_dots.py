@@ -78,32 +78,15 @@ def detect_blinking_dots(
 ) -> View:
     """Detect blinking dots as a view.
 
-    Parameters
-    ----------
-    t_us, x, y, p
-        (N,) events in the order of their times: time, us; column; row; polarity, 1 is ON.
-    size
-        Width and height of the sensor, px.
-    board
-        A board of the kind ``blinking-dots``.
-    name
-        Name of the view, for the view and for messages.
-    keep_image
-        Called with the image of how strongly each pixel blinks, (H, W) float32, once it is made.
-
-    Returns
-    -------
-    View
-        The dots that were found, with covariances. If each dot has its own frequency, half of them are enough.
-
-    Raises
-    ------
-    TooFewEvents
-        If the recording is too short for the slowest dot, or has no events.
-    FlickerNotFound
-        If nothing blinks, or at other frequencies.
-    TargetNotFound
-        If the dots do not form the board; says what was found instead.
+    t_us, x, y, p: (N,) events in the order of their times: time, us; column; row; polarity, 1 is ON.
+    size: Width and height of the sensor, px.
+    board: A board of the kind ``blinking-dots``.
+    keep_image: Called with the image of how strongly each pixel blinks, (H, W) float32, once it is made.
+    Returns: The dots that were found, with covariances. If each dot has its own frequency, half of them are
+      enough.
+    Raises TooFewEvents: If the recording is too short for the slowest dot, or has no events.
+    Raises FlickerNotFound: If nothing blinks, or at other frequencies.
+    Raises TargetNotFound: If the dots do not form the board; says what was found instead.
     """
     where = f"view {name}"
     _require_long_enough(t_us, board, where)

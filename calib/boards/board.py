@@ -31,31 +31,20 @@ _LEAST_STEP = 0.004
 class Board:
     """A flat board with a grid of points.
 
-    Attributes
-    ----------
-    kind
-        ``checkerboard``: the points are the inner corners. ``circles``: centres on a square grid.
-        ``asymmetric-circles``: every second row is shifted by half a column, as in OpenCV. ``blinking-dots``: centres
-        on a square grid, each of a light that blinks at its own frequency.
-    columns, rows
-        Number of points along X and along Y.
-    pitch_mm
-        Distance of neighbouring points, mm: the side of a square, or the distance of circles. With
-        ``asymmetric-circles`` it is the distance of the rows, which is half that of the circles of a row.
-    frequencies_hz
-        Frequencies of blinking dots, Hz, row by row. Empty for other boards. If none are given for blinking dots, they
-        are evenly spaced from `FIRST_HZ` to `LAST_HZ`.
-
-    Raises
-    ------
-    InputMismatch
-        If there is no such board.
+    Raises InputMismatch: If there is no such board.
     """
 
+    # ``checkerboard``: the points are the inner corners. ``circles``: centres on a square grid.
+    # ``asymmetric-circles``: every second row is shifted by half a column, as in OpenCV. ``blinking-dots``:
+    # centres on a square grid, each of a light that blinks at its own frequency.
     kind: Kind
     columns: int
     rows: int
+    # Distance of neighbouring points, mm: the side of a square, or the distance of circles. With
+    # ``asymmetric-circles`` it is the distance of the rows, which is half that of the circles of a row.
     pitch_mm: float
+    # Frequencies of blinking dots, Hz, row by row. Empty for other boards. If none are given for blinking
+    # dots, they are evenly spaced from `FIRST_HZ` to `LAST_HZ`.
     frequencies_hz: tuple[float, ...] = ()
 
     def __post_init__(self) -> None:
@@ -116,21 +105,9 @@ class Board:
     def parse(cls, text: str) -> Board:
         """Read a description such as ``checkerboard:11x7:20mm`` or ``blinking-dots:9x6:25mm@50-150Hz``.
 
-        Parameters
-        ----------
-        text
-            Kind, columns x rows of points, and their distance; for blinking dots also the frequencies of the first and
-            of the last dot, between which the others are evenly spaced, row by row.
-
-        Returns
-        -------
-        Board
-            The board.
-
-        Raises
-        ------
-        InputMismatch
-            If the text does not describe a board.
+        text: Kind, columns x rows of points, and their distance; for blinking dots also the frequencies of
+          the first and of the last dot, between which the others are evenly spaced, row by row.
+        Raises InputMismatch: If the text does not describe a board.
 
         Examples
         --------

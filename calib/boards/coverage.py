@@ -35,21 +35,11 @@ _SIDES = ("left", "right", "upper", "lower")
 
 @dataclass(frozen=True)
 class Seen:
-    """A placement as the image shows it.
-
-    Attributes
-    ----------
-    name
-        Name of the placement.
-    image_size
-        Width and height, px.
-    points_px
-        (N, 2) float64, px, all points of the board, row by row; those outside the image too.
-    """
+    """A placement as the image shows it."""
 
     name: str
-    image_size: tuple[int, int]
-    points_px: Array
+    image_size: tuple[int, int]  # Width and height, px
+    points_px: Array  # (N, 2) float64, px, all points of the board, row by row; those outside the image too
 
     @property
     def least_shift_px(self) -> float:
@@ -81,15 +71,7 @@ class Seen:
         Own estimate: the homography's change of scale from one side of the image of the board to the other; it needs no
         focal length.
 
-        Parameters
-        ----------
-        board
-            The board.
-
-        Returns
-        -------
-        frozenset of str
-            Of ``left right upper lower``.
+        Returns: Of ``left right upper lower``.
         """
         low, high = self.points_px.min(axis=0), self.points_px.max(axis=0)
         back = np.linalg.inv(fit_homography(board.nodes.astype(np.float64), self.points_px))
@@ -109,17 +91,7 @@ def shift_px(one: Seen, other: Seen, board: Board) -> float:
 
     Own measure: root mean square distance; for a board that looks the same after half a turn, of the nearer order.
 
-    Parameters
-    ----------
-    one, other
-        Two placements.
-    board
-        The board.
-
-    Returns
-    -------
-    float
-        Root mean square distance, px.
+    Returns: Root mean square distance, px.
     """
     orders = [other.points_px, other.points_px[::-1]] if board.symmetric else [other.points_px]
     return min(float(np.sqrt(np.mean(np.sum((one.points_px - order) ** 2, axis=1)))) for order in orders)
@@ -129,18 +101,6 @@ def advice(seen: Sequence[Seen], board: Board) -> str:
     """Return what the next placement should be, in words.
 
     Own rule: first the corners of the image, then its other parts, then tilts to each side, then a few more.
-
-    Parameters
-    ----------
-    seen
-        The placements so far.
-    board
-        The board.
-
-    Returns
-    -------
-    str
-        One sentence.
     """
     if not seen:
         return "hold the board in the middle of the image, wholly in view."
@@ -164,17 +124,8 @@ def advice(seen: Sequence[Seen], board: Board) -> str:
 def turned_upside_down(points_px: Array, board: Board) -> bool:
     """Return whether the board stands upside down: its first row is the lower one, and runs to the left.
 
-    Parameters
-    ----------
-    points_px
-        (N, 2) float64, px, all points, row by row.
-    board
-        The board.
-
-    Returns
-    -------
-    bool
-        Always false for a board that looks the same after half a turn.
+    points_px: (N, 2) float64, px, all points, row by row.
+    Returns: Always false for a board that looks the same after half a turn.
     """
     if board.symmetric:
         return False
@@ -186,17 +137,9 @@ def turned_upside_down(points_px: Array, board: Board) -> bool:
 def is_cut(points_px: Array, image_size: tuple[int, int]) -> bool:
     """Return whether the frame cuts a board.
 
-    Parameters
-    ----------
-    points_px
-        (N, 2) float64, px, all points of the board, also those that are not in the image.
-    image_size
-        Width and height, px.
-
-    Returns
-    -------
-    bool
-        Whether a point lies outside.
+    points_px: (N, 2) float64, px, all points of the board, also those that are not in the image.
+    image_size: Width and height, px.
+    Returns: Whether a point lies outside.
     """
     hull = cv2.boundingRect(points_px.astype(np.float32).reshape(-1, 1, 2))
     x, y, width, height = hull

@@ -54,27 +54,11 @@ _SECTORS = cv2.CALIB_CB_EXHAUSTIVE | cv2.CALIB_CB_ACCURACY
 def detect_board(image: NDArray[np.generic], board: Board, *, name: str = "view") -> View:
     """Detect the points of a board as a view.
 
-    Parameters
-    ----------
-    image
-        (H, W) of any integer or floating type; the board may be bright on dark or dark on bright.
-    board
-        The board.
-    name
-        Name of the view, for the view and for messages.
-
-    Returns
-    -------
-    View
-        The points in the order of their ids, row by row, with covariances. A board that looks the same after half a
-        turn may be numbered from either end.
-
-    Raises
-    ------
-    TargetNotFound
-        If the image does not show the whole board once; says what it shows instead.
-    InputMismatch
-        If the image does not have two axes, or is empty.
+    image: (H, W) of any integer or floating type; the board may be bright on dark or dark on bright.
+    Returns: The points in the order of their ids, row by row, with covariances. A board that looks the same
+      after half a turn may be numbered from either end.
+    Raises TargetNotFound: If the image does not show the whole board once; says what it shows instead.
+    Raises InputMismatch: If the image does not have two axes, or is empty.
     """
     if image.ndim != 2 or image.size == 0:
         raise InputMismatch(
@@ -109,24 +93,9 @@ def detect_board(image: NDArray[np.generic], board: Board, *, name: str = "view"
 def relocate_board(image: NDArray[np.generic], view: View, board: Board) -> View:
     """Locate the points of a board again in another image of the same placement.
 
-    Parameters
-    ----------
-    image
-        (H, W) of any integer or floating type.
-    view
-        Where the points were in the first image.
-    board
-        The board.
-
-    Returns
-    -------
-    View
-        The points that were located.
-
-    Raises
-    ------
-    TargetNotFound
-        If they were not found there.
+    image: (H, W) of any integer or floating type.
+    view: Where the points were in the first image.
+    Raises TargetNotFound: If they were not found there.
     """
     plain = np.nan_to_num(np.asarray(image, np.float32))
     points, covariances = locate_points(plain, view.points_px, board, view.ids)
@@ -143,24 +112,9 @@ def find_board(grey: NDArray[np.uint8], board: Board, *, name: str = "view") -> 
 
     Checkerboards: Duda and Frese (2018), as OpenCV has it. Circles: OpenCV's ``findCirclesGrid``.
 
-    Parameters
-    ----------
-    grey
-        (H, W) uint8.
-    board
-        The board.
-    name
-        Name of the view, for messages.
-
-    Returns
-    -------
-    Array
-        (N, 2) float64 image points, px, row by row.
-
-    Raises
-    ------
-    TargetNotFound
-        If the board was not found; says what was found instead.
+    grey: (H, W) uint8.
+    Returns: (N, 2) float64 image points, px, row by row.
+    Raises TargetNotFound: If the board was not found; says what was found instead.
     """
     found = _found(grey, board)
     if found is None:
@@ -210,21 +164,10 @@ def locate_points(
 ) -> tuple[Array, Array]:
     """Locate points of a board by symmetry (Schöps et al., 2020), with the curvature of perspective.
 
-    Parameters
-    ----------
-    image
-        (H, W) float32.
-    coarse
-        (N, 2) float64, px, about where the points are.
-    board
-        The board.
-    ids
-        (N,) int64, ids of the points; None for all.
-
-    Returns
-    -------
-    tuple of Array
-        (N, 2) float64, px, with nan where it failed; (N, 2, 2) float64, px^2, their covariances.
+    image: (H, W) float32.
+    coarse: (N, 2) float64, px, about where the points are.
+    ids: (N,) int64, ids of the points; None for all.
+    Returns: (N, 2) float64, px, with nan where it failed; (N, 2, 2) float64, px^2, their covariances.
     """
     smoothed = smooth(image, _BLUR_PX)
     nodes = board.nodes if ids is None else board.nodes[ids]
@@ -317,15 +260,8 @@ def edge_width_px(grey: NDArray[np.uint8]) -> float | None:
     Own measure: contrast of the smoothed image over its steepest slope. A step has 4 px because of the smoothing; a
     disc of blur adds three quarters of its diameter.
 
-    Parameters
-    ----------
-    grey
-        (H, W) uint8.
-
-    Returns
-    -------
-    float or None
-        Width, px; None if the image has hardly any contrast.
+    grey: (H, W) uint8.
+    Returns: Width, px; None if the image has hardly any contrast.
     """
     smoothed = cv2.GaussianBlur(grey.astype(np.float32), (0, 0), _EDGE_BLUR_PX)
     low, high = np.quantile(smoothed, [0.01, 0.99])

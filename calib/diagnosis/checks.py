@@ -21,22 +21,12 @@ from calib.view import View
 def check_views(views: Sequence[View], *, known_r_mm: float | None = None) -> tuple[str, ...]:
     """Check views before an adjustment: image size, duplicates, unit of the target.
 
-    Parameters
-    ----------
-    views
-        Views of one camera, without gross errors.
-    known_r_mm
-        Radius of the collimator from a passport, a certificate or a data sheet, mm; None if it is not known.
-
-    Returns
-    -------
-    tuple of str
-        A sentence for each doubt; none if nothing was noticed.
-
-    Raises
-    ------
-    InputMismatch
-        If points lie outside of the stated image size, or if the known radius shows another unit of the target.
+    views: Views of one camera, without gross errors.
+    known_r_mm: Radius of the collimator from a passport, a certificate or a data sheet, mm; None if it is not
+      known.
+    Returns: A sentence for each doubt; none if nothing was noticed.
+    Raises InputMismatch: If points lie outside of the stated image size, or if the known radius shows another
+      unit of the target.
     """
     require_points_inside(views)
     notes = [one.sentence for one in find_duplicates(views)]
@@ -58,21 +48,10 @@ def check_adjustment(
 
     Other origins are looked for only if no ids are shifted, because shifted ids spoil the comparison.
 
-    Parameters
-    ----------
-    views
-        Views of one camera, without gross errors, in the order of the bundle.
-    bundle
-        Bundle of these views, of a model in which they share one centre.
-    parameters
-        Its optimum.
-    sigma
-        1-sigma of the parameters by name; of these, cx and cy are used, px.
-
-    Returns
-    -------
-    tuple of str
-        A sentence for each doubt; none if nothing was noticed.
+    views: Views of one camera, without gross errors, in the order of the bundle.
+    bundle: Bundle of these views, of a model in which they share one centre.
+    sigma: 1-sigma of the parameters by name; of these, cx and cy are used, px.
+    Returns: A sentence for each doubt; none if nothing was noticed.
     """
     shifted = find_shifted_ids(views, bundle, parameters)
     other = None if shifted else find_other_origins(views, bundle, parameters)

@@ -23,25 +23,13 @@ _COMMON_SHARE = 0.5
 
 @dataclass(frozen=True)
 class DuplicateViews:
-    """Two views that hold the same measurement.
-
-    Attributes
-    ----------
-    first, second
-        Names of the views.
-    stars
-        Number of their common stars.
-    rms_px
-        Root mean square distance of the common stars, px.
-    noise_px
-        1-sigma per axis of the stars as their neighbours show it, px.
-    """
+    """Two views that hold the same measurement."""
 
     first: str
     second: str
     stars: int
-    rms_px: float
-    noise_px: float
+    rms_px: float  # Root mean square distance of the common stars, px
+    noise_px: float  # 1-sigma per axis of the stars as their neighbours show it, px
 
     @property
     def identical(self) -> bool:
@@ -69,15 +57,7 @@ def find_duplicates(views: Sequence[View]) -> tuple[DuplicateViews, ...]:
     Two recordings of one pose differ by their noise, and are not duplicates. Own rule: the root mean square distance of
     the common stars per axis is below half of sqrt(2) times the noise that neighbouring stars show.
 
-    Parameters
-    ----------
-    views
-        Views of one camera, without gross errors.
-
-    Returns
-    -------
-    tuple of DuplicateViews
-        One for each pair.
+    views: Views of one camera, without gross errors.
     """
     found = []
     for one, other in _alike(views):

@@ -23,21 +23,11 @@ MAX_SHARE = 0.2
 
 @dataclass(frozen=True)
 class GrossStars:
-    """The stars of one view that have a gross error.
-
-    Attributes
-    ----------
-    view
-        Name of the view.
-    wrong
-        (N,) bool, which of the N stars of the view have a gross error.
-    distances_px
-        (K,) float64, px, distance of each of them from where its neighbours predict it.
-    """
+    """The stars of one view that have a gross error."""
 
     view: str
-    wrong: Bools
-    distances_px: Array
+    wrong: Bools  # (N,) bool, which of the N stars of the view have a gross error
+    distances_px: Array  # (K,) float64, px, distance of each of them from where its neighbours predict it
 
     @property
     def sentence(self) -> str:
@@ -61,22 +51,9 @@ def find_gross_stars(views: Sequence[View]) -> tuple[GrossStars, ...]:
     A star is a gross error if its neighbours on the target contradict its point or its id
     (`calib.model.local_consistency.contradicts_neighbours`).
 
-    Parameters
-    ----------
-    views
-        Views of one camera.
-
-    Returns
-    -------
-    tuple of GrossStars
-        One for each view, in their order.
-
-    Raises
-    ------
-    InputMismatch
-        If more than a fifth of the stars of a view have a gross error; names the view.
-    TooFewStars, DegenerateViews
-        As `calib.model.homography.view_homography`.
+    Returns: One for each view, in their order.
+    Raises InputMismatch: If more than a fifth of the stars of a view have a gross error; names the view.
+    Raises TooFewStars, DegenerateViews: As `calib.model.homography.view_homography`.
     """
     return tuple(_gross_stars(view) for view in views)
 
@@ -84,17 +61,8 @@ def find_gross_stars(views: Sequence[View]) -> tuple[GrossStars, ...]:
 def without_gross_stars(views: Sequence[View], found: Sequence[GrossStars]) -> list[View]:
     """Return the views without their gross errors.
 
-    Parameters
-    ----------
-    views
-        Views of one camera.
-    found
-        Their gross errors, from `find_gross_stars`.
-
-    Returns
-    -------
-    list of View
-        A view without gross errors is returned as it is, the same object.
+    found: Their gross errors, from `find_gross_stars`.
+    Returns: A view without gross errors is returned as it is, the same object.
     """
     return [
         part_of(view, ~one.wrong) if one.wrong.any() else view for view, one in zip(views, found, strict=True)
@@ -125,17 +93,7 @@ def _gross_stars(view: View) -> GrossStars:
 def part_of(view: View, kept: Bools) -> View:
     """Return a view with some of its stars.
 
-    Parameters
-    ----------
-    view
-        Stars of one pose.
-    kept
-        (N,) bool, which of its N stars to keep.
-
-    Returns
-    -------
-    View
-        The view with these stars.
+    kept: (N,) bool, which of its N stars to keep.
     """
     return replace(
         view,

@@ -50,18 +50,11 @@ _STARS = 400
 
 @dataclass(frozen=True)
 class OriginOffset:
-    """A common offset of all image points against a known camera.
+    """A common offset of all image points against a known camera."""
 
-    Attributes
-    ----------
-    offset_px
-        Offset along x (right) and y (down), px: points minus what the camera sees.
-    sigma_px
-        1-sigma of both, px, that of the known camera included.
-    """
-
+    # Offset along x (right) and y (down), px: points minus what the camera sees.
     offset_px: tuple[float, float]
-    sigma_px: tuple[float, float]
+    sigma_px: tuple[float, float]  # 1-sigma of both, px, that of the known camera included
 
     @property
     def decided(self) -> bool:
@@ -98,21 +91,12 @@ class OriginOffset:
 
 @dataclass(frozen=True)
 class OtherOrigin:
-    """Views whose points have another origin than those of the other views.
-
-    Attributes
-    ----------
-    views
-        Names of these views.
-    offset_px
-        Their mean offset against the other views along x (right) and y (down), px.
-    sigma_px
-        Larger 1-sigma of the offset along an axis, px.
-    """
+    """Views whose points have another origin than those of the other views."""
 
     views: tuple[str, ...]
+    # Their mean offset against the other views along x (right) and y (down), px.
     offset_px: tuple[float, float]
-    sigma_px: float
+    sigma_px: float  # Larger 1-sigma of the offset along an axis, px
 
     @property
     def sentence(self) -> str:
@@ -139,21 +123,11 @@ def origin_offset(
     standard deviations. If residuals are mostly systematic, a view counts as 10 independent stars in sigma. Own
     procedure.
 
-    Parameters
-    ----------
-    views
-        Views of the camera, without gross errors.
-    camera
-        The camera from another calibration.
-    collimator
-        Centre of the collimator from a passport or another calibration, without aberrations; None if it is not known.
-    camera_sigma_px
-        1-sigma of the known cx and cy, px.
-
-    Returns
-    -------
-    OriginOffset
-        Offset with its uncertainty; undecided if half a pixel cannot be seen.
+    views: Views of the camera, without gross errors.
+    collimator: Centre of the collimator from a passport or another calibration, without aberrations; None if
+      it is not known.
+    camera_sigma_px: 1-sigma of the known cx and cy, px.
+    Returns: Offset with its uncertainty; undecided if half a pixel cannot be seen.
     """
     h = np.array([view_homography(view) for view in views])
     names = ["cx", "cy"]
@@ -190,19 +164,9 @@ def find_other_origins(
     counts if the common offset of the joined views is half a pixel within 3 sigma along both axes, and zero is 5 sigma
     away. One view alone is seldom enough, because its own rotation imitates a shift. Own procedure.
 
-    Parameters
-    ----------
-    views
-        Three or more views without gross errors, in the order of the bundle.
-    bundle
-        Bundle of these views, of a model in which they share one centre.
-    parameters
-        Its optimum.
-
-    Returns
-    -------
-    OtherOrigin or None
-        None if all views agree, or if the views cannot decide.
+    views: Three or more views without gross errors, in the order of the bundle.
+    bundle: Bundle of these views, of a model in which they share one centre.
+    Returns: None if all views agree, or if the views cannot decide.
     """
     if len(views) < 3 or not np.isfinite(typical_noise_px(views)):
         return None

@@ -56,24 +56,12 @@ _NEAR_BORDER = 0.1
 
 @dataclass(frozen=True)
 class ImageSizeDoubt:
-    """A stated image size that the principal point contradicts.
+    """A stated image size that the principal point contradicts."""
 
-    Attributes
-    ----------
-    stated
-        Width and height as stated, px.
-    principal_point_px
-        Principal point, px.
-    reached_px
-        Largest x and largest y of all points, px.
-    plausible
-        A size that would explain them; None if no known size does.
-    """
-
-    stated: Size
-    principal_point_px: tuple[float, float]
-    reached_px: tuple[float, float]
-    plausible: Size | None
+    stated: Size  # Width and height as stated, px
+    principal_point_px: tuple[float, float]  # Principal point, px
+    reached_px: tuple[float, float]  # Largest x and largest y of all points, px
+    plausible: Size | None  # A size that would explain them; None if no known size does
 
     @property
     def sentence(self) -> str:
@@ -93,15 +81,9 @@ class ImageSizeDoubt:
 def require_points_inside(views: Sequence[View]) -> None:
     """Refuse views with points outside of the stated image size.
 
-    Parameters
-    ----------
-    views
-        Views of one camera, without gross errors.
-
-    Raises
-    ------
-    InputMismatch
-        If points lie outside; names the first such view, the outermost point, and a known size that holds all points.
+    views: Views of one camera, without gross errors.
+    Raises InputMismatch: If points lie outside; names the first such view, the outermost point, and a known
+      size that holds all points.
     """
     for view in views:
         limit = np.array(view.image_size) - 1.0 + _OUTSIDE_PX
@@ -128,19 +110,9 @@ def check_image_size(
     Own rule: the principal point is farther from the middle than 15 % of the width or height, by more than 4 sigma. A
     known size explains this if its middle is near the principal point, and the outermost points are near its border.
 
-    Parameters
-    ----------
-    views
-        Views of one camera, without gross errors.
-    camera
-        The camera that they give.
-    sigma_px
-        1-sigma of cx and cy, px.
-
-    Returns
-    -------
-    ImageSizeDoubt or None
-        None if the size is plausible, or if the principal point is not known well enough.
+    views: Views of one camera, without gross errors.
+    sigma_px: 1-sigma of cx and cy, px.
+    Returns: None if the size is plausible, or if the principal point is not known well enough.
     """
     size = np.array(views[0].image_size, float)
     point = np.array([camera.cx, camera.cy])

@@ -25,35 +25,17 @@ class ShiftEquations:
 
     If view i is shifted by s_i, the sum of squares is ``squares - 2 sum_i gradient_i s_i + sum_ij s_i information_ij
     s_j``, in weighted residuals.
-
-    Attributes
-    ----------
-    squares
-        Sum of the squared weighted residuals without shifts.
-    gradient
-        (n, 2) float64, 1 / mm for shifts of the target, 1 / px for shifts of the image.
-    information
-        (n, 2, n, 2) float64, the same units squared.
     """
 
-    squares: float
-    gradient: Array
-    information: Array
+    squares: float  # Sum of the squared weighted residuals without shifts
+    gradient: Array  # (n, 2) float64, 1 / mm for shifts of the target, 1 / px for shifts of the image
+    information: Array  # (n, 2, n, 2) float64, the same units squared
 
     def squares_after(self, view: int, shifts: Array) -> Array:
         """Return the sum of squares after shifts of one view alone.
 
-        Parameters
-        ----------
-        view
-            Index of the view.
-        shifts
-            (K, 2) shifts to judge, mm or px.
-
-        Returns
-        -------
-        Array
-            (K,) sums of squared weighted residuals, at least 0.
+        shifts: (K, 2) shifts to judge, mm or px.
+        Returns: (K,) sums of squared weighted residuals, at least 0.
         """
         own = self.information[view, :, view]
         change = np.einsum("ki,ij,kj->k", shifts, own, shifts) - 2.0 * shifts @ self.gradient[view]
@@ -64,20 +46,6 @@ def plain_bundle(bundle: Bundle, parameters: AdjustmentParameters, stars: int) -
     """Return a bundle of some of the stars, with shared camera and centre, and without priors and readings.
 
     Free aberrations are held, so that no prior is needed.
-
-    Parameters
-    ----------
-    bundle
-        Bundle that was adjusted.
-    parameters
-        Its optimum.
-    stars
-        Approximate number of stars of each view.
-
-    Returns
-    -------
-    Bundle
-        Bundle in which the names of camera and centre that were free are free.
     """
     known = (*parameters.camera.parameter_names, "x", "y", "r")
     names = tuple(name for name in bundle.names if name in known)
@@ -90,17 +58,7 @@ def target_shifts(bundle: Bundle, parameters: AdjustmentParameters) -> ShiftEqua
     Gauss and Newton's linearisation; the free parameters are eliminated by the Schur complement (Triggs et al., 2000,
     section 6.1). A shift of the target is the opposite shift of the centre.
 
-    Parameters
-    ----------
-    bundle
-        Bundle of `plain_bundle`.
-    parameters
-        Its optimum.
-
-    Returns
-    -------
-    ShiftEquations
-        Equations of the shifts to add to the target positions.
+    bundle: Bundle of `plain_bundle`.
     """
     return _shift_equations(bundle, parameters, of_image=False)
 
@@ -111,17 +69,7 @@ def image_shifts(bundle: Bundle, parameters: AdjustmentParameters) -> ShiftEquat
     Gauss and Newton's linearisation; the free parameters are eliminated by the Schur complement (Triggs et al., 2000,
     section 6.1).
 
-    Parameters
-    ----------
-    bundle
-        Bundle of `plain_bundle`.
-    parameters
-        Its optimum.
-
-    Returns
-    -------
-    ShiftEquations
-        Equations of the shifts to subtract from the image points.
+    bundle: Bundle of `plain_bundle`.
     """
     return _shift_equations(bundle, parameters, of_image=True)
 

@@ -46,17 +46,10 @@ _ON_LATTICE = 0.05
 
 @dataclass(frozen=True)
 class IdShift:
-    """A shift of all ids of one view that makes it fit the others.
-
-    Attributes
-    ----------
-    view
-        Name of the view.
-    columns, rows
-        Number of columns (along X) and rows (along Y) that the ids must be shifted by.
-    """
+    """A shift of all ids of one view that makes it fit the others."""
 
     view: str
+    # columns, rows: Number of columns (along X) and rows (along Y) that the ids must be shifted by.
     columns: int
     rows: int
 
@@ -72,20 +65,13 @@ class IdShift:
 
 @dataclass(frozen=True)
 class ShiftedIds:
-    """The ids that are shifted, as far as the data decide.
+    """The ids that are shifted, as far as the data decide."""
 
-    Attributes
-    ----------
-    shifts
-        The shifts that together explain the residuals best; at least one.
-    rivals
-        Other single shifts that explain them about as well; none if the data decide.
-    rms_before_px, rms_after_px
-        Root mean square length of the residual vectors of the stars compared, px, before and after the shifts.
-    """
-
-    shifts: tuple[IdShift, ...]
+    shifts: tuple[IdShift, ...]  # The shifts that together explain the residuals best; at least one
+    # Other single shifts that explain them about as well; none if the data decide.
     rivals: tuple[IdShift, ...]
+    # rms_before_px, rms_after_px: Root mean square length of the residual vectors of the stars compared, px,
+    # before and after the shifts.
     rms_before_px: float
     rms_after_px: float
 
@@ -119,20 +105,10 @@ def find_shifted_ids(
     All shifts of one view by up to two columns and rows are judged by a linearised adjustment; the best are adjusted.
     The best is kept, and the search goes on with the next view, up to half of the views. Own procedure.
 
-    Parameters
-    ----------
-    views
-        Two or more views without gross errors, in the order of the bundle.
-    bundle
-        Bundle of these views, of a model in which they share one centre.
-    parameters
-        Its optimum.
-
-    Returns
-    -------
-    ShiftedIds or None
-        None if the views agree, if no shift explains the residuals, if the stars lie on no lattice, or if all views
-        have fewer than 8 stars.
+    views: Two or more views without gross errors, in the order of the bundle.
+    bundle: Bundle of these views, of a model in which they share one centre.
+    Returns: None if the views agree, if no shift explains the residuals, if the stars lie on no lattice, or
+      if all views have fewer than 8 stars.
     """
     pitch = _lattice_pitch(views)
     if len(views) < 2 or pitch is None:

@@ -16,20 +16,9 @@ def noise_px(view: View) -> float:
 
     Own estimate, that of `calib.model.local_consistency.local_sigma_px`.
 
-    Parameters
-    ----------
-    view
-        A view without gross errors.
-
-    Returns
-    -------
-    float
-        1-sigma per axis, px; NaN for fewer than 8 stars.
-
-    Raises
-    ------
-    TooFewStars, DegenerateViews
-        If the stars do not determine a homography.
+    view: A view without gross errors.
+    Returns: 1-sigma per axis, px; NaN for fewer than 8 stars.
+    Raises TooFewStars, DegenerateViews: If the stars do not determine a homography.
     """
     return view.remembered("noise", _noise_px)
 
@@ -43,15 +32,8 @@ def _noise_px(view: View) -> float:
 def typical_noise_px(views: Sequence[View]) -> float:
     """Return the median noise of views as their neighbouring stars show it.
 
-    Parameters
-    ----------
-    views
-        Views without gross errors.
-
-    Returns
-    -------
-    float
-        1-sigma per axis, px; NaN if all views have fewer than 8 stars.
+    views: Views without gross errors.
+    Returns: 1-sigma per axis, px; NaN if all views have fewer than 8 stars.
     """
     known = [sigma for sigma in map(noise_px, views) if np.isfinite(sigma)]
     return float(np.median(known)) if known else float("nan")

@@ -27,18 +27,10 @@ _TOLERANCE_CLOSED_FORM = 1.5
 
 @dataclass(frozen=True)
 class TargetUnits:
-    """A doubt about the unit of the target positions.
+    """A doubt about the unit of the target positions."""
 
-    Attributes
-    ----------
-    unit
-        The unit that the positions probably have; empty if none fits.
-    why
-        What is implausible, a sentence.
-    """
-
-    unit: str
-    why: str
+    unit: str  # The unit that the positions probably have; empty if none fits
+    why: str  # What is implausible, a sentence
 
     @property
     def sentence(self) -> str:
@@ -53,21 +45,12 @@ def check_target_units(
 ) -> TargetUnits | None:
     """Look for a wrong unit of the target positions.
 
-    Parameters
-    ----------
-    views
-        Views of one camera, without gross errors.
-    r_mm
-        Radius of the collimator from an adjustment of these views in which it was free, mm. Without it, a closed form
-        is compared with a known radius.
-    known_r_mm
-        Radius from a passport, a certificate or a data sheet, mm; None if it is not known. Without it, only implausible
-        numbers are noticed.
-
-    Returns
-    -------
-    TargetUnits or None
-        None if nothing is implausible. That is no proof of the unit.
+    views: Views of one camera, without gross errors.
+    r_mm: Radius of the collimator from an adjustment of these views in which it was free, mm. Without it, a
+      closed form is compared with a known radius.
+    known_r_mm: Radius from a passport, a certificate or a data sheet, mm; None if it is not known. Without
+      it, only implausible numbers are noticed.
+    Returns: None if nothing is implausible. That is no proof of the unit.
     """
     tolerance = _TOLERANCE_ADJUSTED
     if r_mm is None and known_r_mm is not None:
@@ -90,15 +73,7 @@ def check_target_units(
 def closed_form_radius(views: Sequence[View]) -> float | None:
     """Return the radius of the collimator from the closed form (arXiv:2512.16092, eq. 5).
 
-    Parameters
-    ----------
-    views
-        Views of one camera.
-
-    Returns
-    -------
-    float or None
-        Radius, mm; None if the closed form has no real solution, as with a single view.
+    Returns: Radius, mm; None if the closed form has no real solution, as with a single view.
     """
     h = np.array([view_homography(view) for view in views])
     for free in (True, False):

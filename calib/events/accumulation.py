@@ -19,47 +19,30 @@ _KINDS = (np.uint32, np.uint32, np.int32, np.int32, np.float32, np.float32, np.u
 
 
 class PixelSums(NamedTuple):
-    """Sums over the events of each pixel, all (H, W).
+    """Sums over the events of each pixel, all (H, W)."""
 
-    Attributes
-    ----------
-    on_count, off_count
-        uint32, number of events of each polarity.
-    on_burst, off_burst
-        int32, number of the last burst in which the pixel fired, from 1; 0 if there was none.
-    on_latency
-        float32, us, sum over the ON bursts of the time from the start of the burst to the pixel's first ON event.
-    lock_in
-        float32, sum of polarity times cosine of the flicker's phase.
-    on_fired, off_fired
-        uint16, number of bursts in which the pixel fired.
-    last_polarity
-        int8, polarity of the last event: +1 ON, -1 OFF, 0 if there was none.
-    """
-
+    # on_count, off_count: uint32, number of events of each polarity.
     on_count: NDArray[np.uint32]
     off_count: NDArray[np.uint32]
+    # on_burst, off_burst: int32, number of the last burst in which the pixel fired, from 1; 0 if there was
+    # none.
     on_burst: NDArray[np.int32]
     off_burst: NDArray[np.int32]
+    # float32, us, sum over the ON bursts of the time from the start of the burst to the pixel's first ON
+    # event.
     on_latency: NDArray[np.float32]
-    lock_in: NDArray[np.float32]
+    lock_in: NDArray[np.float32]  # float32, sum of polarity times cosine of the flicker's phase
+    # on_fired, off_fired: uint16, number of bursts in which the pixel fired.
     on_fired: NDArray[np.uint16]
     off_fired: NDArray[np.uint16]
-    last_polarity: NDArray[np.int8]
+    last_polarity: NDArray[np.int8]  # int8, polarity of the last event: +1 ON, -1 OFF, 0 if there was none
 
     @classmethod
     def empty(cls, size: tuple[int, int]) -> PixelSums:
         """Return the sums before the first event.
 
-        Parameters
-        ----------
-        size
-            Width and height of the sensor, px.
-
-        Returns
-        -------
-        PixelSums
-            All 0.
+        size: Width and height of the sensor, px.
+        Returns: All 0.
         """
         pixels, start = size[0] * size[1], 0
         parts: list[Any] = []
@@ -75,10 +58,7 @@ class PixelSums(NamedTuple):
     def mean_latency_us(self) -> NDArray[np.float32]:
         """Return the mean latency of each pixel's first ON events.
 
-        Returns
-        -------
-        array
-            (H, W) float32, us; nan where no ON burst held an event.
+        Returns: (H, W) float32, us; nan where no ON burst held an event.
         """
         mean = np.full(self.on_latency.shape, np.nan, np.float32)
         np.divide(self.on_latency, self.on_fired, out=mean, where=self.on_fired > 0)
@@ -100,27 +80,13 @@ def accumulate(
     the flicker's frequency. The phase is that of the first Fourier coefficient. Lock-in: synchronous detection (Meade,
     1983).
 
-    Parameters
-    ----------
-    t
-        (N,) int64, times of the events of the window, us, in ascending order; N >= 1.
-    x, y
-        (N,) uint16, columns and rows, px.
-    p
-        (N,) uint8, polarities: 1 is ON, 0 is OFF.
-    size
-        Width and height of the sensor, px.
-    start_us
-        Start of the window, us.
-    period_us
-        Period of the flicker, us.
-
-    Returns
-    -------
-    sums : PixelSums
-        (H, W) sums.
-    on_window, off_window : BurstWindow
-        Parts of the period that hold the ON burst and the OFF burst.
+    t: (N,) int64, times of the events of the window, us, in ascending order; N >= 1.
+    x, y: (N,) uint16, columns and rows, px.
+    p: (N,) uint8, polarities: 1 is ON, 0 is OFF.
+    size: Width and height of the sensor, px.
+    start_us: Start of the window, us.
+    period_us: Period of the flicker, us.
+    Returns: (H, W) sums.
     """
     times = event_times(t, p)
     off_rate, on_rate = folded_rate(times, start_us, period_us)
@@ -188,44 +154,21 @@ def _add_events(
 
 
 class LitPixels(NamedTuple):
-    """Pixels that the flicker reaches, and what they tell about a slice.
+    """Pixels that the flicker reaches, and what they tell about a slice."""
 
-    Attributes
-    ----------
-    latency_us
-        (K,) float32, us, mean latency of the first ON event of a burst of each lit pixel, row by row.
-    on, off
-        Numbers of their events of each polarity.
-    all_on
-        Number of ON events of all pixels.
-    silent_rows
-        Number of rows without any event between rows with lit pixels.
-    """
-
+    # (K,) float32, us, mean latency of the first ON event of a burst of each lit pixel, row by row.
     latency_us: NDArray[np.float32]
     on: int
     off: int
     all_on: int
-    silent_rows: int
+    silent_rows: int  # Number of rows without any event between rows with lit pixels
 
 
 @njit(cache=True, error_model="numpy")
 def lit_pixels(sums: PixelSums, hot: Any, least: float) -> LitPixels:
     """Find the pixels that fire in enough bursts of both polarities, in one pass.
 
-    Parameters
-    ----------
-    sums
-        Sums over the events of each pixel.
-    hot
-        (H, W) bool, pixels that do not count.
-    least
-        Least number of bursts of each polarity.
-
-    Returns
-    -------
-    LitPixels
-        The pixels and their sums.
+    hot: (H, W) bool, pixels that do not count.
     """
     on_count, off_count, on_fired, off_fired = sums.on_count, sums.off_count, sums.on_fired, sums.off_fired
     height, width = hot.shape
@@ -270,21 +213,10 @@ def hot_pixels(on_count: Any, off_count: Any, allowed: int, most: int) -> tuple[
 
     The median is computed only where it matters: at the pixels with more than ``allowed`` events.
 
-    Parameters
-    ----------
-    on_count, off_count
-        (H, W) uint32, number of events of each polarity.
-    allowed
-        Number of events.
-    most
-        Number of medians after which the search is given up: a filter of the whole image is faster then.
-
-    Returns
-    -------
-    hot : array
-        (H, W) bool.
-    complete : bool
-        False if the search was given up.
+    on_count, off_count: (H, W) uint32, number of events of each polarity.
+    most: Number of medians after which the search is given up: a filter of the whole image is faster then.
+    Returns: (H, W) bool.
+    Returns: False if the search was given up.
     """
     height, width = on_count.shape
     hot, medians = np.zeros((height, width), np.bool_), 0
@@ -310,17 +242,9 @@ def hot_pixels(on_count: Any, off_count: Any, allowed: int, most: int) -> tuple[
 def without_hot_pixels(image: Any, hot: Any) -> Any:
     """Replace hot pixels by the median of the 3 x 3 pixels around them.
 
-    Parameters
-    ----------
-    image
-        (H, W) float32.
-    hot
-        (H, W) bool.
-
-    Returns
-    -------
-    array
-        (H, W) float32.
+    image: (H, W) float32.
+    hot: (H, W) bool.
+    Returns: (H, W) float32.
     """
     height, width = image.shape
     result, around = image.copy(), np.empty(9, np.float32)
@@ -338,19 +262,9 @@ def without_hot_pixels(image: Any, hot: Any) -> Any:
 def above_surroundings(count: Any, around: Any, allowed: int) -> Any:
     """Return where a count exceeds 2.5 times that of its surroundings by more than ``allowed``.
 
-    Parameters
-    ----------
-    count
-        (H, W) uint32.
-    around
-        (H, W) uint16, typical count of the surroundings.
-    allowed
-        Number of events.
-
-    Returns
-    -------
-    array
-        (H, W) bool.
+    count: (H, W) uint32.
+    around: (H, W) uint16, typical count of the surroundings.
+    Returns: (H, W) bool.
     """
     result = np.empty(count.shape, np.bool_)
     for r in range(count.shape[0]):

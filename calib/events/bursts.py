@@ -23,18 +23,11 @@ BURST_SHARE = 0.98
 
 
 class BurstWindow(NamedTuple):
-    """Part of the flicker period in which the burst of one polarity comes.
+    """Part of the flicker period in which the burst of one polarity comes."""
 
-    Attributes
-    ----------
-    start_us
-        Start of the first burst on the sensor's clock, us. The next bursts start one period later each.
-    length_us
-        Length, us.
-    """
-
+    # Start of the first burst on the sensor's clock, us. The next bursts start one period later each.
     start_us: float
-    length_us: float
+    length_us: float  # Length, us
 
 
 def folded_rate(times: EventTimes, start_us: float, period_us: float) -> NDArray[np.float64]:
@@ -42,19 +35,9 @@ def folded_rate(times: EventTimes, start_us: float, period_us: float) -> NDArray
 
     Epoch folding: Leahy et al. (1983).
 
-    Parameters
-    ----------
-    times
-        The events by their time.
-    start_us
-        Time of phase 0, us.
-    period_us
-        Period, us.
-
-    Returns
-    -------
-    array
-        (2, FOLD_BINS) float64, number of OFF events (row 0) and ON events (row 1) in each bin.
+    start_us: Time of phase 0, us.
+    period_us: Period, us.
+    Returns: (2, FOLD_BINS) float64, number of OFF events (row 0) and ON events (row 1) in each bin.
     """
     turns = (times.t - start_us) / period_us
     at = np.minimum(((turns - np.floor(turns)) * FOLD_BINS).astype(np.int64), FOLD_BINS - 1)
@@ -68,19 +51,10 @@ def burst_window(folded: NDArray[np.float64], start_us: float, period_us: float)
     deviations of a Poisson count. Own procedure: a bin of n events counts max(n - b - 3 b^(1/2), 0), with the
     background b.
 
-    Parameters
-    ----------
-    folded
-        (FOLD_BINS,) float64, events of one polarity in each bin, a row of `folded_rate`.
-    start_us
-        Time of phase 0, us.
-    period_us
-        Period, us.
-
-    Returns
-    -------
-    BurstWindow
-        The whole period if no bin exceeds the background.
+    folded: (FOLD_BINS,) float64, events of one polarity in each bin, a row of `folded_rate`.
+    start_us: Time of phase 0, us.
+    period_us: Period, us.
+    Returns: The whole period if no bin exceeds the background.
     """
     background = np.percentile(folded, 25)
     excess = np.maximum(folded - background - 3.0 * np.sqrt(background), 0.0)
@@ -109,28 +83,11 @@ def whole_period_window(
     If the recording is longer than the window, the window starts just before an edge of the light, so that it cuts no
     burst. Own rule: as many periods as fit, if up to `PERIOD_TOLERANCE` of a period may be missing.
 
-    Parameters
-    ----------
-    t
-        (N,) int64, times of the events, us.
-    flicker
-        Period and phase of the light.
-    window_us
-        Start and end of the recording, us; None for the first and the last event.
-    periods
-        Number of periods wanted; None for as many as the recording holds.
-
-    Returns
-    -------
-    start_us, end_us : float
-        Start and end of the window, us.
-    periods : int
-        Number of periods in the window.
-
-    Raises
-    ------
-    TooFewEvents
-        If there are no events, or fewer periods than wanted.
+    t: (N,) int64, times of the events, us.
+    window_us: Start and end of the recording, us; None for the first and the last event.
+    periods: Number of periods wanted; None for as many as the recording holds.
+    Returns: Start and end of the window, us.
+    Raises TooFewEvents: If there are no events, or fewer periods than wanted.
     """
     if t.size == 0:
         raise TooFewEvents(

@@ -51,64 +51,33 @@ FEW_MEDIANS = 64
 
 
 class ChosenImage(NamedTuple):
-    """The image in which stars are searched.
+    """The image in which stars are searched."""
 
-    Attributes
-    ----------
-    name
-        Kind of image, as `EventImages.named` takes it.
-    image
-        (H, W) float32, brighter where the target is brighter.
-    reason
-        Why this kind was chosen, a phrase or sentence for the report.
-    """
-
-    name: str
-    image: NDArray[np.float32]
-    reason: str
+    name: str  # Kind of image, as `EventImages.named` takes it
+    image: NDArray[np.float32]  # (H, W) float32, brighter where the target is brighter
+    reason: str  # Why this kind was chosen, a phrase or sentence for the report
 
 
 @dataclass(frozen=True)
 class SliceFacts:
-    """Properties of a slice of events; gates and reports use them.
+    """Properties of a slice of events; gates and reports use them."""
 
-    Attributes
-    ----------
-    start_us, end_us
-        Start and end of the window used, us: whole periods.
-    periods
-        Number of periods in the window.
-    events, events_outside
-        Number of events inside and outside of the window.
-    on_share
-        Share of ON events among those inside.
-    lit_pixels
-        Number of pixels that fire on at least the share `LIT_SHARE` of the edges.
-    events_per_edge, events_per_edge_on, events_per_edge_off
-        Mean number of events that a lit pixel sends at an edge of the light: at any, at a rising, at a falling one.
-    first_on_spread_us
-        Standard deviation over the lit pixels of the latency of the first ON event, us. It is large if the readout is
-        saturated.
-    hot_pixels
-        Number of pixels masked because they fire far more often than their surroundings.
-    silent_rows
-        Number of rows without any event between rows with lit pixels: rows that the readout missed.
-    on_window, off_window
-        Parts of the period that hold the ON burst and the OFF burst.
-    """
-
+    # start_us, end_us: Start and end of the window used, us: whole periods.
     start_us: float
     end_us: float
     periods: int
     events: int
     events_outside: int
     on_share: float
-    lit_pixels: int
+    lit_pixels: int  # Number of pixels that fire on at least the share `LIT_SHARE` of the edges
     events_per_edge: float
     events_per_edge_on: float
     events_per_edge_off: float
+    # Standard deviation over the lit pixels of the latency of the first ON event, us. It is large if the
+    # readout is saturated.
     first_on_spread_us: float
-    hot_pixels: int
+    hot_pixels: int  # Number of pixels masked because they fire far more often than their surroundings
+    # Number of rows without any event between rows with lit pixels: rows that the readout missed.
     silent_rows: int
     on_window: BurstWindow
     off_window: BurstWindow
@@ -116,33 +85,18 @@ class SliceFacts:
 
 @dataclass(frozen=True)
 class EventImages:
-    """Images of one pose, all (H, W), and the facts of their slice of events.
+    """Images of one pose, all (H, W), and the facts of their slice of events."""
 
-    Attributes
-    ----------
-    last_polarity
-        int8, +1 ON, -1 OFF, 0 if the pixel never fired.
-    on_count, off_count
-        uint32, number of events of each polarity.
-    on_fired, off_fired
-        uint16, number of edges on which the pixel fired within the burst.
-    lock_in
-        float32, in-phase sum at the flicker's frequency, dimensionless.
-    hot
-        bool, pixels that fire far more often than their surroundings. `best` and most images of `named` replace
-        them by the median of their surroundings.
-    facts
-        Properties of the slice.
-    sums
-        What the images were made of.
-    """
-
-    last_polarity: NDArray[np.int8]
+    last_polarity: NDArray[np.int8]  # int8, +1 ON, -1 OFF, 0 if the pixel never fired
+    # on_count, off_count: uint32, number of events of each polarity.
     on_count: NDArray[np.uint32]
     off_count: NDArray[np.uint32]
+    # on_fired, off_fired: uint16, number of edges on which the pixel fired within the burst.
     on_fired: NDArray[np.uint16]
     off_fired: NDArray[np.uint16]
-    lock_in: NDArray[np.float32]
+    lock_in: NDArray[np.float32]  # float32, in-phase sum at the flicker's frequency, dimensionless
+    # bool, pixels that fire far more often than their surroundings. `best` and most images of `named` replace
+    # them by the median of their surroundings.
     hot: NDArray[np.bool_]
     facts: SliceFacts
     sums: PixelSums
@@ -172,17 +126,11 @@ class EventImages:
     def best(self, *, one_phase: bool = True) -> ChosenImage:
         """Choose the kind of image in which stars are found best, by the events of a lit pixel at an edge.
 
-        Parameters
-        ----------
-        one_phase
-            Whether the light of all pixels changes at the same moment. The lines of a screen change one after the
-            other: the lock-in sum is then smaller where they change early or late, and this slope displaces edges.
-
-        Returns
-        -------
-        ChosenImage
-            Lock-in from `LOCK_IN_MIN_EVENTS` events an edge on (count if there are several phases), fired-per-edge
-            below; hot pixels are replaced.
+        one_phase: Whether the light of all pixels changes at the same moment. The lines of a screen change
+          one after the other: the lock-in sum is then smaller where they change early or late, and this slope
+          displaces edges.
+        Returns: Lock-in from `LOCK_IN_MIN_EVENTS` events an edge on (count if there are several phases),
+          fired-per-edge below; hot pixels are replaced.
         """
         rate = self.facts.events_per_edge
         if rate >= LOCK_IN_MIN_EVENTS and not one_phase:
@@ -202,21 +150,10 @@ class EventImages:
     def named(self, name: str) -> NDArray[np.float32]:
         """Return the image of one kind.
 
-        Parameters
-        ----------
-        name
-            ``last-polarity``, ``any``, ``count``, ``fired-per-edge``, ``lock-in`` or ``on-latency``.
-
-        Returns
-        -------
-        array
-            (H, W) float32, brighter where the target is brighter. ``on-latency`` is 1 minus the latency in units of
-            the burst's length, and 0 where no ON event came.
-
-        Raises
-        ------
-        InputMismatch
-            If there is no image of that name.
+        name: ``last-polarity``, ``any``, ``count``, ``fired-per-edge``, ``lock-in`` or ``on-latency``.
+        Returns: (H, W) float32, brighter where the target is brighter. ``on-latency`` is 1 minus the latency
+          in units of the burst's length, and 0 where no ON event came.
+        Raises InputMismatch: If there is no image of that name.
         """
         makers = {
             "last-polarity": lambda: self.last_polarity.astype(np.float32),

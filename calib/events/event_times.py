@@ -14,21 +14,11 @@ from numpy.typing import NDArray
 
 
 class EventTimes(NamedTuple):
-    """The K different times of N events.
+    """The K different times of N events."""
 
-    Attributes
-    ----------
-    t
-        (K,) int64, us, ascending.
-    first
-        (K + 1,) int64, number of the first event at each time; the last value is N.
-    on
-        (K,) int64, number of ON events at each time.
-    """
-
-    t: NDArray[np.int64]
-    first: NDArray[np.int64]
-    on: NDArray[np.int64]
+    t: NDArray[np.int64]  # (K,) int64, us, ascending
+    first: NDArray[np.int64]  # (K + 1,) int64, number of the first event at each time; the last value is N
+    on: NDArray[np.int64]  # (K,) int64, number of ON events at each time
 
     @property
     def off(self) -> NDArray[np.int64]:
@@ -39,17 +29,8 @@ class EventTimes(NamedTuple):
 def event_times(t: NDArray[np.int64], p: NDArray[np.integer]) -> EventTimes:
     """Gather the events by their time.
 
-    Parameters
-    ----------
-    t
-        (N,) int64, times of the events, us, in ascending order; N >= 1.
-    p
-        (N,) int, polarities: 1 is ON, 0 is OFF.
-
-    Returns
-    -------
-    EventTimes
-        Each time once.
+    t: (N,) int64, times of the events, us, in ascending order; N >= 1.
+    p: (N,) int, polarities: 1 is ON, 0 is OFF.
     """
     is_on = p if p.dtype == np.uint8 else (p > 0).astype(np.uint8)
     return EventTimes(*_gathered(np.ascontiguousarray(t, np.int64), np.ascontiguousarray(is_on)))

@@ -30,36 +30,20 @@ ONSET_BINS = 256
 
 @dataclass(frozen=True)
 class Flicker:
-    """A periodic light, on the sensor's clock.
+    """A periodic light, on the sensor's clock."""
 
-    Attributes
-    ----------
-    period_us
-        Period, us.
-    phase_us
-        Time of the first rising edge, us. The next edges follow one period later each.
-    duty
-        Share of the period between a rising edge and the next falling edge; nan if no falling edge was recorded.
-    jitter_us
-        Rms distance of the edges used from the fitted train, us; nan if there are too few edges.
-    edges
-        Number of rising edges used. If the period comes from the events: number of periods covered.
-    missing
-        Number of rising edges missing between the first and the last edge of the train.
-    extra
-        Number of edges of either direction that do not fit the train and were left out.
-    source
-        ``"triggers"`` or ``"events"``.
-    """
-
-    period_us: float
-    phase_us: float
+    period_us: float  # Period, us
+    phase_us: float  # Time of the first rising edge, us. The next edges follow one period later each.
+    # Share of the period between a rising edge and the next falling edge; nan if no falling edge was
+    # recorded.
     duty: float
+    # Rms distance of the edges used from the fitted train, us; nan if there are too few edges.
     jitter_us: float
+    # Number of rising edges used. If the period comes from the events: number of periods covered.
     edges: int
-    missing: int
-    extra: int
-    source: Literal["triggers", "events"]
+    missing: int  # Number of rising edges missing between the first and the last edge of the train
+    extra: int  # Number of edges of either direction that do not fit the train and were left out
+    source: Literal["triggers", "events"]  # ``"triggers"`` or ``"events"``
 
     @property
     def frequency_hz(self) -> float:
@@ -71,15 +55,7 @@ class Flicker:
 
         Own definition: the difference of the phases, minus the nearest whole number of periods.
 
-        Parameters
-        ----------
-        other
-            The flicker to compare with. Its period is used.
-
-        Returns
-        -------
-        float
-            Lag, us, between minus and plus half a period.
+        Returns: Lag, us, between minus and plus half a period.
 
         Examples
         --------
@@ -96,15 +72,8 @@ class Flicker:
 
         They lie at phase + k period.
 
-        Parameters
-        ----------
-        start_us, end_us
-            Start and end of the interval, us. The end does not belong to it.
-
-        Returns
-        -------
-        array
-            (K,) float64, times, us.
+        start_us, end_us: Start and end of the interval, us. The end does not belong to it.
+        Returns: (K,) float64, times, us.
 
         Examples
         --------

@@ -19,20 +19,9 @@ def to_uint8(image: NDArray[np.generic]) -> NDArray[np.uint8]:
 
     Own linear stretch: 255 (value - low) / (high - low), cut at 0 and 255.
 
-    Parameters
-    ----------
-    image
-        (H, W) of any integer or floating type; nan counts as the darkest value.
-
-    Returns
-    -------
-    array
-        (H, W) uint8; all 0 if the image is constant or holds no finite value.
-
-    Raises
-    ------
-    InputMismatch
-        If the image does not have two axes, or is empty.
+    image: (H, W) of any integer or floating type; nan counts as the darkest value.
+    Returns: (H, W) uint8; all 0 if the image is constant or holds no finite value.
+    Raises InputMismatch: If the image does not have two axes, or is empty.
 
     Examples
     --------

@@ -21,19 +21,10 @@ MIN_COMMON = 8
 
 
 class Motion(NamedTuple):
-    """Typical shift of the stars from the first half to the second.
+    """Typical shift of the stars from the first half to the second."""
 
-    Attributes
-    ----------
-    shift_px
-        Median shift along x and y, px.
-    sigma_px
-        Standard uncertainty of each component, px, from the scatter of the stars' shifts.
-    stars
-        Number of stars compared.
-    """
-
-    shift_px: tuple[float, float]
+    shift_px: tuple[float, float]  # Median shift along x and y, px
+    # Standard uncertainty of each component, px, from the scatter of the stars' shifts.
     sigma_px: tuple[float, float]
     stars: int
 
@@ -54,20 +45,8 @@ def half_windows(facts: SliceFacts) -> tuple[tuple[float, float], tuple[float, f
     If the number of periods is odd, the middle period belongs to neither half. Own rule: n periods give two halves of
     floor(n / 2) periods.
 
-    Parameters
-    ----------
-    facts
-        Facts of the whole slice.
-
-    Returns
-    -------
-    first, second : tuple of float
-        Start and end of each half, us.
-
-    Raises
-    ------
-    TooFewEvents
-        If the slice is one period long.
+    Returns: Start and end of each half, us.
+    Raises TooFewEvents: If the slice is one period long.
     """
     if facts.periods < 2:
         raise TooFewEvents(
@@ -86,20 +65,9 @@ def motion_between(first: View, second: View) -> Motion:
     1.4826 is the standard deviation of normal noise; the median of normal noise is sqrt(pi / 2) = 1.2533 times as
     uncertain as its mean. Median absolute deviation: Rousseeuw and Croux (1993). Variance of the median: Huber (1981).
 
-    Parameters
-    ----------
-    first, second
-        Views of the first and the second half.
-
-    Returns
-    -------
-    Motion
-        Shift from the first view to the second.
-
-    Raises
-    ------
-    TooFewStars
-        If the views share fewer than `MIN_COMMON` stars.
+    first, second: Views of the first and the second half.
+    Returns: Shift from the first view to the second.
+    Raises TooFewStars: If the views share fewer than `MIN_COMMON` stars.
     """
     _, a, b = np.intersect1d(first.ids, second.ids, assume_unique=True, return_indices=True)
     if a.size < MIN_COMMON:

@@ -22,21 +22,12 @@ from calib.events.event_image import LIT_SHARE, LOCK_IN_MIN_EVENTS
 
 
 class QuickImage(NamedTuple):
-    """Image by counts.
+    """Image by counts."""
 
-    Attributes
-    ----------
-    name
-        ``fired-per-edge`` or ``events-per-edge``.
-    image
-        (H, W) float32, brighter where the target is brighter; hot pixels are replaced.
-    hot_pixels
-        Number of pixels that fire far more often than their surroundings.
-    """
-
-    name: str
+    name: str  # ``fired-per-edge`` or ``events-per-edge``
+    # (H, W) float32, brighter where the target is brighter; hot pixels are replaced.
     image: NDArray[np.float32]
-    hot_pixels: int
+    hot_pixels: int  # Number of pixels that fire far more often than their surroundings
 
 
 def make_quick_image(counts: NDArray[np.uint16], periods: int) -> QuickImage:
@@ -44,17 +35,9 @@ def make_quick_image(counts: NDArray[np.uint16], periods: int) -> QuickImage:
 
     The choice of the kind and the rule for hot pixels are those of `calib.events.event_image`.
 
-    Parameters
-    ----------
-    counts
-        (2, H, W) uint16, number of OFF events, then of ON events, of each pixel in whole periods.
-    periods
-        Number of these periods, at least 1.
-
-    Returns
-    -------
-    QuickImage
-        All 0 without events.
+    counts: (2, H, W) uint16, number of OFF events, then of ON events, of each pixel in whole periods.
+    periods: Number of these periods, at least 1.
+    Returns: All 0 without events.
     """
     off, on = counts
     total = cv2.convertScaleAbs(cv2.add(on, off))  # at most 255

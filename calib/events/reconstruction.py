@@ -49,35 +49,21 @@ EventArrays = tuple[NDArray[np.int64], NDArray[np.uint16], NDArray[np.uint16], N
 
 @dataclass(frozen=True)
 class ReconstructedPicture:
-    """A picture at one time.
+    """A picture at one time."""
 
-    Attributes
-    ----------
-    at_us
-        The time, us on the clock of the events.
-    image
-        (H, W) float32, relative log intensity in units of the contrast of an ON event; brighter is larger.
-    active_share
-        Share of the pixels that sent events near that time.
-    hot_pixels
-        Number of pixels that fired far more often than their surroundings; they are replaced by the median around.
-    off_weight
-        Contrast of an OFF event in units of that of an ON event, such that the mean of the picture is zero.
-    """
-
-    at_us: float
+    at_us: float  # The time, us on the clock of the events
+    # (H, W) float32, relative log intensity in units of the contrast of an ON event; brighter is larger.
     image: NDArray[np.float32]
     active_share: float
+    # Number of pixels that fired far more often than their surroundings; they are replaced by the median
+    # around.
     hot_pixels: int
     off_weight: float
 
     def require_motion(self) -> None:
         """Check that the camera moved.
 
-        Raises
-        ------
-        TooFewEvents
-            If fewer than 0.2 % of the pixels sent events near the time.
+        Raises TooFewEvents: If fewer than 0.2 % of the pixels sent events near the time.
         """
         if self.active_share < _LEAST_ACTIVE:
             raise TooFewEvents(
@@ -92,17 +78,9 @@ class HighPassFilter:
 
     The sums are kept apart, because the contrasts of ON and OFF events differ and are not known beforehand.
 
-    Parameters
-    ----------
-    size
-        Width and height of the sensor, px.
-    cutoff_hz
-        Cutoff frequency, Hz.
-
-    Raises
-    ------
-    InputMismatch
-        If the size or the frequency is out of range.
+    size: Width and height of the sensor, px.
+    cutoff_hz: Cutoff frequency, Hz.
+    Raises InputMismatch: If the size or the frequency is out of range.
     """
 
     def __init__(self, size: tuple[int, int], cutoff_hz: float = DEFAULT_CUTOFF_HZ) -> None:
@@ -116,15 +94,8 @@ class HighPassFilter:
     def add(self, events: EventArrays) -> None:
         """Add events.
 
-        Parameters
-        ----------
-        events
-            Times, us, ascending and not before those added earlier; columns, rows, polarities.
-
-        Raises
-        ------
-        InputMismatch
-            If an event lies outside of the sensor.
+        events: Times, us, ascending and not before those added earlier; columns, rows, polarities.
+        Raises InputMismatch: If an event lies outside of the sensor.
         """
         _require_inside(events, self.size)
         _add_events(*events, self.alpha_us, self._sums, self._seen_us)
@@ -132,15 +103,8 @@ class HighPassFilter:
     def sums_at(self, at_us: float) -> NDArray[np.float64]:
         """Return the decayed sums at a time.
 
-        Parameters
-        ----------
-        at_us
-            Time, us, not before the last event.
-
-        Returns
-        -------
-        (2, H, W) float64
-            OFF, then ON; each event counts 1 when it comes.
+        at_us: Time, us, not before the last event.
+        Returns: OFF, then ON; each event counts 1 when it comes.
         """
         return np.asarray(self._sums * np.exp(-self.alpha_us * (at_us - self._seen_us)))
 
@@ -157,28 +121,15 @@ def reconstruct(
 
     Scheerlinck, Barnes and Mahony (2018); the head of the module gives the equations.
 
-    Parameters
-    ----------
-    pieces
-        Successive pieces of a recording. Where a time steps back, the event is taken at the latest time before it.
-    size
-        Width and height of the sensor, px.
-    at_us
-        Times of the pictures, us, ascending.
-    cutoff_hz
-        Cutoff frequency, Hz.
-    two_sided
-        Whether later events are used as well; False: the filter as published.
-
-    Yields
-    ------
-    ReconstructedPicture
-        One for each time, in their order.
-
-    Raises
-    ------
-    InputMismatch
-        If the times do not ascend, the frequency is out of range, or an event lies outside of the sensor.
+    pieces: Successive pieces of a recording. Where a time steps back, the event is taken at the latest time
+      before it.
+    size: Width and height of the sensor, px.
+    at_us: Times of the pictures, us, ascending.
+    cutoff_hz: Cutoff frequency, Hz.
+    two_sided: Whether later events are used as well; False: the filter as published.
+    Yields: One for each time, in their order.
+    Raises InputMismatch: If the times do not ascend, the frequency is out of range, or an event lies outside
+      of the sensor.
     """
     if any(later <= earlier for earlier, later in pairwise(at_us)):
         raise InputMismatch("The times of the pictures do not ascend.", where="reconstruction")

@@ -61,34 +61,7 @@ WITHOUT_READINGS = ("drift", "planar")
 
 @dataclass(frozen=True)
 class Fit:
-    """A model at its optimum.
-
-    Attributes
-    ----------
-    model
-        Name of the model.
-    views
-        The views, with all their stars.
-    kept
-        The views with the stars that were used.
-    bundle, refined, loss
-        Bundle that was adjusted, the end of the adjustment, and the loss with its final limit.
-    whole
-        The bundle with the stars that were left out too: gross errors and those of the guard band.
-    used
-        (N,) bool, which stars of `whole` were used.
-    uncertainty
-        Covariance of the shared parameters.
-    cross_validation
-        Results for views left out; None if it was not done, or if there are too few views.
-    discs
-        The visible discs of the views; none if the model does not depend on them.
-    readings
-        Whether the gimbal's readings agree with the stars; None if they did not take part. They entered the estimate if
-        `bundle` has them.
-    before_readings
-        Bundle, end and loss of the adjustment that the readings were added to; None if there were no readings.
-    """
+    """A model at its optimum."""
 
     model: str
     views: Sequence[View]
@@ -97,11 +70,15 @@ class Fit:
     refined: Refinement
     loss: Loss
     whole: Bundle
-    used: NDArray[np.bool_]
+    used: NDArray[np.bool_]  # (N,) bool, which stars of `whole` were used
     uncertainty: Uncertainty
+    # Results for views left out; None if it was not done, or if there are too few views.
     cross_validation: CrossValidation | None
-    discs: Sequence[Disc] = ()
+    discs: Sequence[Disc] = ()  # The visible discs of the views; none if the model does not depend on them
+    # Whether the gimbal's readings agree with the stars; None if they did not take part. They entered the
+    # estimate if `bundle` has them.
     readings: ReadingsTest | None = None
+    # Bundle, end and loss of the adjustment that the readings were added to; None if there were no readings.
     before_readings: tuple[Bundle, Refinement, Loss] | None = None
 
     @property
@@ -123,34 +100,15 @@ def fit_model(
 ) -> Fit:
     """Fit one model to views.
 
-    Parameters
-    ----------
-    views
-        Views of one camera.
-    options
-        Distortion, loss, passport and guard band.
-    model
-        A model of `calib.model.aberrations.LADDER`, ``drift`` or ``planar``. Terms of a passport are held.
-    leave_out
-        Whether to leave out each view in turn even if the views are consistent.
-    discs
-        The visible discs of the views, if they are known already.
-    wrong
-        Stars with a gross error, for each view; they are left out. None if there are none.
-    enlarge
-        Whether to enlarge the uncertainty of inconsistent views at once; else `with_uncertainty` does it later.
-    near
-        The end of another model's fit to the same views, as the start; None to compare starts.
-
-    Returns
-    -------
-    Fit
-        The fitted model.
-
-    Raises
-    ------
-    TooFewStars, DegenerateViews, NotConverged, InputMismatch, PassportContradicted
-        As `calib.engine.calibrate`.
+    model: A model of `calib.model.aberrations.LADDER`, ``drift`` or ``planar``. Terms of a passport are held.
+    leave_out: Whether to leave out each view in turn even if the views are consistent.
+    discs: The visible discs of the views, if they are known already.
+    wrong: Stars with a gross error, for each view; they are left out. None if there are none.
+    enlarge: Whether to enlarge the uncertainty of inconsistent views at once; else `with_uncertainty` does it
+      later.
+    near: The end of another model's fit to the same views, as the start; None to compare starts.
+    Raises TooFewStars, DegenerateViews, NotConverged, InputMismatch, PassportContradicted: As
+      `calib.engine.calibrate`.
     """
     passport = options.passport
     held = passport.terms if passport else ()
@@ -187,22 +145,7 @@ def fit_model(
 def without_readings(fitted: Fit, options: CalibrationOptions) -> Fit:
     """Return the fit to the same stars without the gimbal's readings.
 
-    Parameters
-    ----------
-    fitted
-        A fit with readings.
-    options
-        The options of this fit.
-
-    Returns
-    -------
-    Fit
-        The fit that the readings were added to, with its own uncertainty.
-
-    Raises
-    ------
-    DegenerateViews, NotConverged
-        As `fit_model`.
+    Raises DegenerateViews, NotConverged: As `fit_model`.
     """
     assert fitted.before_readings is not None
     bundle, refined, loss = fitted.before_readings
@@ -231,15 +174,7 @@ def model_to_fit(options: CalibrationOptions) -> str:
     A certificate states the radius on the axis; it does not state the radial terms, which are then free. A passport
     from views holds the terms of its own model.
 
-    Parameters
-    ----------
-    options
-        Model and passport.
-
-    Returns
-    -------
-    str
-        A model of `calib.model.aberrations.LADDER`, ``drift`` or ``planar``.
+    Returns: A model of `calib.model.aberrations.LADDER`, ``drift`` or ``planar``.
     """
     passport = options.passport
     if passport is None:
@@ -324,22 +259,8 @@ def with_uncertainty(fitted: Fit, options: CalibrationOptions) -> Fit:
     Variance components: Patterson and Thompson (1971). Scores: Bell and McCaffrey (2002). Passport: consider covariance
     (Tapley, Schutz and Born, 2004, chapter 6).
 
-    Parameters
-    ----------
-    fitted
-        A fit with the uncertainty that holds if its model is right.
-    options
-        The passport.
-
-    Returns
-    -------
-    Fit
-        The same fit.
-
-    Raises
-    ------
-    DegenerateViews
-        If the views do not constrain the camera with this passport.
+    fitted: A fit with the uncertainty that holds if its model is right.
+    Raises DegenerateViews: If the views do not constrain the camera with this passport.
     """
     bundle, parameters, loss = fitted.bundle, fitted.parameters, fitted.loss
     estimate, passport = fitted.uncertainty, options.passport

@@ -33,21 +33,8 @@ def with_readings(
 
     Readings that scatter somewhat more than stated get less weight (Birge, 1932).
 
-    Parameters
-    ----------
-    views
-        Views with the stars that are used.
-    discs
-        Their visible discs; empty if the model needs none.
-    bundle, refined, loss
-        The adjustment without readings: its bundle, its end, and its loss.
-    options
-        Readings, certificate and budget.
-
-    Returns
-    -------
-    tuple
-        Bundle, end and loss of the adjustment to use, and how the readings agree with the stars.
+    discs: Their visible discs; empty if the model needs none.
+    bundle, refined, loss: The adjustment without readings: its bundle, its end, and its loss.
     """
     stated = options.gimbal
     assert stated is not None

@@ -28,19 +28,7 @@ def refine_robustly(
     median length of the residuals over 1.1774 = sqrt(2 ln 2), the median length of a two-dimensional vector of standard
     normal components.
 
-    Parameters
-    ----------
-    bundle
-        Stars, free parameters and priors.
-    start
-        Starting values.
-    options
-        Loss, its limit if given, and the largest number of steps.
-
-    Returns
-    -------
-    tuple of Bundle, Refinement and Loss
-        The bundle with its final noise variance, the optimum, and the loss with its final limit.
+    options: Loss, its limit if given, and the largest number of steps.
     """
     given = None if options.huber_px is None else options.huber_px * bundle.observations.sigmas_per_px
     loss = Loss("l2") if given is None else Loss(options.loss, given)

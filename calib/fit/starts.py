@@ -29,26 +29,10 @@ def initialize(
 ) -> tuple[Bundle, AdjustmentParameters]:
     """Return the bundle of the ideal model, without aberrations, and its starting values.
 
-    Parameters
-    ----------
-    views
-        Views of one camera.
-    options
-        Distortion coefficients and passport.
-    model
-        ``planar`` frees the centre of each view; all other models share one centre.
-    near
-        Parameters near the optimum, from another model; None to compare starts. ``planar`` always compares starts.
-
-    Returns
-    -------
-    tuple of Bundle and AdjustmentParameters
-        Stars with free parameters, and the best starting values.
-
-    Raises
-    ------
-    DegenerateViews
-        If no start leads to a real camera.
+    model: ``planar`` frees the centre of each view; all other models share one centre.
+    near: Parameters near the optimum, from another model; None to compare starts. ``planar`` always compares
+      starts.
+    Raises DegenerateViews: If no start leads to a real camera.
     """
     size, distortion = views[0].image_size, tuple(options.distortion)
     held = options.passport.names if options.passport else ()

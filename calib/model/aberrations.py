@@ -76,15 +76,7 @@ PARALLAX = ("parallax_x", "parallax_y")
 def needs_rim(terms: Iterable[str]) -> bool:
     """Tell whether aberrations depend on the camera's position in the pupil, which the rim of the beam shows.
 
-    Parameters
-    ----------
-    terms
-        Names of aberrations.
-
-    Returns
-    -------
-    bool
-        True if any of them needs the visible disc.
+    Returns: True if any of them needs the visible disc.
     """
     return bool(set(terms) - FIELD_ONLY - set(PARALLAX))
 
@@ -92,15 +84,7 @@ def needs_rim(terms: Iterable[str]) -> bool:
 def model_with_terms(terms: Sequence[str]) -> str:
     """Return the simplest model of the ladder that has all given terms.
 
-    Parameters
-    ----------
-    terms
-        Names of aberrations.
-
-    Returns
-    -------
-    str
-        Name of the model in `LADDER`; the richest model if none has all terms.
+    Returns: Name of the model in `LADDER`; the richest model if none has all terms.
     """
     return next((name for name, own in LADDER.items() if set(terms) <= set(own)), list(LADDER)[-1])
 
@@ -110,18 +94,9 @@ def aberration_prior(terms: Sequence[str], radial_sigma: float | None = None) ->
 
     Own choice of the sigmas; the information is 1 / sigma^2.
 
-    Parameters
-    ----------
-    terms
-        Names of aberrations.
-    radial_sigma
-        1-sigma of ``radial``, if the bench states it; that of ``radial_4`` changes in proportion. None for
-        `EXPECTED_SIGMA`, or for `RADIAL_ALONE_SIGMA` if there are no other terms.
-
-    Returns
-    -------
-    Prior or None
-        None if there are no terms.
+    radial_sigma: 1-sigma of ``radial``, if the bench states it; that of ``radial_4`` changes in proportion.
+      None for `EXPECTED_SIGMA`, or for `RADIAL_ALONE_SIGMA` if there are no other terms.
+    Returns: None if there are no terms.
     """
     if not terms:
         return None
@@ -145,28 +120,13 @@ def displacements(
     The third-order terms are those of Born and Wolf, chapter 5. The choice of terms and the terms of the rim are this
     project's own; the head of the module gives all equations.
 
-    Parameters
-    ----------
-    target_mm
-        (N, 2) positions of the view's stars on the target, mm.
-    disc
-        The view's visible disc; None if no term needs it (`needs_rim`).
-    reference
-        Centre (x, y, r), mm, about which the terms are expressed.
-    terms
-        T names from `EXPECTED_SIGMA` or `PARALLAX`.
-    turn
-        Tangents of the camera's turn along the target's X and Y, for the terms of `PARALLAX`.
-
-    Returns
-    -------
-    Array
-        (N, 2, T) displacements, mm.
-
-    Raises
-    ------
-    InputMismatch
-        If a term is unknown.
+    target_mm: (N, 2) positions of the view's stars on the target, mm.
+    disc: The view's visible disc; None if no term needs it (`needs_rim`).
+    reference: Centre (x, y, r), mm, about which the terms are expressed.
+    terms: T names from `EXPECTED_SIGMA` or `PARALLAX`.
+    turn: Tangents of the camera's turn along the target's X and Y, for the terms of `PARALLAX`.
+    Returns: (N, 2, T) displacements, mm.
+    Raises InputMismatch: If a term is unknown.
     """
     x, y, r = reference
     h = (target_mm - [x, y]) / r

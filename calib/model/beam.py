@@ -43,30 +43,16 @@ _BORDER_PITCHES = 1.0
 
 @dataclass(frozen=True)
 class Disc:
-    """A disc on the target plane.
+    """A disc on the target plane."""
 
-    Attributes
-    ----------
-    centre_mm
-        (2,) float64 centre, mm.
-    radius_mm
-        Radius, mm.
-    sigma_mm
-        1-sigma of the centre along the worse axis, mm; infinite if the rim is out of view.
-    uses_other_views
-        Whether the rim is out of view and the discs of other views helped.
-    covariance_mm2
-        (2, 2) float64, mm^2, covariance of the centre; None if the centre is unknown.
-    circle_sigma_mm
-        1-sigma of the centre, mm, by the view's own rim and if the edge of the beam were a circle; None if it is
-        ``sigma_mm``. It tells how much of the rim is in view.
-    """
-
-    centre_mm: Array
-    radius_mm: float
-    sigma_mm: float
-    uses_other_views: bool = False
+    centre_mm: Array  # (2,) float64 centre, mm
+    radius_mm: float  # Radius, mm
+    sigma_mm: float  # 1-sigma of the centre along the worse axis, mm; infinite if the rim is out of view
+    uses_other_views: bool = False  # Whether the rim is out of view and the discs of other views helped
+    # (2, 2) float64, mm^2, covariance of the centre; None if the centre is unknown.
     covariance_mm2: Array | None = None
+    # 1-sigma of the centre, mm, by the view's own rim and if the edge of the beam were a circle; None if it
+    # is ``sigma_mm``. It tells how much of the rim is in view.
     circle_sigma_mm: float | None = None
 
     @property
@@ -89,20 +75,8 @@ def visible_discs(views: Sequence[View]) -> list[Disc]:
     give a mean centre and a mean radius. The other discs are expected to scatter about them by 0.2 (centre) and 0.1
     (radius) of the radius, as a Gaussian prior. If no view shows its rim, no disc gets help. Own procedure.
 
-    Parameters
-    ----------
-    views
-        Views of one bench.
-
-    Returns
-    -------
-    list of Disc
-        One disc for each view, in their order.
-
-    Raises
-    ------
-    TooFewStars, DegenerateViews, InputMismatch
-        As `calib.model.homography.view_homography`.
+    Returns: One disc for each view, in their order.
+    Raises TooFewStars, DegenerateViews, InputMismatch: As `calib.model.homography.view_homography`.
     """
     rims = [view.rim for view in views if view.rim is not None]
     if len(rims) == len(views) and any(len(rim.points_mm) >= _FEWEST_POINTS for rim in rims):
@@ -152,22 +126,11 @@ def visible_disc(view: View, expected: tuple[Array, Array] | None = None) -> Dis
     a grid, absent stars are unknown; the centre's sigma is then infinite. The model is logistic regression (Cox, 1958)
     with a probability of wrong observations (Copas, 1988).
 
-    Parameters
-    ----------
-    view
-        Stars of one pose.
-    expected
-        (3,) expected centre and radius, mm, and (3,) their 1-sigma, mm; None if nothing is known beforehand.
-
-    Returns
-    -------
-    Disc
-        The fitted disc. Its covariance is that of the Fisher information, and of an edge that is not a circle.
-
-    Raises
-    ------
-    TooFewStars, DegenerateViews, InputMismatch
-        As `calib.model.homography.view_homography`.
+    expected: (3,) expected centre and radius, mm, and (3,) their 1-sigma, mm; None if nothing is known
+      beforehand.
+    Returns: The fitted disc. Its covariance is that of the Fisher information, and of an edge that is not a
+      circle.
+    Raises TooFewStars, DegenerateViews, InputMismatch: As `calib.model.homography.view_homography`.
     """
     from scipy.optimize import (
         minimize,
@@ -215,19 +178,9 @@ def visible_disc(view: View, expected: tuple[Array, Array] | None = None) -> Dis
 def without_guard_band(view: View, disc: Disc, share: float) -> View:
     """Return the view without the stars of the guard band, the outer part of the disc.
 
-    Parameters
-    ----------
-    view
-        Stars of one pose.
-    disc
-        The view's visible disc.
-    share
-        Stars within this share of the disc's radius are kept.
-
-    Returns
-    -------
-    View
-        The view with the inner stars only; the same view if the share is 1 or more.
+    disc: The view's visible disc.
+    share: Stars within this share of the disc's radius are kept.
+    Returns: The view with the inner stars only; the same view if the share is 1 or more.
     """
     if share >= 1.0:
         return view
@@ -246,19 +199,9 @@ def inside_guard_band(view: View, disc: Disc, share: float) -> NDArray[np.bool_]
 
     Own rule: the distance from the disc's centre is at most the share of its radius.
 
-    Parameters
-    ----------
-    view
-        Stars of one pose.
-    disc
-        The view's visible disc.
-    share
-        Share of the disc's radius; with 1 or more, all stars are inside.
-
-    Returns
-    -------
-    NDArray of bool
-        (N,) bool, True for each star inside.
+    disc: The view's visible disc.
+    share: Share of the disc's radius; with 1 or more, all stars are inside.
+    Returns: (N,) bool, True for each star inside.
     """
     away = np.linalg.norm(view.target_mm - disc.centre_mm, axis=1)
     return np.asarray((away <= share * disc.radius_mm) | (share >= 1.0))

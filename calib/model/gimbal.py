@@ -36,37 +36,20 @@ _OPEN = 1e-9
 
 @dataclass(frozen=True)
 class Gimbal:
-    """The parameters of a gimbal.
+    """The parameters of a gimbal."""
 
-    Attributes
-    ----------
-    camera_from_head
-        (3, 3) float64 mounting A, camera <- gimbal's head.
-    base_from_target
-        (3, 3) float64 standing B, gimbal's base <- target.
-    scales
-        True angle over reading of pan, tilt and roll.
-    non_orthogonality
-        Angle between the axes of pan and tilt minus a right angle, rad.
-    """
-
+    # (3, 3) float64 mounting A, camera <- gimbal's head.
     camera_from_head: Array = field(default_factory=lambda: np.eye(3))
+    # (3, 3) float64 standing B, gimbal's base <- target.
     base_from_target: Array = field(default_factory=lambda: np.eye(3))
     scales: tuple[float, float, float] = (1.0, 1.0, 1.0)
-    non_orthogonality: float = 0.0
+    non_orthogonality: float = 0.0  # Angle between the axes of pan and tilt minus a right angle, rad
 
     def heads(self, angles_deg: Array) -> Array:
         """Return the rotations of the head.
 
-        Parameters
-        ----------
-        angles_deg
-            (n, 3) readings of pan, tilt, roll, degrees.
-
-        Returns
-        -------
-        Array
-            (n, 3, 3) rotations, head <- base.
+        angles_deg: (n, 3) readings of pan, tilt, roll, degrees.
+        Returns: (n, 3, 3) rotations, head <- base.
         """
         pan, _, _, before_pan = self._turns(angles_deg)
         return np.asarray(before_pan @ pan)
@@ -74,31 +57,18 @@ class Gimbal:
     def axes(self, angles_deg: Array) -> Array:
         """Return the directions of the axes, seen from the camera.
 
-        Parameters
-        ----------
-        angles_deg
-            (n, 3) readings of pan, tilt, roll, degrees.
-
-        Returns
-        -------
-        Array
-            (n, 3, 3) unit vectors of pan, tilt and roll, in the columns.
+        angles_deg: (n, 3) readings of pan, tilt, roll, degrees.
+        Returns: (n, 3, 3) unit vectors of pan, tilt and roll, in the columns.
         """
         return self.turned(angles_deg)[1]
 
     def turned(self, angles_deg: Array) -> tuple[Array, Array, Array]:
         """Return how the head turns the camera, and about which axes.
 
-        Parameters
-        ----------
-        angles_deg
-            (n, 3) readings of pan, tilt, roll, degrees.
-
-        Returns
-        -------
-        tuple of Array
-            (n, 3, 3) rotations, camera <- base; (n, 3, 3) unit vectors of pan, tilt and roll, seen from the camera, in
-            the columns; and (n, 3) that of the axis about which pan leans against a right angle with tilt.
+        angles_deg: (n, 3) readings of pan, tilt, roll, degrees.
+        Returns: (n, 3, 3) rotations, camera <- base; (n, 3, 3) unit vectors of pan, tilt and roll, seen from
+          the camera, in the columns; and (n, 3) that of the axis about which pan leans against a right angle
+          with tilt.
         """
         pan, tilt, roll, before_pan = self._turns(angles_deg)
         leaning = roll @ tilt
@@ -116,42 +86,21 @@ class Gimbal:
     def rotations(self, angles_deg: Array) -> Array:
         """Return the rotations of the camera.
 
-        Parameters
-        ----------
-        angles_deg
-            (n, 3) readings of pan, tilt, roll, degrees.
-
-        Returns
-        -------
-        Array
-            (n, 3, 3) rotations, camera <- target.
+        angles_deg: (n, 3) readings of pan, tilt, roll, degrees.
+        Returns: (n, 3, 3) rotations, camera <- target.
         """
         return np.asarray(self.camera_from_head @ self.heads(angles_deg) @ self.base_from_target)
 
     def to_dict(self) -> dict[str, float]:
         """Return the parameters by name; a rotation as its rotation vector.
 
-        Returns
-        -------
-        dict of str to float
-            Rotation vectors and angles in rad, scales without a unit; the names are those of `GIMBAL`.
+        Returns: Rotation vectors and angles in rad, scales without a unit; the names are those of `GIMBAL`.
         """
         turns = log_map(np.array([self.camera_from_head, self.base_from_target])).reshape(-1).tolist()
         return dict(zip(GIMBAL, (*turns, *map(float, self.scales), self.non_orthogonality), strict=True))
 
     def after_step(self, steps: Mapping[str, float]) -> Gimbal:
-        """Return the gimbal after a step; a rotation is turned on its left side.
-
-        Parameters
-        ----------
-        steps
-            Increments by name; missing ones are zero, names of other things are ignored.
-
-        Returns
-        -------
-        Gimbal
-            Gimbal whose rotations stay orthogonal.
-        """
+        """Return the gimbal after a step; a rotation is turned on its left side."""
         turns = np.array([[steps.get(name, 0.0) for name in names] for names in (MOUNTING, STANDING)])
         pan, tilt, roll = (
             scale + steps.get(name, 0.0) for name, scale in zip(SCALES, self.scales, strict=True)
@@ -171,17 +120,8 @@ def aligned_gimbal(rotations: Array, angles_deg: Array) -> Gimbal:
     From several rolls of the mounting: alternating least squares, where with A known B is the mean of G^T A^T R (mean
     of rotations: Markley et al., 2007), then steps of Gauss and Newton on both. Own procedure.
 
-    Parameters
-    ----------
-    rotations
-        (n, 3, 3) rotations of the views, camera <- target.
-    angles_deg
-        (n, 3) readings of pan, tilt, roll, degrees.
-
-    Returns
-    -------
-    Gimbal
-        The best of all starts.
+    rotations: (n, 3, 3) rotations of the views, camera <- target.
+    angles_deg: (n, 3) readings of pan, tilt, roll, degrees.
     """
     heads = Gimbal().heads(angles_deg)
     back = np.swapaxes(heads, 1, 2)

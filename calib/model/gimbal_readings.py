@@ -26,19 +26,12 @@ AXES = ("pan_deg", "tilt_deg", "roll_deg")
 class ParallaxBound:
     """What bounds the parallax of a gimbal before a collimator.
 
-    Parameters
-    ----------
-    defocus, defocus_sigma
-        The collimator's defocus and its standard uncertainty, dimensionless. When the camera moves across the beam by
-        s, the pattern appears to move by -defocus s on the target. A target at the finite distance D has the defocus
-        r / D; an ideal collimator has 0.
-    pupil_off_pivot_mm, pupil_off_pivot_sigma_mm
-        Distance of the entrance pupil in front of the pivot, and its standard uncertainty, mm.
-
-    Raises
-    ------
-    InputMismatch
-        If an uncertainty is negative, or a number is not finite.
+    defocus, defocus_sigma: The collimator's defocus and its standard uncertainty, dimensionless. When the
+      camera moves across the beam by s, the pattern appears to move by -defocus s on the target. A target at
+      the finite distance D has the defocus r / D; an ideal collimator has 0.
+    pupil_off_pivot_mm, pupil_off_pivot_sigma_mm: Distance of the entrance pupil in front of the pivot, and
+      its standard uncertainty, mm.
+    Raises InputMismatch: If an uncertainty is negative, or a number is not finite.
     """
 
     defocus: float
@@ -61,15 +54,8 @@ class ParallaxBound:
         The pupil moves across the beam by off_pivot times the tangent of the turn, and the pattern by -defocus times
         that. Uncertainty of a product of two independent quantities: Goodman (1960).
 
-        Parameters
-        ----------
-        r_mm
-            Radius of the collimator, mm.
-
-        Returns
-        -------
-        tuple of float
-            Displacement of the pattern per unit tangent of the turn, as a share of r; and its 1-sigma.
+        r_mm: Radius of the collimator, mm.
+        Returns: Displacement of the pattern per unit tangent of the turn, as a share of r; and its 1-sigma.
         """
         d, off = self.defocus, self.pupil_off_pivot_mm
         sigma = np.sqrt(
@@ -84,28 +70,18 @@ class ParallaxBound:
 class GimbalReadings:
     """Readings of all views, with their uncertainty.
 
-    Parameters
-    ----------
-    angles_deg
-        For each view the readings of its axes, degrees: any of ``pan_deg``, ``tilt_deg``, ``roll_deg``.
-    reading_sigma_deg
-        Standard uncertainty of a reading, degrees; wobble of the axes included. It holds for the rotation about every
-        axis of the head, also about one that the gimbal does not have.
-    scale_sigma
-        Standard uncertainty of each axis's scale (true angle over reading).
-    eccentricity_deg
-        Standard uncertainty of the amplitude of the encoder's error of one period a turn, degrees. Over a small range
-        of angles it acts as a scale error.
-    parallax
-        What bounds the parallax; None if nothing does. The readings are then compared with the result, but do not
-        enter it.
-    source
-        Where these numbers come from: a certificate, a data sheet, a measurement.
-
-    Raises
-    ------
-    InputMismatch
-        If an uncertainty is not positive (or negative, for scale and eccentricity), or an axis is unknown.
+    angles_deg: For each view the readings of its axes, degrees: any of ``pan_deg``, ``tilt_deg``,
+      ``roll_deg``.
+    reading_sigma_deg: Standard uncertainty of a reading, degrees; wobble of the axes included. It holds for
+      the rotation about every axis of the head, also about one that the gimbal does not have.
+    scale_sigma: Standard uncertainty of each axis's scale (true angle over reading).
+    eccentricity_deg: Standard uncertainty of the amplitude of the encoder's error of one period a turn,
+      degrees. Over a small range of angles it acts as a scale error.
+    parallax: What bounds the parallax; None if nothing does. The readings are then compared with the result,
+      but do not enter it.
+    source: Where these numbers come from: a certificate, a data sheet, a measurement.
+    Raises InputMismatch: If an uncertainty is not positive (or negative, for scale and eccentricity), or an
+      axis is unknown.
     """
 
     angles_deg: tuple[Mapping[str, float], ...]

@@ -34,22 +34,10 @@ _SAMPLES_SEED = 0
 def fit_homography(grid: NDArray[np.float64], points: NDArray[np.float64]) -> NDArray[np.float64]:
     """Fit a homography by least squares (OpenCV's ``findHomography``).
 
-    Parameters
-    ----------
-    grid
-        (N, 2) grid positions, any unit.
-    points
-        (N, 2) image points, px.
-
-    Returns
-    -------
-    Array
-        (3, 3) homography from grid positions to image points.
-
-    Raises
-    ------
-    TooFewStars
-        If there are fewer than 4 stars, or all of them lie on one line.
+    grid: (N, 2) grid positions, any unit.
+    points: (N, 2) image points, px.
+    Returns: (3, 3) homography from grid positions to image points.
+    Raises TooFewStars: If there are fewer than 4 stars, or all of them lie on one line.
     """
     import cv2
 
@@ -67,17 +55,9 @@ def fit_affine(grid: NDArray[np.float64], points: NDArray[np.float64]) -> NDArra
 
     Linear least squares for the affine map of Hartley and Zisserman (2004), section 2.4.
 
-    Parameters
-    ----------
-    grid
-        (N, 2) grid positions, any unit; N >= 3, not all on one line.
-    points
-        (N, 2) image points, px.
-
-    Returns
-    -------
-    Array
-        (3, 3) affine map as a homography, with last row 0 0 1.
+    grid: (N, 2) grid positions, any unit; N >= 3, not all on one line.
+    points: (N, 2) image points, px.
+    Returns: (3, 3) affine map as a homography, with last row 0 0 1.
     """
     design = np.column_stack([grid, np.ones(len(grid))])
     solution = np.linalg.lstsq(design, points, rcond=None)[0]
@@ -93,24 +73,11 @@ def view_homography(view: View) -> Array:
     det(K) r. The weights 1 / (1 + (e / s)^2) are those of the Cauchy loss (Holland and Welsch, 1977). Stars with gross
     errors take no part (`gross_errors`).
 
-    Parameters
-    ----------
-    view
-        Stars of one pose, at least 4.
-
-    Returns
-    -------
-    Array
-        (3, 3) homography with determinant 1.
-
-    Raises
-    ------
-    TooFewStars
-        If the view has fewer than 4 stars.
-    DegenerateViews
-        If all stars lie on one line, on the target or in the image.
-    InputMismatch
-        If the image shows the target mirrored.
+    view: Stars of one pose, at least 4.
+    Returns: (3, 3) homography with determinant 1.
+    Raises TooFewStars: If the view has fewer than 4 stars.
+    Raises DegenerateViews: If all stars lie on one line, on the target or in the image.
+    Raises InputMismatch: If the image shows the target mirrored.
     """
     h, wrong = view.remembered("homography", _fit_without_gross_errors)
     kept = ~wrong
@@ -125,22 +92,10 @@ def gross_errors(view: View) -> Bools:
     the homography is found again by the least median of squares (Rousseeuw, 1984), which up to half of the stars
     cannot spoil, and the stars are tested again.
 
-    Parameters
-    ----------
-    view
-        Stars of one pose, at least 4.
-
-    Returns
-    -------
-    Bools
-        (N,) bool; all False for fewer than 8 stars, which cannot be compared.
-
-    Raises
-    ------
-    TooFewStars
-        If the view has fewer than 4 stars.
-    DegenerateViews
-        If all stars lie on one line, on the target or in the image.
+    view: Stars of one pose, at least 4.
+    Returns: (N,) bool; all False for fewer than 8 stars, which cannot be compared.
+    Raises TooFewStars: If the view has fewer than 4 stars.
+    Raises DegenerateViews: If all stars lie on one line, on the target or in the image.
     """
     return view.remembered("homography", _fit_without_gross_errors)[1]
 
@@ -148,22 +103,10 @@ def gross_errors(view: View) -> Bools:
 def rough_homography(view: View) -> Array:
     """Return the homography of a view as `view_homography`, at any scale and also if the target appears mirrored.
 
-    Parameters
-    ----------
-    view
-        Stars of one pose, at least 4.
-
-    Returns
-    -------
-    Array
-        (3, 3) homography.
-
-    Raises
-    ------
-    TooFewStars
-        If the view has fewer than 4 stars.
-    DegenerateViews
-        If all stars lie on one line, on the target or in the image.
+    view: Stars of one pose, at least 4.
+    Returns: (3, 3) homography.
+    Raises TooFewStars: If the view has fewer than 4 stars.
+    Raises DegenerateViews: If all stars lie on one line, on the target or in the image.
     """
     return view.remembered("homography", _fit_without_gross_errors)[0]
 
@@ -171,15 +114,7 @@ def rough_homography(view: View) -> Array:
 def neighbours_of(view: View) -> Nearest:
     """Return the neighbours of the stars of a view, which are found once.
 
-    Parameters
-    ----------
-    view
-        At least 2 stars.
-
-    Returns
-    -------
-    Nearest
-        The neighbours on the target.
+    view: At least 2 stars.
     """
     from calib.model.local_consistency import nearest_stars
 
@@ -288,17 +223,9 @@ def apply_homography(h: Array, points: Array) -> Array:
 
     Source: Hartley and Zisserman (2004), section 2.3.
 
-    Parameters
-    ----------
-    h
-        (3, 3) homography.
-    points
-        (N, 2) points.
-
-    Returns
-    -------
-    Array
-        (N, 2) mapped points.
+    h: (3, 3) homography.
+    points: (N, 2) points.
+    Returns: (N, 2) mapped points.
     """
     mapped = points @ h[:, :2].T + h[:, 2]
     return np.asarray(mapped[:, :2] / mapped[:, 2:])

@@ -37,17 +37,9 @@ def distort(points: Array, coefficients: Mapping[str, float]) -> Array:
 
     Brown (1971) with OpenCV's rational denominator, or Kannala and Brandt (2006).
 
-    Parameters
-    ----------
-    points
-        (N, 2) normalised points, dimensionless.
-    coefficients
-        Coefficients by name, of `BROWN` or of `FISHEYE`; those that are not named are zero.
-
-    Returns
-    -------
-    Array
-        (N, 2) distorted normalised points.
+    points: (N, 2) normalised points, dimensionless.
+    coefficients: Coefficients by name, of `BROWN` or of `FISHEYE`; those that are not named are zero.
+    Returns: (N, 2) distorted normalised points.
     """
     if is_fisheye(coefficients):
         return _fisheye(points, _ordered(coefficients, FISHEYE))
@@ -60,19 +52,11 @@ def distort_with_jacobians(points: Array, coefficients: Mapping[str, float]) -> 
     The models are those of `distort`: Brown (1971), or Kannala and Brandt (2006). The derivatives are this project's
     own, by the product and the chain rule.
 
-    Parameters
-    ----------
-    points
-        (N, 2) normalised points, dimensionless.
-    coefficients
-        K coefficients by name, of `BROWN` or of `FISHEYE`; those that are not named are zero. Other names are
-        allowed and change nothing, for example the skew, which belongs to the camera matrix.
-
-    Returns
-    -------
-    tuple of Array
-        (N, 2) distorted points; (N, 2, 2) derivatives by the points; (N, 2, K) derivatives by the named coefficients,
-        zero for other names.
+    points: (N, 2) normalised points, dimensionless.
+    coefficients: K coefficients by name, of `BROWN` or of `FISHEYE`; those that are not named are zero. Other
+      names are allowed and change nothing, for example the skew, which belongs to the camera matrix.
+    Returns: (N, 2) distorted points; (N, 2, 2) derivatives by the points; (N, 2, K) derivatives by the named
+      coefficients, zero for other names.
     """
     family = FISHEYE if is_fisheye(coefficients) else BROWN
     evaluate = _fisheye_with_jacobians if family is FISHEYE else _brown_with_jacobians
@@ -88,15 +72,7 @@ def distort_with_jacobians(points: Array, coefficients: Mapping[str, float]) -> 
 def is_fisheye(coefficients: Mapping[str, float]) -> bool:
     """Tell whether coefficients belong to the fisheye model.
 
-    Parameters
-    ----------
-    coefficients
-        Coefficients by name.
-
-    Returns
-    -------
-    bool
-        True if any of them is in `FISHEYE`.
+    Returns: True if any of them is in `FISHEYE`.
     """
     return not _FISHEYE_NAMES.isdisjoint(coefficients)
 

@@ -50,24 +50,12 @@ _CUT = 6.6
 
 @dataclass(frozen=True)
 class Nearest:
-    """The neighbours of N stars on the target.
+    """The neighbours of N stars on the target."""
 
-    Attributes
-    ----------
-    target
-        (N, 2) float64 positions on the target, any unit.
-    which
-        (N, K) int64 indices of the nearest stars of each star, nearest first.
-    distance
-        (N, K) float64 their distances.
-    spacing
-        Typical distance of a star from the nearest one: the pitch of a lattice.
-    """
-
-    target: Array
-    which: NDArray[np.int64]
-    distance: Array
-    spacing: float
+    target: Array  # (N, 2) float64 positions on the target, any unit
+    which: NDArray[np.int64]  # (N, K) int64 indices of the nearest stars of each star, nearest first
+    distance: Array  # (N, K) float64 their distances
+    spacing: float  # Typical distance of a star from the nearest one: the pitch of a lattice
 
     @cached_property
     def one_sidedness(self) -> Array:
@@ -79,15 +67,8 @@ class Nearest:
     def design(self, stars: NDArray[np.int64]) -> Array:
         """Return the terms of local affine maps about some stars.
 
-        Parameters
-        ----------
-        stars
-            (M,) indices of the stars.
-
-        Returns
-        -------
-        Array
-            (M, K, 3): 1 and the position of the neighbour from the star, in spacings.
+        stars: (M,) indices of the stars.
+        Returns: (M, K, 3): 1 and the position of the neighbour from the star, in spacings.
         """
         near = self.which[stars]
         offsets = (self.target[near] - self.target[stars, None]) / self.spacing
@@ -97,15 +78,7 @@ class Nearest:
 def nearest_stars(target: Array) -> Nearest:
     """Return the neighbours of each star.
 
-    Parameters
-    ----------
-    target
-        (N, 2) positions on the target, any unit; N >= 2.
-
-    Returns
-    -------
-    Nearest
-        The neighbours on the target.
+    target: (N, 2) positions on the target, any unit; N >= 2.
     """
     return _nearest(target, _NEIGHBOURS)
 
@@ -134,23 +107,12 @@ def contradicts_neighbours(
     the neighbours lie on one side: at the rim of a real beam, aberrations move a star by up to 2 px against its
     neighbours. A star that is stated to be noisier than the best stars has a wider limit. Own procedure.
 
-    Parameters
-    ----------
-    target
-        (N, 2) positions on the target, any unit.
-    mapped
-        (N, 2) positions mapped to the image by any smooth map that roughly fits, px.
-    points
-        (N, 2) image points found, px.
-    sigmas
-        (N,) stated 1-sigma of the points in any unit; None if all are equal.
-    nearest
-        The neighbours on the target, if they are known already.
-
-    Returns
-    -------
-    Bools
-        (N,) bool; all False for fewer than 8 stars.
+    target: (N, 2) positions on the target, any unit.
+    mapped: (N, 2) positions mapped to the image by any smooth map that roughly fits, px.
+    points: (N, 2) image points found, px.
+    sigmas: (N,) stated 1-sigma of the points in any unit; None if all are equal.
+    nearest: The neighbours on the target, if they are known already.
+    Returns: (N,) bool; all False for fewer than 8 stars.
     """
     if len(target) < MIN_STARS:
         return np.zeros(len(target), bool)
@@ -193,21 +155,11 @@ def local_sigma_px(target: Array, mapped: Array, points: Array, nearest: Nearest
     The median of the distances between stars and local quadratic least squares predictions, over 1.1774 =
     sqrt(2 ln 2), the median length of a two-dimensional vector of standard normal components. Own estimate.
 
-    Parameters
-    ----------
-    target
-        (N, 2) positions on the target, any unit.
-    mapped
-        (N, 2) positions mapped to the image by any smooth map that roughly fits, px.
-    points
-        (N, 2) image points found, px.
-    nearest
-        The neighbours on the target, if they are known already.
-
-    Returns
-    -------
-    float
-        1-sigma per axis, px; NaN for fewer than 8 stars.
+    target: (N, 2) positions on the target, any unit.
+    mapped: (N, 2) positions mapped to the image by any smooth map that roughly fits, px.
+    points: (N, 2) image points found, px.
+    nearest: The neighbours on the target, if they are known already.
+    Returns: 1-sigma per axis, px; NaN for fewer than 8 stars.
     """
     if len(target) < MIN_STARS:
         return float("nan")
@@ -218,15 +170,7 @@ def local_sigma_px(target: Array, mapped: Array, points: Array, nearest: Nearest
 def local_spacing(target: Array) -> float:
     """Return the typical distance of a star from the nearest one: the pitch of a lattice.
 
-    Parameters
-    ----------
-    target
-        (N, 2) positions on the target, any unit; N >= 2.
-
-    Returns
-    -------
-    float
-        Median distance, in the unit of the positions.
+    target: (N, 2) positions on the target, any unit; N >= 2.
     """
     return _nearest(target, 1).spacing
 

@@ -32,16 +32,10 @@ def _insert(which: Any, squares: Any, found: int, star: int, square: float) -> N
 def nearest(points: Any, order: Any, which: Any, distance: Any) -> None:
     """Find the nearest other points of each point: a sweep along x, until no nearer point can follow (own).
 
-    Parameters
-    ----------
-    points
-        (N, 2) float64 points.
-    order
-        (N,) int64 indices of the points in the order of x.
-    which
-        (N, K) int64 result: the nearest points, nearest first; K < N.
-    distance
-        (N, K) float64 result: their distances.
+    points: (N, 2) float64 points.
+    order: (N,) int64 indices of the points in the order of x.
+    which: (N, K) int64 result: the nearest points, nearest first; K < N.
+    distance: (N, K) float64 result: their distances.
     """
     count, last = len(points), which.shape[1] - 1
     squares = np.empty(last + 1)
@@ -70,16 +64,9 @@ def nearest(points: Any, order: Any, which: Any, distance: Any) -> None:
 def one_sidedness(points: Any, which: Any, spacing: float, out: Any) -> None:
     """Compute the distance of the neighbours' mean from each point: 0 inside of a set of points, about 1 at its rim.
 
-    Parameters
-    ----------
-    points
-        (N, 2) float64 points.
-    which
-        (N, K) int64 neighbours of each.
-    spacing
-        Unit of length.
-    out
-        (N,) float64 result, in spacings.
+    points: (N, 2) float64 points.
+    which: (N, K) int64 neighbours of each.
+    out: (N,) float64 result, in spacings.
     """
     count = which.shape[1]
     for i in range(len(points)):
@@ -125,20 +112,11 @@ def plain_deviations(points: Any, which: Any, spacing: float, off: Any, terms: i
     A local map of the neighbours' values predicts the value of a point. The prediction is w^T X^T v with the rows X of
     the terms and M w = (1 0 0 ...)^T, where M = X^T X and a small ridge; its variance is w_0.
 
-    Parameters
-    ----------
-    points
-        (N, 2) float64 points.
-    which
-        (N, K) int64 neighbours of each.
-    spacing
-        Unit of length.
-    off
-        (N, 2) float64 values.
-    terms
-        `AFFINE` or `QUADRATIC`.
-    out
-        (N,) float64 result: distances, in units of equal variance.
+    points: (N, 2) float64 points.
+    which: (N, K) int64 neighbours of each.
+    off: (N, 2) float64 values.
+    terms: `AFFINE` or `QUADRATIC`.
+    out: (N,) float64 result: distances, in units of equal variance.
     """
     rows, matrix = np.empty((which.shape[1], terms)), np.empty((terms, terms))
     answer = np.empty(terms)
@@ -184,22 +162,9 @@ def outside_the_largest_patch(
     hardly any neighbours agree, as with random ids, all stars that contradict most of their neighbours are returned
     instead. Own rule.
 
-    Parameters
-    ----------
-    mapped, off
-        (N, 2) float64 mapped positions, and what the stars are off them, px.
-    which, distance
-        (N, K) int64 neighbours of each star, nearest first, and (N, K) float64 their distances.
-    reach
-        Largest distance of neighbours that are compared.
-    share
-        Neighbours agree if what they are off differs by no more than this share of their mapped distance.
-    ordered
-        Smallest share of agreeing pairs for patches to mean anything.
-
-    Returns
-    -------
-    (N,) bool.
+    mapped, off: (N, 2) float64 mapped positions, and what the stars are off them, px.
+    which, distance: (N, K) int64 neighbours of each star, nearest first, and (N, K) float64 their distances.
+    share: Neighbours agree if what they are off differs by no more than this share of their mapped distance.
     """
     count = len(which)
     agrees = np.zeros(which.shape, np.bool_)

@@ -22,19 +22,10 @@ def zhang_matrix(
     With w = K^-T K^-1, each view gives h1^T w h2 = 0 and h1^T w h1 = h2^T w h2: Zhang (2000), eqs. 3 and 4 and section
     3.1.
 
-    Parameters
-    ----------
-    homographies
-        (n, 3, 3) homographies from target, mm, to image, px.
-    image_size
-        Width and height, px.
-    free_principal_point
-        Whether the principal point is unknown; otherwise it is the centre of the image.
-
-    Returns
-    -------
-    Array or None
-        (3, 3) camera matrix, px; None if the views do not determine one (frontal views, noise).
+    homographies: (n, 3, 3) homographies from target, mm, to image, px.
+    image_size: Width and height, px.
+    free_principal_point: Whether the principal point is unknown; otherwise it is the centre of the image.
+    Returns: (3, 3) camera matrix, px; None if the views do not determine one (frontal views, noise).
     """
     width, height = image_size
     scale = 2.0 / np.hypot(width, height)
@@ -74,18 +65,10 @@ def _entry(a: Array, b: Array, ij: tuple[int, int]) -> float:
 def poses_from_homographies(homographies: Array, matrix: Array) -> tuple[Array, Array]:
     """Return the pose of each view, given the camera matrix: H ~ K [r1 r2 t] with t = -R c (Zhang, 2000, section 3.1).
 
-    Parameters
-    ----------
-    homographies
-        (n, 3, 3) homographies from target, mm, to image, px.
-    matrix
-        (..., 3, 3) camera matrices, px.
-
-    Returns
-    -------
-    tuple of Array
-        For each camera matrix (..., n, 3, 3) rotations, camera <- target; (..., n, 3) camera centres in the target
-        frame, mm.
+    homographies: (n, 3, 3) homographies from target, mm, to image, px.
+    matrix: (..., 3, 3) camera matrices, px.
+    Returns: For each camera matrix (..., n, 3, 3) rotations, camera <- target; (..., n, 3) camera centres in
+      the target frame, mm.
     """
     columns = np.linalg.inv(matrix)[..., None, :, :] @ homographies
     lengths = np.sqrt((columns[..., :2] ** 2).sum(axis=-2)).mean(axis=-1)

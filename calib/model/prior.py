@@ -15,35 +15,18 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Prior:
-    """A Gaussian prior of shared parameters.
-
-    Attributes
-    ----------
-    names
-        The K parameters; each of them is free in the bundle.
-    mean
-        (K,) float64 expected values, each in the unit of its parameter.
-    information
-        (K, K) float64 inverse covariance.
-    """
+    """A Gaussian prior of shared parameters."""
 
     names: tuple[str, ...]
-    mean: Array
-    information: Array
+    mean: Array  # (K,) float64 expected values, each in the unit of its parameter
+    information: Array  # (K, K) float64 inverse covariance
 
 
 def joined(*priors: Prior | None) -> Prior | None:
     """Return one prior of the parameters of several independent ones.
 
-    Parameters
-    ----------
-    priors
-        Priors without common parameters; None for none.
-
-    Returns
-    -------
-    Prior or None
-        None if there is no prior.
+    priors: Priors without common parameters; None for none.
+    Returns: None if there is no prior.
     """
     known = [prior for prior in priors if prior is not None]
     if not known:

@@ -29,18 +29,10 @@ _HUBER = 2.5
 
 
 class Evidence(NamedTuple):
-    """What the rim points of all views say about their unknowns, linearised.
+    """What the rim points of all views say about their unknowns, linearised."""
 
-    Attributes
-    ----------
-    information
-        (V, P, P) Fisher information of the unknowns of each view.
-    product
-        (V, P) normal equations' right sides: information times the best unknowns.
-    """
-
-    information: Array
-    product: Array
+    information: Array  # (V, P, P) Fisher information of the unknowns of each view
+    product: Array  # (V, P) normal equations' right sides: information times the best unknowns
 
 
 class Sites(NamedTuple):
@@ -73,19 +65,9 @@ def evidence_of(points: Sequence[Array], sigmas: Sequence[Array], means: Array) 
 
     One step of Gauss-Newton (Björck, 1996, section 9.2), not solved yet.
 
-    Parameters
-    ----------
-    points
-        (K, 2) float64 points of the rim for each view, mm.
-    sigmas
-        (K,) float64 1-sigma of the points for each view, mm.
-    means
-        (V, P) float64, mm, unknowns about which the distances are linearised.
-
-    Returns
-    -------
-    Evidence
-        Information and right sides.
+    points: (K, 2) float64 points of the rim for each view, mm.
+    sigmas: (K,) float64 1-sigma of the points for each view, mm.
+    means: (V, P) float64, mm, unknowns about which the distances are linearised.
     """
     information = np.zeros((len(points), UNKNOWNS, UNKNOWNS))
     product = np.zeros((len(points), UNKNOWNS))
@@ -103,17 +85,9 @@ def second_order_sigmas(points: Sequence[Array], means: Array, covariances: Arra
     2001, section 10.3.2): to second order, a distance changes by s (w + k s / 2). Here s is the turn of the point's
     direction as seen from the centre, w the change of the edge's slope, and k the curvature of the edge.
 
-    Parameters
-    ----------
-    points
-        (K, 2) float64 points of the rim for each view, mm.
-    means, covariances
-        (V, P) and (V, P, P) float64, mm and mm^2, unknowns and how uncertain they are.
-
-    Returns
-    -------
-    list of Array
-        (K,) float64 1-sigma of each point for each view, mm.
+    points: (K, 2) float64 points of the rim for each view, mm.
+    means, covariances: (V, P) and (V, P, P) float64, mm and mm^2, unknowns and how uncertain they are.
+    Returns: (K,) float64 1-sigma of each point for each view, mm.
     """
     found = []
     orders = np.arange(2, _ORDERS + 1)
@@ -155,21 +129,11 @@ def reweighted(
     The added noise is the robust spread of the residuals (median absolute deviation over 0.6745) that the points' own
     sigmas do not explain, enlarged for the fitted unknowns. Weights of outliers are Huber's (1981).
 
-    Parameters
-    ----------
-    points
-        (K, 2) float64 points of the rim for each view, mm.
-    sigmas
-        (K,) float64 1-sigma of the points for each view, mm, without enlargement.
-    evidence
-        What the points said with their last sigmas.
-    means, covariances
-        (V, P) and (V, P, P) float64, mm and mm^2, the unknowns that were found.
-
-    Returns
-    -------
-    list of Array
-        (K,) float64 1-sigma of the points for each view, mm.
+    points: (K, 2) float64 points of the rim for each view, mm.
+    sigmas: (K,) float64 1-sigma of the points for each view, mm, without enlargement.
+    evidence: What the points said with their last sigmas.
+    means, covariances: (V, P) and (V, P, P) float64, mm and mm^2, the unknowns that were found.
+    Returns: (K,) float64 1-sigma of the points for each view, mm.
     """
     off = []
     for own, mean in zip(points, means, strict=True):
@@ -194,21 +158,8 @@ def with_sites(evidence: Evidence, bright: Sequence[Array], sites: Sequence[Site
 
     Product of Gaussian factors (Minka, 2001).
 
-    Parameters
-    ----------
-    evidence
-        What the points of the rims say.
-    bright
-        (L, 2) float64 bright points for each view, mm.
-    sites
-        Their Gaussian sites for each view.
-    means
-        (V, P) float64, mm, unknowns about which the distances are linearised.
-
-    Returns
-    -------
-    Evidence
-        Sum of both.
+    bright: (L, 2) float64 bright points for each view, mm.
+    means: (V, P) float64, mm, unknowns about which the distances are linearised.
     """
     information, product = evidence.information.copy(), evidence.product.copy()
     for i, (own, site, about) in enumerate(zip(bright, sites, means, strict=True)):
@@ -224,21 +175,9 @@ def bright_sites(bright: Array, sites: Sites, mean: Array, covariance: Array, ab
     Expectation propagation (Minka, 2001) with all sites at once and damping; moments of the probit factor: Rasmussen
     and Williams (2006), section 3.6.
 
-    Parameters
-    ----------
-    bright
-        (L, 2) float64 bright points of a view, mm.
-    sites
-        Their Gaussian sites so far.
-    mean, covariance
-        (P,) and (P, P) float64, mm and mm^2, unknowns of the view with these sites.
-    about
-        (P,) float64, mm, unknowns about which the distances are linearised.
-
-    Returns
-    -------
-    Sites
-        Sites that match mean and variance of the factors, damped.
+    bright: (L, 2) float64 bright points of a view, mm.
+    mean, covariance: (P,) and (P, P) float64, mm and mm^2, unknowns of the view with these sites.
+    about: (P,) float64, mm, unknowns about which the distances are linearised.
     """
     design, distance = _linearised(bright, about)
     gap = design @ mean - distance

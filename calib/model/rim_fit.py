@@ -78,62 +78,37 @@ _FIRST_SCATTERS = (0.12, 0.05, 0.03)
 
 @dataclass(frozen=True)
 class FittedRim:
-    """The disc of one view.
+    """The disc of one view."""
 
-    Attributes
-    ----------
-    centre_mm
-        (2,) float64, mm.
-    radius_mm
-        Mean radius, mm.
-    covariance_mm2
-        (2, 2) float64, covariance of the centre, mm^2.
-    own_sigma_mm
-        1-sigma of the centre along the worse axis, mm, by the points of this view alone, if the edge were a circle of
-        about the radius of the other views. It tells how much of the rim is in view.
-    """
-
-    centre_mm: Array
-    radius_mm: float
-    covariance_mm2: Array
+    centre_mm: Array  # (2,) float64, mm
+    radius_mm: float  # Mean radius, mm
+    covariance_mm2: Array  # (2, 2) float64, covariance of the centre, mm^2
+    # 1-sigma of the centre along the worse axis, mm, by the points of this view alone, if the edge were a
+    # circle of about the radius of the other views. It tells how much of the rim is in view.
     own_sigma_mm: float
 
 
 @dataclass(frozen=True)
 class DiscMotion:
-    """How the discs of a bench move with the point at which the camera looks.
+    """How the discs of a bench move with the point at which the camera looks."""
 
-    Attributes
-    ----------
-    matrix
-        (2, 2) float64, motion of the disc along x and y (rows), mm, per mm of the look along x and y (columns).
-    covariance
-        (4, 4) float64, covariance of the entries of the matrix, row by row. Errors that the discs have in common, such
-        as those of the radius, are included.
-    """
-
+    # (2, 2) float64, motion of the disc along x and y (rows), mm, per mm of the look along x and y (columns).
     matrix: Array
+    # (4, 4) float64, covariance of the entries of the matrix, row by row. Errors that the discs have in
+    # common, such as those of the radius, are included.
     covariance: Array
 
 
 class _Posterior(NamedTuple):
-    """Means and covariances of all unknowns, and the log marginal likelihood; each with an axis more for many.
+    """Means and covariances of all unknowns, and the log marginal likelihood; each with an axis more for many."""
 
-    Attributes
-    ----------
-    mean, covariance
-        (V, P) and (V, P, P), of the unknowns of the views.
-    shared, shared_covariance
-        (Q,) and (Q, Q), of the common values.
-    log_likelihood
-        (), logarithm of the marginal likelihood, without a constant.
-    """
-
+    # mean, covariance: (V, P) and (V, P, P), of the unknowns of the views.
     mean: Array
     covariance: Array
+    # shared, shared_covariance: (Q,) and (Q, Q), of the common values.
     shared: Array
     shared_covariance: Array
-    log_likelihood: Array
+    log_likelihood: Array  # (), logarithm of the marginal likelihood, without a constant
 
 
 class _Common(NamedTuple):
@@ -151,21 +126,11 @@ def fit_rims(
 
     The head of the module gives model and sources. The points enter with weights of Huber (1981).
 
-    Parameters
-    ----------
-    rims
-        Rim points of V views of one bench.
-    looks_mm
-        (V, 2) float64, mm, points of the target at which the camera looks.
-    middle_mm
-        (2,) float64, mm, a point well inside the beam.
-    reach_mm
-        First guess of the radius, mm.
-
-    Returns
-    -------
-    list of FittedRim
-        One for each view, in their order.
+    rims: Rim points of V views of one bench.
+    looks_mm: (V, 2) float64, mm, points of the target at which the camera looks.
+    middle_mm: (2,) float64, mm, a point well inside the beam.
+    reach_mm: First guess of the radius, mm.
+    Returns: One for each view, in their order.
     """
     return fit_rims_and_motion(rims, looks_mm, middle_mm, reach_mm)[0]
 
@@ -179,21 +144,12 @@ def fit_rims_and_motion(
     They are not: if the radius is too large, the discs of all views that show the right rim lie too far left, and those
     of all views that show the left rim too far right. So the motion is a common value of the fit.
 
-    Parameters
-    ----------
-    rims
-        Rim points of V views of one bench.
-    looks_mm
-        (V, 2) float64, mm, points of the target at which the camera looks.
-    middle_mm
-        (2,) float64, mm, a point well inside the beam.
-    reach_mm
-        First guess of the radius, mm.
-
-    Returns
-    -------
-    tuple
-        One `FittedRim` for each view, and the `DiscMotion`. Its prior is zero with a 1-sigma of 0.3 for each entry.
+    rims: Rim points of V views of one bench.
+    looks_mm: (V, 2) float64, mm, points of the target at which the camera looks.
+    middle_mm: (2,) float64, mm, a point well inside the beam.
+    reach_mm: First guess of the radius, mm.
+    Returns: One `FittedRim` for each view, and the `DiscMotion`. Its prior is zero with a 1-sigma of 0.3 for
+      each entry.
     """
     common = _common(looks_mm - middle_mm, reach_mm)
     points = [rim.points_mm - middle_mm for rim in rims]

@@ -24,15 +24,8 @@ def skew(vectors: Array) -> Array:
 
     Source: Hartley and Zisserman (2004), appendix 4.
 
-    Parameters
-    ----------
-    vectors
-        (..., 3) vectors.
-
-    Returns
-    -------
-    Array
-        (..., 3, 3) skew-symmetric matrices.
+    vectors: (..., 3) vectors.
+    Returns: (..., 3, 3) skew-symmetric matrices.
     """
     v = np.asarray(vectors, float)
     matrices = np.zeros((*v.shape[:-1], 3, 3))
@@ -47,15 +40,8 @@ def exp_map(vectors: Array) -> Array:
 
     Source: Diebel (2006), by unit quaternions.
 
-    Parameters
-    ----------
-    vectors
-        (..., 3) rotation vectors, rad.
-
-    Returns
-    -------
-    Array
-        (..., 3, 3) rotation matrices.
+    vectors: (..., 3) rotation vectors, rad.
+    Returns: (..., 3, 3) rotation matrices.
     """
     v = np.asarray(vectors, float)
     if v.size <= _FEW * 3:
@@ -75,15 +61,8 @@ def log_map(matrices: Array) -> Array:
 
     Source: Diebel (2006), by unit quaternions.
 
-    Parameters
-    ----------
-    matrices
-        (..., 3, 3) rotation matrices.
-
-    Returns
-    -------
-    Array
-        (..., 3) rotation vectors, rad, of length at most pi.
+    matrices: (..., 3, 3) rotation matrices.
+    Returns: (..., 3) rotation vectors, rad, of length at most pi.
     """
     m = np.asarray(matrices, float)
     if m.size <= _FEW * 9:
@@ -104,15 +83,8 @@ def nearest_rotation(matrices: Array) -> Array:
 
     This is the orthogonal Procrustes problem (Schoenemann, 1966), restricted to proper rotations (Kabsch, 1976).
 
-    Parameters
-    ----------
-    matrices
-        (..., 3, 3) matrices.
-
-    Returns
-    -------
-    Array
-        (..., 3, 3) rotation matrices.
+    matrices: (..., 3, 3) matrices.
+    Returns: (..., 3, 3) rotation matrices.
     """
     u, _, vt = np.linalg.svd(np.asarray(matrices, float))
     flip = np.ones((*u.shape[:-2], 3))
@@ -123,19 +95,10 @@ def nearest_rotation(matrices: Array) -> Array:
 def euler_zxy(pan_deg: float, tilt_deg: float, roll_deg: float = 0.0) -> Array:
     """Return the rotation Rz(roll) Rx(tilt) Ry(pan) of a gimbal.
 
-    Parameters
-    ----------
-    pan_deg
-        Angle about the camera's y axis (down), degrees.
-    tilt_deg
-        Angle about the camera's x axis, degrees.
-    roll_deg
-        Angle about the camera's z axis (the optical axis), degrees.
-
-    Returns
-    -------
-    Array
-        (3, 3) rotation matrix.
+    pan_deg: Angle about the camera's y axis (down), degrees.
+    tilt_deg: Angle about the camera's x axis, degrees.
+    roll_deg: Angle about the camera's z axis (the optical axis), degrees.
+    Returns: (3, 3) rotation matrix.
 
     Notes
     -----

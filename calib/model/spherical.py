@@ -26,17 +26,9 @@ _IMAGE = ((0, 0), (1, 1), (0, 2), (1, 2), (0, 1), (2, 2))
 
 @dataclass(frozen=True)
 class ClosedFormSolution:
-    """A closed-form solution of the spherical model.
+    """A closed-form solution of the spherical model."""
 
-    Attributes
-    ----------
-    matrix
-        (3, 3) float64 camera matrix K, px.
-    collimator
-        The shared centre.
-    """
-
-    matrix: Array
+    matrix: Array  # (3, 3) float64 camera matrix K, px
     collimator: Collimator
 
 
@@ -45,21 +37,12 @@ def linear_solution(
 ) -> ClosedFormSolution | None:
     """Solve the shared equation of n views by linear least squares (arXiv:2512.16092, eq. 5).
 
-    Parameters
-    ----------
-    homographies
-        (n, 3, 3) homographies from `calib.model.homography.view_homography`; n >= 2, or n >= 3 with a free principal
-        point.
-    image_size
-        Width and height, px.
-    free_principal_point
-        Whether the principal point is unknown; otherwise it is the centre of the image.
-
-    Returns
-    -------
-    ClosedFormSolution or None
-        None if there are too few views, or if the solution is not a real camera (a negative square; noise can cause
-        this).
+    homographies: (n, 3, 3) homographies from `calib.model.homography.view_homography`; n >= 2, or n >= 3 with
+      a free principal point.
+    image_size: Width and height, px.
+    free_principal_point: Whether the principal point is unknown; otherwise it is the centre of the image.
+    Returns: None if there are too few views, or if the solution is not a real camera (a negative square;
+      noise can cause this).
     """
     if len(homographies) < (3 if free_principal_point else 2):
         return None
@@ -81,17 +64,9 @@ def two_view_solutions(homographies: Array, image_size: tuple[int, int]) -> list
     weakly. The two weakest directions of the system are combined such that the skew vanishes, w12 w33 = w13 w23. This
     is a quadratic equation.
 
-    Parameters
-    ----------
-    homographies
-        (2, 3, 3) homographies from `calib.model.homography.view_homography`.
-    image_size
-        Width and height, px.
-
-    Returns
-    -------
-    list of ClosedFormSolution
-        At most two solutions; none if no root is a real camera.
+    homographies: (2, 3, 3) homographies from `calib.model.homography.view_homography`.
+    image_size: Width and height, px.
+    Returns: At most two solutions; none if no root is a real camera.
     """
     to_unit, plane = _image_conditioning(image_size), _plane_conditioning(homographies, image_size)
     inverses = np.linalg.inv(to_unit @ homographies @ plane)
@@ -146,19 +121,10 @@ def rotations_from_centre(homographies: Array, matrix: Array, centre: Array) -> 
 
     H ~ K R [e1 e2 -c] (arXiv:2512.16092, eq. 3), so R is the rotation nearest to K^-1 H [e1 e2 -c]^-1.
 
-    Parameters
-    ----------
-    homographies
-        (n, 3, 3) homographies from target, mm, to image, px.
-    matrix
-        (..., 3, 3) camera matrices, px.
-    centre
-        (..., 3) the shared centre of each, in the target frame, mm.
-
-    Returns
-    -------
-    Array
-        For each camera matrix (..., n, 3, 3) rotations, camera <- target.
+    homographies: (n, 3, 3) homographies from target, mm, to image, px.
+    matrix: (..., 3, 3) camera matrices, px.
+    centre: (..., 3) the shared centre of each, in the target frame, mm.
+    Returns: For each camera matrix (..., n, 3, 3) rotations, camera <- target.
     """
     frame = np.broadcast_to(np.eye(3), (*centre.shape, 3)).copy()
     frame[..., 2] = -centre
@@ -171,17 +137,8 @@ def camera_matrix_from_centre(homographies: Array, collimator: Collimator) -> Ar
 
     K K^T ~ H A H^T, where A is the right side of arXiv:2512.16092, eq. 5. The mean over the views is taken.
 
-    Parameters
-    ----------
-    homographies
-        (n, 3, 3) homographies from target, mm, to image, px; n >= 1.
-    collimator
-        The known centre.
-
-    Returns
-    -------
-    Array or None
-        (3, 3) camera matrix, px; None if the mean is not a real camera.
+    homographies: (n, 3, 3) homographies from target, mm, to image, px; n >= 1.
+    Returns: (3, 3) camera matrix, px; None if the mean is not a real camera.
     """
     x, y, r = collimator.x, collimator.y, collimator.r
     right = np.array([[r**2 + x**2, x * y, x], [x * y, r**2 + y**2, y], [x, y, 1.0]])

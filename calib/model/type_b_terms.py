@@ -53,39 +53,24 @@ DEFAULT_EFFECTIVE_RADIUS = 6e-4
 class TypeBTerm:
     """A type B term.
 
-    Parameters
-    ----------
-    name
-        Name of the source of uncertainty, as results and report print it.
-    kind
-        What the term changes. ``print_scale``: relative error of the scale of the printed target. ``print_bow``: height
-        of a bowed target, mm, at `radius_mm` from the collimator's axis. ``thermal``: relative thermal expansion of the
-        target. ``effective_radius``: relative difference between the radius of a certificate, which holds on the axis,
-        and the effective radius over the beam. ``collimator_thermal``: relative change of that radius with temperature.
-        ``wavefront``: RMS error of the slope of the collimator's wavefront, urad.
-    value
-        Half width of the distribution, in the unit of the kind; for ``normal``, `coverage_factor` times the standard
-        uncertainty.
-    source
-        Where the value comes from: a certificate, a drawing, a data sheet, a measurement.
-    distribution
-        ``normal``, ``rectangular``, ``triangular`` or ``u-shaped``.
-    coverage_factor
-        The k of a normal distribution whose expanded uncertainty is stated.
-    degrees_of_freedom
-        Degrees of freedom of the value; infinite if it is exactly known.
-    correction
-        Known relative change, which is applied to the data before the fit; for the kinds in `SCALES` and `RADII`.
-    radius_mm
-        Distance from the axis at which a bow has its stated height, mm; required for ``print_bow``.
-    correlation_mm
-        Distance on the target over which slopes of the wavefront are alike, mm; None for half the radius of the area
-        that the stars cover.
-
-    Raises
-    ------
-    InputMismatch
-        If a number is out of range, a word is unknown, or the source is missing.
+    kind: What the term changes. ``print_scale``: relative error of the scale of the printed target.
+      ``print_bow``: height of a bowed target, mm, at `radius_mm` from the collimator's axis. ``thermal``:
+      relative thermal expansion of the target. ``effective_radius``: relative difference between the radius
+      of a certificate, which holds on the axis, and the effective radius over the beam.
+      ``collimator_thermal``: relative change of that radius with temperature. ``wavefront``: RMS error of the
+      slope of the collimator's wavefront, urad.
+    value: Half width of the distribution, in the unit of the kind; for ``normal``, `coverage_factor` times
+      the standard uncertainty.
+    source: Where the value comes from: a certificate, a drawing, a data sheet, a measurement.
+    distribution: ``normal``, ``rectangular``, ``triangular`` or ``u-shaped``.
+    coverage_factor: The k of a normal distribution whose expanded uncertainty is stated.
+    degrees_of_freedom: Degrees of freedom of the value; infinite if it is exactly known.
+    correction: Known relative change, which is applied to the data before the fit; for the kinds in `SCALES`
+      and `RADII`.
+    radius_mm: Distance from the axis at which a bow has its stated height, mm; required for ``print_bow``.
+    correlation_mm: Distance on the target over which slopes of the wavefront are alike, mm; None for half the
+      radius of the area that the stars cover.
+    Raises InputMismatch: If a number is out of range, a word is unknown, or the source is missing.
     """
 
     name: str
@@ -144,23 +129,13 @@ class TypeBTerm:
         Product of a coefficient of expansion and a difference of temperatures (JCGM 100:2008, annex H.1): its variance
         has the first-order terms and, since the difference may be zero, the product of both variances.
 
-        Parameters
-        ----------
-        kind
-            ``thermal`` for the target, ``collimator_thermal`` for the radius of a certificate.
-        name
-            Name of the source of uncertainty.
-        source
-            Where the numbers come from.
-        expansion_per_c, expansion_sigma_per_c
-            Coefficient of expansion and its standard uncertainty, 1 / degree Celsius.
-        difference_c, difference_sigma_c
-            Measured minus reference temperature, and its standard uncertainty, degrees Celsius.
-
-        Returns
-        -------
-        TypeBTerm
-            Term with the standard uncertainty of the expansion and a normal distribution.
+        kind: ``thermal`` for the target, ``collimator_thermal`` for the radius of a certificate.
+        source: Where the numbers come from.
+        expansion_per_c, expansion_sigma_per_c: Coefficient of expansion and its standard uncertainty, 1 /
+          degree Celsius.
+        difference_c, difference_sigma_c: Measured minus reference temperature, and its standard uncertainty,
+          degrees Celsius.
+        Returns: Term with the standard uncertainty of the expansion and a normal distribution.
         """
         parts = (
             expansion_per_c * difference_sigma_c,
@@ -189,15 +164,7 @@ class TypeBTerm:
 def with_effective_radius(terms: Sequence[TypeBTerm]) -> tuple[TypeBTerm, ...]:
     """Return the terms of a budget, with the default of the effective radius if it is not stated.
 
-    Parameters
-    ----------
-    terms
-        The stated terms.
-
-    Returns
-    -------
-    tuple of TypeBTerm
-        The terms, and the default if it is needed.
+    Returns: The terms, and the default if it is needed.
     """
     if any(term.kind == "effective_radius" for term in terms):
         return tuple(terms)
@@ -213,17 +180,7 @@ def with_effective_radius(terms: Sequence[TypeBTerm]) -> tuple[TypeBTerm, ...]:
 def corrected_views(views: Sequence[View], terms: Sequence[TypeBTerm]) -> list[View]:
     """Return views whose stars have their true positions on the target, as the terms' corrections give them.
 
-    Parameters
-    ----------
-    views
-        Views with the nominal positions of the stars.
-    terms
-        Terms of the budget; those of a scale act here.
-
-    Returns
-    -------
-    list of View
-        The same views, with a target that is larger or smaller.
+    terms: Terms of the budget; those of a scale act here.
     """
     scale = _product(terms, SCALES)
     return [view if scale == 1.0 else replace(view, target_mm=scale * view.target_mm) for view in views]
@@ -232,17 +189,9 @@ def corrected_views(views: Sequence[View], terms: Sequence[TypeBTerm]) -> list[V
 def corrected_passport(passport: Passport, terms: Sequence[TypeBTerm]) -> Passport:
     """Return a passport with the radius that the collimator has during the calibration.
 
-    Parameters
-    ----------
-    passport
-        Passport of the collimator.
-    terms
-        Terms of the budget; those of a certificate's radius act here.
-
-    Returns
-    -------
-    Passport
-        The same passport if it holds more than the radius: it was then made with the same collimator and target.
+    terms: Terms of the budget; those of a certificate's radius act here.
+    Returns: The same passport if it holds more than the radius: it was then made with the same collimator and
+      target.
     """
     scale = _product(terms, RADII)
     if passport.names != ("r",) or scale == 1.0:

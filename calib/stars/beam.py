@@ -38,30 +38,15 @@ _MOST_STEPS, _ENDED = 30, 0.01
 
 
 class Beam(NamedTuple):
-    """The beam's disc in a picture.
+    """The beam's disc in a picture."""
 
-    Attributes
-    ----------
-    share
-        Share of the frame that is lit, 0 to 1.
-    rim_in_view
-        Whether some of the rim is inside the frame; None if nothing is lit.
-    centre_px
-        Centre (column, row) of the circle through the rim, px; None if the rim does not show it.
-    radius_px
-        Radius of the circle, px.
-    lit
-        (h, w) uint8, 1 where the reduced image is lit.
-    scale
-        Size of a cell of ``lit``, px.
-    """
-
-    share: float
-    rim_in_view: bool | None
+    share: float  # Share of the frame that is lit, 0 to 1
+    rim_in_view: bool | None  # Whether some of the rim is inside the frame; None if nothing is lit
+    # Centre (column, row) of the circle through the rim, px; None if the rim does not show it.
     centre_px: tuple[float, float] | None
-    radius_px: float | None
-    lit: NDArray[np.uint8]
-    scale: float
+    radius_px: float | None  # Radius of the circle, px
+    lit: NDArray[np.uint8]  # (h, w) uint8, 1 where the reduced image is lit
+    scale: float  # Size of a cell of ``lit``, px
 
 
 def find_beam(image: NDArray[np.generic], *, least: float = 0.0, radius_px: float | None = None) -> Beam:
@@ -70,19 +55,9 @@ def find_beam(image: NDArray[np.generic], *, least: float = 0.0, radius_px: floa
     Own procedure, that of the head of the module. Circle: linear least squares (Kåsa, 1976); with a given radius, least
     squares of the distances (Gander, Golub & Strebel, 1994).
 
-    Parameters
-    ----------
-    image
-        (H, W), any numeric dtype; light is bright.
-    least
-        Brightness of white print below which nothing counts as light, in the unit of the image.
-    radius_px
-        Radius of the disc, px; None if it is not known.
-
-    Returns
-    -------
-    Beam
-        With a share of 0 if there is no light.
+    image: (H, W), any numeric dtype; light is bright.
+    radius_px: Radius of the disc, px; None if it is not known.
+    Returns: With a share of 0 if there is no light.
     """
     values = np.nan_to_num(np.asarray(image, np.float32))
     scale = max(values.shape) / REDUCED

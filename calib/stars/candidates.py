@@ -30,31 +30,16 @@ NamedBy = Literal["tag", "part of the tag", "expected pose"]
 
 
 class Candidates(NamedTuple):
-    """Possible stars.
+    """Possible stars."""
 
-    Attributes
-    ----------
-    nodes
-        (N, 2) int64, columns and rows of the target.
-    points
-        (N, 2) float64, px.
-    """
-
-    nodes: NDArray[np.int64]
-    points: NDArray[np.float64]
+    nodes: NDArray[np.int64]  # (N, 2) int64, columns and rows of the target
+    points: NDArray[np.float64]  # (N, 2) float64, px
 
     def select(self, mask: NDArray[np.bool_]) -> Candidates:
         """Return some of them.
 
-        Parameters
-        ----------
-        mask
-            (N,) bool.
-
-        Returns
-        -------
-        Candidates
-            In the same order.
+        mask: (N,) bool.
+        Returns: In the same order.
         """
         return Candidates(self.nodes[mask], self.points[mask])
 
@@ -69,34 +54,12 @@ def find_candidates(
 ) -> tuple[Candidates, float, NamedBy]:
     """Find possible stars, starting at the tag if it can be read.
 
-    Parameters
-    ----------
-    image
-        (H, W) of any integer or floating type; white may be bright or dark.
-    smoothed
-        (H, W) float32, from `calib.stars.centring.smooth`.
-    target
-        Printed target.
-    expected
-        (3, 3) float64, homography from the target's grid to px, by the pose; None if it is not known.
-    name
-        Name of the pose, for messages.
-
-    Returns
-    -------
-    candidates : Candidates
-        Possible stars, with their nodes.
-    sign : float
-        +1 if white is bright in the image, -1 if it is dark.
-    named_by : str
-        What labelled them.
-
-    Raises
-    ------
-    StarsUnnamed
-        If neither the tag nor an expected pose identifies the stars.
-    TargetNotFound
-        If the image shows no stars, a wrong tag, or the tag more than once.
+    image: (H, W) of any integer or floating type; white may be bright or dark.
+    smoothed: (H, W) float32, from `calib.stars.centring.smooth`.
+    expected: (3, 3) float64, homography from the target's grid to px, by the pose; None if it is not known.
+    Returns: +1 if white is bright in the image, -1 if it is dark.
+    Raises StarsUnnamed: If neither the tag nor an expected pose identifies the stars.
+    Raises TargetNotFound: If the image shows no stars, a wrong tag, or the tag more than once.
     """
     tag = find_tag(image, target, name=name, reduced_only=True)
     if tag is None:

@@ -38,40 +38,21 @@ _MAX_STEPS = 12
 
 
 class SymmetryFit(NamedTuple):
-    """Centres of N stars by symmetry.
+    """Centres of N stars by symmetry."""
 
-    Attributes
-    ----------
-    centres
-        (N, 2) float64, px.
-    information
-        (N, 2, 2) float64, (brightness / px)^2, J^T J of the centre after elimination of the slopes.
-    mean_square
-        (N,) float64, brightness^2, mean square of the residuals.
-    light_slope
-        (N,) float64, 1/pitch, length of g: relative slope of the light across the star.
-    converged
-        (N,) bool, whether the last step was shorter than `LAST_STEP_PX`.
-    """
-
-    centres: NDArray[np.float64]
+    centres: NDArray[np.float64]  # (N, 2) float64, px
+    # (N, 2, 2) float64, (brightness / px)^2, J^T J of the centre after elimination of the slopes.
     information: NDArray[np.float64]
-    mean_square: NDArray[np.float64]
+    mean_square: NDArray[np.float64]  # (N,) float64, brightness^2, mean square of the residuals
+    # (N,) float64, 1/pitch, length of g: relative slope of the light across the star.
     light_slope: NDArray[np.float64]
-    converged: NDArray[np.bool_]
+    converged: NDArray[np.bool_]  # (N,) bool, whether the last step was shorter than `LAST_STEP_PX`
 
     def select(self, mask: NDArray[np.bool_]) -> SymmetryFit:
         """Return the fits of some stars.
 
-        Parameters
-        ----------
-        mask
-            (N,) bool.
-
-        Returns
-        -------
-        SymmetryFit
-            In the same order.
+        mask: (N,) bool.
+        Returns: In the same order.
         """
         return SymmetryFit(
             self.centres[mask],
@@ -85,17 +66,9 @@ class SymmetryFit(NamedTuple):
 def smooth(image: NDArray[np.float32], sigma_px: float) -> NDArray[np.float32]:
     """Blur an image by a Gaussian. It reduces the noise of single pixels and the effect of the pixel grid.
 
-    Parameters
-    ----------
-    image
-        (H, W) float32.
-    sigma_px
-        Standard deviation of the Gaussian, px.
-
-    Returns
-    -------
-    array
-        (H, W) float32.
+    image: (H, W) float32.
+    sigma_px: Standard deviation of the Gaussian, px.
+    Returns: (H, W) float32.
     """
     return np.ascontiguousarray(cv2.GaussianBlur(image, (0, 0), sigma_px), np.float32)
 
@@ -103,15 +76,8 @@ def smooth(image: NDArray[np.float32], sigma_px: float) -> NDArray[np.float32]:
 def symmetry_samples(pitch_px: float) -> NDArray[np.float64]:
     """Return the places at which symmetry is measured, about a pixel apart.
 
-    Parameters
-    ----------
-    pitch_px
-        Distance of neighbouring stars, px.
-
-    Returns
-    -------
-    array
-        (M, 2) float64, pitches, offsets s from the centre, one of each pair (s, -s).
+    pitch_px: Distance of neighbouring stars, px.
+    Returns: (M, 2) float64, pitches, offsets s from the centre, one of each pair (s, -s).
     """
     side = int(np.clip(np.ceil(2 * SYMMETRY_REACH * pitch_px), 16, 64))
     steps = (np.arange(side) + 0.5) / side * 2.0 - 1.0
@@ -217,25 +183,14 @@ def refine_by_symmetry(
     The cost is that of Schöps et al. (2020), arXiv:1912.02908, with this project's own additions; the head of the
     module gives the equations.
 
-    Parameters
-    ----------
-    image
-        (H, W) float32, from `smooth`.
-    guesses
-        (N, 2) float64, px.
-    local_map
-        Map around each star, from the target plane to the image.
-    samples
-        (M, 2) float64, pitches, from `symmetry_samples`.
-    used_to
-        (N, 2) float64, pitches, how far from its centre each star's cell is used, along the columns and along the rows.
-    reach_px
-        A centre that moves further than this from its guess is given up, px.
-
-    Returns
-    -------
-    SymmetryFit
-        Centres that were given up, or whose cell lies too far outside of the image, are nan and not converged.
+    image: (H, W) float32, from `smooth`.
+    guesses: (N, 2) float64, px.
+    samples: (M, 2) float64, pitches, from `symmetry_samples`.
+    used_to: (N, 2) float64, pitches, how far from its centre each star's cell is used, along the columns and
+      along the rows.
+    reach_px: A centre that moves further than this from its guess is given up, px.
+    Returns: Centres that were given up, or whose cell lies too far outside of the image, are nan and not
+      converged.
     """
     n = len(guesses)
     centres, information = np.full((n, 2), np.nan), np.full((n, 2, 2), np.nan)

@@ -32,20 +32,11 @@ INSIDE_LIGHT = 0.1
 
 
 class DarkSquare(NamedTuple):
-    """A dark square that looks like a tag.
+    """A dark square that looks like a tag."""
 
-    Attributes
-    ----------
-    centre_px
-        Centre (column, row), px, of the whole square; it may lie outside the frame.
-    side_px
-        Side of the whole square, px.
-    borders
-        Borders of the frame that the square or its margin touches.
-    """
-
+    # Centre (column, row), px, of the whole square; it may lie outside the frame.
     centre_px: tuple[float, float]
-    side_px: float
+    side_px: float  # Side of the whole square, px
     borders: tuple[Border, ...]
 
 
@@ -57,19 +48,10 @@ def find_dark_square(
     Own procedure: connected dark parts of the reduced image, compared with their smallest rectangle (OpenCV's
     ``minAreaRect``, rotating calipers of Toussaint, 1983).
 
-    Parameters
-    ----------
-    image
-        (H, W), any numeric dtype; light is bright.
-    beam
-        The beam's disc in it.
-    side_px
-        Side that the tag is expected to have, px; None if it is not known.
-
-    Returns
-    -------
-    DarkSquare or None
-        None if there is no such square.
+    image: (H, W), any numeric dtype; light is bright.
+    beam: The beam's disc in it.
+    side_px: Side that the tag is expected to have, px; None if it is not known.
+    Returns: None if there is no such square.
     """
     scale = max(image.shape) / REDUCED
     shape = max(1, round(image.shape[1] / scale)), max(1, round(image.shape[0] / scale))

@@ -59,18 +59,10 @@ MAX_APART_SIGMAS = 6.0
 
 @dataclass(frozen=True)
 class Detection:
-    """Stars detected in an image; it can be unpacked as view, what named it, and edge width.
-
-    Attributes
-    ----------
-    view
-        The stars.
-    named_by
-        What identified the stars: the whole tag, a part of it, or only the expected pose.
-    """
+    """Stars detected in an image; it can be unpacked as view, what named it, and edge width."""
 
     view: View
-    named_by: NamedBy
+    named_by: NamedBy  # What identified the stars: the whole tag, a part of it, or only the expected pose
     _measure_width: Callable[[], float] = field(repr=False)
 
     @cached_property
@@ -129,33 +121,14 @@ def detect_stars(
 ) -> Detection:
     """Detect the target's stars, and report what identified them.
 
-    Parameters
-    ----------
-    image
-        (H, W) of any integer or floating type; white may be bright or dark.
-    target
-        Printed target.
-    name
-        Name of the pose, for the view and for messages.
-    expected
-        (3, 3) float64, homography from [column row 1] of the target's grid to [u v 1] px, right to a third of a
-        pitch, by the pose. It is needed only if the tag is not in view.
-
-    Returns
-    -------
-    Detection
-        Stars that lie completely in the image, in ascending order of their ids, with covariances.
-
-    Raises
-    ------
-    StarsUnnamed
-        If neither the tag nor an expected pose identifies the stars.
-    TargetNotFound
-        If the image shows no stars, a wrong tag, or the tag more than once.
-    TooFewStars
-        If fewer than `MIN_STARS` stars pass all tests.
-    InputMismatch
-        If the image does not have two axes, or is empty.
+    image: (H, W) of any integer or floating type; white may be bright or dark.
+    expected: (3, 3) float64, homography from [column row 1] of the target's grid to [u v 1] px, right to a
+      third of a pitch, by the pose. It is needed only if the tag is not in view.
+    Returns: Stars that lie completely in the image, in ascending order of their ids, with covariances.
+    Raises StarsUnnamed: If neither the tag nor an expected pose identifies the stars.
+    Raises TargetNotFound: If the image shows no stars, a wrong tag, or the tag more than once.
+    Raises TooFewStars: If fewer than `MIN_STARS` stars pass all tests.
+    Raises InputMismatch: If the image does not have two axes, or is empty.
     """
     if image.ndim != 2 or image.size == 0:
         raise InputMismatch(
@@ -240,29 +213,11 @@ def refine_candidates(
 ) -> tuple[Candidates, SymmetryFit, LocalMap, bool]:
     """Refine all centres by symmetry with the smooth map of the view, and leave out the stars that fail a test.
 
-    Parameters
-    ----------
-    image
-        (H, W) float32, smoothed.
-    candidates
-        Possible stars, at least `MIN_STARS`.
-    target
-        Printed target.
-    sign
-        +1 if white is bright in the image, -1 if it is dark.
-    step_px
-        Distance of the samples, px.
-
-    Returns
-    -------
-    candidates : Candidates
-        Those that are left, refined.
-    fit : SymmetryFit
-        Their centres by symmetry.
-    local_map : LocalMap
-        Map around each of them.
-    blurred : bool
-        Whether the image is out of focus.
+    image: (H, W) float32, smoothed.
+    candidates: Possible stars, at least `MIN_STARS`.
+    sign: +1 if white is bright in the image, -1 if it is dark.
+    step_px: Distance of the samples, px.
+    Returns: Whether the image is out of focus.
     """
     grid = candidates.nodes.astype(float)
     grid_map, _ = fit_grid_map(grid, candidates.points)

@@ -23,29 +23,21 @@ _WITHOUT_NAN = {"contract", "nsz", "nnan", "ninf"}
 
 
 class EdgePixels(NamedTuple):
-    """All pixels near an edge of N stars with E edges each: star by star, and in each star edge by edge.
+    """All pixels near an edge of N stars with E edges each: star by star, and in each star edge by edge."""
 
-    Attributes
-    ----------
-    first
-        (N E + 1,) int64: edge e of star k has the pixels from first[k E + e] to first[k E + e + 1].
-    tau
-        (M,) float32, px, signed distance from the nearest edge, computed from the first centres.
-    along_x, along_y
-        (M,) float32, dimensionless, derivatives of tau with respect to the centre of the star.
-    u, v
-        (M,) float32, pitches, place in the star: derivatives of tau with respect to the slope of the threshold.
-    level
-        (M,) uint8, level of brightness.
-    """
-
+    # (N E + 1,) int64: edge e of star k has the pixels from first[k E + e] to first[k E + e + 1].
     first: NDArray[np.int64]
+    # (M,) float32, px, signed distance from the nearest edge, computed from the first centres.
     tau: NDArray[np.float32]
+    # along_x, along_y: (M,) float32, dimensionless, derivatives of tau with respect to the centre of the
+    # star.
     along_x: NDArray[np.float32]
     along_y: NDArray[np.float32]
+    # u, v: (M,) float32, pitches, place in the star: derivatives of tau with respect to the slope of the
+    # threshold.
     u: NDArray[np.float32]
     v: NDArray[np.float32]
-    level: NDArray[np.uint8]
+    level: NDArray[np.uint8]  # (M,) uint8, level of brightness
 
 
 def gather_edge_pixels(
@@ -60,24 +52,10 @@ def gather_edge_pixels(
     Own derivation: a pixel at q belongs to the place s in the star with q = c + A s + B(s, s). It is found by s0 = A^-1
     (q - c) and then s = A^-1 (q - c - B(s0, s0)).
 
-    Parameters
-    ----------
-    levels
-        (H, W) uint8, from `quantise`.
-    centres
-        (N, 2) float64, px.
-    local_map
-        Map around each star, from the target plane to the image.
-    edge_map
-        Printed star with which the pixels are compared.
-    is_open
-        (N, 2) bool, from `calib.stars.open_sides.open_sides`; None if all stars lie between stars. Pixels as close to
-        an open side as the limit of the edge map are left out.
-
-    Returns
-    -------
-    EdgePixels
-        Those whose distance from an edge is below the limit of the edge map.
+    levels: (H, W) uint8, from `quantise`.
+    centres: (N, 2) float64, px.
+    is_open: (N, 2) bool, from `calib.stars.open_sides.open_sides`; None if all stars lie between stars.
+      Pixels as close to an open side as the limit of the edge map are left out.
     """
     linear = local_map.linear
     sides = 2.0 * SYMMETRY_REACH * np.abs(linear).sum(axis=(1, 2))
@@ -103,39 +81,28 @@ def gather_edge_pixels(
 
 
 class _Space(NamedTuple):
-    """Pixels of one star until they are sorted by their edges, each (K,).
+    """Pixels of one star until they are sorted by their edges, each (K,)."""
 
-    Attributes
-    ----------
-    tau, along_x, along_y, u, v
-        float32, as in `EdgePixels`.
-    right, down, rise, lower, lower_rise
-        float32: how far the pixel lies to the right of and below a sample of the edge map, samples; and at this
-        sample: how much tau rises to the right, px; tau one row below, px, and how much it rises to the right there.
-    sample
-        int32, number of the sample of the edge map above and to the left of the pixel; -1 if the pixel is not used.
-    place
-        int32, number of the pixel in the image.
-    used
-        int32, numbers of the pixels that are used.
-    edge
-        uint8, their edges.
-    """
-
+    # tau, along_x, along_y, u, v: float32, as in `EdgePixels`.
     tau: NDArray[np.float32]
     along_x: NDArray[np.float32]
     along_y: NDArray[np.float32]
     u: NDArray[np.float32]
     v: NDArray[np.float32]
+    # right, down, rise, lower, lower_rise: float32: how far the pixel lies to the right of and below a sample
+    # of the edge map, samples; and at this sample: how much tau rises to the right, px; tau one row below,
+    # px, and how much it rises to the right there.
     right: NDArray[np.float32]
     down: NDArray[np.float32]
     rise: NDArray[np.float32]
     lower: NDArray[np.float32]
     lower_rise: NDArray[np.float32]
+    # int32, number of the sample of the edge map above and to the left of the pixel; -1 if the pixel is not
+    # used.
     sample: NDArray[np.int32]
-    place: NDArray[np.int32]
-    used: NDArray[np.int32]
-    edge: NDArray[np.uint8]
+    place: NDArray[np.int32]  # int32, number of the pixel in the image
+    used: NDArray[np.int32]  # int32, numbers of the pixels that are used
+    edge: NDArray[np.uint8]  # uint8, their edges
 
 
 @njit(cache=True, error_model="numpy")

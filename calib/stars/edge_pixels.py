@@ -25,18 +25,10 @@ EDGE_UNKNOWNS = 5
 
 
 class ScoreTables(NamedTuple):
-    """Statistics of a level P(level | tau), tabulated over bins of tau.
+    """Statistics of a level P(level | tau), tabulated over bins of tau."""
 
-    Attributes
-    ----------
-    score
-        (LEVELS, bins) float32, 1/px, d log P / d tau.
-    fisher
-        (bins,) float32, 1/px^2, Fisher information of a pixel about tau.
-    """
-
-    score: NDArray[np.float32]
-    fisher: NDArray[np.float32]
+    score: NDArray[np.float32]  # (LEVELS, bins) float32, 1/px, d log P / d tau
+    fisher: NDArray[np.float32]  # (bins,) float32, 1/px^2, Fisher information of a pixel about tau
 
 
 #: Length of the table over the values of an image, from the first to the last border of levels.
@@ -49,15 +41,8 @@ def quantise(image: NDArray[Any]) -> NDArray[np.uint8]:
     If the image has no more values than that, each value is a level. Otherwise the levels have equal shares of the
     pixels. Levels of equal shares are those of histogram equalisation (Gonzalez and Woods, 2018).
 
-    Parameters
-    ----------
-    image
-        (H, W) of any integer or floating type, without nan.
-
-    Returns
-    -------
-    array
-        (H, W) uint8, levels from 0, in the order of brightness.
+    image: (H, W) of any integer or floating type, without nan.
+    Returns: (H, W) uint8, levels from 0, in the order of brightness.
 
     Examples
     --------
@@ -120,19 +105,9 @@ def count_levels(pixels: EdgePixels, unknowns: Any, limit_px: float) -> Any:
 
     This is linear binning (Wand, 1994). Own linearisation of tau: tau + slope . unknowns.
 
-    Parameters
-    ----------
-    pixels
-        Pixels near edges.
-    unknowns
-        (N, 5) float64, px and px per pitch, current unknowns of the stars.
-    limit_px
-        Largest distance from an edge, `EdgeMap.limit_px`.
-
-    Returns
-    -------
-    array
-        (LEVELS, bins) float64, numbers of pixels.
+    unknowns: (N, 5) float64, px and px per pitch, current unknowns of the stars.
+    limit_px: Largest distance from an edge, `EdgeMap.limit_px`.
+    Returns: (LEVELS, bins) float64, numbers of pixels.
     """
     first, taus, along_x, along_y, us, vs, levels = pixels
     bins = int(2.0 * limit_px / TAU_BIN_PX)
@@ -158,25 +133,11 @@ def edge_scores(
 
     Scores and information are those of Fisher scoring (Osborne, 1992), each times the derivatives of tau.
 
-    Parameters
-    ----------
-    pixels
-        Pixels near edges.
-    unknowns
-        (N, 5) float64, px and px per pitch, current unknowns of the stars.
-    tables
-        Score and information of one pixel, over level and tau.
-    limit_px
-        Largest distance from an edge, `EdgeMap.limit_px`.
-    edges
-        Number of edges of a star.
-
-    Returns
-    -------
-    score : array
-        (N, edges, 5) float64, derivatives of log L with respect to the unknowns.
-    fisher : array
-        (N, edges, 5, 5) float64, Fisher information of the unknowns.
+    unknowns: (N, 5) float64, px and px per pitch, current unknowns of the stars.
+    limit_px: Largest distance from an edge, `EdgeMap.limit_px`.
+    edges: Number of edges of a star.
+    Returns: (N, edges, 5) float64, derivatives of log L with respect to the unknowns.
+    Returns: (N, edges, 5, 5) float64, Fisher information of the unknowns.
     """
     n = len(unknowns)
     score, fisher = np.zeros((n, edges, EDGE_UNKNOWNS)), np.zeros((n, edges, EDGE_UNKNOWNS, EDGE_UNKNOWNS))

@@ -51,18 +51,10 @@ MIN_STARS_FOR_WIDTH = 6
 
 
 class BlurCircle(NamedTuple):
-    """Blur of the print around the tag.
+    """Blur of the print around the tag."""
 
-    Attributes
-    ----------
-    diameter_px
-        Diameter of the blur circle, px.
-    explained
-        Share of the image's variance that the print explains when it is blurred so, 0 to 1.
-    """
-
-    diameter_px: float
-    explained: float
+    diameter_px: float  # Diameter of the blur circle, px
+    explained: float  # Share of the image's variance that the print explains when it is blurred so, 0 to 1
 
 
 def edge_widths_px(
@@ -78,25 +70,12 @@ def edge_widths_px(
 
     Source: `calib.stars.likelihood.edge_width_px`.
 
-    Parameters
-    ----------
-    image
-        (H, W), any numeric dtype, before smoothing.
-    centres
-        (N, 2) float64, px, right to about 0.1 px.
-    local_map
-        Map around each star, from the target plane to the image.
-    target
-        Printed target.
-    groups
-        Indices of the stars of each group, (M,) int64 each.
-    start_px
-        Width at which the search begins, px; a good one saves time.
-
-    Returns
-    -------
-    list of float or None
-        Standard deviation of the blur, px, of each group; None if it has fewer than `MIN_STARS_FOR_WIDTH` stars.
+    image: (H, W), any numeric dtype, before smoothing.
+    centres: (N, 2) float64, px, right to about 0.1 px.
+    groups: Indices of the stars of each group, (M,) int64 each.
+    start_px: Width at which the search begins, px; a good one saves time.
+    Returns: Standard deviation of the blur, px, of each group; None if it has fewer than
+      `MIN_STARS_FOR_WIDTH` stars.
     """
     enough = [number for number, group in enumerate(groups) if len(group) >= MIN_STARS_FOR_WIDTH]
     found: list[float | None] = [None] * len(groups)
@@ -122,21 +101,9 @@ def blur_circle(
     (Pearson, 1905), which needs no model of how brightness becomes a grey value or a number of events. Image
     registration by it: Roche et al. (1998). The search over enlargements of the tag is this project's own.
 
-    Parameters
-    ----------
-    image
-        (H, W), any numeric dtype.
-    homography
-        (3, 3) float64, from [column row 1] of the target's grid to [u v 1] px.
-    target
-        Printed target.
-    enlarged
-        Enlargements of the tag that are tried.
-
-    Returns
-    -------
-    BlurCircle or None
-        None if the print does not explain the image, or too little of it is in the frame.
+    image: (H, W), any numeric dtype.
+    homography: (3, 3) float64, from [column row 1] of the target's grid to [u v 1] px.
+    Returns: None if the print does not explain the image, or too little of it is in the frame.
     """
     middle = np.array(target.tag_centre_mm) / target.pitch_mm
     steps = (np.arange(ALONG) + 0.5) / ALONG * 2.0 * COMPARED - COMPARED
@@ -174,17 +141,9 @@ def sharpness(image: NDArray[np.generic], lit: NDArray[np.uint8]) -> float | Non
     Own figure: the standard deviation of the image, reduced to half its size and without its wide part, as a share of
     white. It falls while the blur grows, from 3 to 30 px under a bright light and from 6 to 20 px under a dim one.
 
-    Parameters
-    ----------
-    image
-        (H, W), any numeric dtype; light is bright.
-    lit
-        (h, w) uint8, 1 inside the beam, of any smaller size (`calib.stars.beam.Beam.lit`).
-
-    Returns
-    -------
-    float or None
-        About 0.03 to 0.45; None if the beam covers too little of the image.
+    image: (H, W), any numeric dtype; light is bright.
+    lit: (h, w) uint8, 1 inside the beam, of any smaller size (`calib.stars.beam.Beam.lit`).
+    Returns: About 0.03 to 0.45; None if the beam covers too little of the image.
     """
     small = cv2.resize(np.asarray(image, np.float32), None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA)
     small = cv2.medianBlur(small, 3)
@@ -206,17 +165,9 @@ def coarse_detail(image: NDArray[np.generic], lit: NDArray[np.uint8]) -> float |
     of white. With blur circles of 0, 20, 40 and 60 px it is 0.080, 0.056, 0.031 and 0.014 under a bright light, and
     0.074, 0.073, 0.071 and 0.061 at a tenth of it.
 
-    Parameters
-    ----------
-    image
-        (H, W), any numeric dtype; light is bright.
-    lit
-        (h, w) uint8, 1 inside the beam, of any smaller size.
-
-    Returns
-    -------
-    float or None
-        About 0.01 to 0.1; None if the beam covers too little of the image.
+    image: (H, W), any numeric dtype; light is bright.
+    lit: (h, w) uint8, 1 inside the beam, of any smaller size.
+    Returns: About 0.01 to 0.1; None if the beam covers too little of the image.
     """
     small = cv2.resize(np.asarray(image, np.float32), None, fx=0.25, fy=0.25, interpolation=cv2.INTER_AREA)
     white = float(np.quantile(small, 0.97))
@@ -234,17 +185,9 @@ def contrast(image: NDArray[np.generic], lit: NDArray[np.uint8]) -> float | None
 
     Michelson's definition (Michelson, 1927), of the quantiles 0.95 and 0.05.
 
-    Parameters
-    ----------
-    image
-        (H, W), any numeric dtype; light is bright.
-    lit
-        (h, w) uint8, 1 inside the beam, of any smaller size.
-
-    Returns
-    -------
-    float or None
-        None if nothing is lit.
+    image: (H, W), any numeric dtype; light is bright.
+    lit: (h, w) uint8, 1 inside the beam, of any smaller size.
+    Returns: None if nothing is lit.
     """
     values = np.asarray(image[::3, ::3], np.float32)
     inside = cv2.resize(lit, (values.shape[1], values.shape[0]), interpolation=cv2.INTER_NEAREST) > 0

@@ -41,21 +41,11 @@ def predict_locally(
     weighted regression (Cleveland, 1979) with a ridge (Hoerl and Kennard, 1970). The weights 1 / (1 + distance^2) are
     this project's own.
 
-    Parameters
-    ----------
-    h
-        (3, 3) float64, homography from grid to px that fits about all stars.
-    grid
-        (N, 2) float64, pitches, grid positions of the stars found.
-    points
-        (N, 2) float64, px, their image points.
-    wanted
-        (M, 2) float64, pitches, grid positions to predict.
-
-    Returns
-    -------
-    array
-        (M, 2) float64, px.
+    h: (3, 3) float64, homography from grid to px that fits about all stars.
+    grid: (N, 2) float64, pitches, grid positions of the stars found.
+    points: (N, 2) float64, px, their image points.
+    wanted: (M, 2) float64, pitches, grid positions to predict.
+    Returns: (M, 2) float64, px.
     """
     base = apply_homography(h, wanted)
     if len(grid) == 0:
@@ -115,45 +105,22 @@ def _first_unknowns(normal: Any, right: Any) -> tuple[float, float]:
 
 @dataclass(frozen=True)
 class GridMap:
-    """Map of a whole view: a homography plus a polynomial in scaled grid coordinates.
+    """Map of a whole view: a homography plus a polynomial in scaled grid coordinates."""
 
-    Attributes
-    ----------
-    homography
-        (3, 3) float64, from grid to px.
-    centre
-        (2,) float64, pitches, origin of the polynomial's coordinates.
-    scale
-        Unit of the polynomial's coordinates, pitches.
-    degree
-        Degree of the polynomial; 0 if there are few stars.
-    coefficients
-        (terms, 2) float64, px.
-    sigma_px
-        Robust standard deviation of the stars about the map, px, per axis.
-    """
-
-    homography: NDArray[np.float64]
-    centre: NDArray[np.float64]
-    scale: float
-    degree: int
-    coefficients: NDArray[np.float64]
-    sigma_px: float
+    homography: NDArray[np.float64]  # (3, 3) float64, from grid to px
+    centre: NDArray[np.float64]  # (2,) float64, pitches, origin of the polynomial's coordinates
+    scale: float  # Unit of the polynomial's coordinates, pitches
+    degree: int  # Degree of the polynomial; 0 if there are few stars
+    coefficients: NDArray[np.float64]  # (terms, 2) float64, px
+    sigma_px: float  # Robust standard deviation of the stars about the map, px, per axis
 
     def apply(self, grid: NDArray[np.float64]) -> NDArray[np.float64]:
         """Map grid positions to image points.
 
         Homography: Hartley and Zisserman (2004), section 2.3. Own addition: a polynomial in scaled grid coordinates.
 
-        Parameters
-        ----------
-        grid
-            (N, 2) float64, pitches.
-
-        Returns
-        -------
-        array
-            (N, 2) float64, px.
+        grid: (N, 2) float64, pitches.
+        Returns: (N, 2) float64, px.
         """
         bent = _monomials((grid - self.centre) / self.scale, self.degree) @ self.coefficients
         return apply_homography(self.homography, grid) + bent
@@ -163,15 +130,7 @@ class GridMap:
 
         The differences are those of Abramowitz and Stegun (1972), section 25.3.
 
-        Parameters
-        ----------
-        grid
-            (N, 2) float64, pitches.
-
-        Returns
-        -------
-        LocalMap
-            Linear and quadratic terms around each position.
+        grid: (N, 2) float64, pitches.
         """
         h = _STEP_PITCHES
         right, down = np.array([h, 0.0]), np.array([0.0, h])
@@ -198,24 +157,10 @@ def fit_grid_map(
     vector of standard normal components. Own procedure: linear least squares, repeated without the stars beyond
     `OUTLIER_SIGMAS`; sigma is enlarged by (1 - terms / stars)^(-1/2) for the terms fitted.
 
-    Parameters
-    ----------
-    grid
-        (N, 2) float64, pitches, grid positions; N >= 4 and not on a line.
-    points
-        (N, 2) float64, px, image points.
-
-    Returns
-    -------
-    grid_map : GridMap
-        The map.
-    residuals : array
-        (N, 2) float64, px, points minus map, of all stars.
-
-    Raises
-    ------
-    TooFewStars
-        If the stars do not determine a homography.
+    grid: (N, 2) float64, pitches, grid positions; N >= 4 and not on a line.
+    points: (N, 2) float64, px, image points.
+    Returns: (N, 2) float64, px, points minus map, of all stars.
+    Raises TooFewStars: If the stars do not determine a homography.
     """
     centre = grid.mean(axis=0)
     scale = float(max(np.abs(grid - centre).max(), 1.0))

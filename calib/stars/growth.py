@@ -38,30 +38,18 @@ _AROUND = np.array([(i, j) for i in (-1, 0, 1) for j in (-1, 0, 1) if (i, j) != 
 
 @dataclass
 class StarGrid:
-    """Stars found so far, by their nodes.
+    """Stars found so far, by their nodes."""
 
-    Attributes
-    ----------
-    points
-        Image point, (2,) float64, px, of each node (column, row).
-    tries
-        How often each node was searched.
-    """
-
+    # Image point, (2,) float64, px, of each node (column, row).
     points: dict[tuple[int, int], NDArray[np.float64]] = field(default_factory=dict)
     tries: dict[tuple[int, int], int] = field(default_factory=dict)
 
     def record(self, tried: NDArray[np.int64], found: NDArray[np.int64], places: NDArray[np.float64]) -> None:
         """Add the results of a search.
 
-        Parameters
-        ----------
-        tried
-            (M, 2) int64, columns and rows of the nodes that were searched.
-        found
-            (N, 2) int64, nodes at which a star was found.
-        places
-            (N, 2) float64, px, image points of these stars.
+        tried: (M, 2) int64, columns and rows of the nodes that were searched.
+        found: (N, 2) int64, nodes at which a star was found.
+        places: (N, 2) float64, px, image points of these stars.
         """
         for column, row in tried:
             key = (int(column), int(row))
@@ -71,62 +59,33 @@ class StarGrid:
     def nodes(self) -> NDArray[np.int64]:
         """Return the nodes of the stars found.
 
-        Returns
-        -------
-        array
-            (N, 2) int64, columns and rows.
+        Returns: (N, 2) int64, columns and rows.
         """
         return np.array(list(self.points), np.int64).reshape(-1, 2)
 
     def places(self) -> NDArray[np.float64]:
         """Return the image points of the stars found.
 
-        Returns
-        -------
-        array
-            (N, 2) float64, px, in the order of `nodes`.
+        Returns: (N, 2) float64, px, in the order of `nodes`.
         """
         return np.array(list(self.points.values()), np.float64).reshape(-1, 2)
 
 
 class GrowthStart(NamedTuple):
-    """Where growth starts.
+    """Where growth starts."""
 
-    Attributes
-    ----------
-    homography
-        (3, 3) float64, from [column row 1] to [u v 1] px, right near the first nodes.
-    sign
-        +1 if white is bright in the image, -1 if it is dark.
-    nodes
-        (M, 2) int64, nodes that are searched first.
-    anchor_grid, anchor_px
-        (K, 2) float64, pitches and px, points known beforehand on the grid and in the image, which take part in all
-        fits.
-    """
-
+    # (3, 3) float64, from [column row 1] to [u v 1] px, right near the first nodes.
     homography: NDArray[np.float64]
-    sign: float
-    nodes: NDArray[np.int64]
+    sign: float  # +1 if white is bright in the image, -1 if it is dark
+    nodes: NDArray[np.int64]  # (M, 2) int64, nodes that are searched first
+    # anchor_grid, anchor_px: (K, 2) float64, pitches and px, points known beforehand on the grid and in the
+    # image, which take part in all fits.
     anchor_grid: NDArray[np.float64]
     anchor_px: NDArray[np.float64]
 
 
 def start_at_tag(tag: TagDetection, target: StarTarget) -> GrowthStart:
-    """Start growth with the ring of stars around the tag.
-
-    Parameters
-    ----------
-    tag
-        The detected tag.
-    target
-        Printed target.
-
-    Returns
-    -------
-    GrowthStart
-        With the four corners of the tag as anchors.
-    """
+    """Start growth with the ring of stars around the tag."""
     corners = target.tag_corners_mm / target.pitch_mm
     low, high = corners[0].round().astype(np.int64) - 1, corners[2].round().astype(np.int64) + 1
     columns, rows = np.meshgrid(np.arange(low[0], high[0] + 1), np.arange(low[1], high[1] + 1))
@@ -146,22 +105,12 @@ def grow_star_grid(
     Growth of this kind is that of Schöps et al. (2020), arXiv:1912.02908. If the stars correlate badly with the sharp
     pattern, the pattern is learnt from the image, and growth starts again with it; the larger result is used.
 
-    Parameters
-    ----------
-    image
-        (H, W) float32, smoothed; white may be bright or dark.
-    start
-        Where growth starts.
-    segments
-        Number of segments of a star.
-    exists
-        Returns for (N, 2) int64 nodes whether each may have a star, (N,) bool.
-
-    Returns
-    -------
-    StarGrid
-        Stars located to about half a pixel, to two pixels if they are out of focus; empty if the first nodes have no
-        star.
+    image: (H, W) float32, smoothed; white may be bright or dark.
+    start: Where growth starts.
+    segments: Number of segments of a star.
+    exists: Returns for (N, 2) int64 nodes whether each may have a star, (N,) bool.
+    Returns: Stars located to about half a pixel, to two pixels if they are out of focus; empty if the first
+      nodes have no star.
     """
     grown, scores = _grow(image, start, StarTemplate.of(segments, SEARCH_RADII), exists)
     if scores and np.median(scores) >= SHARP_CORRELATION:
@@ -237,17 +186,9 @@ def linear_at(h: NDArray[np.float64], grid: NDArray[np.float64]) -> NDArray[np.f
 
     Own derivation, by the quotient rule: with [p q w] = H [x y 1], du/dx = (h11 - u h31) / w, and so on.
 
-    Parameters
-    ----------
-    h
-        (3, 3) float64, homography from grid to px.
-    grid
-        (N, 2) float64, pitches, grid positions.
-
-    Returns
-    -------
-    array
-        (N, 2, 2) float64, px per pitch.
+    h: (3, 3) float64, homography from grid to px.
+    grid: (N, 2) float64, pitches, grid positions.
+    Returns: (N, 2, 2) float64, px per pitch.
     """
     q = grid @ h[:, :2].T + h[:, 2]
     at = apply_homography(h, grid)

@@ -32,31 +32,16 @@ _QUARTER_TURNS = [
 
 
 class StarLabels(NamedTuple):
-    """Labels of stars as a map of nodes: node of the target = turn @ relative node + shift.
+    """Labels of stars as a map of nodes: node of the target = turn @ relative node + shift."""
 
-    Attributes
-    ----------
-    turn
-        (2, 2) int64, rotation by quarter turns.
-    shift
-        (2,) int64, columns and rows.
-    """
-
-    turn: NDArray[np.int64]
-    shift: NDArray[np.int64]
+    turn: NDArray[np.int64]  # (2, 2) int64, rotation by quarter turns
+    shift: NDArray[np.int64]  # (2,) int64, columns and rows
 
     def apply(self, nodes: NDArray[np.int64]) -> NDArray[np.int64]:
         """Return the nodes of the target.
 
-        Parameters
-        ----------
-        nodes
-            (N, 2) int64, nodes of the relative grid.
-
-        Returns
-        -------
-        array
-            (N, 2) int64, columns and rows on the target.
+        nodes: (N, 2) int64, nodes of the relative grid.
+        Returns: (N, 2) int64, columns and rows on the target.
         """
         return np.asarray(nodes @ self.turn.T + self.shift, np.int64)
 
@@ -72,21 +57,11 @@ def grid_homography(
     H = K [r1 r2 -R c] diag(p, p, 1), by arXiv:2512.16092, eqs. 1 to 3, with pitch p. The distortion of the lens, a few
     pixels at most, is neglected.
 
-    Parameters
-    ----------
-    matrix
-        (3, 3) float64, px, K.
-    rotation
-        (3, 3) float64, R, from target to camera.
-    centre_mm
-        (3,) float64, mm, c = (x, y, -r), centre of the spherical motion in the target frame.
-    pitch_mm
-        Distance p of neighbouring stars, mm.
-
-    Returns
-    -------
-    array
-        (3, 3) float64, from [column row 1] to [u v 1] px.
+    matrix: (3, 3) float64, px, K.
+    rotation: (3, 3) float64, R, from target to camera.
+    centre_mm: (3,) float64, mm, c = (x, y, -r), centre of the spherical motion in the target frame.
+    pitch_mm: Distance p of neighbouring stars, mm.
+    Returns: (3, 3) float64, from [column row 1] to [u v 1] px.
     """
     columns = np.column_stack([rotation[:, 0], rotation[:, 1], -rotation @ centre_mm])
     return np.asarray(matrix @ columns @ np.diag([pitch_mm, pitch_mm, 1.0]), np.float64)
@@ -98,24 +73,11 @@ def label_by_pose(grown: StarGrid, expected: NDArray[np.float64], *, name: str) 
     Own rule: the quarter turn with the least scatter about a common shift, and the whole nodes next to the median
     shift.
 
-    Parameters
-    ----------
-    grown
-        Stars found, on a relative grid.
-    expected
-        (3, 3) float64, from [column row 1] of the target's grid to [u v 1] px, right to a third of a pitch.
-    name
-        Name of the view, for messages.
-
-    Returns
-    -------
-    StarLabels
-        The only labelling that agrees with the expected pose.
-
-    Raises
-    ------
-    StarsUnnamed
-        If the stars do not lie on the expected grid, or lie half-way between two labellings.
+    grown: Stars found, on a relative grid.
+    expected: (3, 3) float64, from [column row 1] of the target's grid to [u v 1] px, right to a third of a
+      pitch.
+    Returns: The only labelling that agrees with the expected pose.
+    Raises StarsUnnamed: If the stars do not lie on the expected grid, or lie half-way between two labellings.
     """
     nodes = grown.nodes()
     there = apply_homography(np.asarray(np.linalg.inv(expected), np.float64), grown.places())
@@ -145,28 +107,12 @@ def label_by_tag(
     orientations. Own rule: the labelling with the largest share of right modules, if it exceeds all others by
     `MIN_MARGIN`.
 
-    Parameters
-    ----------
-    image
-        (H, W) float32, smoothed.
-    grown
-        Stars found, on a relative grid.
-    sign
-        +1 if white is bright in the image, -1 if it is dark.
-    target
-        Printed target.
-    name
-        Name of the view, for messages.
-
-    Returns
-    -------
-    StarLabels
-        The only labelling that agrees with the tag.
-
-    Raises
-    ------
-    StarsUnnamed
-        If too little of the tag is visible, it is another tag, or two labellings agree with it.
+    image: (H, W) float32, smoothed.
+    grown: Stars found, on a relative grid.
+    sign: +1 if white is bright in the image, -1 if it is dark.
+    Returns: The only labelling that agrees with the tag.
+    Raises StarsUnnamed: If too little of the tag is visible, it is another tag, or two labellings agree with
+      it.
     """
     nodes = grown.nodes()
     h = fit_homography(nodes.astype(float), grown.places())

@@ -60,18 +60,10 @@ def find_lattice(image: NDArray[np.float32], segments: int) -> GrowthStart | Non
     The response is a circular harmonic of the image (Hsu and Arsenault, 1982); the search for a square of neighbours is
     this project's own.
 
-    Parameters
-    ----------
-    image
-        (H, W) float32, smoothed; white may be bright or dark.
-    segments
-        Number of segments of a star.
-
-    Returns
-    -------
-    GrowthStart or None
-        Its grid is relative: node (0, 0) is the star found, and the directions are those of the target up to quarter
-        turns. None if there is no such star.
+    image: (H, W) float32, smoothed; white may be bright or dark.
+    segments: Number of segments of a star.
+    Returns: Its grid is relative: node (0, 0) is the star found, and the directions are those of the target
+      up to quarter turns. None if there is no such star.
     """
     for found in _candidates_by_pitch(image, segments):
         # Stars respond more strongly than the corners of their cells, but not in all kinds of image.

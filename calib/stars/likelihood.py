@@ -76,20 +76,12 @@ _RIDGE = 1e-6
 
 @dataclass(frozen=True)
 class LikelihoodFit:
-    """Most likely centres of N stars.
+    """Most likely centres of N stars."""
 
-    Attributes
-    ----------
-    centres
-        (N, 2) float64, px.
-    covariances
-        (N, 2, 2) float64, px^2, from the Fisher information, weighted by the overdispersion.
-    light_slope
-        (N,) float64, px per pitch, length of b: how uneven the light is across the star.
-    """
-
-    centres: NDArray[np.float64]
+    centres: NDArray[np.float64]  # (N, 2) float64, px
+    # (N, 2, 2) float64, px^2, from the Fisher information, weighted by the overdispersion.
     covariances: NDArray[np.float64]
+    # (N,) float64, px per pitch, length of b: how uneven the light is across the star.
     light_slope: NDArray[np.float64]
     _information: _InformationByBlur = field(repr=False)
 
@@ -111,23 +103,11 @@ def refine_by_likelihood(
     Fisher scoring: Osborne (1992). Covariances: Cramér-Rao bound (Rao, 1945). The head of the module gives the
     likelihood, which is this project's own.
 
-    Parameters
-    ----------
-    levels
-        (H, W) uint8, from `quantise`, of the image before smoothing.
-    centres
-        (N, 2) float64, px, right to about 0.1 px. Several dozen stars are needed, because P is learnt from them.
-    local_map
-        Map around each star, from the target plane to the image.
-    target
-        Printed target.
-    is_open
-        (N, 2) bool, from `calib.stars.open_sides.open_sides`; None if all stars lie between stars.
-
-    Returns
-    -------
-    LikelihoodFit
-        In the order of ``centres``.
+    levels: (H, W) uint8, from `quantise`, of the image before smoothing.
+    centres: (N, 2) float64, px, right to about 0.1 px. Several dozen stars are needed, because P is learnt
+      from them.
+    is_open: (N, 2) bool, from `calib.stars.open_sides.open_sides`; None if all stars lie between stars.
+    Returns: In the order of ``centres``.
     """
     pitch = round(typical_pitch_px(local_map), PITCH_DIGITS)
     information = _InformationByBlur(levels, centres, local_map, _EdgeMaps(target, pitch))
@@ -161,21 +141,9 @@ def edge_width_px(
     give most information about the centres (own criterion). On simulated recordings, it is 0.8 to 1.0 of the blur by
     lens and pixel up to 2 px, under a square and under a sine flicker; it does not grow beyond that.
 
-    Parameters
-    ----------
-    levels
-        (H, W) uint8, from `quantise`, of the image before smoothing.
-    centres
-        (N, 2) float64, px, right to about 0.1 px.
-    local_map
-        Map around each star, from the target plane to the image.
-    target
-        Printed target.
-
-    Returns
-    -------
-    float
-        Standard deviation of the blur, px, between `EDGE_WIDTHS_PX`.
+    levels: (H, W) uint8, from `quantise`, of the image before smoothing.
+    centres: (N, 2) float64, px, right to about 0.1 px.
+    Returns: Standard deviation of the blur, px, between `EDGE_WIDTHS_PX`.
     """
     every = np.arange(len(centres))
     return edge_widths_px(levels, centres, local_map, target, [every])[0]
@@ -195,27 +163,12 @@ def edge_widths_px(
 
     The blurred printed stars are shared by all groups, and kept for the next call with the same pitch.
 
-    Parameters
-    ----------
-    levels
-        (H, W) uint8, from `quantise`, of the image before smoothing.
-    centres
-        (N, 2) float64, px, right to about 0.1 px.
-    local_map
-        Map around each star, from the target plane to the image.
-    target
-        Printed target.
-    groups
-        Indices of the stars of each group, (M,) int64 each, at least one star.
-    pitch_px
-        Distance of neighbouring stars, px; None to take it from ``local_map``.
-    start_px
-        Width at which the search begins, px; None for the middle of `EDGE_WIDTHS_PX`.
-
-    Returns
-    -------
-    list of float
-        Standard deviation of the blur of each group, px, between `EDGE_WIDTHS_PX`.
+    levels: (H, W) uint8, from `quantise`, of the image before smoothing.
+    centres: (N, 2) float64, px, right to about 0.1 px.
+    groups: Indices of the stars of each group, (M,) int64 each, at least one star.
+    pitch_px: Distance of neighbouring stars, px; None to take it from ``local_map``.
+    start_px: Width at which the search begins, px; None for the middle of `EDGE_WIDTHS_PX`.
+    Returns: Standard deviation of the blur of each group, px, between `EDGE_WIDTHS_PX`.
     """
     pitch = typical_pitch_px(local_map) if pitch_px is None else pitch_px
     maps = _kept_edge_maps(target, pitch)
@@ -230,15 +183,7 @@ def edge_widths_px(
 def typical_pitch_px(local_map: LocalMap) -> float:
     """Return the distance of neighbouring stars: the root of the median Jacobian determinant.
 
-    Parameters
-    ----------
-    local_map
-        Map around each star, from the target plane to the image.
-
-    Returns
-    -------
-    float
-        Distance, px.
+    Returns: Distance, px.
     """
     return float(np.sqrt(np.median(np.abs(np.linalg.det(local_map.linear)))))
 

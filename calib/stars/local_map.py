@@ -12,30 +12,16 @@ from numpy.typing import NDArray
 
 
 class LocalMap(NamedTuple):
-    """Map from the target plane to the image around each of N stars, without its centre.
+    """Map from the target plane to the image around each of N stars, without its centre."""
 
-    Attributes
-    ----------
-    linear
-        (N, 2, 2) float64, A, px per pitch.
-    quadratic
-        (N, 2, 3) float64, B, px per pitch^2, coefficients of s_x^2, s_x s_y and s_y^2.
-    """
-
-    linear: NDArray[np.float64]
+    linear: NDArray[np.float64]  # (N, 2, 2) float64, A, px per pitch
+    # (N, 2, 3) float64, B, px per pitch^2, coefficients of s_x^2, s_x s_y and s_y^2.
     quadratic: NDArray[np.float64]
 
     def select(self, mask: Any) -> LocalMap:
         """Return the maps of some stars.
 
-        Parameters
-        ----------
-        mask
-            (N,) bool, or a slice.
-
-        Returns
-        -------
-        LocalMap
-            In the same order.
+        mask: (N,) bool, or a slice.
+        Returns: In the same order.
         """
         return LocalMap(self.linear[mask], self.quadratic[mask])

@@ -42,21 +42,11 @@ def stencil_residuals(
     The stencil is the mask of Immerkær (1996). The covariance of e is the sum of w^2 V over the stars, with their
     weights w and covariances V (JCGM 100:2008, section 5.1).
 
-    Parameters
-    ----------
-    nodes
-        (N, 2) int64, columns and rows.
-    points
-        (N, 2) float64, px, centres.
-    nominal
-        (N, 2, 2) float64, px^2, covariances of the centres up to a factor.
-
-    Returns
-    -------
-    residuals : array
-        (M, 2) float64, px, the stencil's e.
-    covariances : array
-        (M, 2, 2) float64, px^2, covariances of e, up to the same factor.
+    nodes: (N, 2) int64, columns and rows.
+    points: (N, 2) float64, px, centres.
+    nominal: (N, 2, 2) float64, px^2, covariances of the centres up to a factor.
+    Returns: (M, 2) float64, px, the stencil's e.
+    Returns: (M, 2, 2) float64, px^2, covariances of e, up to the same factor.
     """
     low = nodes.min(axis=0, initial=0) - 1
     size = nodes.max(axis=0, initial=0) - low + 2
@@ -77,21 +67,11 @@ def variance_factor(
     A first value is the median of the normalised squares over 2 ln 2, the median of chi-square with two degrees of
     freedom. The result is the mean of those squares that are not far above it. This estimator is this project's own.
 
-    Parameters
-    ----------
-    nodes
-        (N, 2) int64, columns and rows.
-    points
-        (N, 2) float64, px, centres.
-    nominal
-        (N, 2, 2) float64, px^2, covariances of the centres up to the factor.
-    typical
-        Typical value of the factor. It is mixed in if fewer than `TRUSTED_FROM` stars have all eight neighbours.
-
-    Returns
-    -------
-    float
-        Factor by which the covariances have to be multiplied.
+    nodes: (N, 2) int64, columns and rows.
+    points: (N, 2) float64, px, centres.
+    nominal: (N, 2, 2) float64, px^2, covariances of the centres up to the factor.
+    typical: Typical value of the factor. It is mixed in if fewer than `TRUSTED_FROM` stars have all eight
+      neighbours.
     """
     residuals, covariances = stencil_residuals(nodes, points, nominal)
     count, total = 0.0, 0.0

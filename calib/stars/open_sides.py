@@ -26,18 +26,9 @@ def open_sides(target: StarTarget, nodes: NDArray[np.int64]) -> NDArray[np.bool_
     A star that touches the plain paper with one corner counts as open along the columns: the strips on its left and on
     its right hold all its corners. Own rule.
 
-    Parameters
-    ----------
-    target
-        Printed target.
-    nodes
-        (N, 2) int64, columns and rows of the stars.
-
-    Returns
-    -------
-    array
-        (N, 2) bool: whether the left or the right neighbour is missing, and whether the upper or the lower one is. A
-        node without a star counts as not open.
+    nodes: (N, 2) int64, columns and rows of the stars.
+    Returns: (N, 2) bool: whether the left or the right neighbour is missing, and whether the upper or the
+      lower one is. A node without a star counts as not open.
     """
     columns, rows = nodes[:, 0], nodes[:, 1]
 
@@ -53,19 +44,9 @@ def open_sides(target: StarTarget, nodes: NDArray[np.int64]) -> NDArray[np.bool_
 def cell_reach(is_open: NDArray[np.bool_], reach: float, strip: float) -> NDArray[np.float64]:
     """Return how far from its centre a star's cell is used.
 
-    Parameters
-    ----------
-    is_open
-        (N, 2) bool, from `open_sides`.
-    reach
-        Half the side of the cell of a star between stars, pitches.
-    strip
-        Width of the strip that is left out, pitches.
-
-    Returns
-    -------
-    array
-        (N, 2) float64, pitches, along the columns and along the rows.
+    is_open: (N, 2) bool, from `open_sides`.
+    reach: Half the side of the cell of a star between stars, pitches.
+    Returns: (N, 2) float64, pitches, along the columns and along the rows.
 
     Examples
     --------

@@ -47,32 +47,17 @@ _UNKNOWNS = 10
 
 
 class LabelledView(NamedTuple):
-    """An earlier view whose stars the tag labelled.
+    """An earlier view whose stars the tag labelled."""
 
-    Attributes
-    ----------
-    grid
-        (3, 3) float64, homography from [column row 1] of the target's grid to [u v 1] px.
-    reading_deg
-        Angles of the gimbal at that view, degrees: ``pan``, ``tilt``, ``roll``; a missing axis is at 0.
-    """
-
-    grid: Array
+    grid: Array  # (3, 3) float64, homography from [column row 1] of the target's grid to [u v 1] px
+    # Angles of the gimbal at that view, degrees: ``pan``, ``tilt``, ``roll``; a missing axis is at 0.
     reading_deg: Mapping[str, float]
 
 
 class PredictedGrid(NamedTuple):
-    """Predicted grid of stars in the image.
+    """Predicted grid of stars in the image."""
 
-    Attributes
-    ----------
-    grid
-        (3, 3) float64, homography from [column row 1] of the target's grid to [u v 1] px.
-    sigma_pitches
-        Standard uncertainty of its points, pitches, the largest over the image.
-    """
-
-    grid: Array
+    grid: Array  # (3, 3) float64, homography from [column row 1] of the target's grid to [u v 1] px
     sigma_pitches: float
 
 
@@ -128,26 +113,13 @@ def predict_grid(
     Robot-world and hand-eye calibration: Dornaika and Horaud (1998). The parametrisation is this project's own; the
     head of the module gives the equations.
 
-    Parameters
-    ----------
-    seen
-        Earlier views, in at least two directions.
-    reading_deg
-        Present angles of the gimbal, degrees: ``pan``, ``tilt``, ``roll``; a missing axis is at 0.
-    image_size
-        Width and height of the image, px.
-    pitch_mm
-        Distance of neighbouring stars, mm.
-
-    Returns
-    -------
-    PredictedGrid
-        With a standard uncertainty of `MAX_SIGMA_PITCHES` or less.
-
-    Raises
-    ------
-    DegenerateViews
-        If there are no earlier views, or the uncertainty is larger than `MAX_SIGMA_PITCHES`.
+    seen: Earlier views, in at least two directions.
+    reading_deg: Present angles of the gimbal, degrees: ``pan``, ``tilt``, ``roll``; a missing axis is at 0.
+    image_size: Width and height of the image, px.
+    pitch_mm: Distance of neighbouring stars, mm.
+    Returns: With a standard uncertainty of `MAX_SIGMA_PITCHES` or less.
+    Raises DegenerateViews: If there are no earlier views, or the uncertainty is larger than
+      `MAX_SIGMA_PITCHES`.
     """
     if not seen:
         raise DegenerateViews(

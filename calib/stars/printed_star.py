@@ -32,27 +32,13 @@ _LEAST_SHARE = 1e-4
 
 
 class EdgeMap(NamedTuple):
-    """Distances from the edges of one printed star, sampled on a square grid around its centre.
+    """Distances from the edges of one printed star, sampled on a square grid around its centre."""
 
-    Attributes
-    ----------
-    tau
-        (S, S) float32, px, signed distance from the nearest edge; positive on white.
-    edge
-        (S, S) uint8, number of the nearest edge, 0 to the number of segments - 1.
-    half
-        Row and column of the centre.
-    samples_per_pitch
-        Number of samples per pitch.
-    limit_px
-        Largest distance that is used, px.
-    """
-
-    tau: NDArray[np.float32]
-    edge: NDArray[np.uint8]
+    tau: NDArray[np.float32]  # (S, S) float32, px, signed distance from the nearest edge; positive on white
+    edge: NDArray[np.uint8]  # (S, S) uint8, number of the nearest edge, 0 to the number of segments - 1
     half: int
     samples_per_pitch: float
-    limit_px: float
+    limit_px: float  # Largest distance that is used, px
 
 
 def render_star(target: StarTarget, pitch_px: float) -> NDArray[np.float32]:
@@ -60,17 +46,8 @@ def render_star(target: StarTarget, pitch_px: float) -> NDArray[np.float32]:
 
     The print is that of `calib.target.StarTarget.reflectance`.
 
-    Parameters
-    ----------
-    target
-        Printed target.
-    pitch_px
-        Distance of neighbouring stars in the image, px.
-
-    Returns
-    -------
-    array
-        (S, S) float32, brightness from 0 to 1. Half a turn about the centre does not change it.
+    pitch_px: Distance of neighbouring stars in the image, px.
+    Returns: (S, S) float32, brightness from 0 to 1. Half a turn about the centre does not change it.
     """
     columns, rows = np.meshgrid(np.arange(1, target.columns - 1), np.arange(1, target.rows - 1))
     surrounded = np.ones(columns.shape, bool)
@@ -131,21 +108,10 @@ def blurred_edge_map(sharp: NDArray[np.float32], segments: int, pitch_px: float,
     A straight edge blurred by a Gaussian of standard deviation sigma has the brightness Phi(tau / sigma) at distance
     tau, so tau = sigma Phi^-1(brightness). Own derivation: the Gaussian is integrated over the white side of the edge.
 
-    Parameters
-    ----------
-    sharp
-        (S, S) float32, brightness, from `render_star` with the same pitch.
-    segments
-        Number of segments of a star.
-    pitch_px
-        Distance of neighbouring stars in the image, px.
-    blur_px
-        Standard deviation of the blur, px.
-
-    Returns
-    -------
-    EdgeMap
-        Point symmetric about the centre, as the print is.
+    sharp: (S, S) float32, brightness, from `render_star` with the same pitch.
+    segments: Number of segments of a star.
+    pitch_px: Distance of neighbouring stars in the image, px.
+    blur_px: Standard deviation of the blur, px.
     """
     # Half of the star is blurred and computed; the other half is the same, turned.
     half, sigma = len(sharp) // 2, blur_px * OVERSAMPLING

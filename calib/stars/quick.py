@@ -44,36 +44,18 @@ FOLLOWED_SHIFT_PX = 0.5
 
 
 class QuickStars(NamedTuple):
-    """Stars of a live picture.
+    """Stars of a live picture."""
 
-    Attributes
-    ----------
-    ids
-        (N,) int64, ids on the target; -1 if nothing identifies the stars.
-    nodes
-        (N, 2) float64, columns and rows: of the target if the stars have ids, else of a grid with any origin.
-    points_px
-        (N, 2) float64, px.
-    local_map
-        Map around each star, from the target plane to the image; None without stars.
-    tag
-        The target's tag; None if it cannot be read whole.
-    named_by
-        What identified the stars; empty if nothing did.
-    blurred
-        Whether the stars are out of focus.
-    sign
-        +1 if white is bright in the image, -1 if it is dark.
-    """
-
-    ids: NDArray[np.int64]
+    ids: NDArray[np.int64]  # (N,) int64, ids on the target; -1 if nothing identifies the stars
+    # (N, 2) float64, columns and rows: of the target if the stars have ids, else of a grid with any origin.
     nodes: NDArray[np.float64]
-    points_px: NDArray[np.float64]
+    points_px: NDArray[np.float64]  # (N, 2) float64, px
+    # Map around each star, from the target plane to the image; None without stars.
     local_map: LocalMap | None
-    tag: TagDetection | None
-    named_by: Literal["tag", "part of the tag", ""]
-    blurred: bool
-    sign: float = 1.0
+    tag: TagDetection | None  # The target's tag; None if it cannot be read whole
+    named_by: Literal["tag", "part of the tag", ""]  # What identified the stars; empty if nothing did
+    blurred: bool  # Whether the stars are out of focus
+    sign: float = 1.0  # +1 if white is bright in the image, -1 if it is dark
 
 
 def find_stars_quickly(image: NDArray[np.generic], target: StarTarget) -> QuickStars:
@@ -81,23 +63,10 @@ def find_stars_quickly(image: NDArray[np.generic], target: StarTarget) -> QuickS
 
     Own procedure, of the steps of `calib.stars.detect`: tag, growth, one refinement by symmetry.
 
-    Parameters
-    ----------
-    image
-        (H, W) of any integer or floating type; white may be bright or dark.
-    target
-        Printed target.
-
-    Returns
-    -------
-    QuickStars
-        In no particular order; with no stars if fewer than `MIN_STARS` of them are seen, or if they are out of focus
-        and nothing identifies them.
-
-    Raises
-    ------
-    TargetNotFound
-        If the image shows another tag, or the tag more than once.
+    image: (H, W) of any integer or floating type; white may be bright or dark.
+    Returns: In no particular order; with no stars if fewer than `MIN_STARS` of them are seen, or if they are
+      out of focus and nothing identifies them.
+    Raises TargetNotFound: If the image shows another tag, or the tag more than once.
     """
     tag = find_tag(image, target, name="live")
     smoothed = smooth(np.nan_to_num(np.asarray(image, np.float32)), BLUR_PX)
@@ -138,20 +107,9 @@ def follow_stars(image: NDArray[np.generic], last: QuickStars, target: StarTarge
     look like stars, and their typical shift must be small. So a camera that has turned is noticed, also by exactly one
     pitch. It takes a tenth of the time of `find_stars_quickly`. Stars that have come into view are not found.
 
-    Parameters
-    ----------
-    image
-        (H, W) of any integer or floating type.
-    last
-        Stars of an earlier picture of the same camera.
-    target
-        Printed target.
-
-    Returns
-    -------
-    QuickStars or None
-        None if the stars must be searched: something moved, or the earlier stars were out of focus or not labelled by
-        the whole tag.
+    image: (H, W) of any integer or floating type.
+    Returns: None if the stars must be searched: something moved, or the earlier stars were out of focus or
+      not labelled by the whole tag.
     """
     if last.tag is None or last.blurred or last.local_map is None or len(last.points_px) < MIN_STARS:
         return None

@@ -74,20 +74,9 @@ def find_rim(image: NDArray[Any], view: View, target: StarTarget) -> RimPoints |
 
     Own procedure; the head of the module describes it.
 
-    Parameters
-    ----------
-    image
-        (H, W), any numeric dtype, grey values: an event image or a photograph.
-    view
-        Stars found in this image.
-    target
-        The printed target.
-
-    Returns
-    -------
-    RimPoints or None
-        Points at which the light ends, and points at which the frame ends inside the beam; None if the stars are too
-        few for a map, or bright and dark print do not differ.
+    image: (H, W), any numeric dtype, grey values: an event image or a photograph.
+    Returns: Points at which the light ends, and points at which the frame ends inside the beam; None if the
+      stars are too few for a map, or bright and dark print do not differ.
     """
     try:
         mapped = _map_nodes(view, target)

@@ -39,18 +39,10 @@ _SATURATED = 14.0
 
 
 class Samples(NamedTuple):
-    """Samples of white print.
+    """Samples of white print."""
 
-    Attributes
-    ----------
-    places_mm
-        (M, 2) float64, mm, their places on the target.
-    levels
-        (M,) float64, 0 is black print and 1 is white print inside the beam.
-    """
-
-    places_mm: Array
-    levels: Array
+    places_mm: Array  # (M, 2) float64, mm, their places on the target
+    levels: Array  # (M,) float64, 0 is black print and 1 is white print inside the beam
 
 
 def rim_in_sections(
@@ -65,25 +57,12 @@ def rim_in_sections(
 
     Own procedure; the head of the module describes it.
 
-    Parameters
-    ----------
-    sampled
-        Coarse samples of the whole view, and fine samples of the cells near the rim.
-    border_mm
-        (B, 2) float64, mm, places between neighbouring bright and dark cells.
-    centre
-        (2,) float64, mm, centre of the circle.
-    radius
-        Radius of the circle, mm.
-    pitch_mm
-        Distance of neighbouring stars, mm.
-    px_per_mm
-        Scale of the image.
-
-    Returns
-    -------
-    RimPoints
-        One point for each section that shows the rim, and one for each that is bright out to the frame's border.
+    border_mm: (B, 2) float64, mm, places between neighbouring bright and dark cells.
+    centre: (2,) float64, mm, centre of the circle.
+    radius: Radius of the circle, mm.
+    pitch_mm: Distance of neighbouring stars, mm.
+    Returns: One point for each section that shows the rim, and one for each that is bright out to the frame's
+      border.
     """
     count = max(int(np.ceil(2.0 * np.pi * radius / pitch_mm)), 8)
     middle = (np.arange(count) + 0.5) * (2.0 * np.pi / count) - np.pi
@@ -113,22 +92,16 @@ def _polar(away: Array, count: int) -> tuple[NDArray[np.int64], Array, Array]:
 
 
 class _Fall(NamedTuple):
-    """Where the level falls in each section.
+    """Where the level falls in each section."""
 
-    Attributes
-    ----------
-    place, sigma
-        (C,) distance of the rim from the circle's centre and its 1-sigma, mm; nan if a section has no rim.
-    shift
-        (C,) distance along the rim from the middle of the section to the middle of the samples that show it, mm.
-    width
-        Width of the fall from 1 to 0, mm, alike in all sections.
-    """
-
+    # place, sigma: (C,) distance of the rim from the circle's centre and its 1-sigma, mm; nan if a section
+    # has no rim.
     place: Array
     sigma: Array
+    # (C,) distance along the rim from the middle of the section to the middle of the samples that show it,
+    # mm.
     shift: Array
-    width: float
+    width: float  # Width of the fall from 1 to 0, mm, alike in all sections
 
 
 def _start(

@@ -133,27 +133,14 @@ def search_stars(
 
     Criterion: normalised cross-correlation (Lewis, 1995).
 
-    Parameters
-    ----------
-    image
-        (H, W) float32, smoothed.
-    guesses
-        (N, 2) float64, px.
-    linear
-        (N, 2, 2) float64, px per pitch, linear map around each star.
-    reach_px
-        (N,) float64, radius of the search, px.
-    template
-        Samples of a star.
-    sign
-        +1 if white is bright in the image, -1 if it is dark.
-
-    Returns
-    -------
-    places : array
-        (N, 2) float64, px; nan if no place lies sufficiently inside the image.
-    correlations : array
-        (N,) float64, -1 to 1; nan as above.
+    image: (H, W) float32, smoothed.
+    guesses: (N, 2) float64, px.
+    linear: (N, 2, 2) float64, px per pitch, linear map around each star.
+    reach_px: (N,) float64, radius of the search, px.
+    template: Samples of a star.
+    sign: +1 if white is bright in the image, -1 if it is dark.
+    Returns: (N, 2) float64, px; nan if no place lies sufficiently inside the image.
+    Returns: (N,) float64, -1 to 1; nan as above.
     """
     n, samples = len(guesses), template.values.size
     best, score = np.full((n, 2), np.nan), np.full(n, np.nan)

@@ -101,29 +101,14 @@ def normal_equations(
     Residuals: Schöps et al. (2020), with this project's own slopes and curvature; the head of `calib.stars.centring`
     gives the equations.
 
-    Parameters
-    ----------
-    pixels
-        (H W,) float32, rows of the smoothed image, one after the other.
-    width
-        Number of columns of the image.
-    centre
-        (2,) float64, px, current centre.
-    linear, quadratic
-        (2, 2) px per pitch and (2, 3) px per square pitch, local map of the star.
-    samples
-        (2, M) float32, pitches, offsets along the columns and along the rows, one of each pair.
-    slopes
-        (4,) float64, current relative slope g, 1/pitch, and absolute slope b, brightness/pitch.
-    space
-        (2, M) float32, space for the samples that lie in the image.
-    normal, right
-        (6, 6) and (6,) float64, filled in.
-
-    Returns
-    -------
-    float
-        Mean square of the residuals, brightness^2.
+    pixels: (H W,) float32, rows of the smoothed image, one after the other.
+    centre: (2,) float64, px, current centre.
+    linear, quadratic: (2, 2) px per pitch and (2, 3) px per square pitch, local map of the star.
+    samples: (2, M) float32, pitches, offsets along the columns and along the rows, one of each pair.
+    slopes: (4,) float64, current relative slope g, 1/pitch, and absolute slope b, brightness/pitch.
+    space: (2, M) float32, space for the samples that lie in the image.
+    normal, right: (6, 6) and (6,) float64, filled in.
+    Returns: Mean square of the residuals, brightness^2.
     """
     reach = np.abs(samples).max() if samples.size else 0.0
     inside, most = True, 0.0

@@ -27,24 +27,15 @@ MIN_PERIMETER = 0.12
 
 @dataclass(frozen=True)
 class TagDetection:
-    """The target's tag in an image.
+    """The target's tag in an image."""
 
-    Attributes
-    ----------
-    homography
-        (3, 3) float64, from [column row 1] of the target's grid of nodes to [u v 1] px, from the four corners.
-    corners_px
-        (4, 2) float64, px, corners of the tag's border in the order of the print (upper left, upper right, ...).
-    sign
-        +1 if white is bright in the image, -1 if it is dark.
-    correlation
-        Correlation of the modules with the print, 0 to 1.
-    """
-
+    # (3, 3) float64, from [column row 1] of the target's grid of nodes to [u v 1] px, from the four corners.
     homography: NDArray[np.float64]
+    # (4, 2) float64, px, corners of the tag's border in the order of the print (upper left, upper right,
+    # ...).
     corners_px: NDArray[np.float64]
-    sign: float
-    correlation: float
+    sign: float  # +1 if white is bright in the image, -1 if it is dark
+    correlation: float  # Correlation of the modules with the print, 0 to 1
 
 
 def find_tag(
@@ -55,27 +46,11 @@ def find_tag(
     The detector gets the image reduced, blurred, unchanged and median filtered, until it finds the tag. Detector:
     Garrido-Jurado et al. (2014). Tags: Olson (2011).
 
-    Parameters
-    ----------
-    image
-        (H, W) of any integer or floating type.
-    target
-        Printed target, with the number of its tag.
-    name
-        Name of the view, for messages.
-    reduced_only
-        Whether the detector gets only the reduced pictures, which takes a fifth of the time, if the image is large
-        enough for any. Other tags in them are then no reason to refuse the image.
-
-    Returns
-    -------
-    TagDetection or None
-        None if the image shows no tag.
-
-    Raises
-    ------
-    TargetNotFound
-        If the image shows the tag more than once, or only another tag.
+    image: (H, W) of any integer or floating type.
+    reduced_only: Whether the detector gets only the reduced pictures, which takes a fifth of the time, if the
+      image is large enough for any. Other tags in them are then no reason to refuse the image.
+    Returns: None if the image shows no tag.
+    Raises TargetNotFound: If the image shows the tag more than once, or only another tag.
     """
     others: set[int] = set()
     reduced = False
@@ -165,21 +140,9 @@ def modules_correlation(
 
     It is Pearson's correlation coefficient (NumPy's ``corrcoef``).
 
-    Parameters
-    ----------
-    picture
-        (h, w), the image at some scale.
-    scale
-        Its scale.
-    homography
-        (3, 3) float64, from [column row 1] of the target's grid to [u v 1] px of the full image.
-    target
-        Printed target.
-
-    Returns
-    -------
-    float
-        -1 to 1; 0 if the modules are all equally bright.
+    picture: (h, w), the image at some scale.
+    homography: (3, 3) float64, from [column row 1] of the target's grid to [u v 1] px of the full image.
+    Returns: -1 to 1; 0 if the modules are all equally bright.
     """
     left, top = target.tag_corners_mm[0] / target.pitch_mm
     middles = (np.arange(target.tag_modules) + 0.5) * (target.tag_squares / target.tag_modules)

@@ -33,27 +33,14 @@ MIN_STRUCTURE = 0.1
 
 
 class StarTemplate(NamedTuple):
-    """Samples of the segments of a star.
+    """Samples of the segments of a star."""
 
-    Attributes
-    ----------
-    offsets
-        (S, 2) float64, pitches, places of the samples relative to the centre.
-    values
-        (S,) float64, +1 on a white segment, -1 on a black one.
-    octants
-        (S,) int64, number of the sector of each sample, 0 to `OCTANTS` - 1.
-    outer
-        (S,) bool, whether the radius is `OUTER_RADIUS` or more.
-    expected
-        (S,) float64, brightness with mean 0 and variance 1 with which an image is correlated: ``values``, or what
-        `learnt` found in an image that is out of focus.
-    """
-
-    offsets: NDArray[np.float64]
-    values: NDArray[np.float64]
-    octants: NDArray[np.int64]
-    outer: NDArray[np.bool_]
+    offsets: NDArray[np.float64]  # (S, 2) float64, pitches, places of the samples relative to the centre
+    values: NDArray[np.float64]  # (S,) float64, +1 on a white segment, -1 on a black one
+    octants: NDArray[np.int64]  # (S,) int64, number of the sector of each sample, 0 to `OCTANTS` - 1
+    outer: NDArray[np.bool_]  # (S,) bool, whether the radius is `OUTER_RADIUS` or more
+    # (S,) float64, brightness with mean 0 and variance 1 with which an image is correlated: ``values``, or
+    # what `learnt` found in an image that is out of focus.
     expected: NDArray[np.float64]
 
     @classmethod
@@ -62,17 +49,7 @@ class StarTemplate(NamedTuple):
 
         The pattern is that of `calib.target`, sampled at the shares `TEMPLATE_ACROSS` of each segment.
 
-        Parameters
-        ----------
-        segments
-            Number of segments of a star.
-        radii
-            Radii of the samples, pitches.
-
-        Returns
-        -------
-        StarTemplate
-            Three samples across each segment at each radius.
+        segments: Number of segments of a star.
         """
         across = np.array(TEMPLATE_ACROSS)
         turns = (np.arange(segments)[:, None] + across[None, :]).ravel() / segments
@@ -103,21 +80,11 @@ class StarTemplate(NamedTuple):
         Own procedure: the mean over the stars, made equal under quarter turns (half turns if a quarter turn swaps black
         and white), as the print is. So the learnt pattern cannot move a centre.
 
-        Parameters
-        ----------
-        image
-            (H, W) float32, smoothed.
-        centres
-            (N, 2) float64, px, right to a few pixels.
-        linear
-            (N, 2, 2) float64, px per pitch, linear map around each star.
-        sign
-            +1 if white is bright in the image, -1 if it is dark.
-
-        Returns
-        -------
-        StarTemplate or None
-            None if the places show no stars.
+        image: (H, W) float32, smoothed.
+        centres: (N, 2) float64, px, right to a few pixels.
+        linear: (N, 2, 2) float64, px per pitch, linear map around each star.
+        sign: +1 if white is bright in the image, -1 if it is dark.
+        Returns: None if the places show no stars.
         """
         samples = _samples(image, centres, linear, self)
         samples = sign * samples[np.isfinite(samples).all(axis=1)]
@@ -161,24 +128,13 @@ def learnt_contrasts(
 
     Own measure: the slope of the image over ``template.expected``, by least squares in each octant.
 
-    Parameters
-    ----------
-    image
-        (H, W) float32, smoothed.
-    centres
-        (N, 2) float64, px.
-    linear
-        (N, 2, 2) float64, px per pitch, linear map around each star.
-    template
-        From `StarTemplate.learnt`.
-    sign
-        +1 if white is bright in the image, -1 if it is dark.
-
-    Returns
-    -------
-    array
-        (N, OCTANTS) float64, brightness; nan if a part lies outside of the image. An octant in which the learnt pattern
-        is nearly flat gets the median of the star's others.
+    image: (H, W) float32, smoothed.
+    centres: (N, 2) float64, px.
+    linear: (N, 2, 2) float64, px per pitch, linear map around each star.
+    template: From `StarTemplate.learnt`.
+    sign: +1 if white is bright in the image, -1 if it is dark.
+    Returns: (N, OCTANTS) float64, brightness; nan if a part lies outside of the image. An octant in which the
+      learnt pattern is nearly flat gets the median of the star's others.
     """
     seen = sign * _samples(image, centres, linear, template)
     slopes, squares = np.empty((len(centres), OCTANTS)), np.empty(OCTANTS)
@@ -252,26 +208,15 @@ def star_contrasts(
 
     Correlation: Lewis (1995). The contrast by octants is this project's own.
 
-    Parameters
-    ----------
-    image
-        (H, W) float32, smoothed.
-    centres
-        (N, 2) float64, px.
-    linear
-        (N, 2, 2) float64, px per pitch, linear map around each star.
-    template
-        Samples of a star.
-    sign
-        +1 if white is bright in the image, -1 if it is dark.
-
-    Returns
-    -------
-    correlations : array
-        (N,) float64, -1 to 1; nan if too much of the star lies outside of the image.
-    contrasts : array
-        (N, OCTANTS) float64, brightness, mean of white minus mean of black in the outer part of each octant. An octant
-        with more white than black, or one of them only, is compared with the mean of the star.
+    image: (H, W) float32, smoothed.
+    centres: (N, 2) float64, px.
+    linear: (N, 2, 2) float64, px per pitch, linear map around each star.
+    template: Samples of a star.
+    sign: +1 if white is bright in the image, -1 if it is dark.
+    Returns: (N,) float64, -1 to 1; nan if too much of the star lies outside of the image.
+    Returns: (N, OCTANTS) float64, brightness, mean of white minus mean of black in the outer part of each
+      octant. An octant with more white than black, or one of them only, is compared with the mean of the
+      star.
     """
     n = len(centres)
     score, contrast = np.full(n, np.nan), np.full((n, OCTANTS), np.nan)

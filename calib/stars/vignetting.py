@@ -29,23 +29,10 @@ def vignetted_stars(view: View, target: StarTarget) -> NDArray[np.bool_]:
 
     Own rule. The neighbour must be expected more than `_BORDER_PITCHES` pitches from the border.
 
-    Parameters
-    ----------
-    view
-        Stars of one pose.
-    target
-        Target to which the stars belong.
-
-    Returns
-    -------
-    array
-        (N,) bool, True for the outermost stars of the beam. A star next to the border of the frame or to the tag is
-        not one for that reason.
-
-    Raises
-    ------
-    TooFewStars, DegenerateViews
-        From `calib.model.homography.view_homography`, if the stars do not determine a homography.
+    Returns: (N,) bool, True for the outermost stars of the beam. A star next to the border of the frame or to
+      the tag is not one for that reason.
+    Raises TooFewStars, DegenerateViews: From `calib.model.homography.view_homography`, if the stars do not
+      determine a homography.
     """
     mapping = view_homography(view)
     nodes = target.node_of(view.ids)
@@ -65,24 +52,9 @@ def downweight_vignetted(view: View, target: StarTarget, sigma_px: float = VIGNE
 
     Own model of the shift, as an independent error: variances add up.
 
-    Parameters
-    ----------
-    view
-        Stars of one pose.
-    target
-        Target to which the stars belong.
-    sigma_px
-        Standard uncertainty to add, px, per axis.
-
-    Returns
-    -------
-    View
-        The same stars. The variances of the vignetted ones are larger by the square of ``sigma_px``.
-
-    Raises
-    ------
-    TooFewStars, DegenerateViews
-        As `vignetted_stars`.
+    sigma_px: Standard uncertainty to add, px, per axis.
+    Returns: The same stars. The variances of the vignetted ones are larger by the square of ``sigma_px``.
+    Raises TooFewStars, DegenerateViews: As `vignetted_stars`.
     """
     added = np.where(vignetted_stars(view, target), sigma_px**2, 0.0)
     return replace(view, covariances_px2=view.covariances_px2 + added[:, None, None] * np.eye(2))

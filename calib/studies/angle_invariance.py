@@ -42,28 +42,11 @@ def calibrate_by_angles(
     Constraint: arXiv:2512.16113. Covariance by propagation of the stars' noise through the solution (Hartley and
     Zisserman, 2004, section 5.2).
 
-    Parameters
-    ----------
-    view
-        The stars.
-    r_mm
-        Focal length of the collimator, mm.
-    centre_mm
-        Foot of its axis on the target, mm.
-    distortion
-        Distortion coefficients, such as ``k1k2``.
-
-    Returns
-    -------
-    MethodResult
-        The camera; the residuals are those of angles, times the focal length.
-
-    Raises
-    ------
-    TooFewStars
-        If the view has fewer than 20 stars.
-    NotConverged
-        If the adjustment did not converge.
+    r_mm: Focal length of the collimator, mm.
+    centre_mm: Foot of its axis on the target, mm.
+    distortion: Distortion coefficients, such as ``k1k2``.
+    Raises TooFewStars: If the view has fewer than 20 stars.
+    Raises NotConverged: If the adjustment did not converge.
     """
     if len(view) < _FEWEST_STARS:
         raise TooFewStars(

@@ -38,24 +38,14 @@ TYPICAL_DEFOCUS = 0.066
 class CollimatorErrors:
     """Size of the errors of a collimator.
 
-    Parameters
-    ----------
-    rms_px
-        Root mean square length of the residuals that a calibration leaves, px (`Calibration.rms_px`), star noise
-        included; 0 for an ideal collimator.
-    pupil_wander_mm
-        Random displacement of the camera's entrance pupil across the beam from pose to pose, 1 sigma per axis, mm: 0 if
-        a gimbal holds the camera.
-    defocus
-        The collimator's defocus (`calib.model.gimbal_readings.ParallaxBound`).
-    pupil_off_pivot_mm
-        Distance of the entrance pupil in front of the gimbal's pivot, mm; the pupil then moves across the beam as the
-        camera turns.
-
-    Raises
-    ------
-    InputMismatch
-        If a size is negative, or a number is not finite.
+    rms_px: Root mean square length of the residuals that a calibration leaves, px (`Calibration.rms_px`),
+      star noise included; 0 for an ideal collimator.
+    pupil_wander_mm: Random displacement of the camera's entrance pupil across the beam from pose to pose, 1
+      sigma per axis, mm: 0 if a gimbal holds the camera.
+    defocus: The collimator's defocus (`calib.model.gimbal_readings.ParallaxBound`).
+    pupil_off_pivot_mm: Distance of the entrance pupil in front of the gimbal's pivot, mm; the pupil then
+      moves across the beam as the camera turns.
+    Raises InputMismatch: If a size is negative, or a number is not finite.
     """
 
     rms_px: float = 0.0
@@ -74,30 +64,16 @@ class CollimatorErrors:
     def field_px(self, star_sigma_px: float) -> float:
         """Return the part of the residuals that is not star noise.
 
-        Parameters
-        ----------
-        star_sigma_px
-            1-sigma of a star per axis, px.
-
-        Returns
-        -------
-        float
-            1-sigma per axis, px; 0 if star noise explains the residuals.
+        star_sigma_px: 1-sigma of a star per axis, px.
+        Returns: 1-sigma per axis, px; 0 if star noise explains the residuals.
         """
         return float(np.sqrt(max(0.5 * self.rms_px**2 - star_sigma_px**2, 0.0)))
 
     def pupil_mm(self, turns: Array) -> Array:
         """Return how far the pupil moves across the beam.
 
-        Parameters
-        ----------
-        turns
-            (n, 2) tangents of the camera's turn in each pose, along the target's X and Y.
-
-        Returns
-        -------
-        Array
-            (2,) 1-sigma over the poses along X and Y, mm.
+        turns: (n, 2) tangents of the camera's turn in each pose, along the target's X and Y.
+        Returns: (2,) 1-sigma over the poses along X and Y, mm.
         """
         walk = self.pupil_off_pivot_mm * np.sqrt((turns**2).mean(axis=0))
         return np.hypot(walk, self.pupil_wander_mm)

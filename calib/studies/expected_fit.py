@@ -40,26 +40,13 @@ Angles = Mapping[str, float]
 
 @dataclass(frozen=True)
 class PoseShare:
-    """What a pose contributes to the adjustment, with its rotation eliminated.
+    """What a pose contributes to the adjustment, with its rotation eliminated."""
 
-    Attributes
-    ----------
-    information
-        (G, G) float64 information on the shared parameters, those of a passport included.
-    noise
-        (G, G) float64 covariance of the score by star noise and readings.
-    coupling
-        (G, F) float64 change of the score by the coefficients of the collimator's fields.
-    variances
-        (F,) float64 expected variance of each coefficient, mm^2.
-    common
-        (G, C) float64 change of the score by the coefficients of the fields that all views share.
-    """
-
-    information: Array
-    noise: Array
-    coupling: Array
-    variances: Array
+    information: Array  # (G, G) float64 information on the shared parameters, those of a passport included
+    noise: Array  # (G, G) float64 covariance of the score by star noise and readings
+    coupling: Array  # (G, F) float64 change of the score by the coefficients of the collimator's fields
+    variances: Array  # (F,) float64 expected variance of each coefficient, mm^2
+    # (G, C) float64 change of the score by the coefficients of the fields that all views share.
     common: Array
 
     @property
@@ -80,40 +67,16 @@ class _SingleReadings(GimbalObservations):
 class ExpectedFit:
     """The expected adjustment of predicted views.
 
-    Parameters
-    ----------
-    bench
-        The expected bench.
-    views
-        Predicted views, one for each pose.
-    rotations
-        (n, 3, 3) rotations of the views, camera <- target.
-    angles_deg
-        Angles of the gimbal for each view, degrees; needed if the bench has readings.
-    growth
-        How many times less the stars weigh against readings and priors than their residuals suggest
-        (`calib.studies.expected_uncertainty.expected_fit`).
-    candidates
-        Whether the poses are candidates, of which only some will be recorded. Poses that repeat a reading of an axis
-        then count as if each had a reading error of its own.
-
-    Attributes
-    ----------
-    bundle
-        Bundle of the views; its names are the free parameters.
-    parameters
-        The expected parameters.
-    names
-        Names of the G parameters: the free ones, then those that the passport holds.
-    passport
-        Passport of the collimator, if one holds parameters.
-    certificate
-        Certificate of the radius, if it is a prior of the parameter r, because readings enter too.
-    common_variances
-        (C,) float64 expected variance of each coefficient of the fields that all views share, mm^2; empty for an ideal
-        collimator, for views with a centre each, and for candidates.
-    shares
-        Contribution of each pose.
+    rotations: (n, 3, 3) rotations of the views, camera <- target.
+    angles_deg: Angles of the gimbal for each view, degrees; needed if the bench has readings.
+    growth: How many times less the stars weigh against readings and priors than their residuals suggest
+      (`calib.studies.expected_uncertainty.expected_fit`).
+    candidates: Whether the poses are candidates, of which only some will be recorded. Poses that repeat a
+      reading of an axis then count as if each had a reading error of its own.
+    passport: Passport of the collimator, if one holds parameters.
+    certificate: Certificate of the radius, if it is a prior of the parameter r, because readings enter too.
+    common_variances: (C,) float64 expected variance of each coefficient of the fields that all views share,
+      mm^2; empty for an ideal collimator, for views with a centre each, and for candidates.
     """
 
     def __init__(
@@ -262,16 +225,8 @@ class ExpectedFit:
 def model_to_expect(bench: ExpectedBench) -> str:
     """Return the model that a calibration on a bench will fit, as far as that is known beforehand.
 
-    Parameters
-    ----------
-    bench
-        The expected bench.
-
-    Returns
-    -------
-    str
-        ``radial`` if the data choose the model: this model needs no rim, and the engine keeps it where it could choose
-        the spherical one.
+    Returns: ``radial`` if the data choose the model: this model needs no rim, and the engine keeps it where
+      it could choose the spherical one.
     """
     return "radial" if bench.model == "auto" else bench.model
 
@@ -283,15 +238,7 @@ def entering_readings(bench: ExpectedBench) -> GimbalReadings | None:
     `calib.fit.readings.MAX_READING_SCATTER` times. The pupil that wanders across the beam of a collimator out of focus
     turns the pattern as seen by the camera.
 
-    Parameters
-    ----------
-    bench
-        The expected bench.
-
-    Returns
-    -------
-    GimbalReadings or None
-        None if readings do not enter: nothing bounds their parallax, or they will scatter too much.
+    Returns: None if readings do not enter: nothing bounds their parallax, or they will scatter too much.
     """
     stated = bench.readings
     if stated is None or stated.parallax is None or model_to_expect(bench) in WITHOUT_READINGS:
@@ -305,15 +252,7 @@ def entering_readings(bench: ExpectedBench) -> GimbalReadings | None:
 def weighed_certificate(bench: ExpectedBench) -> Passport | None:
     """Return the certificate if readings enter too: the radius is then a parameter with the certificate as its prior.
 
-    Parameters
-    ----------
-    bench
-        The expected bench.
-
-    Returns
-    -------
-    Passport or None
-        None if there is no certificate, or if it holds the radius because readings do not enter.
+    Returns: None if there is no certificate, or if it holds the radius because readings do not enter.
     """
     passport = bench.passport
     if passport is None or not passport.is_certificate or entering_readings(bench) is None:
@@ -324,15 +263,7 @@ def weighed_certificate(bench: ExpectedBench) -> Passport | None:
 def reading_scatter(bench: ExpectedBench) -> float:
     """Return how many times more than stated the readings of the gimbal will scatter about the stars.
 
-    Parameters
-    ----------
-    bench
-        The expected bench, with readings.
-
-    Returns
-    -------
-    float
-        At least 1.
+    Returns: At least 1.
     """
     assert bench.readings is not None
     moved_rad = bench.errors.defocus * bench.errors.pupil_wander_mm / bench.collimator.r

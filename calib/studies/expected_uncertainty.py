@@ -49,23 +49,9 @@ def expected_fit(
     If the poses are inconsistent, stars weigh less against the readings by the Birge ratio (Birge, 1932), as in
     `calib.fit`.
 
-    Parameters
-    ----------
-    bench
-        The expected bench.
-    views
-        Predicted views, one for each pose.
-    rotations
-        (n, 3, 3) rotations of the views, camera <- target.
-    angles_deg
-        Angles of the gimbal for each view, degrees.
-    candidates
-        Whether only some of the poses will be recorded (`ExpectedFit`).
-
-    Returns
-    -------
-    ExpectedFit
-        The adjustment.
+    rotations: (n, 3, 3) rotations of the views, camera <- target.
+    angles_deg: Angles of the gimbal for each view, degrees.
+    candidates: Whether only some of the poses will be recorded (`ExpectedFit`).
     """
     fit = ExpectedFit(bench, views, rotations, angles_deg, candidates=candidates)
     if fit.bundle.gimbal is None:
@@ -81,31 +67,16 @@ def expected_fit(
 
 @dataclass(frozen=True)
 class Sigmas:
-    """Standard uncertainties that some poses leave; infinite if the poses do not suffice.
+    """Standard uncertainties that some poses leave; infinite if the poses do not suffice."""
 
-    Attributes
-    ----------
-    fx_px
-        1-sigma of the focal length fx, px.
-    worst_px
-        Largest projection uncertainty over the sensor, 1 sigma, px.
-    missing
-        0 if the poses determine the camera; otherwise a measure, at least 1, of how far they are from that.
-    """
-
-    fx_px: float
-    worst_px: float
+    fx_px: float  # 1-sigma of the focal length fx, px
+    worst_px: float  # Largest projection uncertainty over the sensor, 1 sigma, px
+    # 0 if the poses determine the camera; otherwise a measure, at least 1, of how far they are from that.
     missing: float = 0.0
 
 
 class PoseJudge:
-    """Judges sums of poses by the uncertainties that they leave.
-
-    Parameters
-    ----------
-    fit
-        The expected adjustment; its priors and its passport count with the poses.
-    """
+    """Judges sums of poses by the uncertainties that they leave."""
 
     def __init__(self, fit: ExpectedFit) -> None:
         self._fit = fit
@@ -118,15 +89,8 @@ class PoseJudge:
         information, the logarithms of its eigenvalues, scaled to a unit diagonal, order the poses: the pose that
         determines the most directions is the best one (own substitute).
 
-        Parameters
-        ----------
-        information, noise
-            (G, G) sums of the poses' information and of the covariances of their scores.
-
-        Returns
-        -------
-        Sigmas
-            Uncertainties without type B terms, which no pose changes much.
+        information, noise: (G, G) sums of the poses' information and of the covariances of their scores.
+        Returns: Uncertainties without type B terms, which no pose changes much.
         """
         try:
             covariance = expected_covariance(self._fit, information, noise)
@@ -146,22 +110,9 @@ class PoseJudge:
 def expected_covariance(fit: ExpectedFit, information: Array, noise: Array) -> Array:
     """Return the covariance that some poses leave, without a test for their consistency: quick, to compare poses.
 
-    Parameters
-    ----------
-    fit
-        The expected adjustment.
-    information, noise
-        (G, G) sums of the poses' information and of the covariances of their scores.
-
-    Returns
-    -------
-    Array
-        (G, G) covariance of all parameters, in the order of `ExpectedFit.names`.
-
-    Raises
-    ------
-    DegenerateViews
-        If the poses do not constrain a free parameter.
+    information, noise: (G, G) sums of the poses' information and of the covariances of their scores.
+    Returns: (G, G) covariance of all parameters, in the order of `ExpectedFit.names`.
+    Raises DegenerateViews: If the poses do not constrain a free parameter.
     """
     count, size = len(fit.bundle.names), len(fit.names)
     prior = fit.prior_information
@@ -176,22 +127,7 @@ def expected_covariance(fit: ExpectedFit, information: Array, noise: Array) -> A
 def expected_estimate(fit: ExpectedFit, shares: Sequence[PoseShare]) -> Uncertainty:
     """Return the uncertainty that the engine is expected to state for some poses, without type B terms.
 
-    Parameters
-    ----------
-    fit
-        The expected adjustment.
-    shares
-        Contributions of the poses.
-
-    Returns
-    -------
-    Uncertainty
-        Covariance by source, and the degrees of freedom.
-
-    Raises
-    ------
-    DegenerateViews
-        If the poses do not constrain a free parameter.
+    Raises DegenerateViews: If the poses do not constrain a free parameter.
     """
     count = len(fit.bundle.names)
     prior = fit.prior_information[:count, :count]

@@ -32,35 +32,23 @@ _FOR_BOTH = 8
 
 @dataclass(frozen=True)
 class GimbalFault:
-    """A fault of the gimbal, or of one pose, that the rotations show.
+    """A fault of the gimbal, or of one pose, that the rotations show."""
 
-    Attributes
-    ----------
-    kind
-        ``slip``: the readings of one axis are off by a constant from one pose on. ``pose``: one pose does not fit.
-        ``squareness``: the axes of pan and tilt are not at right angles.
-    axis
-        Index of the axis that slipped; None for the other kinds.
-    pose
-        Index of the first pose after the slip, or of the pose that does not fit; None for ``squareness``.
-    size_deg, sigma_deg
-        Size of the fault and its 1-sigma, degrees; for ``pose`` the angle by which it is off.
-    probability
-        Probability that chance improves the fit as much, for all faults tried.
-    rival
-        Kind of another fault that explains the data nearly as well; None if there is none.
-    bends_excluded
-        Whether the fault remains significant beside an error that is quadratic in the angles; None if there are too
-        few poses to tell.
-    """
-
+    # ``slip``: the readings of one axis are off by a constant from one pose on. ``pose``: one pose does not
+    # fit. ``squareness``: the axes of pan and tilt are not at right angles.
     kind: FaultKind
-    axis: int | None
+    axis: int | None  # Index of the axis that slipped; None for the other kinds
+    # Index of the first pose after the slip, or of the pose that does not fit; None for ``squareness``.
     pose: int | None
+    # size_deg, sigma_deg: Size of the fault and its 1-sigma, degrees; for ``pose`` the angle by which it is
+    # off.
     size_deg: float
     sigma_deg: float
     probability: float
+    # Kind of another fault that explains the data nearly as well; None if there is none.
     rival: FaultKind | None = None
+    # Whether the fault remains significant beside an error that is quadratic in the angles; None if there are
+    # too few poses to tell.
     bends_excluded: bool | None = None
 
 
@@ -72,21 +60,8 @@ def search_faults(
     Forward selection with F tests (Efroymson, 1960) and Bonferroni's bound for the number of faults tried. A bad pose
     is removed, so that it cannot hide or imitate a slip.
 
-    Parameters
-    ----------
-    seen
-        Rotations and their covariance.
-    first
-        Explanation without faults.
-    axes
-        Indices of the axes that have readings.
-
-    Returns
-    -------
-    Explanation
-        The fit with all faults found.
-    tuple of GimbalFault
-        The faults, the most significant first.
+    first: Explanation without faults.
+    Returns: The faults, the most significant first.
     """
     current, faults = first, []
     for _ in range(_ROUNDS):
@@ -175,13 +150,7 @@ def _hiding_pose(
 
 
 class _Promise:
-    """How much the chi-square of a fit falls, to first order, by a slip or by leaving out a pose.
-
-    Parameters
-    ----------
-    current
-        The fit to improve.
-    """
+    """How much the chi-square of a fit falls, to first order, by a slip or by leaving out a pose."""
 
     def __init__(self, current: Explanation) -> None:
         fit, self._weigh = current.fit, current.metric.whitening

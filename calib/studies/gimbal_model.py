@@ -20,18 +20,10 @@ _Z = np.array([0.0, 0.0, 1.0])
 class GimbalModel:
     """The readings of a gimbal and the errors of it that are estimated.
 
-    Parameters
-    ----------
-    angles
-        (n, 3) float64 readings of pan, tilt and roll, degrees.
-    free
-        Indices of the axes whose scale is estimated.
-    slips
-        For each slip the index of its axis, and the index of the first pose after it.
-    squareness
-        Whether the error of the right angle between the pan axis and the tilt axis is estimated.
-    smooth
-        Whether an error of the rotations that is quadratic in the angles is estimated.
+    angles: (n, 3) float64 readings of pan, tilt and roll, degrees.
+    slips: For each slip the index of its axis, and the index of the first pose after it.
+    squareness: Whether the error of the right angle between the pan axis and the tilt axis is estimated.
+    smooth: Whether an error of the rotations that is quadratic in the angles is estimated.
     """
 
     angles: Array
@@ -66,15 +58,8 @@ class GimbalModel:
     def subset(self, kept: NDArray[np.int64]) -> GimbalModel:
         """Return the model of a part of the poses.
 
-        Parameters
-        ----------
-        kept
-            (k,) int64 increasing indices of the poses kept.
-
-        Returns
-        -------
-        GimbalModel
-            Model with the same errors; a slip begins at the first kept pose after it.
+        kept: (k,) int64 increasing indices of the poses kept.
+        Returns: Model with the same errors; a slip begins at the first kept pose after it.
         """
         slips = tuple((axis, int(np.searchsorted(kept, first))) for axis, first in self.slips)
         return replace(self, angles=self.angles[kept], slips=slips)
@@ -82,16 +67,9 @@ class GimbalModel:
     def heads(self, values: Array) -> tuple[Array, Array]:
         """Return the rotations of the head that the readings and the errors give, and their derivatives.
 
-        Parameters
-        ----------
-        values
-            (p,) scales, slips (rad), squareness (rad) and coefficients of the bends (rad).
-
-        Returns
-        -------
-        tuple of Array
-            (n, 3, 3) rotations, gimbal's head <- base; and (n, 3, d) derivatives by the values before the bends, as
-            rotation vectors about the head's axes.
+        values: (p,) scales, slips (rad), squareness (rad) and coefficients of the bends (rad).
+        Returns: (n, 3, 3) rotations, gimbal's head <- base; and (n, 3, d) derivatives by the values before
+          the bends, as rotation vectors about the head's axes.
         """
         read = np.deg2rad(self.angles)
         turned = read.copy()
@@ -120,17 +98,9 @@ def about(axis: int, angles_rad: Array) -> Array:
 
     Source: Diebel (2006).
 
-    Parameters
-    ----------
-    axis
-        0, 1 or 2 for x, y or z.
-    angles_rad
-        (n,) angles, rad.
-
-    Returns
-    -------
-    Array
-        (n, 3, 3) rotation matrices.
+    axis: 0, 1 or 2 for x, y or z.
+    angles_rad: (n,) angles, rad.
+    Returns: (n, 3, 3) rotation matrices.
     """
     i, j = (axis + 1) % 3, (axis + 2) % 3
     matrices = np.zeros((len(angles_rad), 3, 3))

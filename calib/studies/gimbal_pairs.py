@@ -30,29 +30,15 @@ _MAD = 1.4826
 
 @dataclass(frozen=True)
 class PairRatios:
-    """Angle seen over angle read, from all pairs of poses.
-
-    Attributes
-    ----------
-    ratio
-        Median over the pairs, weighted by the angle read.
-    spread
-        Robust standard deviation of the ratios of the pairs, weighted by the angle read.
-    count
-        Number of pairs.
-    by_axis
-        Ratio of each axis that the pairs separate from the others, by robust regression.
-    by_axis_sigma
-        1-sigma of these ratios from the stated covariance of the rotations.
-    estimator
-        For each of these axes (3 n,) float64 change of the ratio by a change of the rotations, 1/rad.
-    """
+    """Angle seen over angle read, from all pairs of poses."""
 
     ratio: float
     spread: float
     count: int
     by_axis: Mapping[int, float]
+    # 1-sigma of these ratios from the stated covariance of the rotations.
     by_axis_sigma: Mapping[int, float]
+    # For each of these axes (3 n,) float64 change of the ratio by a change of the rotations, 1/rad.
     estimator: Mapping[int, Array] = field(repr=False)
 
 
@@ -64,21 +50,10 @@ def pair_ratios(
     The ratio of each axis minimises the sum of the absolute differences of the angles (least absolute deviations, by
     iteratively reweighted least squares; Holland and Welsch, 1977).
 
-    Parameters
-    ----------
-    rotations
-        (n, 3, 3) rotations seen, camera <- target.
-    model
-        Readings, and the axes that moved.
-    covariance
-        (3 n, 3 n) covariance of the rotation vectors, rad^2.
-    offsets
-        (s,) slips of the model, rad; None for no slip.
-
-    Returns
-    -------
-    PairRatios or None
-        None if no pair turned by half a degree or more.
+    rotations: (n, 3, 3) rotations seen, camera <- target.
+    covariance: (3 n, 3 n) covariance of the rotation vectors, rad^2.
+    offsets: (s,) slips of the model, rad; None for no slip.
+    Returns: None if no pair turned by half a degree or more.
     """
     i, j = np.triu_indices(len(rotations), 1)
     turns = log_map(rotations[i] @ np.swapaxes(rotations[j], 1, 2))
@@ -109,17 +84,8 @@ def weighted_median(values: Array, weights: Array) -> float:
 
     Source: Edgeworth (1888).
 
-    Parameters
-    ----------
-    values
-        (n,) values.
-    weights
-        (n,) weights, positive.
-
-    Returns
-    -------
-    float
-        The weighted median.
+    values: (n,) values.
+    weights: (n,) weights, positive.
     """
     order = np.argsort(values, kind="stable")
     below = np.cumsum(weights[order])

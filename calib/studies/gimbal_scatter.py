@@ -25,24 +25,12 @@ _SMALLEST_EXCESS_RAD = 1e-7
 
 @dataclass(frozen=True, eq=False)
 class Explanation:
-    """A model of the readings, fitted to the poses that it keeps.
+    """A model of the readings, fitted to the poses that it keeps."""
 
-    Attributes
-    ----------
-    kept
-        (k,) int64 increasing indices of the poses used.
-    fit
-        Minimum with this model.
-    metric
-        Covariance of the kept rotations with the additional variance.
-    criterion
-        Bayesian information criterion (Schwarz, 1978); smaller is better.
-    """
-
-    kept: NDArray[np.int64]
+    kept: NDArray[np.int64]  # (k,) int64 increasing indices of the poses used
     fit: GimbalFit
     metric: Metric
-    criterion: float
+    criterion: float  # Bayesian information criterion (Schwarz, 1978); smaller is better
 
     @property
     def excess_rad(self) -> float:
@@ -54,12 +42,8 @@ class Explanation:
 class SeenRotations:
     """Rotations seen, with their stated covariance.
 
-    Parameters
-    ----------
-    rotations
-        (n, 3, 3) float64 rotations, camera <- target.
-    covariance
-        (3 n, 3 n) float64 joint covariance of the rotation vectors, rad^2.
+    rotations: (n, 3, 3) float64 rotations, camera <- target.
+    covariance: (3 n, 3 n) float64 joint covariance of the rotation vectors, rad^2.
     """
 
     rotations: Array
@@ -69,15 +53,8 @@ class SeenRotations:
     def metric(self, kept: NDArray[np.int64]) -> Metric:
         """Return the stated metric of a part of the poses.
 
-        Parameters
-        ----------
-        kept
-            (k,) int64 indices of the poses.
-
-        Returns
-        -------
-        Metric
-            Without additional variance.
+        kept: (k,) int64 indices of the poses.
+        Returns: Without additional variance.
         """
         key = tuple(kept.tolist())
         if key not in self._metrics:
@@ -93,21 +70,8 @@ class SeenRotations:
         The additional variance makes the chi-square equal to its degrees of freedom (Paule and Mandel, 1982). It is
         zero if the chi-square is below its 99.9 % quantile without it.
 
-        Parameters
-        ----------
-        model
-            Model of the poses used.
-        kept
-            (k,) int64 increasing indices of the poses used.
-        near
-            A fit whose A and B are the start.
-        values
-            (p,) start of the values.
-
-        Returns
-        -------
-        Explanation
-            The fit with the additional variance.
+        kept: (k,) int64 increasing indices of the poses used.
+        values: (p,) start of the values.
         """
         seen, stated = self.rotations[kept], self.metric(kept)
         start = replace(stated, excess=1.0)
@@ -141,17 +105,7 @@ class SeenRotations:
     def chi_square(self, known: Explanation, excess: float) -> float:
         """Return the chi-square of an explanation with another additional variance.
 
-        Parameters
-        ----------
-        known
-            The explanation.
-        excess
-            Additional variance, rad^2.
-
-        Returns
-        -------
-        float
-            Chi-square of its fit, refined with this variance.
+        excess: Additional variance, rad^2.
         """
         fit = known.fit
         return refine(
@@ -166,19 +120,8 @@ class SeenRotations:
     def information_criterion(self, fit: GimbalFit, kept: NDArray[np.int64], excess: float) -> float:
         """Return the Bayesian information criterion (Schwarz, 1978); each left-out pose counts three parameters.
 
-        Parameters
-        ----------
-        fit
-            Fit to the poses kept.
-        kept
-            (k,) int64 indices of the poses kept.
-        excess
-            Additional variance, rad^2.
-
-        Returns
-        -------
-        float
-            The criterion; smaller is better.
+        kept: (k,) int64 indices of the poses kept.
+        excess: Additional variance, rad^2.
         """
         variances = self.metric(np.arange(len(self.rotations))).eigenvalues + excess
         count = 3 * len(self.rotations)
@@ -190,21 +133,8 @@ class SeenRotations:
 def first_explanation(seen: SeenRotations, model: GimbalModel, values: Array, seed: int) -> Explanation:
     """Fit the gimbal without faults from several starts.
 
-    Parameters
-    ----------
-    seen
-        Rotations and their covariance.
-    model
-        Readings and free scales.
-    values
-        (p,) start of the scales.
-    seed
-        Random seed of the random starts.
-
-    Returns
-    -------
-    Explanation
-        The lowest minimum. The first search uses equal weights for all rotations.
+    values: (p,) start of the scales.
+    Returns: The lowest minimum. The first search uses equal weights for all rotations.
     """
     kept = np.arange(len(seen.rotations))
     equal = replace(seen.metric(kept), excess=1.0)

@@ -46,71 +46,39 @@ _SMALL = 1e-3
 
 @dataclass(frozen=True)
 class Verdict:
-    """Result of the check in one name, and in plain sentences.
+    """Result of the check in one name, and in plain sentences."""
 
-    Attributes
-    ----------
-    kind
-        ``agrees``: readings and rotations agree. ``slip``, ``wrong_pose``, ``not_square``: a fault was found.
-        ``wrong_sign``: the sign of one axis is reversed. ``ambiguous``: different mountings explain the data equally
-        well. ``contradictory``: fit and pairs of poses disagree on the scale. ``focal_length``: a common ratio within
-        the uncertainty of the focal length. ``scale_or_parallax``: a scale that parallax can imitate.
-        ``gimbal_scale``: a scale error of the gimbal. ``views_biased``: scatter that the views show among themselves.
-        ``scatter``: scatter of unknown cause.
-    says
-        Sentences for the reader.
-    """
-
+    # ``agrees``: readings and rotations agree. ``slip``, ``wrong_pose``, ``not_square``: a fault was found.
+    # ``wrong_sign``: the sign of one axis is reversed. ``ambiguous``: different mountings explain the data
+    # equally well. ``contradictory``: fit and pairs of poses disagree on the scale. ``focal_length``: a
+    # common ratio within the uncertainty of the focal length. ``scale_or_parallax``: a scale that parallax
+    # can imitate. ``gimbal_scale``: a scale error of the gimbal. ``views_biased``: scatter that the views
+    # show among themselves. ``scatter``: scatter of unknown cause.
     kind: VerdictKind
     says: tuple[str, ...]
 
 
 @dataclass(frozen=True)
 class Findings:
-    """What the verdict is made of.
-
-    Attributes
-    ----------
-    names
-        Name of each pose.
-    scale, scale_sigma
-        True angle over reading and 1-sigma, by index of the axis; empty if no scale was estimated.
-    own_sigma
-        1-sigma of each scale from the scatter of the rotations alone, without errors that all rotations share.
-    difference_sigma
-        1-sigma of the largest difference between two scales.
-    pairs
-        Ratios of the pairs of poses; None if no pair turned enough.
-    contradicted
-        Whether the scale of the fit disagrees with the pairs.
-    ambiguous
-        Whether another optimum fits nearly as well.
-    reversed_axes
-        Name of the axis whose sign is reversed, or of the axes of which one is; empty if the signs are right.
-    faults
-        Faults found.
-    excess_deg
-        Scatter of the rotations that nothing explains, degrees.
-    degrees_of_freedom
-        Degrees of freedom of the fit.
-    focal_uncertainty
-        Expanded uncertainty U of the focal length as a share of it; None if unknown.
-    birge_ratio
-        How many times more than star noise explains the views of the calibration differ.
-    """
+    """What the verdict is made of."""
 
     names: Sequence[str]
+    # scale, scale_sigma: True angle over reading and 1-sigma, by index of the axis; empty if no scale was
+    # estimated.
     scale: Mapping[int, float]
     scale_sigma: Mapping[int, float]
+    # 1-sigma of each scale from the scatter of the rotations alone, without errors that all rotations share.
     own_sigma: Mapping[int, float]
-    difference_sigma: float
-    pairs: PairRatios | None
-    contradicted: bool
-    ambiguous: bool
+    difference_sigma: float  # 1-sigma of the largest difference between two scales
+    pairs: PairRatios | None  # Ratios of the pairs of poses; None if no pair turned enough
+    contradicted: bool  # Whether the scale of the fit disagrees with the pairs
+    ambiguous: bool  # Whether another optimum fits nearly as well
+    # Name of the axis whose sign is reversed, or of the axes of which one is; empty if the signs are right.
     reversed_axes: str
     faults: tuple[GimbalFault, ...]
-    excess_deg: float
+    excess_deg: float  # Scatter of the rotations that nothing explains, degrees
     degrees_of_freedom: int
+    # Expanded uncertainty U of the focal length as a share of it; None if unknown.
     focal_uncertainty: float | None
     birge_ratio: float
 
@@ -137,15 +105,7 @@ class Findings:
 def judge(found: Findings) -> Verdict:
     """Return the verdict.
 
-    Parameters
-    ----------
-    found
-        What the fits and the pairs of poses show.
-
-    Returns
-    -------
-    Verdict
-        Faults come first, then reasons not to claim a scale, then the scale, then scatter.
+    Returns: Faults come first, then reasons not to claim a scale, then the scale, then scatter.
     """
     kinds: list[VerdictKind] = []
     says: list[str] = []
@@ -182,15 +142,7 @@ def judge(found: Findings) -> Verdict:
 def angle(degrees: float) -> str:
     """Print an angle: degrees from 0.1 degrees on, arc seconds below.
 
-    Parameters
-    ----------
-    degrees
-        The angle, degrees; the sign is not printed.
-
-    Returns
-    -------
-    str
-        Number and unit, with two significant digits.
+    degrees: The angle, degrees; the sign is not printed.
     """
     size = abs(degrees)
     return f"{size:#.2g} degrees" if size >= 0.1 else f"{_plain(3600 * size)} arc seconds"
@@ -199,17 +151,8 @@ def angle(degrees: float) -> str:
 def angle_and_uncertainty(degrees: float, sigma_deg: float) -> str:
     """Print an angle and its expanded uncertainty, in the unit that `angle` takes for the angle.
 
-    Parameters
-    ----------
-    degrees
-        The angle, degrees; the sign is not printed.
-    sigma_deg
-        Its standard uncertainty, degrees.
-
-    Returns
-    -------
-    str
-        Value, U with two significant digits, unit and coverage factor.
+    degrees: The angle, degrees; the sign is not printed.
+    sigma_deg: Its standard uncertainty, degrees.
     """
     factor, unit = (1.0, "degrees") if abs(degrees) >= 0.1 else (3600.0, "arc seconds")
     expanded = 2 * factor * sigma_deg

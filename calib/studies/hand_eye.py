@@ -44,50 +44,28 @@ _DIFFERENT = 5.0
 
 @dataclass(frozen=True)
 class HandEyeCheck:
-    """Result of the comparison of rotations and readings.
+    """Result of the comparison of rotations and readings."""
 
-    Attributes
-    ----------
-    scale
-        True angle over reading, for each axis whose scale may be stated; faults that were found are allowed for.
-    scale_sigma
-        1-sigma of the scales.
-    camera_from_head
-        (3, 3) float64 rotation A, camera <- gimbal's head.
-    base_from_target
-        (3, 3) float64 rotation B, gimbal's base <- target.
-    residuals_arcsec
-        (n, 3) float64 rotation seen minus rotation read without faults, as rotation vectors about the camera's axes,
-        arc seconds.
-    sigma_arcsec
-        (n, 3) float64 1-sigma of the rotations seen, arc seconds.
-    chi_square, degrees_of_freedom
-        Chi-square of the residuals by the stated covariance, without faults, and its degrees of freedom; large if the
-        gimbal repeats worse than the camera measures.
-    excess_arcsec
-        1-sigma of the scatter, for each component of a rotation, that the stated covariance and the faults do not
-        explain, arc seconds.
-    pairs
-        Ratios from the pairs of poses; None if no pair turned far enough.
-    faults
-        Faults found, claimed or not.
-    claimed_faults
-        Those of them that no smooth error of biased views can imitate.
-    verdict
-        The result in one name, and in words.
-    """
-
+    # True angle over reading, for each axis whose scale may be stated; faults that were found are allowed
+    # for.
     scale: Mapping[str, float]
-    scale_sigma: Mapping[str, float]
-    camera_from_head: Array
-    base_from_target: Array
+    scale_sigma: Mapping[str, float]  # 1-sigma of the scales
+    camera_from_head: Array  # (3, 3) float64 rotation A, camera <- gimbal's head
+    base_from_target: Array  # (3, 3) float64 rotation B, gimbal's base <- target
+    # (n, 3) float64 rotation seen minus rotation read without faults, as rotation vectors about the camera's
+    # axes, arc seconds.
     residuals_arcsec: Array
-    sigma_arcsec: Array
+    sigma_arcsec: Array  # (n, 3) float64 1-sigma of the rotations seen, arc seconds
+    # chi_square, degrees_of_freedom: Chi-square of the residuals by the stated covariance, without faults,
+    # and its degrees of freedom; large if the gimbal repeats worse than the camera measures.
     chi_square: float
     degrees_of_freedom: int
+    # 1-sigma of the scatter, for each component of a rotation, that the stated covariance and the faults do
+    # not explain, arc seconds.
     excess_arcsec: float
-    pairs: PairRatios | None
-    faults: tuple[GimbalFault, ...]
+    pairs: PairRatios | None  # Ratios from the pairs of poses; None if no pair turned far enough
+    faults: tuple[GimbalFault, ...]  # Faults found, claimed or not
+    # Those of them that no smooth error of biased views can imitate.
     claimed_faults: tuple[GimbalFault, ...]
     verdict: Verdict
 
@@ -118,36 +96,17 @@ def check_hand_eye(
     Zhuang, Roth and Sudhakar (1994). Least squares with a covariance matrix: Aitken (1936). Scatter beyond the stated
     covariance: Paule and Mandel (1982).
 
-    Parameters
-    ----------
-    rotations
-        (n, 3, 3) rotations of the views, camera <- target.
-    covariance
-        (3 n, 3 n) joint covariance of their rotation vectors, rad^2 (`Calibration.rotation_covariance`).
-    readings_deg
-        For each view the readings of its axes, degrees, in the order in which they were taken: any of ``pan_deg``,
-        ``tilt_deg``, ``roll_deg``.
-    focal_uncertainty
-        Expanded uncertainty U of the calibration's focal length as a share of it; None for twice the 1-sigma of the
-        scales.
-    birge_ratio
-        How many times more than star noise explains the views of the calibration differ (`Calibration.birge_ratio`).
-    names
-        Names of the poses, for the sentences of the verdict.
-    seed
-        Random seed of the random starts of the fit.
-
-    Returns
-    -------
-    HandEyeCheck
-        Estimates, residuals, chi-square, faults and verdict.
-
-    Raises
-    ------
-    InputMismatch
-        If the numbers of views differ, or an axis is unknown.
-    DegenerateViews
-        If there are fewer than 3 views, or no axis moved.
+    rotations: (n, 3, 3) rotations of the views, camera <- target.
+    covariance: (3 n, 3 n) joint covariance of their rotation vectors, rad^2
+      (`Calibration.rotation_covariance`).
+    readings_deg: For each view the readings of its axes, degrees, in the order in which they were taken: any
+      of ``pan_deg``, ``tilt_deg``, ``roll_deg``.
+    focal_uncertainty: Expanded uncertainty U of the calibration's focal length as a share of it; None for
+      twice the 1-sigma of the scales.
+    birge_ratio: How many times more than star noise explains the views of the calibration differ
+      (`Calibration.birge_ratio`).
+    Raises InputMismatch: If the numbers of views differ, or an axis is unknown.
+    Raises DegenerateViews: If there are fewer than 3 views, or no axis moved.
     """
     angles = _angles(readings_deg)
     if not len(angles) == len(rotations) == len(covariance) // 3:

@@ -43,14 +43,9 @@ _LARGEST_TURN_DEG = 160.0
 class Metric:
     """Covariance of the rotations, ready for weighting.
 
-    Parameters
-    ----------
-    eigenvalues
-        (3 n,) float64 eigenvalues of the stated covariance, rad^2.
-    vectors
-        (3 n, 3 n) float64 its eigenvectors, as columns.
-    excess
-        Additional variance of each component of each rotation, rad^2.
+    eigenvalues: (3 n,) float64 eigenvalues of the stated covariance, rad^2.
+    vectors: (3 n, 3 n) float64 its eigenvectors, as columns.
+    excess: Additional variance of each component of each rotation, rad^2.
     """
 
     eigenvalues: Array
@@ -61,15 +56,8 @@ class Metric:
     def of(cls, covariance: Array) -> Metric:
         """Return the metric of a covariance.
 
-        Parameters
-        ----------
-        covariance
-            (3 n, 3 n) covariance of the rotation vectors, rad^2.
-
-        Returns
-        -------
-        Metric
-            Without additional variance.
+        covariance: (3 n, 3 n) covariance of the rotation vectors, rad^2.
+        Returns: Without additional variance.
         """
         eigenvalues, vectors = np.linalg.eigh(0.5 * (covariance + covariance.T))
         return cls(np.maximum(eigenvalues, 0.0), vectors)
@@ -89,49 +77,25 @@ class Metric:
 
 @dataclass(frozen=True, eq=False)
 class GimbalFit:
-    """A minimum of the sum of squares.
-
-    Attributes
-    ----------
-    model
-        Readings and errors that were estimated.
-    camera_from_head, base_from_target
-        (3, 3) float64 rotations A and B.
-    values
-        (p,) float64 scales, slips (rad), squareness (rad) and bends (rad).
-    off
-        (3 n,) float64 seen minus read, as rotation vectors about the camera's axes, rad.
-    jacobian
-        (3 n, 6 + p) float64 derivatives of the rotations by A, B and the values.
-    chi_square
-        Sum of the weighted squares.
-    """
+    """A minimum of the sum of squares."""
 
     model: GimbalModel
+    # camera_from_head, base_from_target: (3, 3) float64 rotations A and B.
     camera_from_head: Array
     base_from_target: Array
-    values: Array
-    off: Array
-    jacobian: Array
+    values: Array  # (p,) float64 scales, slips (rad), squareness (rad) and bends (rad)
+    off: Array  # (3 n,) float64 seen minus read, as rotation vectors about the camera's axes, rad
+    jacobian: Array  # (3 n, 6 + p) float64 derivatives of the rotations by A, B and the values
     chi_square: float
 
     def degrees_of_freedom(self) -> int:
-        """Return the number of measured components minus the number of determined parameters.
-
-        Returns
-        -------
-        int
-            Degrees of freedom of the chi-square.
-        """
+        """Return the number of measured components minus the number of determined parameters."""
         return len(self.off) - int(np.linalg.matrix_rank(_unit_columns(self.jacobian)[0], tol=_DETERMINED))
 
     def undetermined_scales(self) -> bool:
         """Return whether a direction that the rotations do not determine changes a scale.
 
-        Returns
-        -------
-        bool
-            True if different scales give the same rotations.
+        Returns: True if different scales give the same rotations.
         """
         columns, _ = _unit_columns(self.jacobian)
         _, singular, vt = np.linalg.svd(columns)
@@ -141,15 +105,7 @@ class GimbalFit:
     def estimator(self, metric: Metric) -> Array:
         """Return the linear estimator of the parameters: generalised least squares (Aitken, 1936).
 
-        Parameters
-        ----------
-        metric
-            Covariance of the rotations.
-
-        Returns
-        -------
-        Array
-            (6 + p, 3 n) change of A, B and the values by a change of the rotations.
+        Returns: (6 + p, 3 n) change of A, B and the values by a change of the rotations.
         """
         columns, lengths = _unit_columns(metric.whitening @ self.jacobian)
         return np.asarray(np.linalg.pinv(columns, rcond=_DETERMINED) @ metric.whitening / lengths[:, None])
@@ -164,23 +120,12 @@ def seen_minus_read(
     it by E A G b. A motor turns the head about its own axis.
     The bends are small, so that their derivative is taken at E = 1.
 
-    Parameters
-    ----------
-    rotations
-        (n, 3, 3) rotations seen, camera <- target.
-    model
-        Readings and errors.
-    camera_from_head
-        (3, 3) rotation A.
-    base_from_target
-        (3, 3) rotation B.
-    values
-        (p,) values of the errors.
-
-    Returns
-    -------
-    tuple of Array
-        (3 n,) seen minus read, rad; and (3 n, 6 + p) derivatives of the read rotations by A, B and the values.
+    rotations: (n, 3, 3) rotations seen, camera <- target.
+    camera_from_head: (3, 3) rotation A.
+    base_from_target: (3, 3) rotation B.
+    values: (p,) values of the errors.
+    Returns: (3 n,) seen minus read, rad; and (3 n, 6 + p) derivatives of the read rotations by A, B and the
+      values.
     """
     bends = model.bends
     direct = model.parameter_count - bends.shape[2]
@@ -203,25 +148,10 @@ def refine(
 ) -> GimbalFit:
     """Refine a start by the method of Levenberg (1944) and Marquardt (1963).
 
-    Parameters
-    ----------
-    rotations
-        (n, 3, 3) rotations seen, camera <- target.
-    model
-        Readings and errors.
-    metric
-        Covariance of the rotations.
-    camera_from_head
-        (3, 3) start of A.
-    base_from_target
-        (3, 3) start of B.
-    values
-        (p,) start of the errors.
-
-    Returns
-    -------
-    GimbalFit
-        The minimum that the start leads to.
+    rotations: (n, 3, 3) rotations seen, camera <- target.
+    camera_from_head: (3, 3) start of A.
+    base_from_target: (3, 3) start of B.
+    values: (p,) start of the errors.
     """
 
     def at(a: Array, b: Array, p: Array) -> GimbalFit:
@@ -260,21 +190,9 @@ def starts(rotations: Array, model: GimbalModel, values: Array, seed: int) -> It
     B^T (G_i^T G_j) B. The rotation that aligns their axes is a closed form (Park and Martin, 1994; Horn, 1987). Random
     rotations follow. From each start A and B are estimated in turn.
 
-    Parameters
-    ----------
-    rotations
-        (n, 3, 3) rotations seen, camera <- target.
-    model
-        Readings and errors.
-    values
-        (p,) start of the errors.
-    seed
-        Random seed of the random starts.
-
-    Yields
-    ------
-    tuple of Array
-        (3, 3) start of A, (3, 3) start of B.
+    rotations: (n, 3, 3) rotations seen, camera <- target.
+    values: (p,) start of the errors.
+    Yields: (3, 3) start of A, (3, 3) start of B.
     """
     heads, _ = model.heads(values)
     back = np.swapaxes(heads, 1, 2)
@@ -292,24 +210,10 @@ def global_fit(
 ) -> list[GimbalFit]:
     """Refine all starts, and return the minima that were found.
 
-    Parameters
-    ----------
-    rotations
-        (n, 3, 3) rotations seen, camera <- target.
-    model
-        Readings and errors.
-    metric
-        Covariance of the rotations.
-    values
-        (p,) start of the errors.
-    seed
-        Random seed of the random starts.
-
-    Returns
-    -------
-    list of GimbalFit
-        Minima by increasing chi-square. Minima with a scale below half or above twice its start are last, because a
-        pan-tilt head with both A and the sign of an axis reversed gives the same rotations.
+    rotations: (n, 3, 3) rotations seen, camera <- target.
+    values: (p,) start of the errors.
+    Returns: Minima by increasing chi-square. Minima with a scale below half or above twice its start are
+      last, because a pan-tilt head with both A and the sign of an axis reversed gives the same rotations.
     """
     found = [
         refine(rotations, model, metric, a, b, values) for a, b in starts(rotations, model, values, seed)
@@ -323,19 +227,8 @@ def mirrored_forward(rotations: Array, fit: GimbalFit, metric: Metric) -> Gimbal
     Half a turn of A and B about x reverses pan and roll, about y tilt and roll, about z pan and tilt. The rotations of
     the camera stay the same.
 
-    Parameters
-    ----------
-    rotations
-        (n, 3, 3) rotations seen, camera <- target.
-    fit
-        A fit.
-    metric
-        Covariance of the rotations.
-
-    Returns
-    -------
-    GimbalFit
-        The fit itself if no mirror image has positive scales only.
+    rotations: (n, 3, 3) rotations seen, camera <- target.
+    Returns: The fit itself if no mirror image has positive scales only.
     """
     model, count = fit.model, len(fit.model.free)
     negative = fit.values[:count] < 0
@@ -359,17 +252,8 @@ def mirrored_forward(rotations: Array, fit: GimbalFit, metric: Metric) -> Gimbal
 def scales_near(fit: GimbalFit, values: Array) -> bool:
     """Return whether all scales lie between half and twice their start.
 
-    Parameters
-    ----------
-    fit
-        A fit.
-    values
-        (p,) start of the errors; the scales come first.
-
-    Returns
-    -------
-    bool
-        False for a scale that is negative or absurd.
+    values: (p,) start of the errors; the scales come first.
+    Returns: False for a scale that is negative or absurd.
     """
     count = len(fit.model.free)
     ratio = fit.values[:count] / values[:count]

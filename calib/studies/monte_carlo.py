@@ -29,31 +29,18 @@ _OUTLIER_SIGMA_PX = 2.0
 
 @dataclass(frozen=True)
 class MonteCarloStudy:
-    """Results of repeated calibrations.
-
-    Attributes
-    ----------
-    names
-        Names of the G parameters.
-    truth
-        (G,) float64 true values.
-    values, sigmas
-        (runs, G) float64 estimates and their stated standard uncertainties.
-    factors
-        (runs,) float64 stated coverage factors k: 2, or more if the views are inconsistent.
-    chi_squares
-        (runs,) float64 squared error, weighted by the stated covariance; its mean is G if the covariance is right.
-    failed
-        Reason for each run without a calibration.
-    """
+    """Results of repeated calibrations."""
 
     names: tuple[str, ...]
-    truth: Array
+    truth: Array  # (G,) float64 true values
+    # values, sigmas: (runs, G) float64 estimates and their stated standard uncertainties.
     values: Array
     sigmas: Array
-    factors: Array
+    factors: Array  # (runs,) float64 stated coverage factors k: 2, or more if the views are inconsistent
+    # (runs,) float64 squared error, weighted by the stated covariance; its mean is G if the covariance is
+    # right.
     chi_squares: Array
-    failed: tuple[str, ...]
+    failed: tuple[str, ...]  # Reason for each run without a calibration
 
     @property
     def scatter(self) -> Mapping[str, float]:
@@ -89,26 +76,14 @@ class MonteCarloStudy:
 
 @dataclass(frozen=True)
 class Repetition:
-    """One calibration of a study.
-
-    Attributes
-    ----------
-    names, values, sigmas
-        Names, estimates and stated standard uncertainties of the G parameters.
-    factor
-        Stated coverage factor k.
-    chi_square
-        Squared error, weighted by the stated covariance.
-    failed
-        Why there is no calibration; empty if there is one.
-    """
+    """One calibration of a study."""
 
     names: tuple[str, ...] = ()
     values: tuple[float, ...] = ()
     sigmas: tuple[float, ...] = ()
     factor: float = 0.0
     chi_square: float = 0.0
-    failed: str = ""
+    failed: str = ""  # Why there is no calibration; empty if there is one
 
 
 def run_monte_carlo(
@@ -126,34 +101,12 @@ def run_monte_carlo(
 
     Repeated draws from the stated distributions: JCGM 101:2008.
 
-    Parameters
-    ----------
-    bench
-        True camera, collimator, beam and star noise.
-    poses_deg
-        For each pose ``pan_deg``, ``tilt_deg``, ``roll_deg``, degrees; missing angles are zero.
-    options
-        How to calibrate.
-    runs
-        Number of calibrations.
-    seed
-        Random seed of the study; with the number of a run it gives the seed of that run.
-    drift_mm
-        1-sigma per axis of each view's centre about the shared one, mm.
-    outliers
-        Share of the stars that are outliers, with an error of 2 px (1 sigma per axis).
-    progress
-        Called after each run with the number of finished runs and the number of all runs.
-
-    Returns
-    -------
-    MonteCarloStudy
-        Estimates of the successful runs, and the reasons of the failed ones.
-
-    Raises
-    ------
-    NotConverged
-        If no calibration has a result.
+    poses_deg: For each pose ``pan_deg``, ``tilt_deg``, ``roll_deg``, degrees; missing angles are zero.
+    seed: Random seed of the study; with the number of a run it gives the seed of that run.
+    drift_mm: 1-sigma per axis of each view's centre about the shared one, mm.
+    outliers: Share of the stars that are outliers, with an error of 2 px (1 sigma per axis).
+    progress: Called after each run with the number of finished runs and the number of all runs.
+    Raises NotConverged: If no calibration has a result.
     """
     outcomes = []
     for run in range(runs):
@@ -177,19 +130,10 @@ def calibrate_once(
 ) -> Repetition:
     """Calibrate predicted views with the noise of one run of a study.
 
-    Parameters
-    ----------
-    bench, poses_deg, options, seed
-        As for `run_monte_carlo`.
-    run
-        Number of the run, from 0.
-    drift_mm, outliers
-        As for `run_monte_carlo`.
-
-    Returns
-    -------
-    Repetition
-        The result, or why there is none.
+    bench, poses_deg, options, seed: As for `run_monte_carlo`.
+    run: Number of the run, from 0.
+    drift_mm, outliers: As for `run_monte_carlo`.
+    Returns: The result, or why there is none.
     """
     truth = {**bench.camera.to_dict(), **bench.collimator.to_dict()}
     rng = np.random.default_rng([seed, run])
@@ -208,22 +152,8 @@ def calibrate_once(
 def study_of(bench: ExpectedBench, outcomes: Sequence[Repetition]) -> MonteCarloStudy:
     """Put the runs of a study together.
 
-    Parameters
-    ----------
-    bench
-        True camera and collimator.
-    outcomes
-        The runs, in their order.
-
-    Returns
-    -------
-    MonteCarloStudy
-        Estimates of the successful runs, and the reasons of the failed ones.
-
-    Raises
-    ------
-    NotConverged
-        If no calibration has a result.
+    outcomes: The runs, in their order.
+    Raises NotConverged: If no calibration has a result.
     """
     good = [one for one in outcomes if not one.failed]
     failed = tuple(one.failed for one in outcomes if one.failed)

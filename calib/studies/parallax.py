@@ -37,50 +37,28 @@ _AXES = ("x", "y")
 
 @dataclass(frozen=True)
 class Parallax:
-    """The parallax of a gimbal in front of a collimator that is out of focus.
-
-    Attributes
-    ----------
-    bound
-        Defocus and place of the pupil, with their standard uncertainties.
-    defocus_source
-        Where the defocus comes from.
-    share, share_sigma
-        Displacement of the pattern per unit tangent of the turn, as a share of r, and its standard uncertainty.
-    fx_px, fx_sigma_px
-        Error of fx, px, that the readings of the gimbal would cause if the parallax were neglected, and its standard
-        uncertainty.
-    """
+    """The parallax of a gimbal in front of a collimator that is out of focus."""
 
     bound: ParallaxBound
-    defocus_source: str
+    defocus_source: str  # Where the defocus comes from
     share: float
     share_sigma: float
+    # fx_px, fx_sigma_px: Error of fx, px, that the readings of the gimbal would cause if the parallax were
+    # neglected, and its standard uncertainty.
     fx_px: float
     fx_sigma_px: float
 
 
 @dataclass(frozen=True)
 class PupilWalk:
-    """How the disc of the beam moves when the camera turns, and where the entrance pupil is.
+    """How the disc of the beam moves when the camera turns, and where the entrance pupil is."""
 
-    Attributes
-    ----------
-    walk_mm
-        (2,) float64, motion of the disc along the target's x and y, mm per unit tangent of the turn.
-    covariance_mm2
-        (2, 2) float64, covariance of the walk, mm^2.
-    pupil_off_pivot_mm, sigma_mm
-        Distance of the entrance pupil in front of the pivot, mm, if x and y have the same pivot, and its standard
-        uncertainty. If the walks along x and y differ significantly, the uncertainty covers both.
-    views
-        Number of views.
-    without_rim
-        Names of the views in which the rim is out of view.
-    """
-
+    # (2,) float64, motion of the disc along the target's x and y, mm per unit tangent of the turn.
     walk_mm: Array
-    covariance_mm2: Array
+    covariance_mm2: Array  # (2, 2) float64, covariance of the walk, mm^2
+    # pupil_off_pivot_mm, sigma_mm: Distance of the entrance pupil in front of the pivot, mm, if x and y have
+    # the same pivot, and its standard uncertainty. If the walks along x and y differ significantly, the
+    # uncertainty covers both.
     pupil_off_pivot_mm: float
     sigma_mm: float
     views: int
@@ -113,13 +91,7 @@ class PupilWalk:
         return f"To state this, write into the station file: {self.station_entry}"
 
     def says(self) -> tuple[str, ...]:
-        """Describe the result in sentences.
-
-        Returns
-        -------
-        tuple of str
-            Sentences for the reader.
-        """
+        """Describe the result in sentences."""
         x, y = (" +- ".join(_rounded(*both)) for both in zip(self.walk_mm, self.walk_sigma_mm, strict=True))
         off, sigma = _rounded(abs(self.pupil_off_pivot_mm), self.sigma_mm)
         seen = self.views - len(self.without_rim)
@@ -147,26 +119,10 @@ class PupilWalk:
         Product of two independent quantities: `ParallaxBound.mean_and_sigma`. To first order, the error of fx is the
         opposite share of fx.
 
-        Parameters
-        ----------
-        defocus, defocus_sigma
-            Defocus of the collimator and its standard uncertainty, dimensionless.
-        source
-            Where the defocus comes from.
-        r_mm
-            Radius of the collimator, mm.
-        fx_px
-            Focal length of the camera, px.
-
-        Returns
-        -------
-        Parallax
-            The parallax, and its effect on fx.
-
-        Raises
-        ------
-        InputMismatch
-            If a number is not finite, or the uncertainty is negative.
+        source: Where the defocus comes from.
+        r_mm: Radius of the collimator, mm.
+        fx_px: Focal length of the camera, px.
+        Raises InputMismatch: If a number is not finite, or the uncertainty is negative.
         """
         bound = ParallaxBound(defocus, defocus_sigma, self.pupil_off_pivot_mm, self.sigma_mm)
         share, sigma = bound.mean_and_sigma(r_mm)
@@ -180,26 +136,10 @@ def pupil_walk(views: Sequence[View], rotations: Array, collimator: Collimator) 
     squares (Aitken, 1935) with weights from 0 to 1. Errors of the rotations and of the collimator's radius change the
     walk by their own share of it only, and are neglected.
 
-    Parameters
-    ----------
-    views
-        Views of one bench. Views whose images were not searched for the rim take no part.
-    rotations
-        (n, 3, 3) rotation of each view, camera <- target.
-    collimator
-        The shared centre.
-
-    Returns
-    -------
-    PupilWalk
-        Walk and place of the entrance pupil.
-
-    Raises
-    ------
-    InputMismatch
-        If there is not one rotation for each view.
-    DegenerateViews
-        If fewer than three views show the rim, or if the rims do not determine the walk.
+    views: Views of one bench. Views whose images were not searched for the rim take no part.
+    rotations: (n, 3, 3) rotation of each view, camera <- target.
+    Raises InputMismatch: If there is not one rotation for each view.
+    Raises DegenerateViews: If fewer than three views show the rim, or if the rims do not determine the walk.
     """
     if len(rotations) != len(views):
         raise InputMismatch(f"{len(views)} views, but {len(rotations)} rotations.", where="parallax test")

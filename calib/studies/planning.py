@@ -43,34 +43,12 @@ _SHOWING_RIM = 0.5
 
 @dataclass(frozen=True)
 class Forecast:
-    """Expected uncertainty of a calibration from a set of poses.
+    """Expected uncertainty of a calibration from a set of poses."""
 
-    Attributes
-    ----------
-    sigma
-        Expected 1-sigma of each parameter, without those of the gimbal.
-    covariance
-        (G, G) float64 expected covariance of the parameters, in the order of `sigma`.
-    coverage_factor
-        The k for which value +- k sigma is expected to cover 95.45 %.
-    projection_map
-        Expected projection uncertainty over the sensor, at infinity, 1 sigma.
-    stars
-        Number of stars that each pose will show.
-    model
-        Model that the calibration is expected to fit.
-    budget_rows
-        Expected rows of the uncertainty budget.
-    not_included
-        What nobody stated, with what it could do, in words.
-    remarks
-        What limits the forecast, in words.
-    """
-
-    sigma: Mapping[str, float]
-    covariance: Array
-    coverage_factor: float
-    projection_map: ProjectionMap
+    sigma: Mapping[str, float]  # Expected 1-sigma of each parameter, without those of the gimbal
+    covariance: Array  # (G, G) float64 expected covariance of the parameters, in the order of `sigma`
+    coverage_factor: float  # The k for which value +- k sigma is expected to cover 95.45 %
+    projection_map: ProjectionMap  # Expected projection uncertainty over the sensor, at infinity, 1 sigma
     stars: tuple[int, ...]
     model: str
     budget_rows: tuple[BudgetRow, ...] = ()
@@ -176,24 +154,14 @@ def _remarks(bench: ExpectedBench, rotations: Array, any_parallax: bool) -> tupl
 
 @dataclass(frozen=True)
 class SuggestedPose:
-    """A pose to add.
+    """A pose to add."""
 
-    Attributes
-    ----------
-    angles_deg
-        Angles of the gimbal, degrees.
-    worst_px
-        Largest projection uncertainty over the sensor with this pose and those before it, 1 sigma, px, without type B
-        terms; infinite if these poses do not determine the camera yet.
-    rim_share
-        Share of the rim of the beam that the pose shows, 0 to 1.
-    rim_reason
-        Why the rim must be in view, if the pose was chosen because it shows the rim; empty otherwise.
-    """
-
-    angles_deg: Angles
+    angles_deg: Angles  # Angles of the gimbal, degrees
+    # Largest projection uncertainty over the sensor with this pose and those before it, 1 sigma, px, without
+    # type B terms; infinite if these poses do not determine the camera yet.
     worst_px: float
-    rim_share: float
+    rim_share: float  # Share of the rim of the beam that the pose shows, 0 to 1
+    # Why the rim must be in view, if the pose was chosen because it shows the rim; empty otherwise.
     rim_reason: str = ""
 
 
@@ -208,28 +176,13 @@ def next_poses(
     Criterion: G-optimality (Kiefer and Wolfowitz, 1960). The greedy choice is this project's own. If the model needs
     the rim of the beam and too few poses show it, poses that show it come first. No pose repeats another one.
 
-    Parameters
-    ----------
-    bench
-        The expected bench.
-    taken_deg
-        Poses already planned, degrees; may be empty.
-    candidates_deg
-        Poses to choose from, degrees, within the station's limits; those that show too little are skipped.
-    count
-        Number of poses to choose; each candidate is chosen at most once.
-
-    Returns
-    -------
-    tuple of SuggestedPose
-        The chosen poses, the best first.
-
-    Raises
-    ------
-    TooFewStars
-        If a planned pose shows too few stars, or not the tag if it is needed.
-    DegenerateViews
-        If too few candidates show the target.
+    taken_deg: Poses already planned, degrees; may be empty.
+    candidates_deg: Poses to choose from, degrees, within the station's limits; those that show too little are
+      skipped.
+    count: Number of poses to choose; each candidate is chosen at most once.
+    Returns: The chosen poses, the best first.
+    Raises TooFewStars: If a planned pose shows too few stars, or not the tag if it is needed.
+    Raises DegenerateViews: If too few candidates show the target.
     """
     taken = [_Shown(pose, *predicted_view(bench, pose, "taken")) for pose in taken_deg]
     possible = list(_possible(bench, candidates_deg))

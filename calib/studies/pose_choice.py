@@ -39,31 +39,16 @@ _CLOSED_FORMS = 3
 
 @dataclass(frozen=True)
 class GimbalModel:
-    """The rotation that the camera sees for given angles of the gimbal: R = A Rz(roll) Rx(tilt) Ry(pan) B.
+    """The rotation that the camera sees for given angles of the gimbal: R = A Rz(roll) Rx(tilt) Ry(pan) B."""
 
-    Attributes
-    ----------
-    camera_from_head
-        (3, 3) float64 rotation A, camera <- gimbal's head.
-    base_from_target
-        (3, 3) float64 rotation B, gimbal's base <- target.
-    """
-
-    camera_from_head: Array
-    base_from_target: Array
+    camera_from_head: Array  # (3, 3) float64 rotation A, camera <- gimbal's head
+    base_from_target: Array  # (3, 3) float64 rotation B, gimbal's base <- target
 
     def rotation(self, angles_deg: Angles) -> Array:
         """Return the rotation, camera <- target, at a pose.
 
-        Parameters
-        ----------
-        angles_deg
-            ``pan_deg``, ``tilt_deg``, ``roll_deg``, degrees; missing angles are zero.
-
-        Returns
-        -------
-        Array
-            (3, 3) rotation.
+        angles_deg: ``pan_deg``, ``tilt_deg``, ``roll_deg``, degrees; missing angles are zero.
+        Returns: (3, 3) rotation.
         """
         return np.asarray(self.camera_from_head @ _head(angles_deg) @ self.base_from_target)
 
@@ -76,17 +61,9 @@ def fit_gimbal_model(rotations: Array, readings_deg: Sequence[Angles]) -> Gimbal
     camera is assumed to be mounted straight, and only the base is fitted: the mean of the rotations that the views
     give, projected on the rotations (Moakher, 2002).
 
-    Parameters
-    ----------
-    rotations
-        (n, 3, 3) rotations of the views, camera <- target.
-    readings_deg
-        For each view, ``pan_deg``, ``tilt_deg``, ``roll_deg``, degrees; missing angles are zero.
-
-    Returns
-    -------
-    GimbalModel
-        The model; without views, a gimbal that stands straight before the target.
+    rotations: (n, 3, 3) rotations of the views, camera <- target.
+    readings_deg: For each view, ``pan_deg``, ``tilt_deg``, ``roll_deg``, degrees; missing angles are zero.
+    Returns: The model; without views, a gimbal that stands straight before the target.
     """
     if not len(rotations):
         return GimbalModel(np.eye(3), np.eye(3))
@@ -108,21 +85,11 @@ def _mean_off(rotations: Array, heads: Array, camera_from_head: Array, base_from
 
 @dataclass(frozen=True)
 class WeighedPose:
-    """What a possible pose would add.
+    """What a possible pose would add."""
 
-    Attributes
-    ----------
-    angles_deg
-        Angles of the gimbal, degrees.
-    after
-        Uncertainties with this pose added.
-    rim_share
-        Share of the rim of the beam's disc that would be in view, 0 to 1.
-    """
-
-    angles_deg: Angles
+    angles_deg: Angles  # Angles of the gimbal, degrees
     after: Sigmas
-    rim_share: float
+    rim_share: float  # Share of the rim of the beam's disc that would be in view, 0 to 1
 
 
 class PoseWeigher:
@@ -132,23 +99,10 @@ class PoseWeigher:
     uncertainty of a passport is the same after every pose. A certificate that is weighed against readings of the gimbal
     counts with its uncertainty. The discount for neighbouring poses is this project's own.
 
-    Parameters
-    ----------
-    bench
-        Bench as it is known now: camera and collimator of the last calibration, or the expected ones.
-    gimbal
-        Model of the gimbal.
-    taken_deg
-        Angles of the poses recorded so far, degrees.
-    refused_deg
-        Angles of the poses that failed, degrees.
-    min_stars
-        Fewest stars that a pose must show.
-
-    Attributes
-    ----------
-    before
-        Uncertainties of the recorded poses.
+    bench: Bench as it is known now: camera and collimator of the last calibration, or the expected ones.
+    taken_deg: Angles of the poses recorded so far, degrees.
+    refused_deg: Angles of the poses that failed, degrees.
+    min_stars: Fewest stars that a pose must show.
     """
 
     def __init__(
@@ -177,30 +131,16 @@ class PoseWeigher:
     def possible(self, candidates_deg: Iterable[Angles]) -> list[Angles]:
         """Return the poses that show enough of the target and repeat no recorded or failed pose.
 
-        Parameters
-        ----------
-        candidates_deg
-            Poses, degrees.
-
-        Returns
-        -------
-        list of Mapping
-            The possible ones, in their order.
+        candidates_deg: Poses, degrees.
+        Returns: The possible ones, in their order.
         """
         return [pose for pose in candidates_deg if self._possible_view(pose) is not None]
 
     def weigh(self, candidates_deg: Iterable[Angles]) -> list[WeighedPose]:
         """Return what each possible pose would add.
 
-        Parameters
-        ----------
-        candidates_deg
-            Poses, degrees; those that are not possible are left out.
-
-        Returns
-        -------
-        list of WeighedPose
-            The possible poses, in their order.
+        candidates_deg: Poses, degrees; those that are not possible are left out.
+        Returns: The possible poses, in their order.
         """
         shown = [(pose, view) for pose in candidates_deg if (view := self._possible_view(pose)) is not None]
         if not shown:

@@ -19,15 +19,8 @@ SHARED_ERROR_DEG = 1.5
 def distance_deg(one: Angles, other: Angles) -> float:
     """Return the largest difference between the angles of two poses.
 
-    Parameters
-    ----------
-    one, other
-        Angles of the gimbal, degrees; missing angles are zero.
-
-    Returns
-    -------
-    float
-        Difference, degrees.
+    one, other: Angles of the gimbal, degrees; missing angles are zero.
+    Returns: Difference, degrees.
     """
     return max((abs(one.get(axis, 0.0) - other.get(axis, 0.0)) for axis in {*one, *other}), default=0.0)
 
@@ -35,17 +28,9 @@ def distance_deg(one: Angles, other: Angles) -> float:
 def share_of_news(pose: Angles, others: Iterable[Angles]) -> float:
     """Return the share of a pose's information that other poses do not hold yet. Own choice of the function.
 
-    Parameters
-    ----------
-    pose
-        Angles of the pose, degrees.
-    others
-        Angles of the other poses, degrees.
-
-    Returns
-    -------
-    float
-        Share, 0 to 1; 1 without other poses.
+    pose: Angles of the pose, degrees.
+    others: Angles of the other poses, degrees.
+    Returns: Share, 0 to 1; 1 without other poses.
     """
     nearest = min((distance_deg(pose, other) for other in others), default=np.inf)
     return float(1.0 - np.exp(-((nearest / SHARED_ERROR_DEG) ** 2)))

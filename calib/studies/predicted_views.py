@@ -126,17 +126,8 @@ def predicted_view(bench: ExpectedBench, pose: Mapping[str, float], name: str) -
 def rim_share(bench: ExpectedBench, rotation: Array) -> float:
     """Return the share of the rim of the beam's disc that is in view at a pose.
 
-    Parameters
-    ----------
-    bench
-        The expected bench.
-    rotation
-        (3, 3) rotation of the pose, camera <- target.
-
-    Returns
-    -------
-    float
-        Share of the circumference, 0 to 1.
+    rotation: (3, 3) rotation of the pose, camera <- target.
+    Returns: Share of the circumference, 0 to 1.
     """
     angles = np.linspace(0.0, 2.0 * np.pi, _RIM_POINTS, endpoint=False)
     radius = bench.collimator.r * np.tan(np.deg2rad(bench.half_angle_deg))

@@ -35,42 +35,22 @@ _PUBLISHED = "published recipe, spherical"
 
 @dataclass(frozen=True)
 class MethodResult:
-    """Result of one method.
-
-    Attributes
-    ----------
-    name
-        The method.
-    camera
-        Its camera.
-    sigma
-        The standard uncertainties that it states, by name of the parameter.
-    rms_px, mean_px
-        Root mean square and mean length of its residuals, px.
-    left_out_rms_px
-        Root mean square residual of left-out views, of which only the rotation was adjusted, px; None with fewer than 3
-        views.
-    """
+    """Result of one method."""
 
     name: str
     camera: CameraModel
     sigma: Mapping[str, float]
+    # rms_px, mean_px: Root mean square and mean length of its residuals, px.
     rms_px: float
     mean_px: float
+    # Root mean square residual of left-out views, of which only the rotation was adjusted, px; None with
+    # fewer than 3 views.
     left_out_rms_px: float | None
 
 
 @dataclass(frozen=True)
 class MethodFailure:
-    """A method without a result.
-
-    Attributes
-    ----------
-    name
-        The method.
-    why
-        The reason.
-    """
+    """A method without a result."""
 
     name: str
     why: str
@@ -81,19 +61,8 @@ def reference_results(
 ) -> list[MethodResult | MethodFailure]:
     """Calibrate the same points by every reference method; a method that fails gives its reason.
 
-    Parameters
-    ----------
-    views
-        Views of one camera.
-    options
-        The distortion coefficients are used; the model and the loss are those of each method.
-    at_infinity
-        Whether a collimator puts the target at infinity. The published recipe needs this.
-
-    Returns
-    -------
-    list of MethodResult or MethodFailure
-        The published recipe, if the target is at infinity; then OpenCV.
+    at_infinity: Whether a collimator puts the target at infinity. The published recipe needs this.
+    Returns: The published recipe, if the target is at infinity; then OpenCV.
     """
     rows: list[MethodResult | MethodFailure] = []
     methods = ((_PUBLISHED, published_recipe), (_opencv_name(options), opencv_planar))
@@ -106,18 +75,7 @@ def reference_results(
 
 
 def starbench_result(calibration: Calibration) -> MethodResult:
-    """Return a calibration of Starbench in the form of a method's result.
-
-    Parameters
-    ----------
-    calibration
-        The calibration.
-
-    Returns
-    -------
-    MethodResult
-        Its camera, uncertainties and residuals.
-    """
+    """Return a calibration of Starbench in the form of a method's result."""
     name = f"Starbench, {calibration.model} model"
     return MethodResult(
         name,
@@ -134,25 +92,10 @@ def opencv_planar(views: Sequence[View], options: CalibrationOptions) -> MethodR
 
     A fisheye lens is calibrated by OpenCV's ``fisheye.calibrate``, which states no uncertainties.
 
-    Parameters
-    ----------
-    views
-        Views of one camera.
-    options
-        Distortion coefficients.
-
-    Returns
-    -------
-    MethodResult
-        OpenCV's result. The mean residual and that of left-out views are those of Starbench's planar model,
-        which has the same optimum.
-
-    Raises
-    ------
-    DegenerateViews
-        If OpenCV fails, or its result is not finite.
-    InputMismatch
-        If the options ask for skew, which OpenCV's model does not have.
+    Returns: OpenCV's result. The mean residual and that of left-out views are those of Starbench's planar
+      model, which has the same optimum.
+    Raises DegenerateViews: If OpenCV fails, or its result is not finite.
+    Raises InputMismatch: If the options ask for skew, which OpenCV's model does not have.
     """
     names = tuple(options.distortion)
     if SKEW in names:
@@ -187,24 +130,8 @@ def published_recipe(views: Sequence[View], options: CalibrationOptions) -> Meth
 
     The uncertainties come from J^T J alone.
 
-    Parameters
-    ----------
-    views
-        Views of one camera.
-    options
-        Distortion coefficients.
-
-    Returns
-    -------
-    MethodResult
-        The result of the recipe.
-
-    Raises
-    ------
-    DegenerateViews
-        If the views do not constrain a parameter.
-    NotConverged
-        If the adjustment did not reach an optimum.
+    Raises DegenerateViews: If the views do not constrain a parameter.
+    Raises NotConverged: If the adjustment did not reach an optimum.
     """
     bundle, start = initialize(views, options, "spherical")
     loss = Loss("huber", _PUBLISHED_LIMIT_PX * bundle.observations.sigmas_per_px)

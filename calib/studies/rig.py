@@ -23,26 +23,16 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class RelativeRotation:
-    """The rotation from one camera of a rig to another.
+    """The rotation from one camera of a rig to another."""
 
-    Attributes
-    ----------
-    rotation
-        (3, 3) float64 rotation, second camera <- first camera.
-    covariance
-        (3, 3) float64 covariance of the rotation vector on the second camera's side, rad^2.
-    views
-        Names of the n poses that both cameras saw.
-    residuals_arcsec
-        (n, 3) float64 relative rotation of each pose minus the common one, about the second camera's axes, arc seconds.
-    chi_square, degrees_of_freedom
-        Chi-square of the residuals and its degrees of freedom; large if the rig flexed.
-    """
-
-    rotation: Array
-    covariance: Array
+    rotation: Array  # (3, 3) float64 rotation, second camera <- first camera
+    covariance: Array  # (3, 3) float64 covariance of the rotation vector on the second camera's side, rad^2
     views: tuple[str, ...]
+    # (n, 3) float64 relative rotation of each pose minus the common one, about the second camera's axes, arc
+    # seconds.
     residuals_arcsec: Array
+    # chi_square, degrees_of_freedom: Chi-square of the residuals and its degrees of freedom; large if the rig
+    # flexed.
     chi_square: float
     degrees_of_freedom: int
 
@@ -64,10 +54,7 @@ class RelativeRotation:
     def to_dict(self) -> dict[str, Any]:
         """Return the result as plain numbers, lists and names, ready for JSON; the translation is None.
 
-        Returns
-        -------
-        dict of str to Any
-            Key ``disagreement_arcsec`` holds the residuals.
+        Returns: Key ``disagreement_arcsec`` holds the residuals.
         """
         return {
             "rotation": self.rotation.tolist(),
@@ -89,20 +76,7 @@ def relative_rotation(first: Calibration, second: Calibration) -> RelativeRotati
 
     Generalised least squares: Aitken (1936), for the rotation vectors of R_second R_first^T.
 
-    Parameters
-    ----------
-    first, second
-        Calibrations of the two cameras; poses are matched by the names of the views.
-
-    Returns
-    -------
-    RelativeRotation
-        Rotation with covariance and residuals.
-
-    Raises
-    ------
-    DegenerateViews
-        If the calibrations have no view with the same name.
+    Raises DegenerateViews: If the calibrations have no view with the same name.
     """
     names = [view.name for view in first.views]
     second_names = [view.name for view in second.views]

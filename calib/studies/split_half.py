@@ -26,20 +26,11 @@ _MIN_VIEWS = 4
 
 @dataclass(frozen=True)
 class SplitHalf:
-    """Two calibrations of one camera, and their difference at infinity.
-
-    Attributes
-    ----------
-    halves
-        The calibrations from every other view, and from the rest.
-    difference
-        Their difference over the sensor.
-    expected_px
-        Root mean square difference over the sensor that their uncertainties let expect, px.
-    """
+    """Two calibrations of one camera, and their difference at infinity."""
 
     halves: tuple[Calibration, Calibration]
     difference: CameraDifference
+    # Root mean square difference over the sensor that their uncertainties let expect, px.
     expected_px: float
 
     @property
@@ -54,22 +45,9 @@ def split_half(views: Sequence[View], options: CalibrationOptions | None = None)
     Own statistic: the expected difference is the root of the mean of s1^2 + s2^2 over the sensor, with the projection
     uncertainties s1 and s2.
 
-    Parameters
-    ----------
-    views
-        Views of one camera, at least 4.
-    options
-        How to calibrate; None for the defaults.
-
-    Returns
-    -------
-    SplitHalf
-        Both calibrations and their difference.
-
-    Raises
-    ------
-    DegenerateViews
-        If there are fewer than 4 views, or a half does not constrain the camera.
+    views: Views of one camera, at least 4.
+    options: How to calibrate; None for the defaults.
+    Raises DegenerateViews: If there are fewer than 4 views, or a half does not constrain the camera.
     """
     if len(views) < _MIN_VIEWS:
         raise DegenerateViews(f"{len(views)} views; two halves need at least {_MIN_VIEWS}.")

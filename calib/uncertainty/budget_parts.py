@@ -46,22 +46,9 @@ def covariance_parts(
     information P contributes C P C, readings with the scores B contribute H B B^T H, and held parameters contribute
     C_fp C_pp^-1 C_pf. Each part is then scaled so that the variances by source are those of `Uncertainty.budget`.
 
-    Parameters
-    ----------
-    bundle
-        Bundle that was adjusted.
-    parameters
-        Its optimum.
-    loss
-        Loss with the limit that the adjustment ended with.
-    estimate
-        Uncertainty without type B terms of the budget.
-
-    Returns
-    -------
-    dict of str to Array
-        For each source the (G, G) covariance of the parameters, in the order of `Uncertainty.names`. Sources that
-        contribute nothing are omitted.
+    estimate: Uncertainty without type B terms of the budget.
+    Returns: For each source the (G, G) covariance of the parameters, in the order of `Uncertainty.names`.
+      Sources that contribute nothing are omitted.
     """
     names = list(estimate.names)
     held = [i for i, name in enumerate(names) if name not in bundle.names]

@@ -52,17 +52,7 @@ _SMALLEST_PX = 0.005
 
 @dataclass(frozen=True)
 class UncertaintyBudget:
-    """The uncertainty budget of a calibration.
-
-    Attributes
-    ----------
-    applied
-        The uncertainty with the type B terms, and what each term contributes.
-    rows
-        A row for each source of uncertainty.
-    not_included
-        What nobody stated, with what it could do, in words.
-    """
+    """The uncertainty budget of a calibration."""
 
     applied: AppliedBudget
     rows: tuple[BudgetRow, ...]
@@ -79,25 +69,8 @@ def uncertainty_budget(
 ) -> UncertaintyBudget:
     """Add type B terms to the uncertainty of an adjustment, and return its whole budget.
 
-    Parameters
-    ----------
-    bundle
-        Bundle that was adjusted; corrections of the terms are contained in its data.
-    parameters
-        Its optimum.
-    loss
-        Loss with the limit that the adjustment ended with.
-    estimate
-        Uncertainty from views, priors and passport.
-    terms
-        The stated terms.
-    sources
-        Where values come from, by name of the row (see `budget_rows`).
-
-    Returns
-    -------
-    UncertaintyBudget
-        New uncertainty, rows, and what is not included.
+    sources: Where values come from, by name of the row (see `budget_rows`).
+    Returns: New uncertainty, rows, and what is not included.
     """
     applied = apply_budget(bundle, parameters, loss, estimate, terms)
     parts = covariance_parts(bundle, parameters, loss, estimate)
@@ -119,23 +92,12 @@ def budget_rows(
     The worst corner is the point of the sensor with the largest projection uncertainty, along its worse direction, so
     that the squares of the contributions add up to the square of that uncertainty, as they do for the parameters.
 
-    Parameters
-    ----------
-    camera
-        The calibrated camera.
-    applied
-        Uncertainty with the type B terms.
-    parts
-        By source the (G, G) covariance without these terms (`calib.uncertainty.budget_parts.covariance_parts`).
-    sources
-        Where values come from, by name of the row; replaces the general words, for example by the number of a
-        certificate.
-
-    Returns
-    -------
-    tuple of BudgetRow
-        Rows of the sources of the adjustment, then those of the terms, in their order. Terms that do not apply are
-        omitted.
+    parts: By source the (G, G) covariance without these terms
+      (`calib.uncertainty.budget_parts.covariance_parts`).
+    sources: Where values come from, by name of the row; replaces the general words, for example by the number
+      of a certificate.
+    Returns: Rows of the sources of the adjustment, then those of the terms, in their order. Terms that do not
+      apply are omitted.
     """
     return _rows(_quantities(camera, applied), applied, parts, sources or {})
 
@@ -268,19 +230,8 @@ def not_included(camera: CameraModel, applied: AppliedBudget, *, planar: bool = 
 
     The amounts are examples. Their effects are computed for these views, this model and this passport.
 
-    Parameters
-    ----------
-    camera
-        The calibrated camera.
-    applied
-        Uncertainty with the type B terms that were stated.
-    planar
-        Whether the target stands at finite distance, without a collimator.
-
-    Returns
-    -------
-    tuple of str
-        A sentence for each source. Sources that were stated but do not apply are named too.
+    planar: Whether the target stands at finite distance, without a collimator.
+    Returns: A sentence for each source. Sources that were stated but do not apply are named too.
     """
     return _not_included(_quantities(camera, applied), applied, planar)
 

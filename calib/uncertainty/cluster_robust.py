@@ -29,18 +29,11 @@ _DETERMINED = 1e-9
 
 @dataclass(frozen=True)
 class ClusterRobustCovariance:
-    """Diagonal of the cluster-robust covariance of the shared parameters.
+    """Diagonal of the cluster-robust covariance of the shared parameters."""
 
-    Attributes
-    ----------
-    variances
-        (G,) float64 variance of each parameter, in the square of its unit.
-    degrees_of_freedom
-        (G,) float64 degrees of freedom of each variance (Satterthwaite, 1946), if the working covariance is right; 0 if
-        no score shows the parameter.
-    """
-
-    variances: Array
+    variances: Array  # (G,) float64 variance of each parameter, in the square of its unit
+    # (G,) float64 degrees of freedom of each variance (Satterthwaite, 1946), if the working covariance is
+    # right; 0 if no score shows the parameter.
     degrees_of_freedom: Array
 
 
@@ -49,23 +42,13 @@ def cluster_robust_covariance(
 ) -> ClusterRobustCovariance:
     """Return the variances that the scores of the views show: CR2, Bell and McCaffrey (2002).
 
-    Parameters
-    ----------
-    scores
-        (n, G) score of each view at the optimum for the shared parameters, its local parameters eliminated.
-    informations
-        (n, G, G) information of each view on the shared parameters.
-    working
-        (n, G, G) working covariance of each score. Its scale matters only in directions that no score shows.
-    prior
-        (G, G) prior information.
-    prior_score_covariance
-        (G, G) covariance of the prior's score.
-
-    Returns
-    -------
-    ClusterRobustCovariance
-        Variances and their degrees of freedom.
+    scores: (n, G) score of each view at the optimum for the shared parameters, its local parameters
+      eliminated.
+    informations: (n, G, G) information of each view on the shared parameters.
+    working: (n, G, G) working covariance of each score. Its scale matters only in directions that no score
+      shows.
+    prior: (G, G) prior information.
+    prior_score_covariance: (G, G) covariance of the prior's score.
     """
     # Scaled to a unit diagonal: the parameters differ by many orders of magnitude.
     scale = 1.0 / np.sqrt(np.diag(informations.sum(axis=0) + prior))

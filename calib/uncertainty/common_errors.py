@@ -40,22 +40,13 @@ _DETERMINED = 1e-5
 
 @dataclass(frozen=True)
 class CommonErrors:
-    """Displacements that all views share, and the covariance that follows.
+    """Displacements that all views share, and the covariance that follows."""
 
-    Attributes
-    ----------
-    sigma_mm
-        (3,) float64 1-sigma displacement of a star by the coefficients of the degrees 1 and 2, of degree 3, and of
-        degree 4, mm.
-    covariance
-        (G, G) float64 covariance of the shared parameters from them.
-    degrees_of_freedom
-        (G,) float64 degrees of freedom of each variance (Satterthwaite, 1946).
-    """
-
+    # (3,) float64 1-sigma displacement of a star by the coefficients of the degrees 1 and 2, of degree 3, and
+    # of degree 4, mm.
     sigma_mm: Array
-    covariance: Array
-    degrees_of_freedom: Array
+    covariance: Array  # (G, G) float64 covariance of the shared parameters from them
+    degrees_of_freedom: Array  # (G,) float64 degrees of freedom of each variance (Satterthwaite, 1946)
 
 
 def common_errors(
@@ -66,21 +57,8 @@ def common_errors(
 ) -> CommonErrors | None:
     """Estimate the displacements that all views share (REML; Patterson and Thompson, 1971).
 
-    Parameters
-    ----------
-    bundle
-        Bundle that was adjusted.
-    parameters
-        Its optimum.
-    loss
-        Loss with the limit that the adjustment ended with.
-    at_optimum
-        Residuals and derivatives at the optimum; None to compute them.
-
-    Returns
-    -------
-    CommonErrors or None
-        None if the views have too few stars to show them.
+    at_optimum: Residuals and derivatives at the optimum; None to compute them.
+    Returns: None if the views have too few stars to show them.
     """
     at_optimum = at_optimum or FieldEquations(bundle, parameters, loss)
     fields, degree = _basis(bundle.observations.target[:, :2])
@@ -125,19 +103,9 @@ def add_common_errors(
     collimator in common. Fewer than five views cannot tell errors that they share
     from errors of their own; the variance components hold both.
 
-    Parameters
-    ----------
-    estimate
-        Uncertainty without these errors; it may have more parameters than the bundle, at its end.
-    bundle
-        Bundle that was adjusted.
-    estimate_errors
-        Estimates the errors; called only if they matter.
-
-    Returns
-    -------
-    Uncertainty
-        The enlarged uncertainty; the same object if nothing is added.
+    estimate: Uncertainty without these errors; it may have more parameters than the bundle, at its end.
+    estimate_errors: Estimates the errors; called only if they matter.
+    Returns: The enlarged uncertainty; the same object if nothing is added.
     """
     if not estimate.inconsistent or bundle.free_centres or len(views_of_poses(bundle)) < SCORE_VIEWS:
         return estimate

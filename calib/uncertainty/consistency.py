@@ -47,26 +47,11 @@ def check_passport(
     share and leaves no residuals. Errors that all views share may move r far, because few directions of the stars
     determine it. Against a certificate, V therefore includes both.
 
-    Parameters
-    ----------
-    bundle
-        Bundle that was adjusted with the passport.
-    parameters
-        Its optimum.
-    loss
-        Loss with the limit that the adjustment ended with.
-    passport
-        The passport.
-    terms
-        Type B terms; what they may change adds to the uncertainty of a certificate's radius.
-    parallax_sigma
-        1-sigma of a parallax that nobody bounds, as a share of r. It counts only for views that are inconsistent.
-
-    Raises
-    ------
-    PassportContradicted
-        If the chi-square of the difference has a probability below 1 in 10000; gives both values, their uncertainties
-        and the chi-square.
+    terms: Type B terms; what they may change adds to the uncertainty of a certificate's radius.
+    parallax_sigma: 1-sigma of a parallax that nobody bounds, as a share of r. It counts only for views that
+      are inconsistent.
+    Raises PassportContradicted: If the chi-square of the difference has a probability below 1 in 10000; gives
+      both values, their uncertainties and the chi-square.
     """
     spread = float((bundle.weighted_residuals(parameters) ** 2).mean())
     names = (*bundle.names, *passport.names)

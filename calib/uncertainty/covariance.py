@@ -43,39 +43,25 @@ _COVERAGE = 0.9545
 
 @dataclass(frozen=True)
 class Uncertainty:
-    """Covariance of the shared parameters.
-
-    Attributes
-    ----------
-    names
-        Names of the G parameters.
-    covariance
-        (G, G) float64 covariance, in the order of the names.
-    variance_factor
-        Estimated variance of a component of the weighted residuals.
-    degrees_of_freedom
-        Number of measured components minus number of estimated parameters.
-    birge_ratio
-        How many times more than star noise explains the estimates of the views differ (Birge, 1932); 1 is agreement.
-    inconsistent
-        Whether the ratio is more than chance allows; the covariance is then enlarged.
-    effective_degrees_of_freedom
-        Degrees of freedom of the covariance: those of the stars if the views are consistent, else those of the views.
-    budget
-        (G,) float64 variances of the parameters by source; the sources add up to the diagonal of the covariance.
-    common
-        (G, G) float64 part of the covariance from errors that all views share (`calib.uncertainty.common_errors`); None
-        if there are none.
-    """
+    """Covariance of the shared parameters."""
 
     names: tuple[str, ...]
-    covariance: Array
-    variance_factor: float
+    covariance: Array  # (G, G) float64 covariance, in the order of the names
+    variance_factor: float  # Estimated variance of a component of the weighted residuals
     degrees_of_freedom: int
+    # How many times more than star noise explains the estimates of the views differ (Birge, 1932); 1 is
+    # agreement.
     birge_ratio: float = 1.0
+    # Whether the ratio is more than chance allows; the covariance is then enlarged.
     inconsistent: bool = False
+    # Degrees of freedom of the covariance: those of the stars if the views are consistent, else those of the
+    # views.
     effective_degrees_of_freedom: float = float("inf")
+    # (G,) float64 variances of the parameters by source; the sources add up to the diagonal of the
+    # covariance.
     budget: Mapping[str, Array] = field(default_factory=dict)
+    # (G, G) float64 part of the covariance from errors that all views share
+    # (`calib.uncertainty.common_errors`); None if there are none.
     common: Array | None = None
 
     @property
@@ -87,15 +73,8 @@ class Uncertainty:
 def coverage_factor(degrees_of_freedom: float) -> float:
     """Return the k for which value +- k sigma covers 95.45 % (Student's distribution; JCGM 100:2008, annex G).
 
-    Parameters
-    ----------
-    degrees_of_freedom
-        Degrees of freedom of sigma; may be infinite.
-
-    Returns
-    -------
-    float
-        2 for infinitely many; more for few.
+    degrees_of_freedom: Degrees of freedom of sigma; may be infinite.
+    Returns: 2 for infinitely many; more for few.
     """
     from scipy import special
 
@@ -110,24 +89,9 @@ def covariance_at_optimum(bundle: Bundle, parameters: AdjustmentParameters, loss
 
     The Birge ratio of the views is tested by an F test.
 
-    Parameters
-    ----------
-    bundle
-        Bundle that was adjusted.
-    parameters
-        Its optimum.
-    loss
-        Loss with the limit that the adjustment ended with.
-
-    Returns
-    -------
-    Uncertainty
-        Covariance that is not yet enlarged, and the result of the test.
-
-    Raises
-    ------
-    DegenerateViews
-        If there are no more measurements than parameters, or if the views do not constrain a parameter.
+    Returns: Covariance that is not yet enlarged, and the result of the test.
+    Raises DegenerateViews: If there are no more measurements than parameters, or if the views do not
+      constrain a parameter.
     """
     residuals = bundle.weighted_residuals(parameters)
     from scipy import special
@@ -177,19 +141,7 @@ def rotation_covariance(bundle: Bundle, parameters: AdjustmentParameters, nomina
     the local parameters, S their coupling to the shared ones, C the covariance of the shared ones, and v the variance
     of star noise. Then the covariance is v L^-1 + L^-1 S^T C S L^-1.
 
-    Parameters
-    ----------
-    bundle
-        Bundle that was adjusted.
-    parameters
-        Its optimum.
-    nominal
-        Uncertainty of the shared parameters.
-
-    Returns
-    -------
-    Array
-        (3 n, 3 n) covariance of rotation vectors on the camera's side, rad^2.
+    Returns: (3 n, 3 n) covariance of rotation vectors on the camera's side, rad^2.
     """
     whole = replace(bundle, names=nominal.names)
     equations = whole.normal_equations(parameters, whole.weighted_residuals(parameters))
@@ -239,23 +191,10 @@ def inflate(
     from the scores of the views (`calib.uncertainty.cluster_robust`); correlations are kept. Variance components:
     Patterson and Thompson (1971). Scores: Bell and McCaffrey (2002).
 
-    Parameters
-    ----------
-    nominal
-        Uncertainty if the model is right.
-    bundle
-        Bundle that was adjusted.
-    parameters
-        Its optimum.
-    loss
-        Loss with the limit that the adjustment ended with.
-    estimate_components
-        Estimates the variance components; called if the views are inconsistent and fewer than 16.
-
-    Returns
-    -------
-    Uncertainty
-        The enlarged uncertainty; the same object if the views are consistent.
+    nominal: Uncertainty if the model is right.
+    estimate_components: Estimates the variance components; called if the views are inconsistent and fewer
+      than 16.
+    Returns: The enlarged uncertainty; the same object if the views are consistent.
     """
     if not nominal.inconsistent:
         return nominal
@@ -344,22 +283,9 @@ def inverse_information(information: Array, names: Sequence[str]) -> Array:
     The inverse of the information is the Cramér-Rao bound (Rao, 1945). The scaling reduces the condition number (van
     der Sluis, 1969).
 
-    Parameters
-    ----------
-    information
-        (G, G) information on the parameters.
-    names
-        Names of the G parameters, for the message.
-
-    Returns
-    -------
-    Array
-        (G, G) covariance.
-
-    Raises
-    ------
-    DegenerateViews
-        If a parameter is not constrained; names it, or the two that cannot be separated.
+    information: (G, G) information on the parameters.
+    Returns: (G, G) covariance.
+    Raises DegenerateViews: If a parameter is not constrained; names it, or the two that cannot be separated.
     """
     diagonal = np.diag(information)
     if not (diagonal > 0).all():

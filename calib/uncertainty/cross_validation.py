@@ -36,22 +36,13 @@ _PLACED_BY_HAND = 0.1
 
 @dataclass(frozen=True)
 class CrossValidation:
-    """Results of leaving out each of P poses in turn, with all its views.
+    """Results of leaving out each of P poses in turn, with all its views."""
 
-    Attributes
-    ----------
-    values
-        (P, G) float64 shared parameters estimated without each pose.
-    rms_px
-        (n,) float64 root mean square residual of each view, px, with camera and centre of the others and its own
-        rotation.
-    stars
-        (n,) int64 number of its stars.
-    """
-
-    values: Array
+    values: Array  # (P, G) float64 shared parameters estimated without each pose
+    # (n,) float64 root mean square residual of each view, px, with camera and centre of the others and its
+    # own rotation.
     rms_px: Array
-    stars: NDArray[np.int64]
+    stars: NDArray[np.int64]  # (n,) int64 number of its stars
 
     @property
     def total_rms_px(self) -> float:
@@ -72,19 +63,8 @@ def leave_one_out(bundle: Bundle, parameters: AdjustmentParameters, loss: Loss) 
     With many views one Newton step replaces the full adjustment (compare Pregibon, 1981, on one-step deletion).
     Cross-validation: Stone (1974).
 
-    Parameters
-    ----------
-    bundle
-        Bundle of at least 3 poses.
-    parameters
-        Its optimum.
-    loss
-        Loss with the limit that the adjustment ended with.
-
-    Returns
-    -------
-    CrossValidation
-        Estimates without each pose, and the predicted residuals of its views.
+    bundle: Bundle of at least 3 poses.
+    Returns: Estimates without each pose, and the predicted residuals of its views.
     """
     poses = views_of_poses(bundle)
     near = _steps_without(bundle, parameters, loss)

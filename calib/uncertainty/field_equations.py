@@ -20,38 +20,17 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class ReducedView:
-    """Equations of one view, with its own rotation (and centre) eliminated.
+    """Equations of one view, with its own rotation (and centre) eliminated."""
 
-    Attributes
-    ----------
-    normal
-        (G + F, G + F) float64 normal matrix of the shared parameters and of the coefficients of the fields.
-    score
-        (F,) float64 score of each coefficient.
-    squares
-        Sum of the squares of the weighted residuals.
-    by_readings
-        (G, G) float64 part of the normal matrix that comes from the gimbal's readings.
-    """
-
+    # (G + F, G + F) float64 normal matrix of the shared parameters and of the coefficients of the fields.
     normal: Array
-    score: Array
+    score: Array  # (F,) float64 score of each coefficient
     squares: float
-    by_readings: Array
+    by_readings: Array  # (G, G) float64 part of the normal matrix that comes from the gimbal's readings
 
 
 class FieldEquations:
-    """Residuals and derivatives at the optimum, from which the equations of fields are set up.
-
-    Parameters
-    ----------
-    bundle
-        Bundle that was adjusted.
-    parameters
-        Its optimum.
-    loss
-        Loss with the limit that the adjustment ended with.
-    """
+    """Residuals and derivatives at the optimum, from which the equations of fields are set up."""
 
     def __init__(self, bundle: Bundle, parameters: AdjustmentParameters, loss: Loss) -> None:
         self.bundle = bundle
@@ -78,17 +57,7 @@ class FieldEquations:
 
         Own derivation. Local parameters are eliminated by the Schur complement (Triggs et al., 2000, section 6.1).
 
-        Parameters
-        ----------
-        view
-            Index of the view.
-        fields
-            (m, 2, F) float64 displacements of its m stars by a unit of each coefficient, mm.
-
-        Returns
-        -------
-        ReducedView
-            The equations.
+        fields: (m, 2, F) float64 displacements of its m stars by a unit of each coefficient, mm.
         """
         bundle, count = self.bundle, len(self.bundle.names)
         columns, weighted = self._weighted_columns(view, fields)
@@ -126,17 +95,8 @@ class FieldEquations:
 def monomials(points: Array, degree: int) -> tuple[Array, NDArray[np.int64]]:
     """Return all monomials of points in the plane up to a degree.
 
-    Parameters
-    ----------
-    points
-        (N, 2) float64.
-    degree
-        Largest degree.
-
-    Returns
-    -------
-    tuple
-        (N, M) float64 values, and the (M,) int64 degree of each.
+    points: (N, 2) float64.
+    Returns: (N, M) float64 values, and the (M,) int64 degree of each.
     """
     powers = [(k - j, j) for k in range(degree + 1) for j in range(k + 1)]
     x, y = [np.ones(len(points))], [np.ones(len(points))]

@@ -33,26 +33,10 @@ def propagate_passport(
     is larger. Otherwise the small errors of a model would appear as knowledge. Consider covariance: Tapley, Schutz and
     Born (2004), chapter 6. The factor on star noise is this project's own.
 
-    Parameters
-    ----------
-    bundle
-        Bundle that was adjusted with the passport's values held.
-    parameters
-        Its optimum.
-    nominal
-        Uncertainty of the free parameters (`covariance_at_optimum`).
-    passport
-        The passport.
-
-    Returns
-    -------
-    Uncertainty
-        Uncertainty of the camera's and the collimator's parameters.
-
-    Raises
-    ------
-    DegenerateViews
-        If the views do not constrain a free parameter.
+    bundle: Bundle that was adjusted with the passport's values held.
+    nominal: Uncertainty of the free parameters (`covariance_at_optimum`).
+    Returns: Uncertainty of the camera's and the collimator's parameters.
+    Raises DegenerateViews: If the views do not constrain a free parameter.
     """
     names, information = _whole_information(bundle, parameters, passport)
     growth = max(nominal.birge_ratio if nominal.inconsistent else 1.0, passport.birge_ratio)
@@ -82,21 +66,7 @@ def add_certificate(
     A certificate says nothing about the model of these views, so `estimate` already holds what their inconsistency
     adds. The certificate's share is that of a consider covariance (Tapley, Schutz and Born, 2004, chapter 6).
 
-    Parameters
-    ----------
-    bundle
-        Bundle that was adjusted with the radius held.
-    parameters
-        Its optimum.
-    estimate
-        Uncertainty of the free parameters, enlarged if the views are inconsistent.
-    certificate
-        Passport of the radius alone.
-
-    Returns
-    -------
-    Uncertainty
-        Uncertainty of the free parameters and of the radius.
+    estimate: Uncertainty of the free parameters, enlarged if the views are inconsistent.
     """
     names, information = _whole_information(bundle, parameters, certificate)
     count = len(bundle.names)
@@ -123,19 +93,8 @@ def add_parallax(parameters: AdjustmentParameters, estimate: Uncertainty, share:
     term for it too, but with inconsistent views their term also holds the curvature and the tilt of the field: of 8
     drawn benches with the model ``rim``, 5 were wrong by up to 1 % of the focal length, beyond their uncertainty.
 
-    Parameters
-    ----------
-    parameters
-        Optimum of an adjustment without certificate and without readings.
-    estimate
-        Its uncertainty.
-    share
-        1-sigma of the parallax, as a share of the focal length.
-
-    Returns
-    -------
-    Uncertainty
-        Uncertainty of the same parameters.
+    parameters: Optimum of an adjustment without certificate and without readings.
+    share: 1-sigma of the parallax, as a share of the focal length.
     """
     if "field_curve" in parameters.collimator.aberrations or not share > 0:
         return estimate
@@ -154,17 +113,7 @@ def certificate_prior(certificate: Passport, terms: Sequence[TypeBTerm]) -> Prio
     Its variance is that of the certificate and that of the terms of the budget that separate the certified radius from
     the effective one (`calib.uncertainty.type_b`).
 
-    Parameters
-    ----------
-    certificate
-        Passport of the radius alone.
-    terms
-        Type B terms of the budget.
-
-    Returns
-    -------
-    Prior
-        Prior of r, mm.
+    Returns: Prior of r, mm.
     """
     r = certificate.values_by_name["r"]
     variance = float(certificate.covariance[0, 0])
@@ -183,21 +132,7 @@ def certificate_share(
     is taken out here, because the budget adds each of them as a row of its own. The response to the mean of a prior is
     that of one more observation (JCGM 100:2008, section 5.2).
 
-    Parameters
-    ----------
-    bundle
-        Bundle that was adjusted, with the prior of r.
-    parameters
-        Its optimum.
-    estimate
-        Uncertainty of the free parameters, enlarged if the views are inconsistent.
-    certificate
-        Passport of the radius alone.
-
-    Returns
-    -------
-    Uncertainty
-        Uncertainty of the same parameters.
+    estimate: Uncertainty of the free parameters, enlarged if the views are inconsistent.
     """
     assert bundle.prior is not None
     at, own = bundle.names.index("r"), bundle.prior.names.index("r")
@@ -230,24 +165,9 @@ def consider_covariance(information: Array, names: Sequence[str], passport: Pass
     and held parameters p, a change of p moves f by -S_ff^-1 S_fp, so cov_ff = S_ff^-1 + (S_ff^-1 S_fp) cov_p (S_ff^-1
     S_fp)^T.
 
-    Parameters
-    ----------
-    information
-        (G, G) information of the views on all parameters.
-    names
-        Names of the G parameters.
-    passport
-        Passport of the held parameters.
-
-    Returns
-    -------
-    Array
-        (G, G) covariance, in the order of the names.
-
-    Raises
-    ------
-    DegenerateViews
-        If the views do not constrain a free parameter.
+    information: (G, G) information of the views on all parameters.
+    Returns: (G, G) covariance, in the order of the names.
+    Raises DegenerateViews: If the views do not constrain a free parameter.
     """
     held = [list(names).index(name) for name in passport.names]
     free = [i for i in range(len(names)) if i not in held]

@@ -24,21 +24,13 @@ _TURNS = 10
 
 @dataclass(frozen=True)
 class ProjectionMap:
-    """Projection uncertainty over the sensor.
+    """Projection uncertainty over the sensor."""
 
-    Attributes
-    ----------
-    grid_px
-        (h, w, 2) float64 image points, px.
-    sigma_px
-        (h, w) float64 1-sigma of the projected point along the worse direction, px; NaN beyond the fold of the
-        distortion.
-    sigma_arcsec
-        (h, w) float64 1-sigma of the direction of the ray seen there, along the worse direction, arc seconds.
-    """
-
-    grid_px: Array
+    grid_px: Array  # (h, w, 2) float64 image points, px
+    # (h, w) float64 1-sigma of the projected point along the worse direction, px; NaN beyond the fold of the
+    # distortion.
     sigma_px: Array
+    # (h, w) float64 1-sigma of the direction of the ray seen there, along the worse direction, arc seconds.
     sigma_arcsec: Array
 
     @property
@@ -54,17 +46,10 @@ class ProjectionMap:
 
 @dataclass(frozen=True)
 class CameraDifference:
-    """Difference between the projections of two cameras at infinity, after the best rotation between them.
+    """Difference between the projections of two cameras at infinity, after the best rotation between them."""
 
-    Attributes
-    ----------
-    grid_px
-        (h, w, 2) float64 image points of the first camera, px.
-    offset_px
-        (h, w, 2) float64 image point of the same direction in the second camera, minus that point, px.
-    """
-
-    grid_px: Array
+    grid_px: Array  # (h, w, 2) float64 image points of the first camera, px
+    # (h, w, 2) float64 image point of the same direction in the second camera, minus that point, px.
     offset_px: Array
 
     @property
@@ -118,18 +103,8 @@ def projection_derivatives(camera: CameraModel, points_across: int = 33) -> tupl
 
     They are the derivatives that `projection_uncertainty` uses.
 
-    Parameters
-    ----------
-    camera
-        The camera.
-    points_across
-        Number of grid points along the width of the sensor.
-
-    Returns
-    -------
-    tuple of Array
-        (P, 2) image points of the grid, px, without those beyond the fold of the distortion; (P, 2, K) derivatives, px
-        per unit of each parameter, in the order of `CameraModel.parameter_names`.
+    Returns: (P, 2) image points of the grid, px, without those beyond the fold of the distortion; (P, 2, K)
+      derivatives, px per unit of each parameter, in the order of `CameraModel.parameter_names`.
     """
     pixels = sensor_grid(camera.image_size, points_across).reshape(-1, 2)
     left, _, _, seen = _without_turn(camera, pixels)
@@ -156,20 +131,6 @@ def camera_difference(first: CameraModel, second: CameraModel, points_across: in
 
     The rotation between their frames is estimated by least squares over the sensor (Gauss-Newton). The implied
     transformation is an idea of mrcal (Kogan); here it is a rotation, fitted with equal weights.
-
-    Parameters
-    ----------
-    first
-        Camera whose pixels are compared.
-    second
-        Camera to compare with.
-    points_across
-        Number of grid points along the width of the sensor.
-
-    Returns
-    -------
-    CameraDifference
-        Difference at each grid point.
     """
     grid = sensor_grid(first.image_size, points_across)
     pixels = grid.reshape(-1, 2)
@@ -192,17 +153,8 @@ def camera_difference(first: CameraModel, second: CameraModel, points_across: in
 def sensor_grid(image_size: Sequence[int], points_across: int) -> Array:
     """Return a grid of image points, from the centre of the first pixel to that of the last one.
 
-    Parameters
-    ----------
-    image_size
-        Width and height, px.
-    points_across
-        Number of points along the width.
-
-    Returns
-    -------
-    Array
-        (h, w, 2) image points, px.
+    image_size: Width and height, px.
+    Returns: (h, w, 2) image points, px.
     """
     width, height = image_size
     down = max(2, round(points_across * height / width))

@@ -19,15 +19,7 @@ Array = NDArray[np.float64]
 def views_of_poses(bundle: Bundle) -> list[list[int]]:
     """Return the views of each pose.
 
-    Parameters
-    ----------
-    bundle
-        Bundle with `Bundle.poses`; without, each view is a pose of its own.
-
-    Returns
-    -------
-    list of list of int
-        For each of P poses the indices of its views.
+    bundle: Bundle with `Bundle.poses`; without, each view is a pose of its own.
     """
     return members(bundle.poses) if bundle.poses else [[i] for i in range(len(bundle.observations.slices))]
 
@@ -35,17 +27,8 @@ def views_of_poses(bundle: Bundle) -> list[list[int]]:
 def pose_scores(bundle: Bundle, scores: ViewScores) -> tuple[Array, Array]:
     """Return the information and the score of each pose: the sums over its views.
 
-    Parameters
-    ----------
-    bundle
-        Bundle that was adjusted.
-    scores
-        Information and scores of its views (`Bundle.scores`).
-
-    Returns
-    -------
-    tuple of Array
-        (P, G, G) information and (P, G) scores of P poses.
+    scores: Information and scores of its views (`Bundle.scores`).
+    Returns: (P, G, G) information and (P, G) scores of P poses.
     """
     poses = views_of_poses(bundle)
     if len(poses) == len(scores.score):
@@ -63,17 +46,8 @@ def noise_growth(bundle: Bundle, residuals: Array) -> Array:
     views is 1 + (m - 1) q times that of independent ones. q is estimated over all poses from the stars that two views
     of a pose share: the mean product of their residuals over the mean square.
 
-    Parameters
-    ----------
-    bundle
-        Bundle that was adjusted.
-    residuals
-        (N, 2) weighted residuals at the optimum.
-
-    Returns
-    -------
-    Array
-        (P,) growth of each pose, at least 1.
+    residuals: (N, 2) weighted residuals at the optimum.
+    Returns: (P,) growth of each pose, at least 1.
     """
     poses = views_of_poses(bundle)
     products, squares = 0.0, 0.0

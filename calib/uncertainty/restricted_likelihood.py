@@ -30,20 +30,12 @@ class PoseForms:
     with M = v I + W N W, the observed forms are the squares of M^-1 W s and the expected ones the diagonal of
     M^-1 W N W, both over D. M is inverted pose by pose (Woodbury's identity; Hager, 1989).
 
-    Parameters
-    ----------
-    score
-        (P F,) float64 scores.
-    blocks
-        (P, F, F) float64 blocks B.
-    rows
-        (P F, R) float64 R.
-    core
-        (R, R) float64 S.
-    group
-        (P F,) int64 variance component of each coefficient; -1 for a coefficient that a pose does not have.
-    noise
-        Variance v.
+    score: (P F,) float64 scores.
+    blocks: (P, F, F) float64 blocks B.
+    rows: (P F, R) float64 R.
+    core: (R, R) float64 S.
+    group: (P F,) int64 variance component of each coefficient; -1 for a coefficient that a pose does not
+      have.
     """
 
     def __init__(
@@ -57,15 +49,8 @@ class PoseForms:
     def __call__(self, variances: Array) -> tuple[Array, Array]:
         """Return the quadratic forms of each component, each multiplied by the variance of the component.
 
-        Parameters
-        ----------
-        variances
-            (K,) float64.
-
-        Returns
-        -------
-        tuple of Array
-            (K,) observed and (K,) expected forms.
+        variances: (K,) float64.
+        Returns: (K,) observed and (K,) expected forms.
         """
         poses, width, _ = self._blocks.shape
         w = np.sqrt(variances)[self._group]
@@ -84,10 +69,7 @@ class PoseForms:
     def information(self) -> Array:
         """Return the information on the logarithms of the variances of the last call (Patterson and Thompson, 1971).
 
-        Returns
-        -------
-        Array
-            (K, K) float64.
+        Returns: (K, K) float64.
         """
         inverse, weighted, solved = self._inverse
         poses, width, _ = inverse.shape
@@ -102,14 +84,9 @@ class PoseForms:
 class DenseForms:
     """Quadratic forms of z ~ N(0, sum_k v_k parts_k + noise), for `maximum_likelihood`.
 
-    Parameters
-    ----------
-    z
-        (C,) float64 whitened scores.
-    parts
-        For each of K components the (C, C) float64 covariance of z for a unit variance.
-    noise
-        (C, C) float64 part of the covariance of z that the components do not explain.
+    z: (C,) float64 whitened scores.
+    parts: For each of K components the (C, C) float64 covariance of z for a unit variance.
+    noise: (C, C) float64 part of the covariance of z that the components do not explain.
     """
 
     def __init__(self, z: Array, parts: Sequence[Array], noise: Array) -> None:
@@ -140,17 +117,8 @@ def maximum_likelihood(forms: PoseForms | DenseForms, start: Array) -> tuple[Arr
     Each iteration multiplies a variance by the square root of the observed over the expected quadratic form; the
     likelihood grows in every iteration (Zhou, Hu, Zhou and Lange, 2019).
 
-    Parameters
-    ----------
-    forms
-        The quadratic forms.
-    start
-        (K,) float64 variances to begin with; a component that starts at zero stays there.
-
-    Returns
-    -------
-    tuple of Array
-        (K,) float64 variances, and the (K, K) information on their logarithms.
+    start: (K,) float64 variances to begin with; a component that starts at zero stays there.
+    Returns: (K,) float64 variances, and the (K, K) information on their logarithms.
     """
     variances: Array = start
     factors: Array = np.ones_like(start)

@@ -30,25 +30,16 @@ _LATTICE_SHARE = 4
 
 @dataclass(frozen=True)
 class _ViewResponses:
-    """How the rotations of n views follow displacements of the stars; computed when it is asked for.
+    """How the rotations of n views follow displacements of the stars; computed when it is asked for."""
 
-    Attributes
-    ----------
-    local, coupling
-        (n, L, L) and (n, G, L) float64 blocks of the normal equations.
-    gradients
-        For each view the indices of its stars, (m,) int64, and the gradients of its local parameters by their
-        displacements, (L, 3, m).
-    free
-        (G, 3, M) float64 response of the free parameters to displacements of the stars, per mm.
-    free_by_radius
-        (G,) float64 their response to a relative change of 1 of a radius that has a prior; None if it is held.
-    """
-
+    # local, coupling: (n, L, L) and (n, G, L) float64 blocks of the normal equations.
     local: Array
     coupling: Array
+    # For each view the indices of its stars, (m,) int64, and the gradients of its local parameters by their
+    # displacements, (L, 3, m).
     gradients: Sequence[tuple[NDArray[np.int64], Array]]
-    free: Array
+    free: Array  # (G, 3, M) float64 response of the free parameters to displacements of the stars, per mm
+    # (G,) float64 their response to a relative change of 1 of a radius that has a prior; None if it is held.
     free_by_radius: Array | None
 
     @cached_property
@@ -73,35 +64,21 @@ class _ViewResponses:
 
 @dataclass(frozen=True)
 class TargetResponse:
-    """Response of the estimates to displacements of the target, and to a held radius.
-
-    Attributes
-    ----------
-    names
-        Names of the G parameters.
-    stars_mm
-        (M, 2) float64 nominal positions of the stars that the views show, mm.
-    axis_mm, r_mm
-        Foot of the collimator's axis on the target, and its radius, mm; medians if each view has its own centre.
-    shared
-        (G, 3, M) float64 change of each parameter by the displacement of a star along X, Y and Z, per mm.
-    views
-        How the rotations of the views follow.
-    shared_by_radius
-        (G,) float64 change of each parameter by a relative change of 1 of the radius of a certificate; zero if no
-        certificate determines the radius.
-    has_certificate
-        Whether a certificate determines the radius.
-    """
+    """Response of the estimates to displacements of the target, and to a held radius."""
 
     names: tuple[str, ...]
-    stars_mm: Array
+    stars_mm: Array  # (M, 2) float64 nominal positions of the stars that the views show, mm
+    # axis_mm, r_mm: Foot of the collimator's axis on the target, and its radius, mm; medians if each view has
+    # its own centre.
     axis_mm: tuple[float, float]
     r_mm: float
+    # (G, 3, M) float64 change of each parameter by the displacement of a star along X, Y and Z, per mm.
     shared: Array
     views: _ViewResponses
+    # (G,) float64 change of each parameter by a relative change of 1 of the radius of a certificate; zero if
+    # no certificate determines the radius.
     shared_by_radius: Array
-    has_certificate: bool
+    has_certificate: bool  # Whether a certificate determines the radius
 
     @property
     def turns(self) -> Array:
@@ -118,15 +95,9 @@ class TargetResponse:
     def by_term(self, term: TypeBTerm) -> tuple[Array, Array]:
         """Return the response to a term by one unit of its value.
 
-        Parameters
-        ----------
-        term
-            A term that is not random from star to star: any kind but ``wavefront``.
-
-        Returns
-        -------
-        tuple of Array
-            (G,) changes of the parameters and (3 n,) changes of the rotation vectors, rad, per unit of the term.
+        term: A term that is not random from star to star: any kind but ``wavefront``.
+        Returns: (G,) changes of the parameters and (3 n,) changes of the rotation vectors, rad, per unit of
+          the term.
         """
         if term.kind in RADII:
             return self.shared_by_radius, self.turns_by_radius
@@ -135,15 +106,8 @@ class TargetResponse:
     def shared_by_term(self, term: TypeBTerm) -> Array:
         """Return the first result of `by_term`: the changes of the parameters.
 
-        Parameters
-        ----------
-        term
-            A term that is not random from star to star: any kind but ``wavefront``.
-
-        Returns
-        -------
-        Array
-            (G,) changes of the parameters per unit of the term.
+        term: A term that is not random from star to star: any kind but ``wavefront``.
+        Returns: (G,) changes of the parameters per unit of the term.
         """
         if term.kind in RADII:
             return self.shared_by_radius
@@ -169,15 +133,9 @@ class TargetResponse:
         slopes are a random field without curl, alike over the correlation length. A slope s displaces a star by r s on
         the target, in all views alike. The RMS is that over the stars after subtraction of the mean slope.
 
-        Parameters
-        ----------
-        term
-            A term of the kind ``wavefront``.
-
-        Returns
-        -------
-        tuple of Array
-            (G, G) covariance of the parameters and (3 n, 3 n) of the rotation vectors, rad^2, per urad^2.
+        term: A term of the kind ``wavefront``.
+        Returns: (G, G) covariance of the parameters and (3 n, 3 n) of the rotation vectors, rad^2, per
+          urad^2.
         """
         scale = self._wavefront_scale(term)
         length = self._correlation_mm(term)
@@ -189,15 +147,8 @@ class TargetResponse:
     def shared_by_wavefront(self, term: TypeBTerm) -> Array:
         """Return the first result of `by_wavefront`: the covariance of the parameters.
 
-        Parameters
-        ----------
-        term
-            A term of the kind ``wavefront``.
-
-        Returns
-        -------
-        Array
-            (G, G) covariance of the parameters per urad^2.
+        term: A term of the kind ``wavefront``.
+        Returns: (G, G) covariance of the parameters per urad^2.
         """
         stars = self.stars_mm / self._correlation_mm(term)
         return np.asarray(self._wavefront_scale(term) * _slopes_covariance(stars, self.shared[:, :2]))
@@ -234,24 +185,9 @@ def target_response(
     Linear propagation (JCGM 100:2008, section 5.1.3) through the normal equations, with local parameters eliminated by
     the Schur complement (Triggs et al., 2000, section 6.1). Parameters that a passport holds do not respond.
 
-    Parameters
-    ----------
-    bundle
-        Bundle that was adjusted.
-    parameters
-        Its optimum.
-    loss
-        Loss with the limit that the adjustment ended with.
-    names
-        Names of the parameters of which the response is wanted: the free ones of the bundle, and those held.
-    information
-        (G, G) information on the free parameters, in the order of the bundle's names, times the noise variance; None
-        for that of the bundle.
-
-    Returns
-    -------
-    TargetResponse
-        The response; that of a held parameter is zero, except to its own change.
+    information: (G, G) information on the free parameters, in the order of the bundle's names, times the
+      noise variance; None for that of the bundle.
+    Returns: The response; that of a held parameter is zero, except to its own change.
     """
     obs, equations = bundle.observations, bundle.robust_equations(parameters, loss)
     stars, index = _positions(obs.target_rows)

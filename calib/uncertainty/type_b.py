@@ -31,51 +31,27 @@ _CERTAIN = (PASSPORT, PRIORS)
 
 @dataclass(frozen=True)
 class Contribution:
-    """What a term contributes to the covariance of the estimates.
-
-    Attributes
-    ----------
-    term
-        The term.
-    sensitivity
-        (G,) float64 change of each parameter by one unit of the term; for a wavefront, its 1-sigma (without sign).
-    covariance
-        (G, G) float64 contribution to the covariance of the parameters.
-    applies
-        Whether the term has a meaning here: terms of a certificate's radius have none where the views determine it.
-    """
+    """What a term contributes to the covariance of the estimates."""
 
     term: TypeBTerm
+    # (G,) float64 change of each parameter by one unit of the term; for a wavefront, its 1-sigma (without
+    # sign).
     sensitivity: Array
-    covariance: Array
+    covariance: Array  # (G, G) float64 contribution to the covariance of the parameters
+    # Whether the term has a meaning here: terms of a certificate's radius have none where the views determine
+    # it.
     applies: bool = True
 
 
 @dataclass(frozen=True)
 class AppliedBudget:
-    """An uncertainty with the type B terms of the budget.
-
-    Attributes
-    ----------
-    uncertainty
-        The uncertainty with the terms: covariance, budget and effective degrees of freedom. The latter are those of the
-        focal length that has fewer.
-    without_terms
-        The uncertainty before, with the same degrees of freedom.
-    degrees_of_freedom
-        (G,) float64 effective degrees of freedom of each parameter.
-    rotation_covariance
-        (3 n, 3 n) float64 contribution of the terms to the joint covariance of the rotation vectors, rad^2; to be added
-        to that of `without_terms`.
-    contributions
-        What each term contributes.
-    response
-        The response of the estimates.
-    """
+    """An uncertainty with the type B terms of the budget."""
 
     uncertainty: Uncertainty
-    without_terms: Uncertainty
-    degrees_of_freedom: Array
+    without_terms: Uncertainty  # The uncertainty before, with the same degrees of freedom
+    degrees_of_freedom: Array  # (G,) float64 effective degrees of freedom of each parameter
+    # (3 n, 3 n) float64 contribution of the terms to the joint covariance of the rotation vectors, rad^2; to
+    # be added to that of `without_terms`.
     rotation_covariance: Array
     contributions: tuple[Contribution, ...]
     response: TargetResponse
@@ -93,24 +69,6 @@ def apply_budget(
     The terms are independent of each other and of the views, so their covariances add up (JCGM 100:2008, section 5.1).
     If a certificate gives the radius, and no term states the difference to the effective radius, the default
     `calib.model.type_b_terms.DEFAULT_EFFECTIVE_RADIUS` enters.
-
-    Parameters
-    ----------
-    bundle
-        Bundle that was adjusted; corrections of the terms are contained in its data.
-    parameters
-        Its optimum.
-    loss
-        Loss with the limit that the adjustment ended with.
-    estimate
-        Uncertainty from views, priors and passport.
-    terms
-        The stated terms.
-
-    Returns
-    -------
-    AppliedBudget
-        The new uncertainty, and the contribution of each term.
     """
     response = target_response(bundle, parameters, loss, estimate.names)
     return add_terms(response, estimate, terms)
@@ -122,19 +80,8 @@ def add_terms(response: TargetResponse, estimate: Uncertainty, terms: Sequence[T
     The coverage factor is that of the focal lengths. The standard uncertainty of a parameter with fewer degrees of
     freedom is enlarged, so that this factor covers it as its own would. Own procedure.
 
-    Parameters
-    ----------
-    response
-        Response of the estimates, for the names of the uncertainty.
-    estimate
-        Uncertainty without the terms.
-    terms
-        The stated terms; the default of the effective radius is added as in `apply_budget`.
-
-    Returns
-    -------
-    AppliedBudget
-        The new uncertainty, and the contribution of each term.
+    estimate: Uncertainty without the terms.
+    terms: The stated terms; the default of the effective radius is added as in `apply_budget`.
     """
     covariance = estimate.covariance.copy()
     turns = np.zeros((3 * len(response.views.local),) * 2)
@@ -175,17 +122,8 @@ def add_terms(response: TargetResponse, estimate: Uncertainty, terms: Sequence[T
 def with_default_terms(response: TargetResponse, terms: Sequence[TypeBTerm]) -> tuple[TypeBTerm, ...]:
     """Return the terms, with the default of the effective radius if it is needed and not stated.
 
-    Parameters
-    ----------
-    response
-        Response of the estimates; says whether a certificate determines the radius.
-    terms
-        The stated terms.
-
-    Returns
-    -------
-    tuple of TypeBTerm
-        The stated terms, and the default one.
+    response: Response of the estimates; says whether a certificate determines the radius.
+    Returns: The stated terms, and the default one.
     """
     return with_effective_radius(terms) if response.has_certificate else tuple(terms)
 
@@ -196,17 +134,9 @@ def radius_difference_variance(response: TargetResponse, terms: Sequence[TypeBTe
     The terms of the target change the radius that the views give, those of the certificate its own radius. A test of a
     certificate against the views must allow for both, or it blames the certificate for a bowed target.
 
-    Parameters
-    ----------
-    response
-        Response of a fit in which the views determine the radius.
-    terms
-        The stated terms; without one of the effective radius, the default enters.
-
-    Returns
-    -------
-    float
-        Variance of the difference, mm^2.
+    response: Response of a fit in which the views determine the radius.
+    terms: The stated terms; without one of the effective radius, the default enters.
+    Returns: Variance of the difference, mm^2.
     """
     at, variance = response.names.index("r"), 0.0
     for term in with_effective_radius(terms):
@@ -225,17 +155,8 @@ def effective_degrees_of_freedom(estimate: Uncertainty, contributions: Sequence[
     Formula of Welch and Satterthwaite (JCGM 100:2008, annex G.4.1): the squared total variance over the sum of the
     squared variances of the sources, each divided by its degrees of freedom.
 
-    Parameters
-    ----------
-    estimate
-        Uncertainty without the terms.
-    contributions
-        Contributions of the terms.
-
-    Returns
-    -------
-    Array
-        (G,) degrees of freedom; infinite where no source has finite ones.
+    estimate: Uncertainty without the terms.
+    Returns: (G,) degrees of freedom; infinite where no source has finite ones.
     """
     own = np.diag(estimate.covariance)
     total = own + sum((np.diag(each.covariance) for each in contributions), start=np.zeros(len(own)))

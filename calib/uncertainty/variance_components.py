@@ -42,26 +42,20 @@ _MIN_NOISE_SHARE = 1e-3
 
 @dataclass(frozen=True)
 class VarianceComponents:
-    """Variance components of the views, and the covariance that follows.
+    """Variance components of the views, and the covariance that follows."""
 
-    Attributes
-    ----------
-    sigma_mm
-        (7,) float64 1-sigma displacement of a star, mm, by the shift along X, the shift along Y, the polynomials of
-        degree 1 to 4, and the rim; fewer if no view has enough stars for all degrees.
-    field_covariance, star_covariance, prior_covariance
-        (G, G) float64 covariance of the shared parameters from the displacements, from star noise, and from priors.
-    score_covariances
-        (n, G, G) float64 covariance of each view's score for the shared parameters, from displacements and star noise.
-    effective_degrees_of_freedom
-        Degrees of freedom of the least certain variance of a parameter (Satterthwaite, 1946).
-    """
-
+    # (7,) float64 1-sigma displacement of a star, mm, by the shift along X, the shift along Y, the
+    # polynomials of degree 1 to 4, and the rim; fewer if no view has enough stars for all degrees.
     sigma_mm: Array
+    # field_covariance, star_covariance, prior_covariance: (G, G) float64 covariance of the shared parameters
+    # from the displacements, from star noise, and from priors.
     field_covariance: Array
     star_covariance: Array
     prior_covariance: Array
+    # (n, G, G) float64 covariance of each view's score for the shared parameters, from displacements and star
+    # noise.
     score_covariances: Array
+    # Degrees of freedom of the least certain variance of a parameter (Satterthwaite, 1946).
     effective_degrees_of_freedom: float
 
     @property
@@ -72,46 +66,24 @@ class VarianceComponents:
 
 @dataclass(frozen=True)
 class _ComponentEquations:
-    """Reduced normal equations of the field coefficients of all views.
+    """Reduced normal equations of the field coefficients of all views."""
 
-    Attributes
-    ----------
-    score
-        (C,) float64 score of each coefficient.
-    normal
-        (C, C) float64 normal matrix: coefficients u have the expected score normal @ u.
-    blocks
-        (n, F, F) float64 part of it that each view has of its own; zero for coefficients that a view does not have.
-    place
-        (C,) int64 place of each coefficient among the n F of the blocks.
-    coupling
-        (G, C) float64 coupling between shared parameters and coefficients.
-    group
-        (C,) int64 variance component of each coefficient.
-    view
-        (C,) int64 view of each coefficient.
-    information
-        (n, G, G) float64 information of each view on the shared parameters.
-    shared, inverse
-        (G, G) float64 information of all views and the prior, and its inverse.
-    score_noise
-        (n, G, G) float64 covariance of the score of each pose by the noise of stars and readings.
-    noise
-        Variance of a star's own noise, in units of weighted residuals squared.
-    """
-
-    score: Array
-    normal: Array
+    score: Array  # (C,) float64 score of each coefficient
+    normal: Array  # (C, C) float64 normal matrix: coefficients u have the expected score normal @ u
+    # (n, F, F) float64 part of it that each view has of its own; zero for coefficients that a view does not
+    # have.
     blocks: Array
-    place: NDArray[np.int64]
-    coupling: Array
-    group: NDArray[np.int64]
-    view: NDArray[np.int64]
-    information: Array
+    place: NDArray[np.int64]  # (C,) int64 place of each coefficient among the n F of the blocks
+    coupling: Array  # (G, C) float64 coupling between shared parameters and coefficients
+    group: NDArray[np.int64]  # (C,) int64 variance component of each coefficient
+    view: NDArray[np.int64]  # (C,) int64 view of each coefficient
+    information: Array  # (n, G, G) float64 information of each view on the shared parameters
+    # shared, inverse: (G, G) float64 information of all views and the prior, and its inverse.
     shared: Array
     inverse: Array
+    # (n, G, G) float64 covariance of the score of each pose by the noise of stars and readings.
     score_noise: Array
-    noise: float
+    noise: float  # Variance of a star's own noise, in units of weighted residuals squared
 
 
 def variance_components(
@@ -122,21 +94,7 @@ def variance_components(
 ) -> VarianceComponents:
     """Estimate the variance components of the views at the optimum (REML; Patterson and Thompson, 1971).
 
-    Parameters
-    ----------
-    bundle
-        Bundle that was adjusted.
-    parameters
-        Its optimum.
-    loss
-        Loss with the limit that the adjustment ended with.
-    at_optimum
-        Residuals and derivatives at the optimum; None to compute them.
-
-    Returns
-    -------
-    VarianceComponents
-        The components, and the covariance of the shared parameters.
+    at_optimum: Residuals and derivatives at the optimum; None to compute them.
     """
     at_optimum = at_optimum or FieldEquations(bundle, parameters, loss)
     equations = _component_equations(bundle, parameters, at_optimum)
@@ -298,21 +256,10 @@ def basis_fields(
     They are polynomials along each axis, of unit mean square and orthogonal over the stars of the pose. Own choice of
     the fields; they are made orthogonal by QR decomposition.
 
-    Parameters
-    ----------
-    bundle
-        Bundle with the stars of the pose.
-    views
-        Indices of the views of the pose.
-    rims
-        (N, 2, R) displacements of the model's rim terms; None for those of a disc about the stars' mean.
-
-    Returns
-    -------
-    tuple
-        For each view of the pose (m, 2, F) displacements of its m stars by a unit of each coefficient, mm; and (F,)
-        int64, the group of each coefficient: the shift along X (0), the shift along Y (1), the degrees 1 to 4 (2 to 5),
-        and the rim (6).
+    rims: (N, 2, R) displacements of the model's rim terms; None for those of a disc about the stars' mean.
+    Returns: For each view of the pose (m, 2, F) displacements of its m stars by a unit of each coefficient,
+      mm; and (F,) int64, the group of each coefficient: the shift along X (0), the shift along Y (1), the
+      degrees 1 to 4 (2 to 5), and the rim (6).
     """
     slices = [bundle.observations.slices[i] for i in views]
     target_mm = np.concatenate([bundle.observations.target[rows, :2] for rows in slices])

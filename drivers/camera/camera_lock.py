@@ -12,30 +12,15 @@ from drivers.errors import CameraBusy, CameraError, DriverError
 
 
 def event_camera_name(serial: str) -> str:
-    """Return the lock name of an event camera, so that all drivers that reach it by USB exclude each other.
-
-    Parameters
-    ----------
-    serial
-        Serial number of the camera.
-
-    Returns
-    -------
-    str
-        The name.
-    """
+    """Return the lock name of an event camera, so that all drivers that reach it by USB exclude each other."""
     return f"event camera {serial}"
 
 
 class CameraLock(DeviceHold):
     """A camera locked by this process, until ``release`` or the end of the process.
 
-    Raises
-    ------
-    CameraBusy
-        If another process, or another driver object in this one, holds the lock.
-    CameraError
-        If the lock file cannot be made.
+    Raises CameraBusy: If another process, or another driver object in this one, holds the lock.
+    Raises CameraError: If the lock file cannot be made.
     """
 
     BUSY: ClassVar[type[DriverError]] = CameraBusy

@@ -12,10 +12,7 @@ def find_cameras() -> tuple[list[FoundCamera], list[str]]:
 
     A camera is listed once for each driver that could use it.
 
-    Returns
-    -------
-    tuple of list of FoundCamera and list of str
-        The cameras; and sentences about missing software, without which others cannot be seen.
+    Returns: The cameras; and sentences about missing software, without which others cannot be seen.
     """
     found: list[FoundCamera] = []
     missing: list[str] = []

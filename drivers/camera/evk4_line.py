@@ -39,32 +39,19 @@ _HEAD: Final = struct.Struct("<cI")
 
 
 class Frame(NamedTuple):
-    """One frame.
-
-    Attributes
-    ----------
-    kind
-        Type, one byte.
-    payload
-        The bytes after the length.
-    """
+    """One frame."""
 
     kind: bytes
-    payload: bytes
+    payload: bytes  # The bytes after the length
 
 
 class Evk4Line:
     """One connection to a simulated EVK4.
 
-    Parameters
-    ----------
-    address
-        ``host:port``.
-    clock
-        Deadlines count on it; its ``sleep`` is called in every round of waiting.
-    silence_s
-        How long the camera may send nothing while something is expected, s; after that it counts as lost. A camera that
-        computes for longer reports so meanwhile.
+    address: ``host:port``.
+    clock: Deadlines count on it; its ``sleep`` is called in every round of waiting.
+    silence_s: How long the camera may send nothing while something is expected, s; after that it counts as
+      lost. A camera that computes for longer reports so meanwhile.
     """
 
     def __init__(self, address: str, *, clock: Clock, silence_s: float) -> None:
@@ -84,32 +71,12 @@ class Evk4Line:
     ) -> Mapping[str, Any]:
         """Send a command and wait for its answer. Words and late answers that arrive before it are dropped.
 
-        Parameters
-        ----------
-        command
-            Name of the command.
-        interruptible
-            Whether the clock may end the wait.
-        within_s
-            Deadline, s; None for the limits on silence and on computing.
-        parameters
-            Parameters of the command.
-
-        Returns
-        -------
-        Mapping of str to Any
-            The answer.
-
-        Raises
-        ------
-        DeviceRefused
-            If the camera refuses the command.
-        ReplyTimeout
-            If no answer comes in time.
-        ReplyGarbled
-            If the camera sends something that is no frame or no JSON.
-        CameraLost
-            If the connection is lost.
+        interruptible: Whether the clock may end the wait.
+        within_s: Deadline, s; None for the limits on silence and on computing.
+        Raises DeviceRefused: If the camera refuses the command.
+        Raises ReplyTimeout: If no answer comes in time.
+        Raises ReplyGarbled: If the camera sends something that is no frame or no JSON.
+        Raises CameraLost: If the connection is lost.
         """
         number = self._send(command, parameters)
         deadline = self._clock.monotonic() + (COMPUTING_S if within_s is None else within_s)
@@ -128,10 +95,7 @@ class Evk4Line:
     def silent_s(self) -> float:
         """Measure the silence while something is expected. Polls count too, as a test's clock may stand still.
 
-        Returns
-        -------
-        float
-            Time, s, without the time that a busy computer did not let the camera or this process use.
+        Returns: Time, s, without the time that a busy computer did not let the camera or this process use.
         """
         silent_s = max(self._clock.monotonic() - self._heard_s, self._idle_s)
         return max(0.0, silent_s - min(self._quiet.late_s(), MOST_STRETCH_S))
@@ -139,10 +103,7 @@ class Evk4Line:
     def check_alive(self) -> None:
         """Check that the camera still sends.
 
-        Raises
-        ------
-        CameraLost
-            If nothing has come for ``silence_s``.
+        Raises CameraLost: If nothing has come for ``silence_s``.
         """
         if self.silent_s() > self.silence_s:
             late_s = self._quiet.starved_s()
@@ -152,19 +113,10 @@ class Evk4Line:
     def receive(self) -> Frame | None:
         """Wait a short time for the next frame.
 
-        Returns
-        -------
-        Frame or None
-            An answer or words; None if no frame is complete yet.
-
-        Raises
-        ------
-        CameraError
-            If the camera reports a fault of its own.
-        CameraLost
-            If the connection is lost.
-        ReplyGarbled
-            If the camera sends something that is no frame.
+        Returns: An answer or words; None if no frame is complete yet.
+        Raises CameraError: If the camera reports a fault of its own.
+        Raises CameraLost: If the connection is lost.
+        Raises ReplyGarbled: If the camera sends something that is no frame.
         """
         frame = self._take_frame()
         if frame is None:

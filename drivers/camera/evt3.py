@@ -37,14 +37,8 @@ _WORDS_AT_ONCE: Final = 1 << 20
 class Evt3Decoder:
     """Decoder of one stream, which is given in pieces of whole words.
 
-    Parameters
-    ----------
-    width, height
-        Size of the sensor, px; events outside it raise ``RecordingCorrupt``.
-    first_byte
-        Offset of the first word in the file, bytes; for messages.
-    where
-        The file or device, for messages.
+    width, height: Size of the sensor, px; events outside it raise ``RecordingCorrupt``.
+    first_byte: Offset of the first word in the file, bytes; for messages.
 
     Examples
     --------
@@ -67,22 +61,9 @@ class Evt3Decoder:
     def decode(self, words: Words, *, max_events: int = 1_000_000) -> Iterator[tuple[Events, Triggers]]:
         """Decode words to events and triggers, in pieces.
 
-        Parameters
-        ----------
-        words
-            (N,) uint16, the next words of the stream.
-        max_events
-            Largest number of events in a piece; 32 if it is smaller.
-
-        Yields
-        ------
-        tuple of Events and Triggers
-            The next events, and the triggers among them.
-
-        Raises
-        ------
-        RecordingCorrupt
-            At a malformed word, after the pieces before it.
+        words: (N,) uint16, the next words of the stream.
+        max_events: Largest number of events in a piece; 32 if it is smaller.
+        Raises RecordingCorrupt: At a malformed word, after the pieces before it.
         """
         start, words = 0, _in_a_row(words)
         while start < len(words):
@@ -96,26 +77,12 @@ class Evt3Decoder:
     def decode_into(self, words: Words, events: Events, at: int) -> tuple[int, Triggers]:
         """Decode words into arrays that the caller provides.
 
-        Parameters
-        ----------
-        words
-            (N,) uint16, the next words of the stream.
-        events
-            Arrays to fill. Up to 32 places after the last event may be touched, but none outside the arrays.
-        at
-            Index of the first event to write.
-
-        Returns
-        -------
-        tuple of int and Triggers
-            Index after the last event written, and the triggers.
-
-        Raises
-        ------
-        RecordingCorrupt
-            At a malformed word.
-        ValueError
-            If the arrays have no room for more events.
+        words: (N,) uint16, the next words of the stream.
+        events: Arrays to fill. Up to 32 places after the last event may be touched, but none outside the
+          arrays.
+        at: Index of the first event to write.
+        Returns: Index after the last event written, and the triggers.
+        Raises ValueError: If the arrays have no room for more events.
         """
         found = []
         start, words = 0, _in_a_row(words)
@@ -137,24 +104,9 @@ class Evt3Decoder:
     def count(self, words: Words, image: NDArray[np.uint16]) -> Triggers:
         """Add the events of words to an image of counts, without a list of events.
 
-        Parameters
-        ----------
-        words
-            (N,) uint16, the next words of the stream.
-        image
-            (2, height, width) uint16, OFF counts, then ON counts; counts wrap above 65535.
-
-        Returns
-        -------
-        Triggers
-            The trigger edges among the words.
-
-        Raises
-        ------
-        RecordingCorrupt
-            At a malformed word.
-        ValueError
-            If the image does not have the sensor's size.
+        words: (N,) uint16, the next words of the stream.
+        image: (2, height, width) uint16, OFF counts, then ON counts; counts wrap above 65535.
+        Raises ValueError: If the image does not have the sensor's size.
         """
         if image.shape != (2, self._state[S.HEIGHT], self._state[S.WIDTH]):
             raise ValueError(
@@ -166,20 +118,7 @@ class Evt3Decoder:
     def tally(self, words: Words) -> Triggers:
         """Count the events of words for ``statistics``, without storing them.
 
-        Parameters
-        ----------
-        words
-            (N,) uint16, the next words of the stream.
-
-        Returns
-        -------
-        Triggers
-            The trigger edges among the words.
-
-        Raises
-        ------
-        RecordingCorrupt
-            At a malformed word.
+        words: (N,) uint16, the next words of the stream.
         """
         return self._count_or_tally(words, Mode.TALLY, self._no_image)
 
@@ -245,17 +184,8 @@ class Evt3Decoder:
     def at(self, place: Place, first_byte: int) -> Evt3Decoder:
         """Return a decoder of the same stream that continues elsewhere. Its statistics begin anew.
 
-        Parameters
-        ----------
-        place
-            Clock, row and vector base before its first word.
-        first_byte
-            Offset of that word in the file, bytes.
-
-        Returns
-        -------
-        Evt3Decoder
-            The decoder.
+        place: Clock, row and vector base before its first word.
+        first_byte: Offset of that word in the file, bytes.
         """
         size = int(self._state[S.WIDTH]), int(self._state[S.HEIGHT])
         decoder = Evt3Decoder(*size, first_byte=first_byte, where=self._where)
@@ -279,13 +209,7 @@ class Evt3Decoder:
         return self.clock_us - first if first >= 0 else 0
 
     def statistics(self) -> StreamStatistics:
-        """Sum up the stream as decoded so far.
-
-        Returns
-        -------
-        StreamStatistics
-            Counts, times and losses.
-        """
+        """Sum up the stream as decoded so far."""
         state = {place: int(self._state[place]) for place in S}
         reported = state[S.EVENTS_AT_REPORT] >= 0
         kept = self._gaps[: min(state[S.GAPS], GAPS_KEPT)]
@@ -315,17 +239,8 @@ def _in_a_row(words: Words) -> Words:
 def count_events(events: Events, image: NDArray[np.uint16]) -> None:
     """Add events to an image of counts, as ``Evt3Decoder.count`` does with words.
 
-    Parameters
-    ----------
-    events
-        The events to add.
-    image
-        (2, height, width) uint16, OFF counts, then ON counts; counts wrap above 65535.
-
-    Raises
-    ------
-    ValueError
-        If an event lies outside the image; the image is then unchanged.
+    image: (2, height, width) uint16, OFF counts, then ON counts; counts wrap above 65535.
+    Raises ValueError: If an event lies outside the image; the image is then unchanged.
 
     Examples
     --------
@@ -341,15 +256,8 @@ def count_events(events: Events, image: NDArray[np.uint16]) -> None:
 def first_time_high(words: Words) -> int | None:
     """Find the first TIME_HIGH word: there a stream that is joined in its middle can begin.
 
-    Parameters
-    ----------
-    words
-        (N,) uint16, EVT3 words.
-
-    Returns
-    -------
-    int or None
-        Index of the word; None if there is none.
+    words: (N,) uint16, EVT3 words.
+    Returns: Index of the word; None if there is none.
 
     Examples
     --------

@@ -69,23 +69,11 @@ def idle_us(words: Any, start: int, i: int, state: Any, high_before: int) -> int
     In a stream without events the time stands still until the next TIME_LOW; TIME_HIGH comes every 16 us all the same.
     The state holds the value from before ``start``, so the result does not depend on how a stream is cut.
 
-    Parameters
-    ----------
-    words
-        (N,) uint16, EVT3 words.
-    start
-        Index of the first word of this call.
-    i
-        Index of the word in question.
-    state
-        (30,) int64 as of ``new_state``; not changed.
-    high_before
-        TIME_HIGH in force at ``start``.
-
-    Returns
-    -------
-    int
-        Time, us; -1 if it is not known.
+    words: (N,) uint16, EVT3 words.
+    start: Index of the first word of this call.
+    state: (30,) int64 as of ``new_state``; not changed.
+    high_before: TIME_HIGH in force at ``start``.
+    Returns: Time, us; -1 if it is not known.
     """
     ticks = 0
     for j in range(i - 1, start - 1, -1):
@@ -163,23 +151,12 @@ def _trigger(state: Any, payload: int, edges: Any) -> StopReason:
 def take_control_word(state: Any, kind: int, payload: int, gaps: Any, edges: Any) -> StopReason:
     """Take a word that holds no event, with every check.
 
-    Parameters
-    ----------
-    state
-        (30,) int64 as of ``new_state``; changed.
-    kind
-        Type of the word, its upper 4 bits.
-    payload
-        Lower 12 bits of the word.
-    gaps
-        (G, 2) int64 to fill, us: clock before and after each of the first G gaps.
-    edges
-        (E, 3) int64 to fill: time (us), value and channel of trigger edges.
-
-    Returns
-    -------
-    StopReason
-        NONE, or why the word cannot be taken.
+    state: (30,) int64 as of ``new_state``; changed.
+    kind: Type of the word, its upper 4 bits.
+    payload: Lower 12 bits of the word.
+    gaps: (G, 2) int64 to fill, us: clock before and after each of the first G gaps.
+    edges: (E, 3) int64 to fill: time (us), value and channel of trigger edges.
+    Returns: NONE, or why the word cannot be taken.
     """
     if kind <= 0x1:
         address = payload & 0x7FF

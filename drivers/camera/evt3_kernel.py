@@ -51,15 +51,8 @@ _COUNTED_TOGETHER: Final = 4096
 def max_event_count(words: Any) -> int:
     """Return an upper bound of the number of events that words hold, without decoding them.
 
-    Parameters
-    ----------
-    words
-        (N,) uint16, EVT3 words.
-
-    Returns
-    -------
-    int
-        The number of events if all have a time and a place; never too small.
+    words: (N,) uint16, EVT3 words.
+    Returns: The number of events if all have a time and a place; never too small.
     """
     n = 0
     for begin in range(0, len(words), _COUNTED_TOGETHER):
@@ -130,31 +123,16 @@ def run(
 
     ``evt3_usual`` takes nearly all words. The others are taken one by one, with every check.
 
-    Parameters
-    ----------
-    words
-        (N,) uint16, EVT3 words.
-    start
-        Index of the first word to take.
-    mode
-        A ``Mode``: events are only tallied, stored in ``events``, or counted in ``image``.
-    state
-        (30,) int64 as of ``new_state``; changed.
-    gaps
-        (G, 2) int64 to fill, us: clock before and after each of the first G gaps.
-    events
-        ``Events`` of arrays to fill.
-    image
-        (2, height, width) of any integer type, to add counts to.
-    edges
-        (E, 3) int64 to fill: time (us), value and channel of trigger edges.
-    scratch
-        Two arrays, (BLOCK_WORDS,) uint16.
-
-    Returns
-    -------
-    int
-        Index of the first word not taken.
+    words: (N,) uint16, EVT3 words.
+    start: Index of the first word to take.
+    mode: A ``Mode``: events are only tallied, stored in ``events``, or counted in ``image``.
+    state: (30,) int64 as of ``new_state``; changed.
+    gaps: (G, 2) int64 to fill, us: clock before and after each of the first G gaps.
+    events: ``Events`` of arrays to fill.
+    image: (2, height, width) of any integer type, to add counts to.
+    edges: (E, 3) int64 to fill: time (us), value and channel of trigger edges.
+    scratch: Two arrays, (BLOCK_WORDS,) uint16.
+    Returns: Index of the first word not taken.
     """
     room = len(events[0]) - MARGIN if mode == Mode.STORE else 1 << 62
     n = on = state[S.TAKEN_EDGES] = 0

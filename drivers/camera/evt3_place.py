@@ -24,47 +24,21 @@ _PLACE: Final = [S.HIGH, S.WRAPS_US, S.T, S.Y, S.BASE, S.POLARITY]
 
 
 class Place(NamedTuple):
-    """The clock, row and vector base in force between two words.
+    """The clock, row and vector base in force between two words."""
 
-    Attributes
-    ----------
-    high
-        Last TIME_HIGH; -1 before the first.
-    wraps_us
-        Full turns of the 24-bit clock, us.
-    t
-        Clock, us, unwrapped; -1 before the first TIME_HIGH.
-    y
-        Row, px; -1 before the first, and in rows of other events.
-    base
-        Column of the next vector, px; -1 before the first vector base.
-    polarity
-        Polarity of vectors.
-    begun
-        Whether there has been a TIME_LOW after a TIME_HIGH.
-    """
-
-    high: int
-    wraps_us: int
-    t: int
-    y: int
-    base: int
+    high: int  # Last TIME_HIGH; -1 before the first
+    wraps_us: int  # Full turns of the 24-bit clock, us
+    t: int  # Clock, us, unwrapped; -1 before the first TIME_HIGH
+    y: int  # Row, px; -1 before the first, and in rows of other events
+    base: int  # Column of the next vector, px; -1 before the first vector base
     polarity: int
-    begun: bool
+    begun: bool  # Whether there has been a TIME_LOW after a TIME_HIGH
 
 
 def place_of(state: NDArray[np.int64]) -> Place:
     """Return the place that a decoder's state holds.
 
-    Parameters
-    ----------
-    state
-        (30,) int64 as of ``new_state``.
-
-    Returns
-    -------
-    Place
-        The place.
+    state: (30,) int64 as of ``new_state``.
     """
     high, wraps_us, t, y, base, polarity = (int(number) for number in state[_PLACE])
     return Place(high, wraps_us, t, y, base, polarity, begun=bool(state[S.FIRST_T] >= 0))
@@ -73,12 +47,7 @@ def place_of(state: NDArray[np.int64]) -> Place:
 def set_place(state: NDArray[np.int64], place: Place) -> None:
     """Put a decoder's state to a place. Its counts are not changed.
 
-    Parameters
-    ----------
-    state
-        (30,) int64 as of ``new_state``; changed.
-    place
-        The place.
+    state: (30,) int64 as of ``new_state``; changed.
     """
     state[_PLACE] = place[:6]
     state[S.FIRST_T] = place.t if place.begun else -1
@@ -87,17 +56,9 @@ def set_place(state: NDArray[np.int64], place: Place) -> None:
 def guess_place(words: NDArray[np.uint16], before: Place) -> Place | None:
     """Guess the place after a block of words.
 
-    Parameters
-    ----------
-    words
-        (N,) uint16, EVT3 words.
-    before
-        The place before them.
-
-    Returns
-    -------
-    Place or None
-        The place, if the clock wraps no more than once in the block; None if the words do not tell it.
+    words: (N,) uint16, EVT3 words.
+    before: The place before them.
+    Returns: The place, if the clock wraps no more than once in the block; None if the words do not tell it.
     """
     high, low, y, base, polarity = (int(number) for number in _last_in_force(words[-TAIL_WORDS:]))
     if base < 0:

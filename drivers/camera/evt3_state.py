@@ -14,20 +14,9 @@ from numpy.typing import NDArray
 class StopReason(IntEnum):
     """Why the loop over the words stopped.
 
-    Attributes
-    ----------
-    NONE
-        The words ended.
-    ROOM
-        An output array is full.
-    ROW, COLUMN
-        A row or an event lies outside the sensor.
-    VECTOR
-        A vector holds an event beyond the last column.
-    CLOCK
-        The sensor's clock steps back too far.
-    RESERVED
-        The type of the word does not exist.
+    VECTOR: A vector holds an event beyond the last column.
+    CLOCK: The sensor's clock steps back too far.
+    RESERVED: The type of the word does not exist.
     """
 
     NONE = 0
@@ -96,15 +85,8 @@ class S(IntEnum):
 def new_state(width: int, height: int) -> NDArray[np.int64]:
     """Return the state before the first word of a stream.
 
-    Parameters
-    ----------
-    width, height
-        Size of the sensor, px.
-
-    Returns
-    -------
-    ndarray
-        (30,) int64, indexed by ``S``.
+    width, height: Size of the sensor, px.
+    Returns: (30,) int64, indexed by ``S``.
     """
     state = np.zeros(len(S), np.int64)
     state[[S.HIGH, S.T, S.Y, S.BASE, S.FIRST_T, S.EVENTS_AT_REPORT, S.REPORT_T, S.IDLE_US]] = -1

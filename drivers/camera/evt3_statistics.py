@@ -7,46 +7,33 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class StreamStatistics:
-    """Counts, times and losses of a stream up to its last word.
-
-    Attributes
-    ----------
-    events, on_events, triggers
-        Number of events, of ON events, and of trigger edges (rising and falling).
-    first_t_us, last_t_us
-        The sensor's clock at its first and its last time word, us; both -1 before any time word.
-    rate_controller_in, rate_controller_out
-        Number of events into and out of the rate controller, summed over its windows of 200 us; None if the sensor
-        sent no report.
-    lost_events
-        Number of events that the sensor counted in its windows and that did not arrive; 0 without reports.
-    mismatched_windows
-        Number of windows in which the sensor's count differs from the number of events that arrived; 0 without reports.
-    missing_windows
-        Number of windows whose report did not arrive. It is not known how many events the sensor sent in them, so
-        ``lost_events`` is then a lower bound.
-    gaps
-        The clock before and after each step of TIME_HIGH by more than one, us: words are missing there. The first 64.
-    gap_count
-        Number of all gaps.
-    unplaced_events
-        Number of events before the first time, row or vector base: the stream began in the middle of another one.
-    back_steps
-        Number of times that TIME_LOW stepped back by some microseconds, as it does in busy sensors.
-    """
+    """Counts, times and losses of a stream up to its last word."""
 
     events: int
     on_events: int
     triggers: int
+    # first_t_us, last_t_us: The sensor's clock at its first and its last time word, us; both -1 before any
+    # time word.
     first_t_us: int
     last_t_us: int
+    # rate_controller_in, rate_controller_out: Number of events into and out of the rate controller, summed
+    # over its windows of 200 us; None if the sensor sent no report.
     rate_controller_in: int | None
     rate_controller_out: int | None
+    # Number of events that the sensor counted in its windows and that did not arrive; 0 without reports.
     lost_events: int
+    # Number of windows in which the sensor's count differs from the number of events that arrived; 0 without
+    # reports.
     mismatched_windows: int
+    # Number of windows whose report did not arrive. It is not known how many events the sensor sent in them,
+    # so ``lost_events`` is then a lower bound.
     missing_windows: int
+    # The clock before and after each step of TIME_HIGH by more than one, us: words are missing there. The
+    # first 64.
     gaps: tuple[tuple[int, int], ...]
     gap_count: int
+    # Number of events before the first time, row or vector base: the stream began in the middle of another
+    # one.
     unplaced_events: int
     back_steps: int
 
@@ -58,10 +45,7 @@ class StreamStatistics:
     def loss_messages(self) -> tuple[str, ...]:
         """Describe each gap, and the losses that the sensor's own counts show.
 
-        Returns
-        -------
-        tuple of str
-            Sentences for the operator; none if nothing was lost.
+        Returns: Sentences for the operator; none if nothing was lost.
         """
         messages = [f"Words are missing from {a} to {b} us of the sensor's clock." for a, b in self.gaps]
         if self.gap_count > len(self.gaps):

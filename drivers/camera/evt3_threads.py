@@ -70,15 +70,7 @@ class _Block:
 def threads_for(size_bytes: int) -> int:
     """Return in how many threads a file is decoded.
 
-    Parameters
-    ----------
-    size_bytes
-        Length of the file.
-
-    Returns
-    -------
-    int
-        1 for a small file; else the number of processors that this process may use, 4 at most.
+    Returns: 1 for a small file; else the number of processors that this process may use, 4 at most.
     """
     if size_bytes < LEAST_BYTES:
         return 1
@@ -91,30 +83,8 @@ def decode_in_threads(
 ) -> list[Triggers]:
     """Decode a stream in several threads.
 
-    Parameters
-    ----------
-    decoder
-        Decoder at the beginning of the stream.
-    read
-        Reads words.
-    events
-        Arrays for all events.
-    threads
-        Number of threads, that of the caller included.
-    total_words
-        Expected length of the stream.
-
-    Returns
-    -------
-    list of Triggers
-        The triggers, in the order of the stream.
-
-    Raises
-    ------
-    RecordingCorrupt
-        At a malformed word.
-    OSError
-        If ``read`` raises it.
+    Returns: The triggers, in the order of the stream.
+    Raises OSError: If ``read`` raises it.
     """
     work = _Work(decoder, read, events, threads, total_words)
     with ThreadPoolExecutor(max(threads - 1, 1), thread_name_prefix="evt3") as pool:

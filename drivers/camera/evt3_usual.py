@@ -34,14 +34,7 @@ from drivers.camera.word_vectors import (
 class Mode(IntEnum):
     """What is done with an event.
 
-    Attributes
-    ----------
-    TALLY
-        It is counted for the statistics only.
-    STORE
-        It is written to arrays.
-    COUNT
-        It is added to an image.
+    TALLY: It is counted for the statistics only.
     """
 
     TALLY = 0
@@ -214,34 +207,19 @@ def take_usual_words(
 ) -> tuple[int, int, int, int, int, int, int]:
     """Take usual words from ``start`` on, until another word comes, the clock steps back, or few words are left.
 
-    Parameters
-    ----------
-    words
-        (N,) uint16, EVT3 words.
-    start
-        Index of the first word to take.
-    mode
-        A ``Mode``.
-    limits
-        The TIME_HIGH in force as a word, columns and rows (px), and the last index in ``events`` that leaves room for
-        MARGIN events.
-    place
-        Clock (us), row (px), column of the next vector (px, -1 if unknown) and polarity of vectors in force; clock
-        and row must be known.
-    first
-        Next index in ``events``.
-    events
-        ``Events`` of arrays to fill.
-    image
-        (2, height, width) of any integer type, to add counts to.
-    scratch
-        Two arrays, (BLOCK_WORDS,) uint16.
-
-    Returns
-    -------
-    tuple of int
-        Index of the first word not taken, number of events, number of ON events; and what is then in force: clock
-        (us), row (px), column of the next vector (px) and polarity of vectors.
+    words: (N,) uint16, EVT3 words.
+    start: Index of the first word to take.
+    mode: A ``Mode``.
+    limits: The TIME_HIGH in force as a word, columns and rows (px), and the last index in ``events`` that
+      leaves room for MARGIN events.
+    place: Clock (us), row (px), column of the next vector (px, -1 if unknown) and polarity of vectors in
+      force; clock and row must be known.
+    first: Next index in ``events``.
+    events: ``Events`` of arrays to fill.
+    image: (2, height, width) of any integer type, to add counts to.
+    scratch: Two arrays, (BLOCK_WORDS,) uint16.
+    Returns: Index of the first word not taken, number of events, number of ON events; and what is then in
+      force: clock (us), row (px), column of the next vector (px) and polarity of vectors.
     """
     repeated, width, height, most = limits
     t, y, base, polarity = place

@@ -32,15 +32,7 @@ _PLACE: Final = np.array(
 def popcount(bits: int) -> int:
     """Count the set bits of a 32-bit number: sums of neighbours, of pairs, of fours, of bytes.
 
-    Parameters
-    ----------
-    bits
-        The number, 0 to 2^32 - 1.
-
-    Returns
-    -------
-    int
-        Number of bits that are set.
+    bits: The number, 0 to 2^32 - 1.
 
     References
     ----------
@@ -59,19 +51,9 @@ def read_event_word(state: Any, word: int, second: int, third: int) -> tuple[Sto
     Sensors send vectors as triples of 12 + 12 + 8 columns. A triple is taken at once, with the two words that follow.
     (Words are passed as numbers: references to an array would be counted.)
 
-    Parameters
-    ----------
-    state
-        (30,) int64 as of ``new_state``; the vector base moves on.
-    word
-        The word.
-    second, third
-        The two words that follow it; 0 if there are none.
-
-    Returns
-    -------
-    tuple of StopReason and int
-        Stop reason, number of words taken, first column (px), polarity, and one bit a column from there.
+    state: (30,) int64 as of ``new_state``; the vector base moves on.
+    second, third: The two words that follow it; 0 if there are none.
+    Returns: Stop reason, number of words taken, first column (px), polarity, and one bit a column from there.
     """
     kind = word >> 12
     if kind == 0x2:
@@ -96,22 +78,12 @@ def read_event_word(state: Any, word: int, second: int, third: int) -> tuple[Sto
 def store_bits(events: Any, n: int, t: int, y: int, x: int, p: int, bits: int) -> None:
     """Write one event for each bit set, lowest first.
 
-    Parameters
-    ----------
-    events
-        ``Events`` of arrays to fill.
-    n
-        Index of the first event to write.
-    t
-        Time of the events, us.
-    y
-        Row, px.
-    x
-        Column of the lowest bit, px.
-    p
-        Polarity.
-    bits
-        One bit a column, 32 at most.
+    events: ``Events`` of arrays to fill.
+    n: Index of the first event to write.
+    t: Time of the events, us.
+    y: Row, px.
+    x: Column of the lowest bit, px.
+    bits: One bit a column, 32 at most.
     """
     t_out, x_out, y_out, p_out = events
     while bits:
@@ -127,18 +99,11 @@ def store_bits(events: Any, n: int, t: int, y: int, x: int, p: int, bits: int) -
 def count_bits(image: Any, y: int, x: int, p: int, bits: int) -> None:
     """Add one event for each bit set to an image; all 32 columns at once if the image has as many.
 
-    Parameters
-    ----------
-    image
-        (2, height, width) of any integer type.
-    y
-        Row, px.
-    x
-        Column of the lowest bit, px.
-    p
-        Polarity: the first index of the image.
-    bits
-        One bit a column, 32 at most.
+    image: (2, height, width) of any integer type.
+    y: Row, px.
+    x: Column of the lowest bit, px.
+    p: Polarity: the first index of the image.
+    bits: One bit a column, 32 at most.
     """
     if x + 32 <= image.shape[2]:
         row = image[p, y, x : x + 32]
@@ -154,19 +119,10 @@ def count_bits(image: Any, y: int, x: int, p: int, bits: int) -> None:
 def add_events(x: Any, y: Any, p: Any, image: Any) -> bool:
     """Add events to an image of counts, unless one lies outside it.
 
-    Parameters
-    ----------
-    x, y
-        (N,) uint16, px: columns and rows.
-    p
-        (N,) uint8: polarities.
-    image
-        (2, height, width) of any integer type.
-
-    Returns
-    -------
-    bool
-        True if the events were added; False if one lies outside the image, which is then unchanged.
+    x, y: (N,) uint16, px: columns and rows.
+    p: (N,) uint8: polarities.
+    image: (2, height, width) of any integer type.
+    Returns: True if the events were added; False if one lies outside the image, which is then unchanged.
     """
     polarities, height, width = image.shape
     outside = False

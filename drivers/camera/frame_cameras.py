@@ -48,18 +48,10 @@ class OpenCvFrameCamera:
     name a device by its id (``/dev/v4l/by-id/...``), and its serial number as USB states it. A network camera states
     none.
 
-    Parameters
-    ----------
-    name
-        The video source to open.
-    serial
-        The serial number that the camera must have; empty accepts any.
-    clock
-        Its ``sleep`` is called before each frame.
-    system
-        Folder in which Linux lists its video devices.
-    shown_as
-        What messages and the camera's identity say in place of ``name``, where that is secret; empty for the name.
+    serial: The serial number that the camera must have; empty accepts any.
+    clock: Its ``sleep`` is called before each frame.
+    shown_as: What messages and the camera's identity say in place of ``name``, where that is secret; empty
+      for the name.
     """
 
     def __init__(
@@ -92,49 +84,21 @@ class OpenCvFrameCamera:
     ) -> OpenCvFrameCamera:
         """Open a video source.
 
-        Parameters
-        ----------
-        source
-            Number, path or URL of the source.
-        serial
-            The serial number that the camera must have; empty accepts any.
-        clock
-            Its ``sleep`` is called before each frame.
-        system
-            Folder in which Linux lists its video devices.
-        shown_as
-            What is printed in place of a source that is secret.
-
-        Returns
-        -------
-        OpenCvFrameCamera
-            The open camera.
-
-        Raises
-        ------
-        CameraNotFound
-            If OpenCV cannot open the source.
-        CameraBusy
-            If another process has locked it.
-        WrongDevice
-            If a serial number is given and the camera has another one, or none.
+        serial: The serial number that the camera must have; empty accepts any.
+        clock: Its ``sleep`` is called before each frame.
+        shown_as: What is printed in place of a source that is secret.
+        Raises CameraNotFound: If OpenCV cannot open the source.
+        Raises CameraBusy: If another process has locked it.
+        Raises WrongDevice: If a serial number is given and the camera has another one, or none.
         """
         return cls(source, serial=serial, clock=clock, system=system, shown_as=shown_as)
 
     def identify(self) -> CameraIdentity:
         """Return the source's name, serial number and frame size.
 
-        Returns
-        -------
-        CameraIdentity
-            The model is "OpenCV" and the name of the source.
-
-        Raises
-        ------
-        CameraLost
-            If the video device does not exist any more.
-        WrongDevice
-            If it is another camera by now.
+        Returns: The model is "OpenCV" and the name of the source.
+        Raises CameraLost: If the video device does not exist any more.
+        Raises WrongDevice: If it is another camera by now.
         """
         self._require_open()
         serial = self._check_serial()
@@ -145,20 +109,8 @@ class OpenCvFrameCamera:
     def apply(self, settings: FrameSettings) -> FrameSettings:
         """Set exposure and gain in the driver's own units, read them back, and switch autofocus off.
 
-        Parameters
-        ----------
-        settings
-            The wanted settings.
-
-        Returns
-        -------
-        FrameSettings
-            The same settings; they were read back to within 1 %.
-
-        Raises
-        ------
-        CameraSettingRefused
-            If a setting reads back otherwise, or the autofocus stays on.
+        Returns: The same settings; they were read back to within 1 %.
+        Raises CameraSettingRefused: If a setting reads back otherwise, or the autofocus stays on.
         """
         self._require_open()
         if self._device is not None:
@@ -180,24 +132,9 @@ class OpenCvFrameCamera:
     def capture(self, path: Path, frames: int) -> FrameFacts:
         """Take frames; see `FrameCamera.capture`. Frames buffered from before are dropped.
 
-        Parameters
-        ----------
-        path
-            The file to make; it must not exist.
-        frames
-            Number of frames.
-
-        Returns
-        -------
-        FrameFacts
-            What is known of the capture.
-
-        Raises
-        ------
-        RecordingFailed
-            If the camera repeats a frame, or the frames cannot be written.
-        CameraLost
-            If the camera sends no frame.
+        path: The file to make; it must not exist.
+        Raises RecordingFailed: If the camera repeats a frame, or the frames cannot be written.
+        Raises CameraLost: If the camera sends no frame.
         """
         self._stop_asked.clear()
         self._require_open()
@@ -321,14 +258,7 @@ class OpenCvFrameCamera:
 class _FrozenCheck:
     """Check that a live camera does not repeat a frame: the noise of a sensor makes every frame different.
 
-    Parameters
-    ----------
-    before
-        The last frame of the previous capture.
-    frames
-        Number of frames to come.
-    where
-        The camera, for messages.
+    before: The last frame of the previous capture.
     """
 
     def __init__(self, before: Frame | None, frames: int, *, where: str) -> None:

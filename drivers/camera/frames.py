@@ -45,35 +45,18 @@ class FrameSettings:
 
 @dataclass(frozen=True)
 class FrameFacts:
-    """What is known of a capture besides its pixels.
-
-    Attributes
-    ----------
-    serial, model
-        The camera that took the frames.
-    width, height
-        Size of a frame, px.
-    bits
-        Bit depth, 8 or 16.
-    frames
-        Number of frames.
-    bytes
-        Length of the file.
-    saturated_share
-        Share of the pixels at the highest value, 0 to 1.
-    complete
-        False if the capture was stopped before its last frame.
-    """
+    """What is known of a capture besides its pixels."""
 
     serial: str
     model: str
+    # width, height: Size of a frame, px.
     width: int
     height: int
-    bits: int
+    bits: int  # Bit depth, 8 or 16
     frames: int
     bytes: int
-    saturated_share: float
-    complete: bool = True
+    saturated_share: float  # Share of the pixels at the highest value, 0 to 1
+    complete: bool = True  # False if the capture was stopped before its last frame
 
 
 class FrameCamera(Protocol):
@@ -154,22 +137,9 @@ def to_grey(image: NDArray[Any], *, where: str) -> Frame:
 
     Colours are weighted as OpenCV does it, by ITU-R BT.601.
 
-    Parameters
-    ----------
-    image
-        (height, width) or (height, width, channels), uint8 or uint16.
-    where
-        The file or camera, for messages.
-
-    Returns
-    -------
-    ndarray
-        (height, width), of the same type.
-
-    Raises
-    ------
-    RecordingFileError
-        If the pixels are neither 8 nor 16 bit.
+    image: (height, width) or (height, width, channels), uint8 or uint16.
+    Returns: (height, width), of the same type.
+    Raises RecordingFileError: If the pixels are neither 8 nor 16 bit.
     """
     if image.dtype not in (np.uint8, np.uint16) or image.ndim not in (2, 3):
         raise RecordingFileError(
@@ -200,30 +170,10 @@ def capture_frames(
 
     Nothing is written if the capture is interrupted or the camera fails, because frames are quickly taken again.
 
-    Parameters
-    ----------
-    path
-        The file to make; it must not exist.
-    frames
-        Number of frames.
-    next_frame
-        Takes one frame.
-    camera
-        The camera, with the expected size of a frame.
-    clock
-        Its ``sleep`` is called before each frame.
-    stop_asked
-        Set by another thread to end the capture early.
-
-    Returns
-    -------
-    FrameFacts
-        What is known of the capture.
-
-    Raises
-    ------
-    RecordingFailed
-        If there is no frame, sizes or bit depths differ, or the file cannot be written.
+    path: The file to make; it must not exist.
+    camera: The camera, with the expected size of a frame.
+    clock: Its ``sleep`` is called before each frame.
+    Raises RecordingFailed: If there is no frame, sizes or bit depths differ, or the file cannot be written.
     """
     check_new(path)
     taken: list[Frame] = []
@@ -270,22 +220,10 @@ def _beside(clock: Clock, work: Callable[[], T]) -> T:
 def write_frames(path: Path, frames: Sequence[Frame]) -> int:
     """Write frames of one size and bit depth as a new TIFF.
 
-    Parameters
-    ----------
-    path
-        The file to make; it must not exist.
-    frames
-        The frames, at least one, each (height, width) uint8 or uint16.
-
-    Returns
-    -------
-    int
-        Length of the file, bytes.
-
-    Raises
-    ------
-    RecordingFailed
-        If the file exists, or cannot be written.
+    path: The file to make; it must not exist.
+    frames: The frames, at least one, each (height, width) uint8 or uint16.
+    Returns: Length of the file, bytes.
+    Raises RecordingFailed: If the file exists, or cannot be written.
     """
     check_new(path)
     partial = path.with_name(f"{path.stem}.partial.tiff")
@@ -307,22 +245,10 @@ def write_frames(path: Path, frames: Sequence[Frame]) -> int:
 def read_frames(path: Path) -> NDArray[Any]:
     """Read all images of a file.
 
-    Parameters
-    ----------
-    path
-        An image, or a TIFF of several pages.
-
-    Returns
-    -------
-    ndarray
-        (n, height, width), uint8 or uint16: grey values.
-
-    Raises
-    ------
-    NotARecording
-        If it holds no images of one size and bit depth, or states images that no file of its size can hold.
-    RecordingFileError
-        If it cannot be read.
+    Returns: (n, height, width), uint8 or uint16: grey values.
+    Raises NotARecording: If it holds no images of one size and bit depth, or states images that no file of
+      its size can hold.
+    Raises RecordingFileError: If it cannot be read.
     """
     if not path.is_file():
         raise RecordingFileError("There is no such file.", where=str(path), remedy="Check the path.")
@@ -350,19 +276,7 @@ def read_frames(path: Path) -> NDArray[Any]:
 def mean_frame(path: Path) -> NDArray[np.float32]:
     """Read all images of a file, and average them.
 
-    Parameters
-    ----------
-    path
-        An image, or a TIFF of several pages.
-
-    Returns
-    -------
-    ndarray
-        (height, width) float32, in units of the grey values.
-
-    Raises
-    ------
-    NotARecording, RecordingFileError
-        As ``read_frames``.
+    Returns: (height, width) float32, in units of the grey values.
+    Raises NotARecording, RecordingFileError: As ``read_frames``.
     """
     return read_frames(path).mean(axis=0, dtype=np.float64).astype(np.float32)

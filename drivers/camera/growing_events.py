@@ -12,11 +12,6 @@ from drivers.camera.event_arrays import Events, copy_events, empty_events
 class GrowingEvents:
     """Arrays that are filled block by block, also by several threads at once.
 
-    Parameters
-    ----------
-    expected
-        Number of events that are expected.
-
     Examples
     --------
     >>> events = GrowingEvents(1)
@@ -36,15 +31,7 @@ class GrowingEvents:
     def room(self, most: int) -> Events:
         """Return arrays for the next block.
 
-        Parameters
-        ----------
-        most
-            Largest number of events that it can have.
-
-        Returns
-        -------
-        Events
-            Part of the common arrays if there is room, else new arrays.
+        Returns: Part of the common arrays if there is room, else new arrays.
         """
         begin, self._given = self._given, self._given + most
         if self._given > len(self._arrays.t):
@@ -58,10 +45,7 @@ class GrowingEvents:
     def add(self, part: Events) -> None:
         """Add the events of the next block, in the order of the stream.
 
-        Parameters
-        ----------
-        part
-            Its events: the first ones of its room, or other arrays.
+        part: Its events: the first ones of its room, or other arrays.
         """
         end = self._done + len(part.t)
         if end > len(self._arrays.t):
@@ -78,11 +62,8 @@ class GrowingEvents:
     def finished(self) -> Events:
         """Return all events; the arrays are no longer used here.
 
-        Returns
-        -------
-        Events
-            The filled part of the arrays; these are cut only if much of them is empty. Memory of the same size can then
-            be used again for the next file.
+        Returns: The filled part of the arrays; these are cut only if much of them is empty. Memory of the
+          same size can then be used again for the next file.
         """
         if len(self._arrays.t) > self._done + self._done // 4:
             self._resize(self._done)

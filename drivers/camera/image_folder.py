@@ -18,14 +18,9 @@ IMAGE_SUFFIXES: Final = (".bmp", ".jpeg", ".jpg", ".pgm", ".png", ".tif", ".tiff
 class FolderFrameCamera:
     """A ``FrameCamera`` that hands on the images of a folder: files in the order of their names, page by page.
 
-    Parameters
-    ----------
-    files
-        The images, at least one.
-    serial
-        The serial number by the station file: images do not state it.
-    clock
-        Its ``sleep`` is called before each frame.
+    files: The images, at least one.
+    serial: The serial number by the station file: images do not state it.
+    clock: Its ``sleep`` is called before each frame.
     """
 
     def __init__(self, files: list[Path], *, serial: str = "", clock: Clock) -> None:
@@ -43,26 +38,10 @@ class FolderFrameCamera:
     def open(cls, folder: Path | str, *, serial: str = "", clock: Clock) -> FolderFrameCamera:
         """Find the images of a folder.
 
-        Parameters
-        ----------
-        folder
-            The folder.
-        serial
-            The serial number by the station file.
-        clock
-            Its ``sleep`` is called before each frame.
-
-        Returns
-        -------
-        FolderFrameCamera
-            The camera, at its first image.
-
-        Raises
-        ------
-        CameraNotFound
-            If the folder holds no images.
-        NotARecording
-            If the first file is no image.
+        clock: Its ``sleep`` is called before each frame.
+        Returns: The camera, at its first image.
+        Raises CameraNotFound: If the folder holds no images.
+        Raises NotARecording: If the first file is no image.
         """
         folder = Path(folder)
         files = sorted(path for path in folder.glob("*") if path.suffix.lower() in IMAGE_SUFFIXES)
@@ -77,30 +56,14 @@ class FolderFrameCamera:
     def identify(self) -> CameraIdentity:
         """Return the size of the images, and the serial number given. Images do not state which camera took them.
 
-        Returns
-        -------
-        CameraIdentity
-            The model is "pictures".
+        Returns: The model is "pictures".
         """
         return CameraIdentity("", "pictures", "", self._serial, "", *self._size)
 
     def apply(self, settings: FrameSettings) -> FrameSettings:
         """Accept settings that change nothing.
 
-        Parameters
-        ----------
-        settings
-            The wanted settings.
-
-        Returns
-        -------
-        FrameSettings
-            The same settings.
-
-        Raises
-        ------
-        CameraSettingRefused
-            If exposure or gain are given.
+        Raises CameraSettingRefused: If exposure or gain are given.
         """
         if settings != FrameSettings():
             raise CameraSettingRefused(

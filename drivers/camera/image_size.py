@@ -27,14 +27,9 @@ _PNM = re.compile(rb"P[1-6]\s+(?:#[^\n]*\n\s*)*([0-9]+)\s+(?:#[^\n]*\n\s*)*([0-9
 
 
 class ImageSize(NamedTuple):
-    """Size of an image.
+    """Size of an image."""
 
-    Attributes
-    ----------
-    width, height
-        Columns and rows, px.
-    """
-
+    # width, height: Columns and rows, px.
     width: int
     height: int
 
@@ -42,17 +37,8 @@ class ImageSize(NamedTuple):
 def require_bounded_images(path: Path) -> None:
     """Refuse a file whose images would take far more memory than the file could hold.
 
-    Parameters
-    ----------
-    path
-        The file.
-
-    Raises
-    ------
-    NotARecording
-        If an image is too large, or the file states more images than a file may have.
-    RecordingFileError
-        If it cannot be read, or is no ordinary file.
+    Raises NotARecording: If an image is too large, or the file states more images than a file may have.
+    Raises RecordingFileError: If it cannot be read, or is no ordinary file.
     """
     try:
         require_regular(path)
@@ -81,22 +67,10 @@ def require_bounded_images(path: Path) -> None:
 def image_sizes(file: BinaryIO) -> list[ImageSize]:
     """Read the sizes that a file states.
 
-    Parameters
-    ----------
-    file
-        The open file, at its first byte.
-
-    Returns
-    -------
-    list of ImageSize
-        One for each image; empty for a file of another kind.
-
-    Raises
-    ------
-    ValueError
-        If the structure is damaged, or never ends.
-    struct.error
-        If the file ends too early.
+    file: The open file, at its first byte.
+    Returns: One for each image; empty for a file of another kind.
+    Raises ValueError: If the structure is damaged, or never ends.
+    Raises struct.error: If the file ends too early.
     """
     start = file.read(4096)
     if start.startswith(b"\x89PNG\r\n\x1a\n"):

@@ -27,10 +27,8 @@ _old: set[str] = set()
 def listening() -> Iterator[list[str]]:
     """Listen to standard error during the block; `cameras_with_old_firmware` then knows what was said.
 
-    Yields
-    ------
-    list of str
-        What was said; it is there when the block has ended. If standard error is closed, nothing is heard.
+    Yields: What was said; it is there when the block has ended. If standard error is closed, nothing is
+      heard.
     """
     words: list[str] = []
     with _LISTENING, tempfile.TemporaryFile() as heard:
@@ -56,11 +54,5 @@ def listening() -> Iterator[list[str]]:
 
 
 def cameras_with_old_firmware() -> frozenset[str]:
-    """Return the serial numbers of the cameras that the maker's software refused for their firmware.
-
-    Returns
-    -------
-    frozenset of str
-        Since this process began.
-    """
+    """Return the serial numbers of the cameras that the maker's software refused for their firmware."""
     return frozenset(_old)

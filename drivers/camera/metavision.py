@@ -54,18 +54,9 @@ _LARGEST_STEP_US: Final = 1_000_000
 class MetavisionEvk4:
     """An ``EventCamera`` behind ``metavision_hal``.
 
-    Parameters
-    ----------
-    device
-        An open HAL device: a camera, or a RAW file opened as one.
-    hal
-        The module ``metavision_hal``.
-    serial
-        The serial number that the camera must have; None accepts any.
-    clock
-        All waits pass through it.
-    lock
-        The lock that reserves the camera for this process; ``close`` releases it.
+    hal: The module ``metavision_hal``.
+    serial: The serial number that the camera must have; None accepts any.
+    lock: The lock that reserves the camera for this process; ``close`` releases it.
     """
 
     def __init__(
@@ -83,30 +74,13 @@ class MetavisionEvk4:
     def open(cls, *, serial: str | None = None, clock: Clock) -> MetavisionEvk4:
         """Open a camera in the format EVT3.
 
-        Parameters
-        ----------
-        serial
-            The serial number; None opens the first camera found.
-        clock
-            All waits pass through it.
-
-        Returns
-        -------
-        MetavisionEvk4
-            The open camera.
-
-        Raises
-        ------
-        CameraSoftwareMissing
-            If ``metavision_hal`` cannot be imported.
-        CameraNotFound
-            If there is no such camera, or another program uses it.
-        CameraBusy
-            If another process of this bench has locked it; with a serial number given, the camera has not been touched.
-        WrongDevice
-            If another camera answers.
-        CameraSettingRefused
-            If the camera does not send EVT3, or is connected by USB 2.
+        serial: The serial number; None opens the first camera found.
+        Raises CameraSoftwareMissing: If ``metavision_hal`` cannot be imported.
+        Raises CameraNotFound: If there is no such camera, or another program uses it.
+        Raises CameraBusy: If another process of this bench has locked it; with a serial number given, the
+          camera has not been touched.
+        Raises WrongDevice: If another camera answers.
+        Raises CameraSettingRefused: If the camera does not send EVT3, or is connected by USB 2.
         """
         hal = vendor_software()
         lock = CameraLock(event_camera_name(serial)) if serial else None
@@ -143,17 +117,9 @@ class MetavisionEvk4:
     def identify(self) -> CameraIdentity:
         """Read the camera's identity.
 
-        Returns
-        -------
-        CameraIdentity
-            As the HAL states it; the model and the firmware only if it names a release version.
-
-        Raises
-        ------
-        WrongDevice
-            If the serial number differs from the one given when the camera was opened.
-        CameraLost
-            If the camera goes away meanwhile.
+        Returns: As the HAL states it; the model and the firmware only if it names a release version.
+        Raises WrongDevice: If the serial number differs from the one given when the camera was opened.
+        Raises CameraLost: If the camera goes away meanwhile.
         """
         try:
             who = self._facility("get_i_hw_identification", "identification")
@@ -199,24 +165,10 @@ class MetavisionEvk4:
     def record(self, path: Path, duration_s: float) -> RecordingFacts:
         """Record into a new RAW file; see `EventCamera.record`.
 
-        Parameters
-        ----------
-        path
-            The file to make; it must not exist.
-        duration_s
-            The file covers at least this time on the sensor's clock, s.
-
-        Returns
-        -------
-        RecordingFacts
-            What is known of the recording.
-
-        Raises
-        ------
-        RecordingFailed
-            If the file cannot be made, or covers less time than was streamed; it is kept.
-        CameraLost
-            If the camera goes away meanwhile; what was recorded before is kept.
+        path: The file to make; it must not exist.
+        duration_s: The file covers at least this time on the sensor's clock, s.
+        Raises RecordingFailed: If the file cannot be made, or covers less time than was streamed; it is kept.
+        Raises CameraLost: If the camera goes away meanwhile; what was recorded before is kept.
         """
         check_duration(duration_s, where=self._where)
         check_new(path)

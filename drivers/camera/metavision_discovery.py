@@ -37,17 +37,8 @@ _UPDATE: Final = "Update the camera's firmware with the maker's updater (support
 def discover() -> tuple[FoundCamera, ...]:
     """List the cameras that the maker's software finds.
 
-    Returns
-    -------
-    tuple of FoundCamera
-        The cameras, also those that the software refuses because of their firmware.
-
-    Raises
-    ------
-    CameraSoftwareMissing
-        If ``metavision_hal`` cannot be imported.
-    CameraError
-        If it cannot list cameras.
+    Raises CameraSoftwareMissing: If ``metavision_hal`` cannot be imported.
+    Raises CameraError: If it cannot list cameras.
     """
     return _look()[0]
 
@@ -91,17 +82,8 @@ def _look() -> tuple[tuple[FoundCamera, ...], bool]:
 def not_opened(serial: str | None, reason: str) -> CameraNotFound:
     """Return the error of a camera that cannot be opened, with its cause where one is known.
 
-    Parameters
-    ----------
-    serial
-        The serial number; None for any camera.
-    reason
-        What the maker's software said, in brackets; empty if nothing.
-
-    Returns
-    -------
-    CameraNotFound
-        The error.
+    serial: The serial number; None for any camera.
+    reason: What the maker's software said, in brackets; empty if nothing.
     """
     camera = f"camera {serial}" if serial else "any camera"
     if _MUTE in reason:  # listing would wait for it again, 30 s
@@ -140,17 +122,7 @@ def _hints(*, denied: bool) -> list[str]:
 def stated(about: Mapping[str, Any], ending: str) -> str:
     """Return what the camera states under the name with this ending.
 
-    Parameters
-    ----------
-    about
-        What the camera states about itself, by name.
-    ending
-        End of the name.
-
-    Returns
-    -------
-    str
-        Empty if it states nothing.
+    Returns: Empty if it states nothing.
     """
     return next((str(text) for name, text in about.items() if name.endswith(ending)), "")
 
@@ -158,15 +130,7 @@ def stated(about: Mapping[str, Any], ending: str) -> str:
 def link_mbit_s(about: Mapping[str, Any]) -> int | None:
     """Return the speed of the USB connection. OpenEB states 0 where it is not known.
 
-    Parameters
-    ----------
-    about
-        What the camera states about itself, by name.
-
-    Returns
-    -------
-    int or None
-        Mbit/s; None if it is not known.
+    Returns: Mbit/s; None if it is not known.
     """
     speed = re.match(r"\d+", stated(about, " Speed"))
     return int(speed[0]) or None if speed is not None else None
@@ -175,15 +139,8 @@ def link_mbit_s(about: Mapping[str, Any]) -> int | None:
 def vendor_software() -> Any:
     """Import ``metavision_hal``.
 
-    Returns
-    -------
-    module
-        The maker's software.
-
-    Raises
-    ------
-    CameraSoftwareMissing
-        If it cannot be imported.
+    Returns: The maker's software.
+    Raises CameraSoftwareMissing: If it cannot be imported.
     """
     try:
         return importlib.import_module("metavision_hal")
@@ -198,15 +155,7 @@ def vendor_software() -> Any:
 def reason_of(error: Exception) -> str:
     """Return the line of the maker's message, often framed and titled, that states the cause.
 
-    Parameters
-    ----------
-    error
-        The maker's error.
-
-    Returns
-    -------
-    str
-        The line.
+    error: The maker's error.
     """
     lines = [line.strip() for line in str(error).splitlines() if any(c.isalpha() for c in line)]
     reason = next(

@@ -21,15 +21,7 @@ from drivers.lateness import own_lateness
 def lets_go(*, holds: bool = False) -> Iterator[None]:
     """Empty the variables of the functions that an error has passed on its way out of the block.
 
-    Parameters
-    ----------
-    holds
-        Whether the block may keep other threads from running, so that their delay does not count.
-
-    Yields
-    ------
-    None
-        During the block.
+    holds: Whether the block may keep other threads from running, so that their delay does not count.
     """
     outside = sys.exception()
     try:

@@ -29,24 +29,9 @@ _CONNECTION: Final = re.compile(
 def read_biases(device: Any, *, where: str) -> dict[str, int]:
     """Read the biases.
 
-    Parameters
-    ----------
-    device
-        An open HAL device.
-    where
-        The camera, for messages.
-
-    Returns
-    -------
-    dict of str to int
-        Offsets from the factory value; empty if the camera cannot be asked.
-
-    Raises
-    ------
-    CameraSettingRefused
-        If the camera fails to answer.
-    CameraLost
-        If the connection has failed.
+    Returns: Offsets from the factory value; empty if the camera cannot be asked.
+    Raises CameraSettingRefused: If the camera fails to answer.
+    Raises CameraLost: If the connection has failed.
     """
     facility = device.get_i_ll_biases()
     if facility is None:
@@ -58,26 +43,10 @@ def read_biases(device: Any, *, where: str) -> dict[str, int]:
 def read_filters(device: Any, hal: Any, *, where: str) -> dict[str, bool]:
     """Read which on-chip filters are on.
 
-    Parameters
-    ----------
-    device
-        An open HAL device.
-    hal
-        The module ``metavision_hal``.
-    where
-        The camera, for messages.
-
-    Returns
-    -------
-    dict of str to bool
-        The filters that the camera has, and whether each is on.
-
-    Raises
-    ------
-    CameraSettingRefused
-        If the camera fails to answer.
-    CameraLost
-        If the connection has failed.
+    hal: The module ``metavision_hal``.
+    Returns: The filters that the camera has, and whether each is on.
+    Raises CameraSettingRefused: If the camera fails to answer.
+    Raises CameraLost: If the connection has failed.
     """
     found = {}
     with _refusal("read its filters", where):
@@ -97,17 +66,9 @@ def read_filters(device: Any, hal: Any, *, where: str) -> dict[str, bool]:
 def read_monitoring(device: Any, call: str) -> float | None:
     """Read one number of the monitoring facility.
 
-    Parameters
-    ----------
-    device
-        An open HAL device; None if it is closed.
-    call
-        Name of the facility's method.
-
-    Returns
-    -------
-    float or None
-        In the unit of that method; None if the camera does not measure it, or has failed to.
+    device: An open HAL device; None if it is closed.
+    call: Name of the facility's method.
+    Returns: In the unit of that method; None if the camera does not measure it, or has failed to.
     """
     monitoring = device.get_i_monitoring() if device is not None else None
     if monitoring is None:
@@ -122,28 +83,10 @@ def read_monitoring(device: Any, call: str) -> float | None:
 def apply_settings(device: Any, hal: Any, settings: CameraSettings, *, where: str) -> CameraSettings:
     """Change all settings, switch the filters off, and read everything back.
 
-    Parameters
-    ----------
-    device
-        An open HAL device.
-    hal
-        The module ``metavision_hal``.
-    settings
-        The wanted settings.
-    where
-        The camera, for messages.
-
-    Returns
-    -------
-    CameraSettings
-        What was read back; the region of interest is the wanted one, as the HAL cannot read it back.
-
-    Raises
-    ------
-    CameraSettingRefused
-        If the camera does not accept a setting, or another value is read back.
-    CameraLost
-        If the connection has failed.
+    hal: The module ``metavision_hal``.
+    Returns: What was read back; the region of interest is the wanted one, as the HAL cannot read it back.
+    Raises CameraSettingRefused: If the camera does not accept a setting, or another value is read back.
+    Raises CameraLost: If the connection has failed.
     """
     _set_biases(device, settings.biases, where)
     for getter in ("get_i_antiflicker_module", "get_i_event_trail_filter_module", "get_i_erc_module"):

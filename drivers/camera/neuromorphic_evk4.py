@@ -46,17 +46,8 @@ BIASES: Final = ("bias_diff_on", "bias_diff_off", "bias_fo", "bias_hpf", "bias_r
 def discover() -> tuple[FoundCamera, ...]:
     """List the EVK4 that are connected.
 
-    Returns
-    -------
-    tuple of FoundCamera
-        The cameras.
-
-    Raises
-    ------
-    CameraSoftwareMissing
-        If ``neuromorphic-drivers`` is not installed.
-    CameraError
-        If the USB devices cannot be listed.
+    Raises CameraSoftwareMissing: If ``neuromorphic-drivers`` is not installed.
+    Raises CameraError: If the USB devices cannot be listed.
     """
     package = _package()
     try:
@@ -77,20 +68,10 @@ def discover() -> tuple[FoundCamera, ...]:
 class NeuromorphicEvk4:
     """An ``EventCamera`` behind ``neuromorphic_drivers``.
 
-    Parameters
-    ----------
-    device
-        An open device that provides raw bytes.
-    package
-        The module ``neuromorphic_drivers``.
-    serial
-        The serial number that the camera must have; None accepts any.
-    clock
-        All waits pass through it.
-    utc_now
-        Returns the time for the header of a recording.
-    lock
-        The lock that reserves the camera for this process; ``close`` releases it.
+    package: The module ``neuromorphic_drivers``.
+    serial: The serial number that the camera must have; None accepts any.
+    utc_now: Returns the time for the header of a recording.
+    lock: The lock that reserves the camera for this process; ``close`` releases it.
     """
 
     def __init__(
@@ -118,32 +99,14 @@ class NeuromorphicEvk4:
     ) -> NeuromorphicEvk4:
         """Open a camera.
 
-        Parameters
-        ----------
-        serial
-            The serial number; None opens the first camera found.
-        clock
-            All waits pass through it.
-        utc_now
-            Returns the time for the header of a recording.
-
-        Returns
-        -------
-        NeuromorphicEvk4
-            The open camera.
-
-        Raises
-        ------
-        CameraSoftwareMissing
-            If ``neuromorphic-drivers`` is not installed.
-        CameraNotFound
-            If there is no such camera, or this user may not use it.
-        CameraBusy
-            If another process of this bench has locked it; with a serial number given, the camera has not been touched.
-        WrongDevice
-            If another camera answers.
-        CameraSettingRefused
-            If the camera is connected by USB 2.
+        serial: The serial number; None opens the first camera found.
+        utc_now: Returns the time for the header of a recording.
+        Raises CameraSoftwareMissing: If ``neuromorphic-drivers`` is not installed.
+        Raises CameraNotFound: If there is no such camera, or this user may not use it.
+        Raises CameraBusy: If another process of this bench has locked it; with a serial number given, the
+          camera has not been touched.
+        Raises WrongDevice: If another camera answers.
+        Raises CameraSettingRefused: If the camera is connected by USB 2.
         """
         package = _package()
         lock = CameraLock(event_camera_name(serial)) if serial else None
@@ -188,17 +151,9 @@ class NeuromorphicEvk4:
     def identify(self) -> CameraIdentity:
         """Read the camera's identity.
 
-        Returns
-        -------
-        CameraIdentity
-            Serial number and size by the camera; the package does not read the firmware's version.
-
-        Raises
-        ------
-        WrongDevice
-            If the serial number differs from the one given when the camera was opened.
-        CameraLost
-            If the camera goes away meanwhile.
+        Returns: Serial number and size by the camera; the package does not read the firmware's version.
+        Raises WrongDevice: If the serial number differs from the one given when the camera was opened.
+        Raises CameraLost: If the camera goes away meanwhile.
         """
         try:
             serial, size = str(self._device.serial()), self._device.properties()
@@ -231,22 +186,10 @@ class NeuromorphicEvk4:
 
         Biases that are not named are set to their factory value.
 
-        Parameters
-        ----------
-        settings
-            The wanted settings.
-
-        Returns
-        -------
-        CameraSettings
-            What was sent: the package cannot read it back.
-
-        Raises
-        ------
-        CameraSettingRefused
-            If a bias does not exist or is outside its range, or a region of interest is given.
-        CameraLost
-            If the camera goes away meanwhile.
+        Returns: What was sent: the package cannot read it back.
+        Raises CameraSettingRefused: If a bias does not exist or is outside its range, or a region of interest
+          is given.
+        Raises CameraLost: If the camera goes away meanwhile.
         """
         refuse_roi(settings, self._where)
         biases = {name: settings.biases.get(name, 0) for name in BIASES}
@@ -282,10 +225,7 @@ class NeuromorphicEvk4:
     def filters(self) -> Mapping[str, bool]:
         """Return the state of the rate controller, the only filter of the package; ``open`` and ``apply`` leave it off.
 
-        Returns
-        -------
-        Mapping of str to bool
-            Only "erc", which is off.
+        Returns: Only "erc", which is off.
         """
         return {"erc": False}
 
@@ -296,25 +236,13 @@ class NeuromorphicEvk4:
     def record(self, path: Path, duration_s: float) -> RecordingFacts:
         """Record into a new RAW file; see `EventCamera.record`.
 
-        Parameters
-        ----------
-        path
-            The file to make; it must not exist.
-        duration_s
-            The file covers at least this time on the sensor's clock, s.
-
-        Returns
-        -------
-        RecordingFacts
-            What is known of the recording. Packets that the computer lost are in ``gaps``. The ``biases`` are empty,
-            because the package cannot read them back.
-
-        Raises
-        ------
-        RecordingFailed
-            If the file cannot be made or written, or the words are malformed; what was recorded before is kept.
-        CameraLost
-            If the camera goes away meanwhile; what was recorded before is kept.
+        path: The file to make; it must not exist.
+        duration_s: The file covers at least this time on the sensor's clock, s.
+        Returns: What is known of the recording. Packets that the computer lost are in ``gaps``. The
+          ``biases`` are empty, because the package cannot read them back.
+        Raises RecordingFailed: If the file cannot be made or written, or the words are malformed; what was
+          recorded before is kept.
+        Raises CameraLost: If the camera goes away meanwhile; what was recorded before is kept.
         """
         check_duration(duration_s, where=self._where)
         self._stop_asked.clear()

@@ -36,30 +36,16 @@ SPARE: Final = 1 << 12
 
 @dataclass(frozen=True)
 class RecordingStatistics(StreamStatistics):
-    """Statistics of a file from one pass over it.
-
-    Attributes
-    ----------
-    bytes
-        Length of the file, header included.
-    truncated
-        Whether the file ends in the middle of a word: it was cut off while it was written or copied.
-    """
+    """Statistics of a file from one pass over it."""
 
     bytes: int
+    # Whether the file ends in the middle of a word: it was cut off while it was written or copied.
     truncated: bool
 
 
 @dataclass(frozen=True)
 class RawFile:
     r"""A RAW file of EVT3 words.
-
-    Parameters
-    ----------
-    path
-        The file.
-    raw_header
-        Its header.
 
     Examples
     --------
@@ -81,24 +67,9 @@ class RawFile:
     def open(cls, path: Path | str) -> RawFile:
         """Read the header of a file. The file does not stay open.
 
-        Parameters
-        ----------
-        path
-            The file.
-
-        Returns
-        -------
-        RawFile
-            The file with its header.
-
-        Raises
-        ------
-        NotARecording
-            If it is no RAW file of EVT3.
-        RecordingCorrupt
-            If parts of it were never written.
-        RecordingFileError
-            If it cannot be read.
+        Raises NotARecording: If it is no RAW file of EVT3.
+        Raises RecordingCorrupt: If parts of it were never written.
+        Raises RecordingFileError: If it cannot be read.
         """
         path = Path(path)
         if path.is_dir():
@@ -142,20 +113,9 @@ class RawFile:
     def words(self, *, piece_words: int = 1 << 16) -> Iterator[Words]:
         """Read the words as they stand in the file. An odd byte at the end is left out.
 
-        Parameters
-        ----------
-        piece_words
-            Number of words in a piece; their events then stay in the processor's caches.
-
-        Yields
-        ------
-        ndarray
-            (N,) uint16, the next words.
-
-        Raises
-        ------
-        RecordingFileError
-            If the file cannot be read.
+        piece_words: Number of words in a piece; their events then stay in the processor's caches.
+        Yields: (N,) uint16, the next words.
+        Raises RecordingFileError: If the file cannot be read.
         """
         try:
             with self.path.open("rb") as file:
@@ -168,22 +128,9 @@ class RawFile:
     def pieces(self, *, max_events: int = 1_000_000) -> Iterator[tuple[Events, Triggers]]:
         """Decode events and triggers in the order of the file.
 
-        Parameters
-        ----------
-        max_events
-            Largest number of events in a piece.
-
-        Yields
-        ------
-        tuple of Events and Triggers
-            The next events, and the triggers among them.
-
-        Raises
-        ------
-        RecordingCorrupt
-            At a malformed word, after the pieces before it.
-        RecordingFileError
-            If the file cannot be read.
+        max_events: Largest number of events in a piece.
+        Raises RecordingCorrupt: At a malformed word, after the pieces before it.
+        Raises RecordingFileError: If the file cannot be read.
         """
         decoder = self._decoder()
         for words in self.words():
@@ -192,20 +139,9 @@ class RawFile:
     def chunks(self, *, max_events: int = 1_000_000) -> Iterator[Events]:
         """Decode events in the order of the file.
 
-        Parameters
-        ----------
-        max_events
-            Largest number of events in a piece.
-
-        Yields
-        ------
-        Events
-            The next events, at least one.
-
-        Raises
-        ------
-        RecordingCorrupt, RecordingFileError
-            As ``pieces``.
+        max_events: Largest number of events in a piece.
+        Yields: The next events, at least one.
+        Raises RecordingCorrupt, RecordingFileError: As ``pieces``.
         """
         for events, _ in self.pieces(max_events=max_events):
             if len(events.t):
@@ -214,15 +150,8 @@ class RawFile:
     def read(self) -> tuple[Events, Triggers]:
         """Decode all events and triggers, which takes 13 bytes of memory an event; large files in several threads.
 
-        Returns
-        -------
-        tuple of Events and Triggers
-            In the order of the file.
-
-        Raises
-        ------
-        RecordingCorrupt, RecordingFileError
-            As ``pieces``.
+        Returns: In the order of the file.
+        Raises RecordingCorrupt, RecordingFileError: As ``pieces``.
         """
         size = self._size()
         threads, events = threads_for(size), GrowingEvents(self._expected_events(size))
@@ -272,15 +201,8 @@ class RawFile:
     def triggers(self) -> Triggers:
         """Decode all trigger edges.
 
-        Returns
-        -------
-        Triggers
-            In the order of the file.
-
-        Raises
-        ------
-        RecordingCorrupt, RecordingFileError
-            As ``pieces``.
+        Returns: In the order of the file.
+        Raises RecordingCorrupt, RecordingFileError: As ``pieces``.
         """
         decoder = self._decoder()
         return join_triggers([decoder.tally(words) for words in self.words()])
@@ -288,15 +210,8 @@ class RawFile:
     def counts(self) -> NDArray[np.uint16]:
         """Count the events of each pixel in one loop, without a list of events.
 
-        Returns
-        -------
-        ndarray
-            (2, height, width) uint16, OFF counts, then ON counts; counts wrap above 65535.
-
-        Raises
-        ------
-        RecordingCorrupt, RecordingFileError
-            As ``pieces``.
+        Returns: (2, height, width) uint16, OFF counts, then ON counts; counts wrap above 65535.
+        Raises RecordingCorrupt, RecordingFileError: As ``pieces``.
         """
         image = np.zeros((2, self.height, self.width), np.uint16)
         decoder = self._decoder()
@@ -307,20 +222,9 @@ class RawFile:
     def scan(self, goes_on: Callable[[], object] = lambda: None) -> RecordingStatistics:
         """Read all words once and sum them up.
 
-        Parameters
-        ----------
-        goes_on
-            Called after each piece, so that a supervisor sees a long scan go on (`drivers.clock.Clock.monotonic`).
-
-        Returns
-        -------
-        RecordingStatistics
-            Counts, times and losses.
-
-        Raises
-        ------
-        RecordingCorrupt, RecordingFileError
-            As ``pieces``.
+        goes_on: Called after each piece, so that a supervisor sees a long scan go on
+          (`drivers.clock.Clock.monotonic`).
+        Raises RecordingCorrupt, RecordingFileError: As ``pieces``.
         """
         decoder = self._decoder()
         for words in self.words():

@@ -45,19 +45,11 @@ _MAGIC: Final = (
 
 @dataclass(frozen=True)
 class RawHeader:
-    """The contents of a header.
+    """The contents of a header."""
 
-    Attributes
-    ----------
-    fields
-        Every key and its text, white space as single blanks; of a repeated key the last text.
-    width, height
-        Size of the sensor, px.
-    text
-        The header as it stands in the file.
-    """
-
+    # Every key and its text, white space as single blanks; of a repeated key the last text.
     fields: Mapping[str, str]
+    # width, height: Size of the sensor, px.
     width: int
     height: int
     text: bytes
@@ -71,22 +63,9 @@ class RawHeader:
 def parse_header(start: bytes, *, where: str) -> RawHeader:
     """Read the header at the start of a file.
 
-    Parameters
-    ----------
-    start
-        The first 65536 bytes of the file, or all of it.
-    where
-        The file, for messages.
-
-    Returns
-    -------
-    RawHeader
-        Its contents.
-
-    Raises
-    ------
-    NotARecording
-        If this is no RAW header, it does not end, it names another encoding than EVT3, or it does not state the size.
+    start: The first 65536 bytes of the file, or all of it.
+    Raises NotARecording: If this is no RAW header, it does not end, it names another encoding than EVT3, or
+      it does not state the size.
     """
     if not start.startswith(b"% ") or start.startswith(b"% Data file containing"):
         raise NotARecording(
@@ -179,17 +158,8 @@ def _pixels(width: str, height: str, where: str) -> tuple[int, int]:
 def render_header(camera: CameraIdentity, recorded_at: datetime) -> bytes:
     """Write the header of a new recording of an EVK4 or a camera like it.
 
-    Parameters
-    ----------
-    camera
-        The camera that records.
-    recorded_at
-        Time of the recording, UTC.
-
-    Returns
-    -------
-    bytes
-        The lines; the last is ``% end``.
+    recorded_at: Time of the recording, UTC.
+    Returns: The lines; the last is ``% end``.
     """
     fields = {
         "camera_integrator_name": camera.maker,

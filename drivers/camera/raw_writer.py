@@ -35,17 +35,10 @@ _REMEDIES: Final = {
 class RawWriter:
     """A new file. Used in a ``with`` statement, which syncs and closes it in any case.
 
-    Parameters
-    ----------
-    path
-        The file to make; it must not exist.
-    header
-        Its first bytes.
-
-    Raises
-    ------
-    RecordingFailed
-        If the file exists, cannot be made, or the disk does not accept the data; what was written stays.
+    path: The file to make; it must not exist.
+    header: Its first bytes.
+    Raises RecordingFailed: If the file exists, cannot be made, or the disk does not accept the data; what was
+      written stays.
     """
 
     def __init__(self, path: Path, header: bytes) -> None:
@@ -64,15 +57,7 @@ class RawWriter:
     def write(self, data: bytes | bytearray | memoryview) -> None:
         """Append all data.
 
-        Parameters
-        ----------
-        data
-            The bytes to write.
-
-        Raises
-        ------
-        RecordingFailed
-            If the disk does not accept all of them.
+        Raises RecordingFailed: If the disk does not accept all of them.
         """
         rest = memoryview(data)
         try:
@@ -105,15 +90,7 @@ class RawWriter:
 def check_new(path: Path) -> None:
     """Check that a file can be made.
 
-    Parameters
-    ----------
-    path
-        The file.
-
-    Raises
-    ------
-    RecordingFailed
-        If the file exists, or its folder is missing or may not be written.
+    Raises RecordingFailed: If the file exists, or its folder is missing or may not be written.
     """
     code = 0
     try:
@@ -132,15 +109,7 @@ def check_new(path: Path) -> None:
 def check_space(path: Path) -> None:
     """Check that the disk of a file is not full.
 
-    Parameters
-    ----------
-    path
-        The file.
-
-    Raises
-    ------
-    RecordingFailed
-        If less than ``FULL_BYTES`` are free.
+    Raises RecordingFailed: If less than ``FULL_BYTES`` are free.
     """
     if shutil.disk_usage(path.parent).free < FULL_BYTES:
         raise recording_write_error(path, OSError(errno.ENOSPC, os.strerror(errno.ENOSPC)))
@@ -149,15 +118,7 @@ def check_space(path: Path) -> None:
 def sync_file(path: Path) -> None:
     """Sync a file that another program wrote, and its name. A file that does not exist is ignored.
 
-    Parameters
-    ----------
-    path
-        The file.
-
-    Raises
-    ------
-    RecordingFailed
-        If the disk does not accept it.
+    Raises RecordingFailed: If the disk does not accept it.
     """
     try:
         if not path.exists():
@@ -173,13 +134,7 @@ def sync_file(path: Path) -> None:
 
 
 def sync_folder(folder: Path) -> None:
-    """Sync a folder, so that the name of a new file is on disk as well. Windows cannot do this.
-
-    Parameters
-    ----------
-    folder
-        The folder.
-    """
+    """Sync a folder, so that the name of a new file is on disk as well. Windows cannot do this."""
     if not _FOLDERS_OPEN:
         return
     handle = os.open(folder, os.O_RDONLY)
@@ -190,20 +145,7 @@ def sync_folder(folder: Path) -> None:
 
 
 def recording_write_error(path: Path, error: OSError) -> RecordingFailed:
-    """Build the error of a recording that cannot be written.
-
-    Parameters
-    ----------
-    path
-        The file.
-    error
-        What the system reports.
-
-    Returns
-    -------
-    RecordingFailed
-        With the remedy for the cause.
-    """
+    """Build the error of a recording that cannot be written."""
     otherwise = (f"The file cannot be written ({error.strerror or error})", "Check the disk.")
     what, remedy = _REMEDIES.get(error.errno or 0, otherwise)
     kept = (

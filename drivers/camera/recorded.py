@@ -28,14 +28,8 @@ _SILENCE_S: Final = 10.0
 class RecordedCamera:
     """An ``EventCamera`` that plays RAW files.
 
-    Parameters
-    ----------
-    files
-        The files, in the order of playing.
-    serial
-        The serial number that their headers must have; None accepts any.
-    clock
-        All waits pass through it.
+    files: The files, in the order of playing.
+    serial: The serial number that their headers must have; None accepts any.
     """
 
     def __init__(self, files: list[RawFile], *, serial: str | None, clock: Clock) -> None:
@@ -50,28 +44,11 @@ class RecordedCamera:
     def open(cls, path: Path | str, *, serial: str | None = None, clock: Clock) -> RecordedCamera:
         """Open a RAW file, or all ``*.raw`` of a folder in the order of their names.
 
-        Parameters
-        ----------
-        path
-            The file or folder.
-        serial
-            The serial number that the headers must have; None accepts any.
-        clock
-            All waits pass through it.
-
-        Returns
-        -------
-        RecordedCamera
-            The camera, at its first recording.
-
-        Raises
-        ------
-        CameraNotFound
-            If the folder holds no RAW file.
-        WrongDevice
-            If a file was recorded by another camera.
-        RecordingFileError
-            If a file cannot be read, or is no RAW recording of EVT3.
+        serial: The serial number that the headers must have; None accepts any.
+        Returns: The camera, at its first recording.
+        Raises CameraNotFound: If the folder holds no RAW file.
+        Raises WrongDevice: If a file was recorded by another camera.
+        Raises RecordingFileError: If a file cannot be read, or is no RAW recording of EVT3.
         """
         path = Path(path)
         paths = sorted(path.glob("*.raw")) if path.is_dir() else [path]
@@ -88,15 +65,8 @@ class RecordedCamera:
     def identify(self) -> CameraIdentity:
         """Return the identity of the camera that recorded the files.
 
-        Returns
-        -------
-        CameraIdentity
-            By the header of the first file; the model is "recorded".
-
-        Raises
-        ------
-        WrongDevice
-            If a file was recorded by another camera.
+        Returns: By the header of the first file; the model is "recorded".
+        Raises WrongDevice: If a file was recorded by another camera.
         """
         first = self._files[0]
         wanted = first.serial if self._serial is None else self._serial
@@ -122,20 +92,8 @@ class RecordedCamera:
     def apply(self, settings: CameraSettings) -> CameraSettings:
         """Accept settings that change nothing.
 
-        Parameters
-        ----------
-        settings
-            The wanted settings.
-
-        Returns
-        -------
-        CameraSettings
-            No biases, and the wanted state of the trigger input.
-
-        Raises
-        ------
-        CameraSettingRefused
-            If a bias is not 0, or a region of interest is given.
+        Returns: No biases, and the wanted state of the trigger input.
+        Raises CameraSettingRefused: If a bias is not 0, or a region of interest is given.
         """
         refuse_roi(settings, self._where)
         if changed := sorted(name for name, value in settings.biases.items() if value):
@@ -149,42 +107,25 @@ class RecordedCamera:
     def filters(self) -> Mapping[str, bool]:
         """Return nothing: a RAW file does not state which filters were on.
 
-        Returns
-        -------
-        Mapping of str to bool
-            Empty.
+        Returns: Empty.
         """
         return {}
 
     def temperature_c(self) -> float | None:
         """Return nothing: a RAW file does not state the temperature.
 
-        Returns
-        -------
-        None
-            Always.
+        Returns: Always.
         """
         return None
 
     def record(self, path: Path, duration_s: float) -> RecordingFacts:
         """Play the next recording into a new RAW file.
 
-        Parameters
-        ----------
-        path
-            The file to make; it must not exist.
-        duration_s
-            Wanted time on the sensor's clock, s.
-
-        Returns
-        -------
-        RecordingFacts
-            What is known of the recording; it is not ``complete`` if it is shorter than wanted.
-
-        Raises
-        ------
-        RecordingFailed
-            If all has been played, the file cannot be made or written, or the words are malformed.
+        path: The file to make; it must not exist.
+        duration_s: Wanted time on the sensor's clock, s.
+        Returns: What is known of the recording; it is not ``complete`` if it is shorter than wanted.
+        Raises RecordingFailed: If all has been played, the file cannot be made or written, or the words are
+          malformed.
         """
         check_duration(duration_s, where=self._where)
         self._stop_asked.clear()

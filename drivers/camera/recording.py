@@ -36,63 +36,35 @@ class WordSource(Protocol):
     def next_words(self) -> bytes | None:
         """Wait for the next words, some 10 ms at most.
 
-        Returns
-        -------
-        bytes or None
-            Whole words; None if none came; empty if the stream has ended.
+        Returns: Whole words; None if none came; empty if the stream has ended.
         """
         ...
 
     def stop(self, *, hurry: bool) -> None:
         """Stop the stream, without passing the clock.
 
-        Parameters
-        ----------
-        hurry
-            True if something else has failed already: then stopping must be short.
+        hurry: True if something else has failed already: then stopping must be short.
         """
         ...
 
 
 @dataclass(frozen=True)
 class StopConditions:
-    """What may end a recording before its time.
+    """What may end a recording before its time."""
 
-    Attributes
-    ----------
-    clock
-        Its ``sleep`` is called in every round of the recording, and may interrupt it.
-    stop_asked
-        Set by another thread to end the recording early.
-    silence_s
-        How long the sensor's clock may stand still before the camera counts as lost, s.
-    where
-        The camera, for messages.
-    """
-
-    clock: Clock
+    clock: Clock  # Its ``sleep`` is called in every round of the recording, and may interrupt it
     stop_asked: threading.Event
-    silence_s: float
+    silence_s: float  # How long the sensor's clock may stand still before the camera counts as lost, s
     where: str
 
 
 @dataclass(frozen=True)
 class RecordingOutcome:
-    """The result of a recording.
-
-    Attributes
-    ----------
-    statistics
-        Counts, times and losses of its words.
-    bytes
-        Length of the file.
-    complete
-        Whether the recording covers its whole duration.
-    """
+    """The result of a recording."""
 
     statistics: StreamStatistics
     bytes: int
-    complete: bool
+    complete: bool  # Whether the recording covers its whole duration
 
 
 def compile_decoder() -> None:
@@ -103,17 +75,8 @@ def compile_decoder() -> None:
 def check_duration(duration_s: float, *, where: str) -> None:
     """Check that a duration can be recorded.
 
-    Parameters
-    ----------
-    duration_s
-        The duration, s.
-    where
-        The camera, for messages.
-
-    Raises
-    ------
-    RecordingFailed
-        If the duration is not positive and finite.
+    duration_s: The duration, s.
+    Raises RecordingFailed: If the duration is not positive and finite.
     """
     if not (math.isfinite(duration_s) and duration_s > 0):
         raise RecordingFailed(
@@ -126,17 +89,7 @@ def check_duration(duration_s: float, *, where: str) -> None:
 def refuse_roi(settings: CameraSettings, where: str) -> None:
     """Refuse a region of interest, for drivers that cannot set one.
 
-    Parameters
-    ----------
-    settings
-        The wanted settings.
-    where
-        The camera, for messages.
-
-    Raises
-    ------
-    CameraSettingRefused
-        If the settings hold a region of interest.
+    Raises CameraSettingRefused: If the settings hold a region of interest.
     """
     if settings.roi is not None:
         raise CameraSettingRefused(
@@ -156,32 +109,14 @@ def record_words(
 ) -> RecordingOutcome:
     """Write a source's words into a new file until the sensor's clock has covered the duration.
 
-    Parameters
-    ----------
-    source
-        The source of the words; it is stopped in any case.
-    path
-        The file to make; it must not exist.
-    header
-        The first bytes of the file.
-    size
-        Columns and rows of the sensor, px.
-    duration_s
-        Time to cover on the sensor's clock, at least, s; infinite for all words of the source.
-    stop_on
-        What may end the recording before.
-
-    Returns
-    -------
-    RecordingOutcome
-        Statistics, length and completeness.
-
-    Raises
-    ------
-    RecordingFailed
-        If the file cannot be made or written, or the words are malformed; what was recorded before is kept.
-    CameraLost
-        If the camera goes away or falls silent; what was recorded before is kept.
+    path: The file to make; it must not exist.
+    header: The first bytes of the file.
+    size: Columns and rows of the sensor, px.
+    duration_s: Time to cover on the sensor's clock, at least, s; infinite for all words of the source.
+    stop_on: What may end the recording before.
+    Raises RecordingFailed: If the file cannot be made or written, or the words are malformed; what was
+      recorded before is kept.
+    Raises CameraLost: If the camera goes away or falls silent; what was recorded before is kept.
     """
     decoder = Evt3Decoder(*size, where=stop_on.where)
     with RawWriter(path, header) as file:
@@ -231,17 +166,7 @@ def _write_words(
 def incomplete_recording_error(error: DriverError, path: Path) -> CameraError:
     """Build the error of an interrupted recording: what happened, and which file holds what was recorded before.
 
-    Parameters
-    ----------
-    error
-        What happened.
-    path
-        The file.
-
-    Returns
-    -------
-    CameraError
-        ``CameraLost`` if the error is one, else ``RecordingFailed``.
+    Returns: ``CameraLost`` if the error is one, else ``RecordingFailed``.
     """
     kind = CameraLost if isinstance(error, CameraLost) else RecordingFailed
     what = f"{error.what} The recording is incomplete; what was recorded before is in {path}."
@@ -260,27 +185,9 @@ def recording_facts(
 ) -> RecordingFacts:
     """Put together what is known of a recording.
 
-    Parameters
-    ----------
-    camera
-        The camera that recorded.
-    recorded
-        The result of the recording.
-    biases
-        Offsets from the factory value, read back from the camera.
-    filters
-        On-chip filters by name, and whether each is on.
-    temperature_c
-        Temperature of the sensor, deg C; None if it is not measured.
-    illumination_lux
-        Illumination of the sensor, lx; None if it is not measured.
-    losses
-        Losses that the driver itself noticed, in sentences.
-
-    Returns
-    -------
-    RecordingFacts
-        For the journal and the gates.
+    filters: On-chip filters by name, and whether each is on.
+    temperature_c: Temperature of the sensor, deg C; None if it is not measured.
+    illumination_lux: Illumination of the sensor, lx; None if it is not measured.
     """
     statistics = recorded.statistics
     return RecordingFacts(

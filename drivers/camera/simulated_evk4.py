@@ -38,16 +38,8 @@ STOP_S: Final = 5.0
 class SimulatedEvk4Camera:
     """An ``EventCamera`` on a socket.
 
-    Parameters
-    ----------
-    line
-        The connection.
-    serial
-        The serial number that the camera must have; None accepts any.
-    clock
-        All waits pass through it.
-    utc_now
-        Returns the time for the header of a recording.
+    serial: The serial number that the camera must have; None accepts any.
+    utc_now: Returns the time for the header of a recording.
     """
 
     def __init__(
@@ -72,32 +64,13 @@ class SimulatedEvk4Camera:
     ) -> SimulatedEvk4Camera:
         """Connect, and check that it is the right camera.
 
-        Parameters
-        ----------
-        address
-            ``host:port``.
-        serial
-            The serial number that the camera must have; None accepts any.
-        clock
-            All waits pass through it.
-        utc_now
-            Returns the time for the header of a recording.
-        silence_s
-            Longest silence before the camera counts as lost, s.
-
-        Returns
-        -------
-        SimulatedEvk4Camera
-            The connected camera.
-
-        Raises
-        ------
-        CameraNotFound
-            If nothing listens at the address.
-        WrongDevice
-            If the camera has another serial number.
-        DriverError
-            If the peer does not follow the protocol.
+        address: ``host:port``.
+        serial: The serial number that the camera must have; None accepts any.
+        utc_now: Returns the time for the header of a recording.
+        silence_s: Longest silence before the camera counts as lost, s.
+        Raises CameraNotFound: If nothing listens at the address.
+        Raises WrongDevice: If the camera has another serial number.
+        Raises DriverError: If the peer does not follow the protocol.
         """
         line = Evk4Line(address, clock=clock, silence_s=silence_s)
         camera = cls(line, serial=serial, clock=clock, utc_now=utc_now)
@@ -111,17 +84,8 @@ class SimulatedEvk4Camera:
     def identify(self) -> CameraIdentity:
         """Read the camera's identity.
 
-        Returns
-        -------
-        CameraIdentity
-            As the camera states it.
-
-        Raises
-        ------
-        WrongDevice
-            If the serial number differs from the one given when the camera was opened.
-        ReplyGarbled
-            If the answer lacks a field, or the camera does not send EVT3.
+        Raises WrongDevice: If the serial number differs from the one given when the camera was opened.
+        Raises ReplyGarbled: If the answer lacks a field, or the camera does not send EVT3.
         """
         answer = self._ask("identify")
         if (encoding := self._text(answer, "format")) != "EVT3":
@@ -150,20 +114,7 @@ class SimulatedEvk4Camera:
     def apply(self, settings: CameraSettings) -> CameraSettings:
         """Set biases and trigger input, and switch all filters off; see `EventCamera.apply`.
 
-        Parameters
-        ----------
-        settings
-            The wanted settings.
-
-        Returns
-        -------
-        CameraSettings
-            What was read back from the camera.
-
-        Raises
-        ------
-        CameraSettingRefused
-            If a value is refused, or another one is read back.
+        Raises CameraSettingRefused: If a value is refused, or another one is read back.
         """
         refuse_roi(settings, self._where)
         unknown = sorted(set(settings.biases) - set(BIASES))

@@ -32,17 +32,7 @@ _CAMERAS: Final[Mapping[tuple[str, str], str]] = {
 def unreadable_cameras(devices: Path = USB_DEVICES, nodes: Path = USB_NODES) -> list[str]:
     """Return a sentence for each known event camera on USB that this user may not open.
 
-    Parameters
-    ----------
-    devices
-        Folder in which Linux lists the devices on USB.
-    nodes
-        Folder with the file of each device.
-
-    Returns
-    -------
-    list of str
-        What is connected, and what to do; empty on other systems.
+    Returns: What is connected, and what to do; empty on other systems.
     """
     found = []
     for device, name in _cameras(devices):
@@ -59,15 +49,7 @@ def unreadable_cameras(devices: Path = USB_DEVICES, nodes: Path = USB_NODES) -> 
 def connected_cameras(devices: Path = USB_DEVICES) -> list[str] | None:
     """Return the kinds of the known event cameras on USB.
 
-    Parameters
-    ----------
-    devices
-        Folder in which Linux lists the devices on USB.
-
-    Returns
-    -------
-    list of str or None
-        One entry for each camera; None if the system has no such list.
+    Returns: One entry for each camera; None if the system has no such list.
     """
     return [name for _, name in _cameras(devices)] if devices.is_dir() else None
 
@@ -75,15 +57,7 @@ def connected_cameras(devices: Path = USB_DEVICES) -> list[str] | None:
 def slow_cameras(devices: Path = USB_DEVICES) -> list[str]:
     """Return a sentence for each known event camera that is not connected by USB 3.
 
-    Parameters
-    ----------
-    devices
-        Folder in which Linux lists the devices on USB.
-
-    Returns
-    -------
-    list of str
-        What is connected, and what to do; empty on other systems.
+    Returns: What is connected, and what to do; empty on other systems.
     """
     found = []
     for device, name in _cameras(devices):
@@ -99,16 +73,8 @@ def slow_cameras(devices: Path = USB_DEVICES) -> list[str]:
 def only_camera_mbit_s(devices: Path = USB_DEVICES) -> int | None:
     """Return the speed of the connection of the only known event camera.
 
-    Parameters
-    ----------
-    devices
-        Folder in which Linux lists the devices on USB.
-
-    Returns
-    -------
-    int or None
-        Mbit/s; None if it is not known, or if there are several cameras: a USB device states no serial number that
-        belongs to the camera for certain.
+    Returns: Mbit/s; None if it is not known, or if there are several cameras: a USB device states no serial
+      number that belongs to the camera for certain.
     """
     cameras = _cameras(devices)
     return _speed_mbit_s(cameras[0][0]) if len(cameras) == 1 else None
@@ -117,17 +83,8 @@ def only_camera_mbit_s(devices: Path = USB_DEVICES) -> int | None:
 def check_link(link_mbit_s: int | None, where: str) -> None:
     """Refuse a camera on USB 2, which loses events at the rates of a measurement.
 
-    Parameters
-    ----------
-    link_mbit_s
-        Speed of its connection, Mbit/s; None if it is not known.
-    where
-        The camera, for the message.
-
-    Raises
-    ------
-    CameraSettingRefused
-        If the connection is known to be too slow.
+    link_mbit_s: Speed of its connection, Mbit/s; None if it is not known.
+    Raises CameraSettingRefused: If the connection is known to be too slow.
     """
     if link_mbit_s is not None and link_mbit_s < LEAST_MBIT_S:
         raise CameraSettingRefused(

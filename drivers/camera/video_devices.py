@@ -20,17 +20,8 @@ SYSTEM: Final = Path("/sys/class/video4linux")
 def device_path(source: str, dev: Path = DEV) -> Path | None:
     """Return the device file that a source stands for.
 
-    Parameters
-    ----------
-    source
-        ``0``, ``/dev/video0``, a name by id, or something that is no device.
-    dev
-        Folder of the device files.
-
-    Returns
-    -------
-    Path or None
-        The device file; None for a source that is no device.
+    source: ``0``, ``/dev/video0``, a name by id, or something that is no device.
+    Returns: The device file; None for a source that is no device.
 
     Examples
     --------
@@ -46,17 +37,7 @@ def device_path(source: str, dev: Path = DEV) -> Path | None:
 def usb_serial(device: Path, system: Path = SYSTEM) -> str:
     """Read the serial number of the USB device that a video device belongs to.
 
-    Parameters
-    ----------
-    device
-        The device file.
-    system
-        Folder in which Linux lists its video devices.
-
-    Returns
-    -------
-    str
-        The serial number; empty if the device has none.
+    Returns: The serial number; empty if the device has none.
     """
     place = (system / device.name / "device").resolve()
     for folder in (place, *place.parents):
@@ -71,17 +52,7 @@ def usb_serial(device: Path, system: Path = SYSTEM) -> str:
 def is_capture_device(device: Path, system: Path = SYSTEM) -> bool:
     """Return whether a video device is the first of its camera; the others carry metadata, which OpenCV cannot read.
 
-    Parameters
-    ----------
-    device
-        The device file.
-    system
-        Folder in which Linux lists its video devices.
-
-    Returns
-    -------
-    bool
-        True also if the system does not state it.
+    Returns: True also if the system does not state it.
     """
     try:
         return (system / device.name / "index").read_text(encoding="ascii").strip() == "0"
@@ -90,20 +61,7 @@ def is_capture_device(device: Path, system: Path = SYSTEM) -> bool:
 
 
 def video_devices(dev: Path = DEV, system: Path = SYSTEM) -> list[FoundCamera]:
-    """List the video devices as frame cameras.
-
-    Parameters
-    ----------
-    dev
-        Folder of the device files.
-    system
-        Folder in which Linux lists its video devices.
-
-    Returns
-    -------
-    list of FoundCamera
-        Each with the name that a station file should use as its source.
-    """
+    """List the video devices as frame cameras."""
     by_id = dev / "v4l" / "by-id"
     names = {link.resolve(): link for link in by_id.iterdir()} if by_id.is_dir() else {}
     devices = [path for path in sorted(dev.glob("video[0-9]*")) if is_capture_device(path, system)]

@@ -29,17 +29,9 @@ _KINDS: Final = (
 def require_regular(path: Path) -> None:
     """Refuse what is no ordinary file.
 
-    Parameters
-    ----------
-    path
-        The file; a link to a file is followed.
-
-    Raises
-    ------
-    NotARecording
-        If it is a folder, a pipe, a socket or a device.
-    OSError
-        If it cannot be found.
+    path: The file; a link to a file is followed.
+    Raises NotARecording: If it is a folder, a pipe, a socket or a device.
+    Raises OSError: If it cannot be found.
     """
     mode = path.stat().st_mode
     if stat.S_ISREG(mode):
@@ -51,17 +43,8 @@ def require_regular(path: Path) -> None:
 def require_whole(path: Path) -> None:
     """Refuse a file with holes: parts that its file system has never stored, because they were never written.
 
-    Parameters
-    ----------
-    path
-        The file.
-
-    Raises
-    ------
-    RecordingCorrupt
-        With the byte at which the first hole begins.
-    OSError
-        If it cannot be read.
+    Raises RecordingCorrupt: With the byte at which the first hole begins.
+    Raises OSError: If it cannot be read.
     """
     if not hasattr(os, "SEEK_HOLE"):  # Windows
         return

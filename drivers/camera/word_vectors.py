@@ -68,18 +68,7 @@ def _many(value: int, n: int = BLOCK_WORDS) -> Any:
 
 @intrinsic
 def count_ones(_typing: Any, bits: Any) -> Any:
-    """Return the number of bits set in an unsigned integer, in the same type.
-
-    Parameters
-    ----------
-    bits
-        Bits.
-
-    Returns
-    -------
-    int
-        Number of bits.
-    """
+    """Return the number of bits set in an unsigned integer, in the same type."""
 
     def generate(_context: Any, builder: Any, _signature: Any, args: Any) -> Any:
         return builder.ctpop(args[0])
@@ -91,15 +80,8 @@ def count_ones(_typing: Any, bits: Any) -> Any:
 def lowest_place(_typing: Any, _bits: Any) -> Any:
     """Return the place of the lowest bit set in a uint64; 64 if none is.
 
-    Parameters
-    ----------
-    _bits
-        Bits, uint64.
-
-    Returns
-    -------
-    uint64
-        Place, 0 for the lowest bit.
+    _bits: Bits, uint64.
+    Returns: Place, 0 for the lowest bit.
     """
 
     def generate(_context: Any, builder: Any, _signature: Any, args: Any) -> Any:
@@ -112,15 +94,8 @@ def lowest_place(_typing: Any, _bits: Any) -> Any:
 def highest_place(_typing: Any, _bits: Any) -> Any:
     """Return the place of the highest bit set in a uint64, which is not 0.
 
-    Parameters
-    ----------
-    _bits
-        Bits, uint64.
-
-    Returns
-    -------
-    uint64
-        Place, 0 for the lowest bit.
+    _bits: Bits, uint64.
+    Returns: Place, 0 for the lowest bit.
     """
 
     def generate(_context: Any, builder: Any, _signature: Any, args: Any) -> Any:
@@ -150,23 +125,11 @@ def word_masks(_typing: Any, words: Any, _i: Any, _width: Any, _height: Any, _hi
     for plain words. These are single events, rows and TIME_LOW words that do not step back, neither among themselves
     nor behind ``low``, the TIME_LOW in force, and the word ``high``, the TIME_HIGH in force.
 
-    Parameters
-    ----------
-    words
-        (N,) uint16, EVT3 words.
-    _i
-        Index of the first word, uint64.
-    _width, _height
-        Size of the sensor, px, int64.
-    _high
-        The TIME_HIGH in force as a word, int64.
-    _low
-        The TIME_LOW in force, us, int64.
-
-    Returns
-    -------
-    tuple of uint64
-        One bit a word: single events, rows, TIME_LOW, ON events, plain words.
+    words: (N,) uint16, EVT3 words.
+    _i: Index of the first word, uint64.
+    _width, _height: Size of the sensor, px, int64.
+    _high: The TIME_HIGH in force as a word, int64.
+    _low: The TIME_LOW in force, us, int64.
     """
 
     def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
@@ -219,23 +182,11 @@ def write_in_force(
 
     TIME_LOW must not step back. A row is found as the greatest number before a word, with its place in the upper bits.
 
-    Parameters
-    ----------
-    words
-        (N,) uint16, EVT3 words.
-    _i
-        Index of the first word, uint64.
-    _row
-        Row in force, px, int64.
-    _low
-        TIME_LOW in force, us, int64.
-    rows_out, lows_out
-        (BLOCK_WORDS,) uint16, filled in: row (px) and TIME_LOW (us) for each word.
-
-    Returns
-    -------
-    none
-        The arrays are filled in.
+    words: (N,) uint16, EVT3 words.
+    _i: Index of the first word, uint64.
+    _row: Row in force, px, int64.
+    _low: TIME_LOW in force, us, int64.
+    rows_out, lows_out: (BLOCK_WORDS,) uint16, filled in: row (px) and TIME_LOW (us) for each word.
     """
 
     def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
@@ -267,27 +218,14 @@ def write_singles(
 
     Only for processors that have `COMPRESSES`. 32 places of the arrays are touched.
 
-    Parameters
-    ----------
-    words
-        (N,) uint16, EVT3 words.
-    _i
-        Index of the first word, uint64.
-    _found
-        Which of the words are events to write, a bit each, uint64.
-    _t
-        Clock before the first word, us, int64.
-    _row
-        Row before the first word, px, int64.
-    t_out, x_out, y_out, p_out
-        (M,) int64, uint16, uint16 and uint8, filled in: times (us), columns and rows (px), and polarities.
-    _n
-        Index of the first event to write, uint64.
-
-    Returns
-    -------
-    none
-        The arrays are filled in.
+    words: (N,) uint16, EVT3 words.
+    _i: Index of the first word, uint64.
+    _found: Which of the words are events to write, a bit each, uint64.
+    _t: Clock before the first word, us, int64.
+    _row: Row before the first word, px, int64.
+    t_out, x_out, y_out, p_out: (M,) int64, uint16, uint16 and uint8, filled in: times (us), columns and rows
+      (px), and polarities.
+    _n: Index of the first event to write, uint64.
     """
 
     def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
@@ -319,17 +257,8 @@ def write_singles(
 def four_words(_typing: Any, words: Any, _i: Any) -> Any:
     """Return four words as one uint64, the first in its lowest bits.
 
-    Parameters
-    ----------
-    words
-        (N,) uint16, EVT3 words.
-    _i
-        Index of the first word, uint64.
-
-    Returns
-    -------
-    uint64
-        The four words.
+    words: (N,) uint16, EVT3 words.
+    _i: Index of the first word, uint64.
     """
 
     def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
@@ -342,21 +271,10 @@ def four_words(_typing: Any, words: Any, _i: Any) -> Any:
 def copy_single_events(_typing: Any, words: Any, _i: Any, x_out: Any, p_out: Any, _n: Any) -> Any:
     """Write column and polarity of BLOCK_WORDS single events from word i on to the arrays from index n on.
 
-    Parameters
-    ----------
-    words
-        (N,) uint16, EVT3 words.
-    _i
-        Index of the first word, uint64.
-    x_out, p_out
-        (M,) uint16 and (M,) uint8, filled in: columns (px) and polarities.
-    _n
-        Index of the first event to write, uint64.
-
-    Returns
-    -------
-    none
-        The arrays are filled in.
+    words: (N,) uint16, EVT3 words.
+    _i: Index of the first word, uint64.
+    x_out, p_out: (M,) uint16 and (M,) uint8, filled in: columns (px) and polarities.
+    _n: Index of the first event to write, uint64.
     """
 
     def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
@@ -410,16 +328,10 @@ def _write_columns_at_once(_typing: Any, _bits: Any, _x: Any, x_out: Any, _n: An
 def write_columns(x_out: Any, n: Any, x: Any, bits: Any) -> None:
     """Write the columns of the bits that are set, lowest first; 32 places are touched.
 
-    Parameters
-    ----------
-    x_out
-        (N,) uint16, columns to fill, px.
-    n
-        Index of the first column to write, uint64.
-    x
-        Column of the lowest bit, px, int64.
-    bits
-        One bit a column, uint64 below 2^32.
+    x_out: (N,) uint16, columns to fill, px.
+    n: Index of the first column to write, uint64.
+    x: Column of the lowest bit, px, int64.
+    bits: One bit a column, uint64 below 2^32.
     """
     if COMPRESSES:
         _write_columns_at_once(bits, x, x_out, n)

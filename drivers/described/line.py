@@ -28,26 +28,8 @@ _SHOWN = 80
 class DescribedLine:
     """A line to one device. Opening sets the form of the replies and asks for the identity, nothing else.
 
-    Parameters
-    ----------
-    port
-        The open port.
-    description
-        What the device understands.
-    clock, wire_log
-        See ``drivers.link.Link``.
-
-    Attributes
-    ----------
-    identity
-        Values of the answer to the identity query, by name.
-
-    Raises
-    ------
-    ReplyTimeout, ReplyGarbled
-        The device does not identify itself.
-    PortLost
-        The port is gone.
+    clock, wire_log: See ``drivers.link.Link``.
+    Raises ReplyTimeout, ReplyGarbled: The device does not identify itself.
     """
 
     def __init__(
@@ -83,60 +65,22 @@ class DescribedLine:
     ) -> dict[str, Value]:
         """Send a request and read its reply; repeat it when no valid reply comes. For what does no harm twice.
 
-        Parameters
-        ----------
-        exchange
-            The request and its reply.
-        values
-            Values of the request, by name.
-        tries
-            How often it is sent in all: 1 for what moves something.
-
-        Returns
-        -------
-        dict
-            Values of the reply, by name.
-
-        Raises
-        ------
-        DeviceRefused
-            The device refuses the request.
-        ReplyTimeout, ReplyGarbled
-            No valid reply came at the last attempt.
-        PortLost
-            The port is gone.
+        tries: How often it is sent in all: 1 for what moves something.
+        Raises ReplyTimeout, ReplyGarbled: No valid reply came at the last attempt.
         """
         return repeat(lambda: self._exchange(exchange, values or {}), tries=tries)
 
     def query_urgent(self, exchange: Exchange) -> None:
         """Send a request at once, without resynchronising, and read its reply: for stopping and switching off.
 
-        Parameters
-        ----------
-        exchange
-            The request and its reply.
-
-        Raises
-        ------
-        DeviceRefused, ReplyTimeout, ReplyGarbled, PortLost
-            See ``query``. The request is out.
+        Raises DeviceRefused, ReplyTimeout, ReplyGarbled, PortLost: See ``query``. The request is out.
         """
         self._exchange(exchange, {}, urgent=True)
 
     def switch(self, switch: Switch, values: Mapping[str, Value] | None = None) -> tuple[bool, str]:
         """Ask for a state.
 
-        Parameters
-        ----------
-        switch
-            The query and its words.
-        values
-            Values of the request, by name.
-
-        Returns
-        -------
-        tuple
-            Whether the answer is one of the switch's words, and the answer.
+        Returns: Whether the answer is one of the switch's words, and the answer.
         """
         state = self.query(switch.query, values)["state"]
         if isinstance(state, float):
@@ -146,17 +90,7 @@ class DescribedLine:
     def send_without_reply(self, exchange: Exchange, values: Mapping[str, Value]) -> str:
         """Send a request whose reply comes much later; ``poll`` reads it.
 
-        Parameters
-        ----------
-        exchange
-            The request.
-        values
-            Values of the request, by name.
-
-        Returns
-        -------
-        str
-            The request as it was sent, without its end.
+        Returns: The request as it was sent, without its end.
         """
         request = exchange.send.render(values)
         with self._link.lock:
@@ -167,24 +101,8 @@ class DescribedLine:
     def poll(self, exchange: Exchange, request: str, values: Mapping[str, Value]) -> bool:
         """Look whether the late reply to a request has come. Does not wait.
 
-        Parameters
-        ----------
-        exchange
-            The request and its reply.
-        request
-            What ``send_without_reply`` returned.
-        values
-            Values of the request, by name.
-
-        Returns
-        -------
-        bool
-            Whether the reply has come.
-
-        Raises
-        ------
-        DeviceRefused, ReplyGarbled
-            Another reply came.
+        request: What ``send_without_reply`` returned.
+        Returns: Whether the reply has come.
         """
         with self._link.lock:
             self._link.receive(0.0)
@@ -202,33 +120,15 @@ class DescribedLine:
         self._link.mark_out_of_step()
 
     def take_notices(self) -> list[str]:
-        """Return what the device said without being asked since the last call.
-
-        Returns
-        -------
-        list of str
-            The meanings that concern a move.
-        """
+        """Return what the device said without being asked since the last call."""
         found, self._notices = self._notices, []
         return list(dict.fromkeys(notice.means for notice in found if notice.means))
 
     def read_serial(self, expected: str) -> str:
         """Ask for the serial number and compare it with the one in the station file.
 
-        Parameters
-        ----------
-        expected
-            The serial number by the station file; empty to compare nothing.
-
-        Returns
-        -------
-        str
-            The serial number; empty if the device has none.
-
-        Raises
-        ------
-        WrongDevice
-            It is another one.
+        expected: The serial number by the station file; empty to compare nothing.
+        Returns: The serial number; empty if the device has none.
         """
         serial = self._description.serial
         found = str(self.query(serial)["serial"]).strip() if serial is not None else ""
@@ -242,18 +142,7 @@ class DescribedLine:
         return found
 
     def garbled_reply(self, what: str) -> ReplyGarbled:
-        """Mark the line as out of step.
-
-        Parameters
-        ----------
-        what
-            What is wrong with the reply.
-
-        Returns
-        -------
-        ReplyGarbled
-            The error, for the caller to raise.
-        """
+        """Mark the line as out of step."""
         self._link.mark_out_of_step()
         return ReplyGarbled(
             what, where=self.name, remedy="Check the cable, the baud rate and the device's description."
@@ -262,10 +151,7 @@ class DescribedLine:
     def listen(self, duration_s: float) -> None:
         """Wait for bytes on the line. No clock interrupts this wait: it is for stopping only.
 
-        Parameters
-        ----------
-        duration_s
-            Longest wait, in seconds.
+        duration_s: Longest wait, in seconds.
         """
         with self._link.lock:
             self._link.receive(duration_s)

@@ -41,37 +41,21 @@ class TemplateFault(ValueError):
 
 @dataclass(frozen=True)
 class Placeholder:
-    """A place of a template that a value takes.
-
-    Attributes
-    ----------
-    name
-        Name of the value.
-    kind
-        "integer", "number", "word" or "text"; empty for a value that is known when the template is used.
-    decimals
-        Digits after the point of a number that is sent; None for as many as needed.
-    """
+    """A place of a template that a value takes."""
 
     name: str
+    # "integer", "number", "word" or "text"; empty for a value that is known when the template is used.
     kind: str = ""
+    # Digits after the point of a number that is sent; None for as many as needed.
     decimals: int | None = None
 
 
 @dataclass(frozen=True)
 class Template:
-    """A request or a reply with places for values. `parse_template` makes one.
-
-    Attributes
-    ----------
-    text
-        The template as it was written.
-    parts
-        Texts and placeholders, in their order.
-    """
+    """A request or a reply with places for values. `parse_template` makes one."""
 
     text: str
-    parts: tuple[str | Placeholder, ...]
+    parts: tuple[str | Placeholder, ...]  # Texts and placeholders, in their order
 
     @property
     def names(self) -> frozenset[str]:
@@ -84,18 +68,7 @@ class Template:
         return frozenset(part.name for part in self.parts if isinstance(part, Placeholder) and part.kind)
 
     def render(self, values: Mapping[str, Value]) -> str:
-        """Return the text with the values in their places.
-
-        Parameters
-        ----------
-        values
-            Values by name, numbers or texts.
-
-        Returns
-        -------
-        str
-            The request.
-        """
+        """Return the text with the values in their places."""
         return "".join(
             part if isinstance(part, str) else _written(part, values[part.name]) for part in self.parts
         )
@@ -103,17 +76,9 @@ class Template:
     def match(self, line: str, known: Mapping[str, Value]) -> dict[str, Value] | None:
         """Read the values of a line.
 
-        Parameters
-        ----------
-        line
-            What a device sent, without its end.
-        known
-            Values of the placeholders without a kind.
-
-        Returns
-        -------
-        dict or None
-            Values by name; None if the line does not have this form.
+        line: What a device sent, without its end.
+        known: Values of the placeholders without a kind.
+        Returns: Values by name; None if the line does not have this form.
         """
         found: dict[str, Value] = {}
         at = 0
@@ -138,24 +103,11 @@ class Template:
 def parse_template(text: str, *, known: frozenset[str], readable: frozenset[str] | None) -> Template:
     """Read a template.
 
-    Parameters
-    ----------
-    text
-        Text with placeholders: ``{name}`` for a known value, ``{name:kind}`` for a value that is read or sent.
-    known
-        Names that may stand without a kind.
-    readable
-        Names that may stand with a kind; None for any name.
-
-    Returns
-    -------
-    Template
-        The template.
-
-    Raises
-    ------
-    TemplateFault
-        If a placeholder is unknown, or a reply could be read in two ways.
+    text: Text with placeholders: ``{name}`` for a known value, ``{name:kind}`` for a value that is read or
+      sent.
+    known: Names that may stand without a kind.
+    readable: Names that may stand with a kind; None for any name.
+    Raises TemplateFault: If a placeholder is unknown, or a reply could be read in two ways.
 
     Examples
     --------

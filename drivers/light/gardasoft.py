@@ -30,29 +30,12 @@ class GardasoftLight:
 
     Open it with ``GardasoftLight.open``; the constructor takes a port that is open already.
 
-    Parameters
-    ----------
-    port
-        The open port.
-    model
-        Model that the controller reports (RT260-20); None when it is not checked. There is no serial number.
-    channel
-        Channel of the lamp.
-    sync_channel
-        Channel that is wired to the camera's trigger input; None when there is none.
-    full_percent
-        Brightness at ``high_v`` = 5 V, in percent of the lamp's rating in the controller.
-    sync_percent
-        Brightness of the sync channel, in percent of its rating.
-    clock, wire_log
-        See ``drivers.link.Link``.
-
-    Raises
-    ------
-    WrongDevice
-        Another model answers; nothing was set.
-    ReplyError, PortLost
-        The controller does not answer.
+    model: Model that the controller reports (RT260-20); None when it is not checked. There is no serial
+      number.
+    sync_channel: Channel that is wired to the camera's trigger input; None when there is none.
+    full_percent: Brightness at ``high_v`` = 5 V, in percent of the lamp's rating in the controller.
+    clock, wire_log: See ``drivers.link.Link``.
+    Raises ReplyError, PortLost: The controller does not answer.
     """
 
     def __init__(
@@ -97,19 +80,7 @@ class GardasoftLight:
     ) -> GardasoftLight:
         """Open the port and check the model. Sets and switches nothing.
 
-        Parameters
-        ----------
-        port
-            Address of the port; see ``drivers.serial_port.SerialPort``, which raises the errors of opening.
-        baudrate
-            Bits per second.
-        model, channel, sync_channel, full_percent, sync_percent, clock, wire_log
-            See the class, which raises the other errors.
-
-        Returns
-        -------
-        GardasoftLight
-            The open light.
+        port: Address of the port; see ``drivers.serial_port.SerialPort``, which raises the errors of opening.
         """
         return cls(
             SerialPort(port, baudrate=baudrate),
@@ -125,10 +96,7 @@ class GardasoftLight:
     def identify(self) -> LightIdentity:
         """See `Light.identify`.
 
-        Raises
-        ------
-        WrongDevice
-            The model is not the one in the station file.
+        Raises WrongDevice: The model is not the one in the station file.
         """
         match = IDENTITY.fullmatch(self._line.identity_text)
         assert match is not None
@@ -166,24 +134,14 @@ class GardasoftLight:
     def read(self) -> LightSettings:
         """See `Light.read`. The settings are read until two readings agree.
 
-        Raises
-        ------
-        LightFault
-            The channel is neither pulsed nor lit steadily by this driver.
-        ReplyGarbled
-            The readings do not agree.
+        Raises ReplyGarbled: The readings do not agree.
         """
         return read_until_agreed(self._read_once, what="the settings", where=self._line.name)
 
     def on(self) -> None:
         """See `Light.on`. Starts the internal trigger, or the steady light.
 
-        Raises
-        ------
-        LightFault
-            The trigger does not run, or the light is dark.
-        SettingRefused
-            The controller refuses the command, or a steady level reads back differently.
+        Raises LightFault: The trigger does not run, or the light is dark.
         """
         if self._steady_percent is None:
             dark = "the trigger was started, but does not run."
@@ -203,12 +161,7 @@ class GardasoftLight:
     def off(self) -> None:
         """See `Light.off`. Stops the internal trigger at once, without resynchronising, then a steady light.
 
-        Raises
-        ------
-        LightFault
-            The trigger still runs, or the light is still lit.
-        ReplyError, PortLost
-            The controller does not answer, so its state is unknown.
+        Raises ReplyError, PortLost: The controller does not answer, so its state is unknown.
         """
         self._switched_on = False
         try:

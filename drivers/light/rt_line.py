@@ -34,31 +34,16 @@ REFUSALS = {
 
 
 class Quantity(NamedTuple):
-    """A number as the controller prints it.
-
-    Attributes
-    ----------
-    value
-        The number, in milliseconds or percent.
-    half_digit
-        Half of its last digit, in the same unit.
-    """
+    """A number as the controller prints it."""
 
     value: float
-    half_digit: float
+    half_digit: float  # Half of its last digit, in the same unit
 
     def agrees_with(self, wanted: float) -> bool:
         """Return whether a wanted value prints like this; the controller may round by 1 part in 100,000 more.
 
-        Parameters
-        ----------
-        wanted
-            The wanted value, in the unit of ``value``.
-
-        Returns
-        -------
-        bool
-            Whether both are equal within their digits.
+        wanted: The wanted value, in the unit of ``value``.
+        Returns: Whether both are equal within their digits.
         """
         return abs(self.value - wanted) <= self.half_digit * 1.001 + 1e-5 * abs(wanted)
 
@@ -66,12 +51,7 @@ class Quantity(NamedTuple):
 class RtLine(TextLine):
     """A line to an RT controller. Every command has a reply, which is at least the prompt ``>``.
 
-    Parameters
-    ----------
-    port
-        The open port.
-    clock, wire_log
-        See ``drivers.link.Link``.
+    clock, wire_log: See ``drivers.link.Link``.
     """
 
     def __init__(self, port: Port, *, clock: Clock, wire_log: WireLog | None = None) -> None:
@@ -89,39 +69,15 @@ class RtLine(TextLine):
     def command_urgent(self, command: str) -> None:
         """Send a command at once, without resynchronising, and wait for its prompt.
 
-        Parameters
-        ----------
-        command
-            The command, without the end of a request.
-
-        Raises
-        ------
-        ReplyError
-            No prompt came.
-        PortLost
-            The port is gone.
+        command: The command, without the end of a request.
+        Raises ReplyError: No prompt came.
         """
         self._query_once(command, PROMPT_S, urgent=True)
 
     def query_fields(self, query: str) -> dict[str, str]:
         """Ask for settings.
 
-        Parameters
-        ----------
-        query
-            The query.
-
-        Returns
-        -------
-        dict
-            Values by the names of the fields, as text.
-
-        Raises
-        ------
-        ReplyError
-            No valid reply came.
-        PortLost
-            The port is gone.
+        Raises ReplyError: No valid reply came.
         """
         text = self.query(query)
         pairs = [part.split(" ", 1) for part in text.split(", ")]
@@ -132,22 +88,7 @@ class RtLine(TextLine):
     def parse_quantity(self, fields: dict[str, str], name: str) -> Quantity:
         """Parse a field as a time or a brightness.
 
-        Parameters
-        ----------
-        fields
-            Fields of an answer.
-        name
-            Name of the field.
-
-        Returns
-        -------
-        Quantity
-            The value, in milliseconds or percent.
-
-        Raises
-        ------
-        ReplyGarbled
-            There is no such field, or it is no quantity.
+        Raises ReplyGarbled: There is no such field, or it is no quantity.
         """
         match = _QUANTITY.fullmatch(fields.get(name, "").split(",")[0])
         if match is None:
@@ -158,20 +99,8 @@ class RtLine(TextLine):
     def parse_mode(self, fields: dict[str, str]) -> str:
         """Parse the mode of a channel.
 
-        Parameters
-        ----------
-        fields
-            Fields of an answer.
-
-        Returns
-        -------
-        str
-            The mode's number: continuous, switched or pulsed.
-
-        Raises
-        ------
-        ReplyGarbled
-            There is no valid mode in the fields.
+        Returns: The mode's number: continuous, switched or pulsed.
+        Raises ReplyGarbled: There is no valid mode in the fields.
         """
         mode = fields.get("MD", "")
         if mode not in _MODES:

@@ -34,25 +34,11 @@ class ScpiLight:
 
     Open it with ``ScpiLight.open``; the constructor takes a port that is open already.
 
-    Parameters
-    ----------
-    port
-        The open port.
-    serial
-        The generator's serial number as in the answer to ``*IDN?``; None when it is not checked.
-    clock, wire_log
-        See ``drivers.link.Link``.
-    load
-        Load setting, sent before the levels; "unchanged" for a generator that has no such setting.
-    dialect
-        Commands of the generator: "keysight", "numbered" or "siglent".
-
-    Raises
-    ------
-    WrongDevice
-        The serial number differs; nothing was set.
-    ReplyError, PortLost
-        The generator does not answer.
+    serial: The generator's serial number as in the answer to ``*IDN?``; None when it is not checked.
+    clock, wire_log: See ``drivers.link.Link``.
+    load: Load setting, sent before the levels; "unchanged" for a generator that has no such setting.
+    dialect: Commands of the generator: "keysight", "numbered" or "siglent".
+    Raises ReplyError, PortLost: The generator does not answer.
     """
 
     def __init__(
@@ -92,19 +78,7 @@ class ScpiLight:
     ) -> ScpiLight:
         """Open the port and check the serial number. Sets and switches nothing.
 
-        Parameters
-        ----------
-        port
-            Address of the port; see ``drivers.serial_port.SerialPort``, which raises the errors of opening.
-        baudrate
-            Bits per second.
-        serial, clock, wire_log, load, dialect
-            See the class, which raises the other errors.
-
-        Returns
-        -------
-        ScpiLight
-            The open light.
+        port: Address of the port; see ``drivers.serial_port.SerialPort``, which raises the errors of opening.
         """
         opened = SerialPort(port, baudrate=baudrate)
         return cls(opened, serial=serial, clock=clock, wire_log=wire_log, load=load, dialect=dialect)
@@ -112,10 +86,7 @@ class ScpiLight:
     def identify(self) -> LightIdentity:
         """See `Light.identify`.
 
-        Raises
-        ------
-        WrongDevice
-            The serial number is not the one in the station file.
+        Raises WrongDevice: The serial number is not the one in the station file.
         """
         identity = LightIdentity(*self._line.identity)
         if self._serial is not None and identity.serial != self._serial:
@@ -141,12 +112,8 @@ class ScpiLight:
     def read(self) -> LightSettings:
         """See `Light.read`. Reads until two readings agree: SCPI has no checksums, and a digit can change on the line.
 
-        Raises
-        ------
-        LightFault
-            The waveform is neither a square, a sine nor a steady level.
-        ReplyGarbled
-            The readings do not agree.
+        Raises LightFault: The waveform is neither a square, a sine nor a steady level.
+        Raises ReplyGarbled: The readings do not agree.
         """
         backwards = itertools.cycle((False, True))
         return self._read_until_agreed(
@@ -159,15 +126,7 @@ class ScpiLight:
         return "normal" if self._sync_is_normal else "not stated by the device"
 
     def on(self) -> None:
-        """See `Light.on`.
-
-        Raises
-        ------
-        LightFault
-            The output reads off.
-        SettingRefused
-            The generator refuses the command.
-        """
+        """See `Light.on`."""
         self._set(self._dialect.output(on=True))
         if not self.is_on():
             raise LightFault(
@@ -180,12 +139,7 @@ class ScpiLight:
     def off(self) -> None:
         """See `Light.off`. The command is sent at once, without resynchronising.
 
-        Raises
-        ------
-        LightFault
-            The output reads on.
-        ReplyError, PortLost
-            The generator does not answer, so its state is unknown.
+        Raises ReplyError, PortLost: The generator does not answer, so its state is unknown.
         """
         self._switched_on = False
         _, command = self._dialect.output(on=False)

@@ -45,83 +45,38 @@ class Dialect(Protocol):
     def load(self, load: Load) -> Setting:
         """Return the command for the load.
 
-        Parameters
-        ----------
-        load
-            The load; not "unchanged".
-
-        Returns
-        -------
-        Setting
-            Name and command.
+        load: The load; not "unchanged".
         """
         ...
 
     def reset_modes(self) -> list[Setting]:
-        """Return the commands that end bursts, sweeps and modulations, and make the polarity normal.
-
-        Returns
-        -------
-        list of Setting
-            Names and commands.
-        """
+        """Return the commands that end bursts, sweeps and modulations, and make the polarity normal."""
         ...
 
     def normal_sync(self) -> Sequence[str]:
         """Return commands of which one makes the polarity of the sync output normal.
 
-        Returns
-        -------
-        sequence of str
-            Commands, to be sent until one is accepted; empty for a generator with a fixed polarity.
+        Returns: Commands, to be sent until one is accepted; empty for a generator with a fixed polarity.
         """
         ...
 
     def settings(self, wanted: LightSettings, present_low_v: float) -> list[Setting]:
         """Return the commands for all settings but the output, in an order in which the generator accepts each.
 
-        Parameters
-        ----------
-        wanted
-            The settings that the generator shall have.
-        present_low_v
-            Its present low level, in volts: the high level must stay above the low level after every command.
-
-        Returns
-        -------
-        list of Setting
-            Names and commands.
+        present_low_v: Its present low level, in volts: the high level must stay above the low level after
+          every command.
         """
         ...
 
     def output(self, on: bool) -> Setting:
         """Return the command for the output.
 
-        Parameters
-        ----------
-        on
-            Whether the output shall be on.
-
-        Returns
-        -------
-        Setting
-            Name and command.
+        on: Whether the output shall be on.
         """
         ...
 
     def query_low_v(self, line: ScpiLine) -> float:
-        """Ask for the low level.
-
-        Parameters
-        ----------
-        line
-            Line to the generator.
-
-        Returns
-        -------
-        float
-            The level, in volts.
-        """
+        """Ask for the low level."""
         ...
 
     def query_settings(self, line: ScpiLine, *, backwards: bool) -> LightSettings:
@@ -130,55 +85,25 @@ class Dialect(Protocol):
         A reply that is one query late could be taken for an answer twice, but not when the two readings have different
         orders.
 
-        Parameters
-        ----------
-        line
-            Line to the generator.
-        backwards
-            Whether to ask in the second order.
-
-        Returns
-        -------
-        LightSettings
-            The present settings.
-
-        Raises
-        ------
-        LightFault
-            The waveform is neither a square, a sine nor a steady level.
+        backwards: Whether to ask in the second order.
+        Raises LightFault: The waveform is neither a square, a sine nor a steady level.
         """
         ...
 
     def query_output(self, line: ScpiLine) -> bool:
         """Ask whether the output is on.
 
-        Parameters
-        ----------
-        line
-            Line to the generator.
-
-        Returns
-        -------
-        bool
-            Whether it is.
+        Returns: Whether it is.
         """
         ...
 
 
 @dataclass(frozen=True)
 class HeaderDialect:
-    """SCPI commands with one header a setting.
+    """SCPI commands with one header a setting."""
 
-    Attributes
-    ----------
-    source
-        Prefix of the headers of the signal: "" or "SOUR1:".
-    output_header
-        Header of the output switch: "OUTP" or "OUTP1".
-    """
-
-    source: str = ""
-    output_header: str = "OUTP"
+    source: str = ""  # Prefix of the headers of the signal: "" or "SOUR1:"
+    output_header: str = "OUTP"  # Header of the output switch: "OUTP" or "OUTP1"
 
     def load(self, load: Load) -> Setting:
         """See `Dialect.load`."""

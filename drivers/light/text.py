@@ -29,25 +29,10 @@ class TextLight:
 
     Open it with ``TextLight.open``; the constructor takes a port that is open already.
 
-    Parameters
-    ----------
-    port
-        The open port.
-    description
-        What the controller understands.
-    serial
-        Serial number of the controller; empty when it is not checked.
-    full_percent
-        Level at ``high_v`` = 5 V, in percent of the controller's range.
-    clock, wire_log
-        See ``drivers.link.Link``.
-
-    Raises
-    ------
-    WrongDevice
-        The serial number differs; nothing was set.
-    ReplyError, PortLost
-        The controller does not answer as described.
+    serial: Serial number of the controller; empty when it is not checked.
+    full_percent: Level at ``high_v`` = 5 V, in percent of the controller's range.
+    clock, wire_log: See ``drivers.link.Link``.
+    Raises ReplyError, PortLost: The controller does not answer as described.
     """
 
     def __init__(
@@ -86,19 +71,8 @@ class TextLight:
     ) -> TextLight:
         """Open the port and check the serial number. Sets and switches nothing.
 
-        Parameters
-        ----------
-        port
-            Address of the port; see ``drivers.serial_port.SerialPort``, which raises the errors of opening.
-        baudrate
-            Bits per second; None for the description's.
-        description, serial, full_percent, clock, wire_log
-            See the class, which raises the other errors.
-
-        Returns
-        -------
-        TextLight
-            The open light.
+        port: Address of the port; see ``drivers.serial_port.SerialPort``, which raises the errors of opening.
+        baudrate: Bits per second; None for the description's.
         """
         opened = SerialPort(port, baudrate=baudrate or description.line.baudrate)
         return cls(
@@ -108,10 +82,7 @@ class TextLight:
     def identify(self) -> LightIdentity:
         """See `Light.identify`.
 
-        Raises
-        ------
-        WrongDevice
-            The serial number is not the one in the station file.
+        Raises WrongDevice: The serial number is not the one in the station file.
         """
         line = self._description.line
         serial = self._line.read_serial(self._serial)
@@ -128,23 +99,12 @@ class TextLight:
     def read(self) -> LightSettings:
         """See `Light.read`. The settings are read until two readings agree.
 
-        Raises
-        ------
-        ReplyGarbled
-            The readings do not agree.
+        Raises ReplyGarbled: The readings do not agree.
         """
         return read_until_agreed(self._read_once, what="the settings", where=self._line.name)
 
     def on(self) -> None:
-        """See `Light.on`.
-
-        Raises
-        ------
-        LightFault
-            The output stays off.
-        SettingRefused
-            The controller refuses the command.
-        """
+        """See `Light.on`."""
         try:
             self._line.query(self._description.on)
         except DeviceRefused as error:
@@ -160,12 +120,7 @@ class TextLight:
     def off(self) -> None:
         """See `Light.off`. Sent at once, without resynchronising.
 
-        Raises
-        ------
-        LightFault
-            The output is still on.
-        ReplyError, PortLost
-            The controller does not answer, so its state is unknown.
+        Raises ReplyError, PortLost: The controller does not answer, so its state is unknown.
         """
         self._switched_on = False
         try:

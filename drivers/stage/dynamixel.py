@@ -29,39 +29,18 @@ _LARGEST_PART_OF_TURN: Final = 0.95
 
 @dataclass(frozen=True, kw_only=True)
 class DynamixelAxis:
-    """One axis as the station file describes it.
+    """One axis as the station file describes it."""
 
-    Attributes
-    ----------
-    name
-        "pan", "tilt" or "roll".
-    id
-        Id of the servo on the bus.
-    model
-        Name of its model, such as "XL430-W250"; empty when it is not checked.
-    counts_per_deg
-        Counts per degree; 4096 / 360 without a gear, negative when the counter falls as the angle grows.
-    limits
-        Soft limits, speed and acceleration.
-    zero_count
-        Count within the servo's turn at the angle ``zero_deg``.
-    zero_deg
-        Angle at that count, in degrees.
-    tolerance_deg
-        Largest distance of the servo from its target at rest, in degrees.
-    encoder_tolerance_deg
-        Not used: the servo is counted by its encoder.
-    """
-
-    name: str
+    name: str  # "pan", "tilt" or "roll"
     id: int
+    # Counts per degree; 4096 / 360 without a gear, negative when the counter falls as the angle grows.
     counts_per_deg: float
     limits: AxisLimits
-    model: str = ""
-    zero_count: int = 2048
-    zero_deg: float = 0.0
-    tolerance_deg: float = 0.3
-    encoder_tolerance_deg: float = 0.5
+    model: str = ""  # Name of its model, such as "XL430-W250"; empty when it is not checked
+    zero_count: int = 2048  # Count within the servo's turn at the angle ``zero_deg``
+    zero_deg: float = 0.0  # Angle at that count, in degrees
+    tolerance_deg: float = 0.3  # Largest distance of the servo from its target at rest, in degrees
+    encoder_tolerance_deg: float = 0.5  # Not used: the servo is counted by its encoder
 
 
 class DynamixelStage(WatchedStage[DynamixelAxis]):
@@ -69,27 +48,12 @@ class DynamixelStage(WatchedStage[DynamixelAxis]):
 
     Open it with ``DynamixelStage.open``; the constructor takes a port that is open already.
 
-    Parameters
-    ----------
-    port
-        The open port.
-    axes
-        The axes, in the order of the station file.
-    clock
-        Every wait between two requests goes through it.
-    wire_log
-        Records every byte; None for no record.
-
-    Raises
-    ------
-    WrongDevice
-        A servo is of another model; nothing was set.
-    OutsideLimits
-        Limits, speed or acceleration in the station file do not fit the servo.
-    DeviceRefused
-        The torque is on in a mode that this driver cannot use, or the servo refuses a setting.
-    ReplyError, PortLost
-        A servo does not answer.
+    axes: The axes, in the order of the station file.
+    wire_log: Records every byte; None for no record.
+    Raises OutsideLimits: Limits, speed or acceleration in the station file do not fit the servo.
+    Raises DeviceRefused: The torque is on in a mode that this driver cannot use, or the servo refuses a
+      setting.
+    Raises ReplyError, PortLost: A servo does not answer.
     """
 
     def __init__(
@@ -121,29 +85,14 @@ class DynamixelStage(WatchedStage[DynamixelAxis]):
     ) -> DynamixelStage:
         """Open the port, check the models, and set modes and speeds. Moves nothing, and switches no torque.
 
-        Parameters
-        ----------
-        port
-            Address of the port; see ``drivers.serial_port.SerialPort``, which raises the errors of opening.
-        baudrate
-            Bits per second.
-        axes, clock, wire_log
-            See the class, which raises the other errors.
-
-        Returns
-        -------
-        DynamixelStage
-            The open stage.
+        port: Address of the port; see ``drivers.serial_port.SerialPort``, which raises the errors of opening.
         """
         return cls(SerialPort(port, baudrate=baudrate), axes, clock=clock, wire_log=wire_log)
 
     def identify(self) -> Sequence[AxisIdentity]:
         """See `Stage.identify`. A servo has no serial number; its model and its id stand for it.
 
-        Raises
-        ------
-        WrongDevice
-            A model is not the one in the station file, or not one of the X series.
+        Raises WrongDevice: A model is not the one in the station file, or not one of the X series.
         """
         found = []
         for axis in self._axes.values():

@@ -50,10 +50,7 @@ class _PacketLink(Link):
     def take_line(self) -> bytes | None:
         """Take one unread packet.
 
-        Returns
-        -------
-        bytes or None
-            The packet; None when no complete one is unread.
+        Returns: The packet; None when no complete one is unread.
         """
         while True:
             unread = self.unread
@@ -73,14 +70,7 @@ class _PacketLink(Link):
 class DynamixelBus:
     """The servos on one line. Opening sends nothing.
 
-    Parameters
-    ----------
-    port
-        The open port.
-    servos
-        Ids of the servos that this driver uses.
-    clock, wire_log
-        See ``drivers.link.Link``.
+    clock, wire_log: See ``drivers.link.Link``.
     """
 
     def __init__(
@@ -110,93 +100,32 @@ class DynamixelBus:
         return self._link.lock
 
     def read_settings(self, servo: int) -> Settings:
-        """Ask for the settings that outlast a loss of power.
-
-        Parameters
-        ----------
-        servo
-            Id of the servo.
-
-        Returns
-        -------
-        Settings
-            The settings.
-        """
+        """Ask for the settings that outlast a loss of power."""
         return Settings.unpack(repeat(lambda: self._read(servo, 0, protocol.SETTINGS_SIZE)))
 
     def read_state(self, servo: int) -> State:
-        """Ask for the state.
-
-        Parameters
-        ----------
-        servo
-            Id of the servo.
-
-        Returns
-        -------
-        State
-            Goal, position, torque and errors of one moment.
-        """
+        """Ask for the state."""
         return repeat(lambda: self._read_state(servo))
 
     def write(self, servo: int, address: int, data: bytes) -> None:
         """Write a value; repeat it when no status packet comes, which does no harm.
 
-        Parameters
-        ----------
-        servo
-            Id of the servo.
-        address
-            Address in the control table.
-        data
-            The value. Not a goal while the torque is on: see `move`.
-
-        Raises
-        ------
-        DeviceRefused
-            The servo refuses the value.
-        ReplyError
-            No valid status packet came at the last attempt.
-        PortLost
-            The port is gone.
+        data: The value. Not a goal while the torque is on: see `move`.
+        Raises ReplyError: No valid status packet came at the last attempt.
         """
         repeat(lambda: self._write(servo, address, data))
 
     def move(self, servo: int, goal: int) -> None:
         """Write a goal, once.
 
-        Parameters
-        ----------
-        servo
-            Id of the servo.
-        goal
-            Target, in counts.
-
-        Raises
-        ------
-        DeviceRefused
-            The servo refuses the goal.
-        ReplyError
-            No valid status packet came: the axis may be moving.
-        PortLost
-            The port is gone.
+        Raises ReplyError: No valid status packet came: the axis may be moving.
         """
         self._write(servo, protocol.GOAL, struct.pack("<i", goal))
 
     def reboot(self, servo: int) -> None:
         """Restart a servo, once, and wait until it answers. Its torque is off then.
 
-        Parameters
-        ----------
-        servo
-            Id of the servo.
-
-        Raises
-        ------
-        ReplyError
-            It does not answer.
-        PortLost
-            The port is gone.
+        Raises ReplyError: It does not answer.
         """
         self._exchange(servo, protocol.REBOOT, b"", 0)
         for _ in range(_BOOT_POLLS):
@@ -214,12 +143,7 @@ class DynamixelBus:
         A servo that does not answer does not delay the stop of the others: it is asked again after them. The torque
         stays on, so that no axis falls.
 
-        Raises
-        ------
-        ReplyError
-            A servo did not confirm its stop at the last attempt.
-        PortLost
-            The port is gone.
+        Raises ReplyError: A servo did not confirm its stop at the last attempt.
         """
         with self._link.lock:
             left = []
@@ -240,10 +164,7 @@ class DynamixelBus:
     def listen(self, duration_s: float) -> None:
         """Wait for bytes on the line. No clock interrupts this wait: it is for stopping only.
 
-        Parameters
-        ----------
-        duration_s
-            Longest wait, in seconds.
+        duration_s: Longest wait, in seconds.
         """
         with self._link.lock:
             self._link.receive(duration_s)

@@ -100,16 +100,6 @@ _TABLE: Final = tuple(_remainder(byte) for byte in range(256))
 def crc16(data: bytes) -> int:
     """Return the CRC of a packet without its last two bytes.
 
-    Parameters
-    ----------
-    data
-        The bytes from the header on.
-
-    Returns
-    -------
-    int
-        The CRC.
-
     Examples
     --------
     >>> hex(crc16(bytes.fromhex("ff ff fd 00 01 03 00 01")))
@@ -124,20 +114,6 @@ def crc16(data: bytes) -> int:
 def packet(servo: int, instruction: int, parameters: bytes = b"") -> bytes:
     """Return an instruction packet.
 
-    Parameters
-    ----------
-    servo
-        Id of the servo.
-    instruction
-        Number of the instruction.
-    parameters
-        Its parameters.
-
-    Returns
-    -------
-    bytes
-        The packet.
-
     Examples
     --------
     >>> packet(1, PING).hex(" ")
@@ -150,60 +126,25 @@ def packet(servo: int, instruction: int, parameters: bytes = b"") -> bytes:
 
 @dataclass(frozen=True)
 class Packet:
-    """A packet whose CRC is right.
-
-    Attributes
-    ----------
-    servo
-        Id of the servo.
-    instruction
-        Number of the instruction; `STATUS` of a status packet.
-    content
-        What follows, without stuffing.
-    """
+    """A packet whose CRC is right."""
 
     servo: int
-    instruction: int
-    content: bytes
+    instruction: int  # Number of the instruction; `STATUS` of a status packet
+    content: bytes  # What follows, without stuffing
 
 
 def size(head: bytes) -> int:
     """Return the size of the packet that begins with a header.
 
-    Parameters
-    ----------
-    head
-        The first seven bytes, header included.
-
-    Returns
-    -------
-    int
-        Size in bytes; 0 when no servo sends such a packet.
+    head: The first seven bytes, header included.
+    Returns: Size in bytes; 0 when no servo sends such a packet.
     """
     length: int = struct.unpack_from("<H", head, 5)[0]
     return HEAD_SIZE + length if 3 <= length <= _LONGEST else 0
 
 
 def parse(data: bytes, where: str) -> Packet:
-    """Check a packet.
-
-    Parameters
-    ----------
-    data
-        The whole packet.
-    where
-        Name of the port, for messages.
-
-    Returns
-    -------
-    Packet
-        The packet.
-
-    Raises
-    ------
-    ReplyGarbled
-        Its CRC is wrong.
-    """
+    """Check a packet."""
     if crc16(data[:-2]) != struct.unpack_from("<H", data, len(data) - 2)[0]:
         raise garbled(f"a packet with a wrong CRC came: {data[:40].hex(' ')}.", where)
     body = data[HEAD_SIZE:-2].replace(_STUFFED, _PLAIN)
@@ -211,29 +152,7 @@ def parse(data: bytes, where: str) -> Packet:
 
 
 def data_of(status: Packet, count: int, where: str) -> bytes:
-    """Check a status packet, and return its parameters.
-
-    Parameters
-    ----------
-    status
-        The packet.
-    count
-        Number of parameters that the instruction gives.
-    where
-        Name of the port, for messages.
-
-    Returns
-    -------
-    bytes
-        The parameters.
-
-    Raises
-    ------
-    DeviceRefused
-        The servo refuses the instruction.
-    ReplyGarbled
-        The servo received a wrong CRC, or the packet answers another instruction.
-    """
+    """Check a status packet, and return its parameters."""
     if not status.content:
         raise garbled(f"servo {status.servo} sent a status packet without an error field.", where)
     code = status.content[0] & _CODE
@@ -252,90 +171,38 @@ def data_of(status: Packet, count: int, where: str) -> bytes:
 
 @dataclass(frozen=True)
 class Settings:
-    """The settings that outlast a loss of power, as far as this driver uses them.
-
-    Attributes
-    ----------
-    model
-        Model number.
-    firmware
-        Version of the firmware.
-    drive_mode, operating_mode
-        Modes of the servo.
-    most_speed
-        Largest speed, in units of `SPEED_UNIT_RPM`.
-    """
+    """The settings that outlast a loss of power, as far as this driver uses them."""
 
     model: int
     firmware: int
     drive_mode: int
     operating_mode: int
-    most_speed: int
+    most_speed: int  # Largest speed, in units of `SPEED_UNIT_RPM`
 
     @classmethod
     def unpack(cls, data: bytes) -> Self:
-        """Unpack the first `SETTINGS_SIZE` bytes of the control table.
-
-        Parameters
-        ----------
-        data
-            The bytes.
-
-        Returns
-        -------
-        Settings
-            The settings.
-        """
+        """Unpack the first `SETTINGS_SIZE` bytes of the control table."""
         model, firmware, drive_mode, mode, speed = struct.unpack("<H4xB3xBB32xI16x", data)
         return cls(model, firmware, drive_mode, mode, speed)
 
 
 @dataclass(frozen=True)
 class State:
-    """What a servo does at one moment: one reading of the second part of its control table.
+    """What a servo does at one moment: one reading of the second part of its control table."""
 
-    Attributes
-    ----------
-    torque
-        Whether the torque is on.
-    errors
-        Hardware error status.
-    ramp, speed
-        Profile acceleration and profile velocity.
-    goal, position
-        In counts.
-    velocity
-        Present velocity, in units of `SPEED_UNIT_RPM`.
-    moving
-        Whether the servo moves, or carries a profile out.
-    tick_ms
-        The servo's own time, ms; it begins anew after `TICK_PERIOD_MS` and after a restart.
-    """
-
-    torque: bool
+    torque: bool  # Whether the torque is on
     errors: int
     ramp: int
     speed: int
     goal: int
-    moving: bool
-    velocity: int
+    moving: bool  # Whether the servo moves, or carries a profile out
+    velocity: int  # Present velocity, in units of `SPEED_UNIT_RPM`
     position: int
-    tick_ms: int
+    tick_ms: int  # The servo's own time, ms; it begins anew after `TICK_PERIOD_MS` and after a restart
 
     @classmethod
     def unpack(cls, data: bytes) -> Self:
-        """Unpack `STATE_SIZE` bytes of the control table from `STATE_FIRST` on.
-
-        Parameters
-        ----------
-        data
-            The bytes.
-
-        Returns
-        -------
-        State
-            The state.
-        """
+        """Unpack `STATE_SIZE` bytes of the control table from `STATE_FIRST` on."""
         torque, errors, ramp, speed, goal, tick_ms, moving, profile, velocity, position = struct.unpack(
             "<B5xB37xIIiHBB4xii11x", data
         )
@@ -360,20 +227,7 @@ class State:
 
 
 def garbled(what: str, where: str) -> ReplyGarbled:
-    """Return the error of a packet that cannot be used.
-
-    Parameters
-    ----------
-    what
-        What is wrong.
-    where
-        Name of the port.
-
-    Returns
-    -------
-    ReplyGarbled
-        The error.
-    """
+    """Return the error of a packet that cannot be used."""
     return ReplyGarbled(
         what, where=where, remedy="Check the cable, the baud rate, and that no two servos have the same id."
     )

@@ -32,68 +32,35 @@ _MOST_ERRORS = 20
 
 @dataclass(frozen=True, kw_only=True)
 class EspAxis:
-    """One axis as the station file describes it.
+    """One axis as the station file describes it."""
 
-    Attributes
-    ----------
-    name
-        "pan", "tilt" or "roll".
-    number
-        Number of the axis on the controller, 1 to 3.
-    serial
-        Serial number of the stage as in the answer to ``1ID?`` (SN1263); empty when it is not checked.
-    limits
-        Soft limits, speed and acceleration.
-    home_mode
-        Parameter of ``OR``, the search of the reference: 1 by home switch and index, 2 by home switch, 3 and 4 by the
-        positive and negative limit, 5 and 6 by those and index. Without it the controller would only move to 0.
-    direction
-        -1 when the controller's degrees fall as the angle grows, else 1.
-    zero_deg
-        Angle at the controller's 0, in degrees.
-    tolerance_deg
-        Largest distance of the axis from its target at rest, in degrees.
-    encoder_tolerance_deg
-        Not used: the controller's position is that of the encoder.
-    """
-
-    name: str
-    number: int
+    name: str  # "pan", "tilt" or "roll"
+    number: int  # Number of the axis on the controller, 1 to 3
+    # Serial number of the stage as in the answer to ``1ID?`` (SN1263); empty when it is not checked.
     serial: str
     limits: AxisLimits
+    # Parameter of ``OR``, the search of the reference: 1 by home switch and index, 2 by home switch, 3 and 4
+    # by the positive and negative limit, 5 and 6 by those and index. Without it the controller would only
+    # move to 0.
     home_mode: Literal[1, 2, 3, 4, 5, 6] = 1
-    direction: Literal[1, -1] = 1
-    zero_deg: float = 0.0
-    tolerance_deg: float = 0.002
-    encoder_tolerance_deg: float = 0.0
+    direction: Literal[1, -1] = 1  # -1 when the controller's degrees fall as the angle grows, else 1
+    zero_deg: float = 0.0  # Angle at the controller's 0, in degrees
+    tolerance_deg: float = 0.002  # Largest distance of the axis from its target at rest, in degrees
+    encoder_tolerance_deg: float = 0.0  # Not used: the controller's position is that of the encoder
 
     def to_controller_deg(self, angle_deg: float) -> float:
         """Return the controller's position of an angle, rounded to the digits that are sent.
 
-        Parameters
-        ----------
-        angle_deg
-            Angle, in degrees.
-
-        Returns
-        -------
-        float
-            Position of the controller, in degrees.
+        angle_deg: Angle, in degrees.
+        Returns: Position of the controller, in degrees.
         """
         return round((angle_deg - self.zero_deg) * self.direction, 5)
 
     def to_angle_deg(self, controller_deg: float) -> float:
         """Return the angle of a position of the controller.
 
-        Parameters
-        ----------
-        controller_deg
-            Position of the controller, in degrees.
-
-        Returns
-        -------
-        float
-            Angle, in degrees.
+        controller_deg: Position of the controller, in degrees.
+        Returns: Angle, in degrees.
         """
         return self.zero_deg + self.direction * controller_deg
 
@@ -103,27 +70,11 @@ class EspStage(WatchedStage[EspAxis]):
 
     Open it with ``EspStage.open``; the constructor takes a port that is open already.
 
-    Parameters
-    ----------
-    port
-        The open port.
-    axes
-        The axes, in the order of the station file.
-    clock
-        Every wait between two requests goes through it.
-    wire_log
-        Records every byte; None for no record.
-
-    Raises
-    ------
-    WrongDevice
-        A serial number differs; nothing was set.
-    OutsideLimits
-        The limits in the station file lie beyond the controller's, or an axis does not count in degrees.
-    DeviceRefused
-        The controller refuses a setting.
-    ReplyError, PortLost
-        The controller does not answer.
+    axes: The axes, in the order of the station file.
+    wire_log: Records every byte; None for no record.
+    Raises OutsideLimits: The limits in the station file lie beyond the controller's, or an axis does not
+      count in degrees.
+    Raises ReplyError, PortLost: The controller does not answer.
     """
 
     def __init__(
@@ -164,29 +115,14 @@ class EspStage(WatchedStage[EspAxis]):
     ) -> EspStage:
         """Open the port, check the serial numbers, and set limits, speed and acceleration. Moves nothing.
 
-        Parameters
-        ----------
-        port
-            Address of the port; see ``drivers.serial_port.SerialPort``, which raises the errors of opening.
-        baudrate
-            Bits per second.
-        axes, clock, wire_log
-            See the class, which raises the other errors.
-
-        Returns
-        -------
-        EspStage
-            The open stage.
+        port: Address of the port; see ``drivers.serial_port.SerialPort``, which raises the errors of opening.
         """
         return cls(SerialPort(port, baudrate=baudrate), axes, clock=clock, wire_log=wire_log)
 
     def identify(self) -> Sequence[AxisIdentity]:
         """See `Stage.identify`.
 
-        Raises
-        ------
-        WrongDevice
-            A serial number is not the one in the station file.
+        Raises WrongDevice: A serial number is not the one in the station file.
         """
         found = []
         for axis in self._axes.values():

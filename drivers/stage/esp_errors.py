@@ -36,21 +36,11 @@ AXIS_ERRORS = {
 
 @dataclass(frozen=True)
 class EspError:
-    """One entry of the error buffer.
+    """One entry of the error buffer."""
 
-    Attributes
-    ----------
-    code
-        Error number; 0 for an empty buffer.
-    time_cycles
-        Time since the controller started, in servo cycles.
-    text
-        The controller's own description.
-    """
-
-    code: int
+    code: int  # Error number; 0 for an empty buffer
     time_cycles: int
-    text: str
+    text: str  # The controller's own description
 
     def __str__(self) -> str:
         axis, number = divmod(self.code, 100)
@@ -61,15 +51,7 @@ class EspError:
 def parse_error(text: str) -> EspError | None:
     """Parse the answer to ``TB?``.
 
-    Parameters
-    ----------
-    text
-        The answer.
-
-    Returns
-    -------
-    EspError or None
-        The entry; None for any other text.
+    Returns: The entry; None for any other text.
 
     Examples
     --------

@@ -32,33 +32,17 @@ _PRINTED = 0.0011
 
 @dataclass(frozen=True, kw_only=True)
 class GrblAxis:
-    """One axis as the station file describes it.
+    """One axis as the station file describes it."""
 
-    Attributes
-    ----------
-    name
-        "pan", "tilt" or "roll".
-    letter
-        The board's name of the axis: X, Y, Z (A, B, C where the firmware has them).
-    steps_per_deg
-        Steps per degree. The board's ``$100`` ... must have this value; it is checked, never changed.
-    limits
-        Soft limits, speed and acceleration.
-    zero_deg
-        Angle of machine position 0, in degrees. GRBL counts downwards from there: both limits lie below.
-    tolerance_deg
-        Largest distance of the counter from its target at rest, in degrees.
-    encoder_tolerance_deg
-        Not used: GRBL has no encoders.
-    """
-
-    name: str
-    letter: str
+    name: str  # "pan", "tilt" or "roll"
+    letter: str  # The board's name of the axis: X, Y, Z (A, B, C where the firmware has them)
+    # Steps per degree. The board's ``$100`` ... must have this value; it is checked, never changed.
     steps_per_deg: float
     limits: AxisLimits
+    # Angle of machine position 0, in degrees. GRBL counts downwards from there: both limits lie below.
     zero_deg: float
-    tolerance_deg: float = 0.002
-    encoder_tolerance_deg: float = math.inf
+    tolerance_deg: float = 0.002  # Largest distance of the counter from its target at rest, in degrees
+    encoder_tolerance_deg: float = math.inf  # Not used: GRBL has no encoders
 
 
 class GrblStage(WatchedStage[GrblAxis]):
@@ -66,29 +50,11 @@ class GrblStage(WatchedStage[GrblAxis]):
 
     Open it with ``GrblStage.open``; the constructor takes a port that is open already.
 
-    Parameters
-    ----------
-    port
-        The open port.
-    axes
-        The axes, in the order of the station file.
-    serial
-        The name that was given to the board with ``$I=...``; empty when it is not checked.
-    clock
-        Every wait between two requests goes through it.
-    wire_log
-        Records every byte; None for no record.
-
-    Raises
-    ------
-    WrongDevice
-        The board has another name; nothing was set.
-    OutsideLimits
-        Scale or travel in the station file do not fit the board's.
-    DeviceRefused
-        The board refuses a setting, or its homing is switched off.
-    ReplyError, PortLost
-        The board does not answer.
+    axes: The axes, in the order of the station file.
+    serial: The name that was given to the board with ``$I=...``; empty when it is not checked.
+    wire_log: Records every byte; None for no record.
+    Raises OutsideLimits: Scale or travel in the station file do not fit the board's.
+    Raises ReplyError, PortLost: The board does not answer.
     """
 
     def __init__(
@@ -127,19 +93,7 @@ class GrblStage(WatchedStage[GrblAxis]):
     ) -> GrblStage:
         """Open the port, check the board's name, and set limits, speed and acceleration. Moves nothing.
 
-        Parameters
-        ----------
-        port
-            Address of the port; see ``drivers.serial_port.SerialPort``, which raises the errors of opening.
-        baudrate
-            Bits per second.
-        axes, serial, clock, wire_log
-            See the class, which raises the other errors.
-
-        Returns
-        -------
-        GrblStage
-            The open stage.
+        port: Address of the port; see ``drivers.serial_port.SerialPort``, which raises the errors of opening.
         """
         opened = SerialPort(port, baudrate=baudrate)
         return cls(opened, axes, serial=serial, clock=clock, wire_log=wire_log)
@@ -147,10 +101,7 @@ class GrblStage(WatchedStage[GrblAxis]):
     def identify(self) -> Sequence[AxisIdentity]:
         """See `Stage.identify`. The board's name counts as its serial number.
 
-        Raises
-        ------
-        WrongDevice
-            The name is not the serial number in the station file.
+        Raises WrongDevice: The name is not the serial number in the station file.
         """
         version, name = self._board.query_build_info()
         if self._serial and name.upper() != self._serial.upper():  # the board capitalises every line

@@ -41,26 +41,11 @@ T = TypeVar("T")
 class GrblController:
     """A GRBL board on one line. Opening asks for a status report; it sets nothing.
 
-    Parameters
-    ----------
-    port
-        The open port.
-    clock, wire_log
-        See ``drivers.link.Link``.
-
-    Attributes
-    ----------
-    restarts
-        How often the board has sent its welcome message, since it was opened.
-    alarms
-        Codes of the alarms that the board has raised since then, oldest first.
-    needs_reset
-        Whether the board waits for a reset after a limit: until then it answers nothing, not even ``?``.
-
-    Raises
-    ------
-    ReplyError, PortLost
-        The board does not answer.
+    clock, wire_log: See ``drivers.link.Link``.
+    alarms: Codes of the alarms that the board has raised since then, oldest first.
+    needs_reset: Whether the board waits for a reset after a limit: until then it answers nothing, not even
+      ``?``.
+    Raises ReplyError, PortLost: The board does not answer.
     """
 
     def __init__(self, port: Port, *, clock: Clock, wire_log: WireLog | None = None) -> None:
@@ -88,60 +73,24 @@ class GrblController:
         return self._link.lock
 
     def query_status(self) -> StatusReport:
-        """Ask for state and position; repeat it when no valid report comes.
-
-        Returns
-        -------
-        StatusReport
-            State and position of one moment.
-        """
+        """Ask for state and position; repeat it when no valid report comes."""
         return repeat(self._query_status_once)
 
     def query(self, line: str) -> list[bytes]:
         """Send a line that does no harm when it is sent twice; repeat it when no valid reply comes.
 
-        Parameters
-        ----------
-        line
-            The line, without its end.
-
-        Returns
-        -------
-        list of bytes
-            The lines of the reply before its ``ok``.
-
-        Raises
-        ------
-        DeviceRefused
-            The board answers with an error.
-        ReplyError
-            No valid reply came at the last attempt.
-        PortLost
-            The port is gone.
+        line: The line, without its end.
+        Returns: The lines of the reply before its ``ok``.
+        Raises ReplyError: No valid reply came at the last attempt.
         """
         return repeat(lambda: self.command(line))
 
     def command(self, line: str) -> list[bytes]:
         """Send a line, once.
 
-        Parameters
-        ----------
-        line
-            The line, without its end.
-
-        Returns
-        -------
-        list of bytes
-            The lines of the reply before its ``ok``.
-
-        Raises
-        ------
-        DeviceRefused
-            The board answers with an error.
-        ReplyError
-            No valid reply came.
-        PortLost
-            The port is gone.
+        line: The line, without its end.
+        Returns: The lines of the reply before its ``ok``.
+        Raises ReplyError: No valid reply came.
         """
         return self._exchange(
             f"{line}\n".encode("ascii"), lambda reader: self._read_reply(line, reader), deadline_s=_REPLY_S
@@ -150,10 +99,8 @@ class GrblController:
     def require_awake(self) -> None:
         """Refuse an exchange with a board that waits for a reset.
 
-        Raises
-        ------
-        MoveFailed
-            The board has stopped at a limit, and answers nothing until it is reset; homing resets it.
+        Raises MoveFailed: The board has stopped at a limit, and answers nothing until it is reset; homing
+          resets it.
         """
         if self.needs_reset:
             code = self.alarms[-1] if self.alarms else 1
@@ -167,12 +114,7 @@ class GrblController:
     def wake(self) -> None:
         """Reset a board that waits for a reset. Its motion has ended and its reference is lost already.
 
-        Raises
-        ------
-        ReplyTimeout
-            The board sends no welcome message.
-        PortLost
-            The port is gone.
+        Raises ReplyTimeout: The board sends no welcome message.
         """
         restarts = self.restarts
         with self._link.lock:
@@ -196,12 +138,7 @@ class GrblController:
     def start_homing(self) -> None:
         """Start homing. The board answers nothing until homing has ended.
 
-        Raises
-        ------
-        ReplyError
-            The line was out of step and could not be resynchronised; nothing was started.
-        PortLost
-            The port is gone.
+        Raises ReplyError: The line was out of step and could not be resynchronised; nothing was started.
         """
         with self._link.lock:
             self.require_awake()
@@ -212,14 +149,7 @@ class GrblController:
     def wait_for_homing(self) -> None:
         """Wait for the ``ok`` at the end of homing, or for a restart of the board.
 
-        Raises
-        ------
-        DeviceRefused
-            The board answers with an error.
-        MoveTimeout
-            Homing has not ended by its deadline.
-        PortLost
-            The port is gone. Exceptions of the clock pass through as well.
+        Raises MoveTimeout: Homing has not ended by its deadline.
         """
         end_s = self._clock.monotonic() + motion.LONGEST_HOMING_S
         restarts = self.restarts
@@ -250,10 +180,7 @@ class GrblController:
     def query_settings(self) -> dict[int, float]:
         """Ask for all settings.
 
-        Returns
-        -------
-        dict
-            Values by the numbers of the settings, in the board's units.
+        Returns: Values by the numbers of the settings, in the board's units.
         """
         found = [grbl_protocol.parse_setting(line) for line in self.query("$$")]
         return dict(setting for setting in found if setting is not None)
@@ -261,15 +188,7 @@ class GrblController:
     def query_build_info(self) -> tuple[str, str]:
         """Ask for the build information.
 
-        Returns
-        -------
-        tuple of str
-            Version of the firmware, and the name that was given to the board.
-
-        Raises
-        ------
-        ReplyGarbled
-            The reply holds no version.
+        Raises ReplyGarbled: The reply holds no version.
         """
         for line in self.query("$I"):
             if (build := grbl_protocol.parse_build_info(line)) is not None:
@@ -282,10 +201,7 @@ class GrblController:
     def listen(self, duration_s: float) -> None:
         """Wait for bytes on the line. No clock interrupts this wait: it is for stopping only.
 
-        Parameters
-        ----------
-        duration_s
-            Longest wait, in seconds.
+        duration_s: Longest wait, in seconds.
         """
         with self._link.lock:
             self._link.receive(duration_s)

@@ -67,21 +67,11 @@ _BUILD = re.compile(rb"\[VER:([^:\]]*):([^\]]*)\]\r\n")
 
 @dataclass(frozen=True)
 class StatusReport:
-    """A status report: state and position of one moment.
+    """A status report: state and position of one moment."""
 
-    Attributes
-    ----------
-    state
-        State of the board, such as "Idle".
-    substate
-        Number after the state, as in "Hold:0"; 0 without one.
-    machine_position
-        Position of each axis in machine coordinates, in the board's unit.
-    """
-
-    state: str
-    substate: int
-    machine_position: tuple[float, ...]
+    state: str  # State of the board, such as "Idle"
+    substate: int  # Number after the state, as in "Hold:0"; 0 without one
+    machine_position: tuple[float, ...]  # Position of each axis in machine coordinates, in the board's unit
 
     @property
     def moving(self) -> bool:
@@ -92,22 +82,8 @@ class StatusReport:
 def parse_report(line: bytes, where: str = "") -> StatusReport | None:
     r"""Parse a status report.
 
-    Parameters
-    ----------
-    line
-        The line with its CR LF.
-    where
-        Name of the line, for the message.
-
-    Returns
-    -------
-    StatusReport or None
-        State and position; None for a line that is no status report.
-
-    Raises
-    ------
-    ReplyGarbled
-        The report has no machine position, or an unknown state.
+    Returns: State and position; None for a line that is no status report.
+    Raises ReplyGarbled: The report has no machine position, or an unknown state.
 
     Examples
     --------
@@ -130,15 +106,7 @@ def parse_report(line: bytes, where: str = "") -> StatusReport | None:
 def parse_setting(line: bytes) -> tuple[int, float] | None:
     r"""Parse one line of the answer to ``$$``.
 
-    Parameters
-    ----------
-    line
-        The line with its CR LF.
-
-    Returns
-    -------
-    tuple or None
-        Number and value of the setting; None for any other line.
+    Returns: Number and value of the setting; None for any other line.
 
     Examples
     --------
@@ -152,15 +120,7 @@ def parse_setting(line: bytes) -> tuple[int, float] | None:
 def parse_build_info(line: bytes) -> tuple[str, str] | None:
     r"""Parse the first line of the answer to ``$I``.
 
-    Parameters
-    ----------
-    line
-        The line with its CR LF.
-
-    Returns
-    -------
-    tuple or None
-        Version of the firmware, and the name that was given to the board; None for any other line.
+    Returns: Version of the firmware, and the name that was given to the board; None for any other line.
 
     Examples
     --------
@@ -174,15 +134,7 @@ def parse_build_info(line: bytes) -> tuple[str, str] | None:
 def parse_response(line: bytes) -> int | None:
     r"""Parse the last line of a reply.
 
-    Parameters
-    ----------
-    line
-        The line with its CR LF.
-
-    Returns
-    -------
-    int or None
-        0 for ``ok``, the code of an ``error``; None for any other line.
+    Returns: 0 for ``ok``, the code of an ``error``; None for any other line.
 
     Examples
     --------
@@ -198,15 +150,7 @@ def parse_response(line: bytes) -> int | None:
 def parse_alarm(line: bytes) -> int | None:
     r"""Parse an alarm.
 
-    Parameters
-    ----------
-    line
-        The line with its CR LF.
-
-    Returns
-    -------
-    int or None
-        Code of the alarm; None for any other line.
+    Returns: Code of the alarm; None for any other line.
 
     Examples
     --------
@@ -220,15 +164,7 @@ def parse_alarm(line: bytes) -> int | None:
 def is_welcome(line: bytes) -> bool:
     """Return whether a line is the welcome message, which the firmware sends when it has started.
 
-    Parameters
-    ----------
-    line
-        The line with its CR LF.
-
-    Returns
-    -------
-    bool
-        Whether it is.
+    Returns: Whether it is.
     """
     return line.startswith(b"Grbl ")
 
@@ -236,15 +172,7 @@ def is_welcome(line: bytes) -> bool:
 def is_informational(line: bytes) -> bool:
     """Return whether a line needs no action: an empty line, a message, or the echo of a start-up line.
 
-    Parameters
-    ----------
-    line
-        The line with its CR LF.
-
-    Returns
-    -------
-    bool
-        Whether it is one of these.
+    Returns: Whether it is one of these.
     """
     return line == b"\r\n" or line.startswith((b"[MSG:", b">"))
 
@@ -252,24 +180,8 @@ def is_informational(line: bytes) -> bool:
 def machine_positions(report: StatusReport, places: Sequence[int], where: str) -> tuple[float, ...]:
     """Return the machine positions of some axes.
 
-    Parameters
-    ----------
-    report
-        Status report of the board.
-    places
-        Places of the axes in the report: 0 for X, 1 for Y ...
-    where
-        Name of the line, for the message.
-
-    Returns
-    -------
-    tuple of float
-        Machine positions, in the board's unit.
-
-    Raises
-    ------
-    ReplyGarbled
-        The report has fewer axes.
+    places: Places of the axes in the report: 0 for X, 1 for Y ...
+    Returns: Machine positions, in the board's unit.
     """
     if max(places) >= len(report.machine_position):
         raise ReplyGarbled(

@@ -24,19 +24,7 @@ def travel_time_s(distance: float, speed: float, acceleration: float) -> float:
     With d the distance, v the speed and a the acceleration: ``d/v + v/a`` when the speed is reached
     (d >= v^2/a), ``2 sqrt(d/a)`` when it is not.
 
-    Parameters
-    ----------
-    distance
-        Distance with either sign, in any unit of length.
-    speed
-        Highest speed, in that unit per second.
-    acceleration
-        Acceleration and deceleration, in that unit per second squared.
-
-    Returns
-    -------
-    float
-        Time, in seconds.
+    Returns: Time, in seconds.
 
     Examples
     --------
@@ -54,17 +42,8 @@ def travel_time_s(distance: float, speed: float, acceleration: float) -> float:
 def move_time_s(limits: AxisLimits, from_deg: float, to_deg: float) -> float:
     """Return the expected time of a move of one axis.
 
-    Parameters
-    ----------
-    limits
-        Speed and acceleration of the axis.
-    from_deg, to_deg
-        Start and target, in degrees.
-
-    Returns
-    -------
-    float
-        Time, in seconds.
+    from_deg, to_deg: Start and target, in degrees.
+    Returns: Time, in seconds.
     """
     return travel_time_s(to_deg - from_deg, limits.speed_deg_s, limits.acceleration_deg_s2)
 
@@ -74,17 +53,8 @@ def longest_move_s(
 ) -> float:
     """Return the expected time of a move in which all axes start together: that of the slowest axis.
 
-    Parameters
-    ----------
-    limits
-        Speed and acceleration, by axis.
-    from_deg, to_deg
-        Start and target by axis, in degrees; the axes of ``to_deg`` move.
-
-    Returns
-    -------
-    float
-        Time, in seconds; 0 when no axis moves.
+    from_deg, to_deg: Start and target by axis, in degrees; the axes of ``to_deg`` move.
+    Returns: Time, in seconds; 0 when no axis moves.
     """
     return max((move_time_s(limits[axis], from_deg[axis], to_deg[axis]) for axis in to_deg), default=0.0)
 
@@ -92,17 +62,8 @@ def longest_move_s(
 def deadline_s(limits: AxisLimits, from_deg: float, to_deg: float) -> float:
     """Return the longest time that a move may take: the expected time, two more ramps, and a margin.
 
-    Parameters
-    ----------
-    limits
-        Speed and acceleration of the axis.
-    from_deg, to_deg
-        Start and target, in degrees.
-
-    Returns
-    -------
-    float
-        Time, in seconds.
+    from_deg, to_deg: Start and target, in degrees.
+    Returns: Time, in seconds.
     """
     ramp_s = limits.speed_deg_s / limits.acceleration_deg_s2
     return move_time_s(limits, from_deg, to_deg) + 2.0 * ramp_s + DEADLINE_MARGIN_S
@@ -111,19 +72,9 @@ def deadline_s(limits: AxisLimits, from_deg: float, to_deg: float) -> float:
 def check_targets(limits: Mapping[str, AxisLimits], target_deg: Mapping[str, float], where: str) -> None:
     """Check that all targets lie within the soft limits.
 
-    Parameters
-    ----------
-    limits
-        Soft limits, by axis.
-    target_deg
-        Targets by axis, in degrees.
-    where
-        Name of the stage, for the message.
-
-    Raises
-    ------
-    OutsideLimits
-        A target lies outside its limits, or there is no such axis. The message names every such target.
+    target_deg: Targets by axis, in degrees.
+    Raises OutsideLimits: A target lies outside its limits, or there is no such axis. The message names every
+      such target.
     """
     wrong = []
     for axis, angle in target_deg.items():
@@ -153,23 +104,9 @@ def check_travel(
 
     A driver narrows the controller's limits and never widens them, because they may be those of the mechanics.
 
-    Parameters
-    ----------
-    axis
-        Name of the axis.
-    wanted
-        Lowest and highest position by the station file.
-    present
-        Lowest and highest position by the controller; None where it has no limit.
-    unit
-        Unit of all positions, for the message.
-    slack
-        How far a limit may exceed the controller's, because of the controller's rounding.
-
-    Raises
-    ------
-    OutsideLimits
-        A limit of the station file lies beyond the controller's.
+    present: Lowest and highest position by the controller; None where it has no limit.
+    slack: How far a limit may exceed the controller's, because of the controller's rounding.
+    Raises OutsideLimits: A limit of the station file lies beyond the controller's.
     """
     lowest, highest = present
     if (lowest is not None and wanted[0] < lowest - slack) or (
@@ -190,20 +127,11 @@ class MoveWatch:
     Arrived: two consecutive idle readings, with the position at the target. Failed: two idle readings elsewhere; busy
     past the deadline; busy without progress.
 
-    Parameters
-    ----------
-    axis
-        Name of the axis, for messages.
-    target_deg
-        Target, in degrees; None for a search of the reference, which may end anywhere.
-    tolerance_deg
-        Largest distance from the target at which the axis has arrived, in degrees.
-    now_s
-        Time at the start of the move, in seconds.
-    allowed_s
-        Longest time that the move may take, in seconds.
-    patience_s
-        Longest time in which a busy axis may keep its position, in seconds.
+    target_deg: Target, in degrees; None for a search of the reference, which may end anywhere.
+    tolerance_deg: Largest distance from the target at which the axis has arrived, in degrees.
+    now_s: Time at the start of the move, in seconds.
+    allowed_s: Longest time that the move may take, in seconds.
+    patience_s: Longest time in which a busy axis may keep its position, in seconds.
     """
 
     def __init__(
@@ -229,26 +157,11 @@ class MoveWatch:
     def update(self, now_s: float, position_deg: float, *, busy: bool) -> bool:
         """Take one reading of the axis.
 
-        Parameters
-        ----------
-        now_s
-            Time of the reading, in seconds.
-        position_deg
-            Position, in degrees.
-        busy
-            Whether the controller calls the axis busy.
-
-        Returns
-        -------
-        bool
-            Whether the axis has arrived.
-
-        Raises
-        ------
-        MoveFailed
-            The axis stands elsewhere, or makes no progress.
-        MoveTimeout
-            The axis is past its deadline.
+        now_s: Time of the reading, in seconds.
+        position_deg: Position, in degrees.
+        busy: Whether the controller calls the axis busy.
+        Returns: Whether the axis has arrived.
+        Raises MoveFailed: The axis stands elsewhere, or makes no progress.
         """
         self._idle_reads = 0 if busy else self._idle_reads + 1
         if position_deg != self._last_deg:

@@ -35,31 +35,11 @@ class TextStage(WatchedStage[TextAxis]):
 
     Open it with ``TextStage.open``; the constructor takes a port that is open already.
 
-    Parameters
-    ----------
-    port
-        The open port.
-    axes
-        The axes, in the order of the station file.
-    description
-        What the controller understands.
-    serial
-        Serial number of the controller; empty when it is not checked.
-    clock
-        Every wait between two requests goes through it.
-    wire_log
-        Records every byte; None for no record.
-
-    Raises
-    ------
-    WrongDevice
-        The serial number differs; nothing was set.
-    OutsideLimits
-        The limits or the scale of the station file contradict the controller's.
-    DeviceRefused
-        The controller refuses a setting.
-    ReplyError, PortLost
-        The controller does not answer as described.
+    axes: The axes, in the order of the station file.
+    serial: Serial number of the controller; empty when it is not checked.
+    wire_log: Records every byte; None for no record.
+    Raises OutsideLimits: The limits or the scale of the station file contradict the controller's.
+    Raises ReplyError, PortLost: The controller does not answer as described.
     """
 
     def __init__(
@@ -105,19 +85,8 @@ class TextStage(WatchedStage[TextAxis]):
     ) -> TextStage:
         """Open the port, check the serial number, and set limits, speed and acceleration. Moves nothing.
 
-        Parameters
-        ----------
-        port
-            Address of the port; see ``drivers.serial_port.SerialPort``, which raises the errors of opening.
-        baudrate
-            Bits per second; None for the description's.
-        axes, description, serial, clock, wire_log
-            See the class, which raises the other errors.
-
-        Returns
-        -------
-        TextStage
-            The open stage.
+        port: Address of the port; see ``drivers.serial_port.SerialPort``, which raises the errors of opening.
+        baudrate: Bits per second; None for the description's.
         """
         opened = SerialPort(port, baudrate=baudrate or description.line.baudrate)
         return cls(opened, axes, description, serial=serial, clock=clock, wire_log=wire_log)
@@ -125,10 +94,7 @@ class TextStage(WatchedStage[TextAxis]):
     def identify(self) -> Sequence[AxisIdentity]:
         """See `Stage.identify`.
 
-        Raises
-        ------
-        WrongDevice
-            The serial number is not the one in the station file.
+        Raises WrongDevice: The serial number is not the one in the station file.
         """
         line = self._description.line
         serial = self._line.read_serial(self._serial)

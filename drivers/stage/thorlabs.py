@@ -30,58 +30,26 @@ _SAME_SCALE: Final = 1e-4
 
 @dataclass(frozen=True, kw_only=True)
 class ThorlabsAxis:
-    """One axis as the station file describes it.
+    """One axis as the station file describes it."""
 
-    Attributes
-    ----------
-    name
-        "pan", "tilt" or "roll".
-    port
-        Port of its controller.
-    serial
-        Serial number of the controller; empty when it is not checked.
-    counts_per_deg
-        Counts per degree; negative when the counter falls as the angle grows.
-    limits
-        Soft limits, speed and acceleration.
-    zero_deg
-        Angle at which the counter is 0, in degrees: homing ends there.
-    tolerance_deg
-        Largest distance of the counter from its target at rest, in degrees.
-    encoder_tolerance_deg
-        Not used: a motor with an encoder is counted by it.
-    """
-
-    name: str
+    name: str  # "pan", "tilt" or "roll"
     port: str
-    serial: str
-    counts_per_deg: float
+    serial: str  # Serial number of the controller; empty when it is not checked
+    counts_per_deg: float  # Counts per degree; negative when the counter falls as the angle grows
     limits: AxisLimits
-    zero_deg: float = 0.0
-    tolerance_deg: float = 0.005
-    encoder_tolerance_deg: float = 0.05
+    zero_deg: float = 0.0  # Angle at which the counter is 0, in degrees: homing ends there
+    tolerance_deg: float = 0.005  # Largest distance of the counter from its target at rest, in degrees
+    encoder_tolerance_deg: float = 0.05  # Not used: a motor with an encoder is counted by it
 
 
 @dataclass
 class _Begun:
-    """A motion that this driver has started.
+    """A motion that this driver has started."""
 
-    Attributes
-    ----------
-    at_s
-        Time of the command, in seconds.
-    goal_deg
-        Target, in degrees; None for a homing.
-    homings
-        Ends of homings that the controller had reported before.
-    seen
-        Whether the controller has shown the motion.
-    """
-
-    at_s: float
-    goal_deg: float | None
-    homings: int
-    seen: bool = False
+    at_s: float  # Time of the command, in seconds
+    goal_deg: float | None  # Target, in degrees; None for a homing
+    homings: int  # Ends of homings that the controller had reported before
+    seen: bool = False  # Whether the controller has shown the motion
 
 
 class ThorlabsStage(WatchedStage[ThorlabsAxis]):
@@ -89,27 +57,11 @@ class ThorlabsStage(WatchedStage[ThorlabsAxis]):
 
     Open it with ``ThorlabsStage.open``; the constructor takes ports that are open already.
 
-    Parameters
-    ----------
-    ports
-        The open port of each axis's controller, in the order of ``axes``.
-    axes
-        The axes, in the order of the station file.
-    clock
-        Every wait between two requests goes through it.
-    wire_log
-        Records every byte; None for no record.
-
-    Raises
-    ------
-    WrongDevice
-        A serial number differs; nothing was set.
-    OutsideLimits
-        Speed, acceleration or scale in the station file do not fit the controller.
-    DeviceRefused
-        The controller refuses a setting, or is of an unknown model.
-    ReplyError, PortLost
-        A controller does not answer.
+    ports: The open port of each axis's controller, in the order of ``axes``.
+    axes: The axes, in the order of the station file.
+    wire_log: Records every byte; None for no record.
+    Raises OutsideLimits: Speed, acceleration or scale in the station file do not fit the controller.
+    Raises ReplyError, PortLost: A controller does not answer.
     """
 
     def __init__(
@@ -144,16 +96,6 @@ class ThorlabsStage(WatchedStage[ThorlabsAxis]):
         """Open all ports, check the serial numbers, and set the speeds. Moves nothing, and switches no motor on.
 
         The ports raise the errors of ``drivers.serial_port.SerialPort``.
-
-        Parameters
-        ----------
-        axes, clock, wire_log
-            See the class, which raises the other errors.
-
-        Returns
-        -------
-        ThorlabsStage
-            The open stage.
         """
         with ExitStack() as opened:
             ports = []
@@ -166,10 +108,7 @@ class ThorlabsStage(WatchedStage[ThorlabsAxis]):
     def identify(self) -> Sequence[AxisIdentity]:
         """See `Stage.identify`.
 
-        Raises
-        ------
-        WrongDevice
-            A serial number is not the one in the station file.
+        Raises WrongDevice: A serial number is not the one in the station file.
         """
         found = []
         for axis in self._axes.values():

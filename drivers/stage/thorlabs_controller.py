@@ -38,15 +38,8 @@ class _MessageLink(Link):
     def take_line(self) -> bytes | None:
         """Take one unread message.
 
-        Returns
-        -------
-        bytes or None
-            The message; None when no complete one is unread.
-
-        Raises
-        ------
-        ReplyGarbled
-            What is unread does not begin with a header. It is thrown away.
+        Returns: The message; None when no complete one is unread.
+        Raises ReplyGarbled: What is unread does not begin with a header. It is thrown away.
         """
         unread = self.unread
         if len(unread) < apt.HEAD_SIZE:
@@ -61,26 +54,11 @@ class _MessageLink(Link):
 class ThorlabsController:
     """The controller of one axis, on its own line. Opening asks for its identity; it sets nothing but silence.
 
-    Parameters
-    ----------
-    port
-        The open port; the protocol needs 115200 baud.
-    clock, wire_log
-        See ``drivers.link.Link``.
-
-    Attributes
-    ----------
-    family
-        Its units.
-    homings
-        How many ends of a homing it has reported.
-
-    Raises
-    ------
-    DeviceRefused
-        This driver does not know the model.
-    ReplyError, PortLost
-        The controller does not answer.
+    port: The open port; the protocol needs 115200 baud.
+    clock, wire_log: See ``drivers.link.Link``.
+    homings: How many ends of a homing it has reported.
+    Raises DeviceRefused: This driver does not know the model.
+    Raises ReplyError, PortLost: The controller does not answer.
     """
 
     def __init__(self, port: Port, *, clock: Clock, wire_log: WireLog | None = None) -> None:
@@ -109,38 +87,20 @@ class ThorlabsController:
         return self._link.lock
 
     def read_information(self) -> Information:
-        """Ask who it is, until two answers agree.
-
-        Returns
-        -------
-        Information
-            Serial number, model and firmware.
-        """
+        """Ask who it is, until two answers agree."""
         return self._read_twice(
             lambda: Information.unpack(self._query(apt.REQUEST_INFORMATION, apt.INFORMATION_LAYOUT)),
             "the identity",
         )
 
     def read_status(self) -> Status:
-        """Ask for the status, until two answers agree: one changed bit could give an axis a reference.
-
-        Returns
-        -------
-        Status
-            The status.
-        """
+        """Ask for the status, until two answers agree: one changed bit could give an axis a reference."""
         return self._read_twice(
             lambda: Status.unpack(self._query(apt.REQUEST_STATUS, apt.STATUS_LAYOUT)), "the status"
         )
 
     def read_position(self) -> int:
-        """Ask once for the position; who needs it sure asks again.
-
-        Returns
-        -------
-        int
-            Position, in counts.
-        """
+        """Ask once for the position; who needs it sure asks again."""
         return int(
             apt.POSITION_LAYOUT.unpack(self._query(apt.REQUEST_POSITION, apt.POSITION_LAYOUT))[1],
         )
@@ -148,10 +108,7 @@ class ThorlabsController:
     def read_speed(self) -> tuple[int, int]:
         """Ask for acceleration and speed.
 
-        Returns
-        -------
-        tuple of int
-            Acceleration and speed, in the controller's units.
+        Returns: Acceleration and speed, in the controller's units.
         """
         data = self._read_twice(lambda: self._query(apt.REQUEST_SPEED, apt.SPEED_LAYOUT), "the speed")
         _, _, acceleration, speed = apt.SPEED_LAYOUT.unpack(data)
@@ -160,15 +117,7 @@ class ThorlabsController:
     def set_speed(self, acceleration: int, speed: int) -> None:
         """Set acceleration and speed, and read them back. It does no harm to set them twice.
 
-        Parameters
-        ----------
-        acceleration, speed
-            In the controller's units.
-
-        Raises
-        ------
-        DeviceRefused
-            The controller uses other values.
+        acceleration, speed: In the controller's units.
         """
         self._set_until_right(
             apt.long(apt.SET_SPEED, apt.SPEED_LAYOUT.pack(apt.CHANNEL, 0, acceleration, speed)),
@@ -180,10 +129,7 @@ class ThorlabsController:
     def is_enabled(self) -> bool:
         """Ask whether the channel is switched on.
 
-        Returns
-        -------
-        bool
-            Whether it is.
+        Returns: Whether it is.
         """
 
         def ask() -> int:
@@ -195,25 +141,13 @@ class ThorlabsController:
         return self._read_twice(ask, "the state of the channel") == apt.ON
 
     def enable(self) -> None:
-        """Switch the channel on: the motor holds its position.
-
-        Raises
-        ------
-        DeviceRefused
-            The channel stays off.
-        """
+        """Switch the channel on: the motor holds its position."""
         self._set_until_right(
             apt.short(apt.SET_ENABLED, apt.CHANNEL, apt.ON), self.is_enabled, True, "the channel"
         )
 
     def move(self, count: int) -> None:
-        """Start a move. The command is sent once, and has no reply.
-
-        Parameters
-        ----------
-        count
-            Target, in counts.
-        """
+        """Start a move. The command is sent once, and has no reply."""
         self._command(apt.long(apt.MOVE_TO, apt.POSITION_LAYOUT.pack(apt.CHANNEL, count)))
 
     def home(self) -> None:
@@ -223,17 +157,8 @@ class ThorlabsController:
     def stop(self, ramp_s: float) -> None:
         """Ramp down at once, and ask until the axis stands. A stop that shows no effect is sent again.
 
-        Parameters
-        ----------
-        ramp_s
-            Time of the ramp from full speed, in seconds.
-
-        Raises
-        ------
-        ReplyError
-            The axis did not report that it stands.
-        PortLost
-            The port is gone.
+        ramp_s: Time of the ramp from full speed, in seconds.
+        Raises ReplyError: The axis did not report that it stands.
         """
         with self._link.lock:
             repeat(lambda: self._stop_once(ramp_s), tries=2)
@@ -241,10 +166,7 @@ class ThorlabsController:
     def listen(self, duration_s: float) -> None:
         """Wait for bytes on the line. No clock interrupts this wait: it is for stopping only.
 
-        Parameters
-        ----------
-        duration_s
-            Longest wait, in seconds.
+        duration_s: Longest wait, in seconds.
         """
         with self._link.lock:
             self._link.receive(duration_s)

@@ -76,23 +76,12 @@ _USED: Final = _MOVING | _HOMING | _HOMED | sum(LIMITS) | sum(FAULTS)
 
 @dataclass(frozen=True)
 class Family:
-    """What differs between families of controllers.
-
-    Attributes
-    ----------
-    speed_factor
-        Units of speed for one count per second.
-    acceleration_factor
-        Units of acceleration for one count per second squared.
-    sign_of_life
-        Whether the controller needs signs of life.
-    counts_per_deg
-        Scale of a stage with a built-in controller; 0 where the stage is a separate one.
-    """
+    """What differs between families of controllers."""
 
     speed_factor: float
     acceleration_factor: float
-    sign_of_life: bool
+    sign_of_life: bool  # Whether the controller needs signs of life
+    # Scale of a stage with a built-in controller; 0 where the stage is a separate one.
     counts_per_deg: float = 0.0
 
 
@@ -116,17 +105,7 @@ FAMILIES: Final = {
 
 @dataclass(frozen=True)
 class Information:
-    """What a controller says of itself.
-
-    Attributes
-    ----------
-    serial
-        Serial number, as on its label.
-    model
-        Name of the model.
-    firmware
-        Version of the firmware.
-    """
+    """What a controller says of itself."""
 
     serial: str
     model: str
@@ -136,15 +115,7 @@ class Information:
     def unpack(cls, data: bytes) -> Self:
         """Unpack the data of a reply.
 
-        Parameters
-        ----------
-        data
-            The data, 84 bytes.
-
-        Returns
-        -------
-        Information
-            The information.
+        data: The data, 84 bytes.
         """
         serial, model, _, minor, interim, major, *_ = INFORMATION_LAYOUT.unpack(data)
         name = model.split(b"\0")[0].decode("ascii", errors="replace").strip()
@@ -153,13 +124,7 @@ class Information:
 
 @dataclass(frozen=True)
 class Status:
-    """The status bits that this driver uses.
-
-    Attributes
-    ----------
-    bits
-        The bits, with all others cleared: some tremble at rest.
-    """
+    """The status bits that this driver uses."""
 
     bits: int
 
@@ -167,15 +132,7 @@ class Status:
     def unpack(cls, data: bytes) -> Self:
         """Unpack the data of a reply.
 
-        Parameters
-        ----------
-        data
-            The data, 6 bytes.
-
-        Returns
-        -------
-        Status
-            The status.
+        data: The data, 6 bytes.
         """
         return cls(STATUS_LAYOUT.unpack(data)[1] & _USED)
 
@@ -208,18 +165,6 @@ class Status:
 def short(message: int, first: int = 0, second: int = 0) -> bytes:
     """Return a short message.
 
-    Parameters
-    ----------
-    message
-        Its id.
-    first, second
-        Its parameters.
-
-    Returns
-    -------
-    bytes
-        Six bytes.
-
     Examples
     --------
     >>> short(HOME, CHANNEL).hex(" ")
@@ -230,18 +175,6 @@ def short(message: int, first: int = 0, second: int = 0) -> bytes:
 
 def long(message: int, data: bytes) -> bytes:
     """Return a message with data.
-
-    Parameters
-    ----------
-    message
-        Its id.
-    data
-        Its data.
-
-    Returns
-    -------
-    bytes
-        Header and data.
 
     Examples
     --------
@@ -254,22 +187,9 @@ def long(message: int, data: bytes) -> bytes:
 def size(head: bytes, where: str) -> int:
     """Return the size of the message that begins with a header.
 
-    Parameters
-    ----------
-    head
-        The first six bytes.
-    where
-        Name of the port, for messages.
-
-    Returns
-    -------
-    int
-        Size with the header, in bytes.
-
-    Raises
-    ------
-    ReplyGarbled
-        No controller sends such a header to a computer.
+    head: The first six bytes.
+    Returns: Size with the header, in bytes.
+    Raises ReplyGarbled: No controller sends such a header to a computer.
     """
     _, length, destination, source = struct.unpack("<HHBB", head)
     if destination & ~_LONG not in {0, HOST} or source != UNIT:
@@ -284,15 +204,7 @@ def size(head: bytes, where: str) -> int:
 def is_unasked(message: bytes) -> bool:
     """Return whether a message answers no request of this driver.
 
-    Parameters
-    ----------
-    message
-        The whole message.
-
-    Returns
-    -------
-    bool
-        Whether it came unasked.
+    Returns: Whether it came unasked.
     """
     return struct.unpack_from("<H", message)[0] in UNASKED
 
@@ -300,26 +212,8 @@ def is_unasked(message: bytes) -> bool:
 def data_of(message: bytes, wanted: int, layout: struct.Struct, where: str) -> bytes:
     """Check a message, and return its data.
 
-    Parameters
-    ----------
-    message
-        The whole message.
-    wanted
-        Id of the request; the reply's id is the next number.
-    layout
-        Form of the data.
-    where
-        Name of the port, for messages.
-
-    Returns
-    -------
-    bytes
-        The data.
-
-    Raises
-    ------
-    ReplyGarbled
-        It is no reply to this request.
+    wanted: Id of the request; the reply's id is the next number.
+    Raises ReplyGarbled: It is no reply to this request.
     """
     data = message[HEAD_SIZE:]
     if struct.unpack_from("<H", message)[0] != wanted + 1 or len(data) != layout.size:
@@ -332,20 +226,8 @@ def data_of(message: bytes, wanted: int, layout: struct.Struct, where: str) -> b
 def parameter_of(message: bytes, wanted: int, where: str) -> int:
     """Check a short message, and return its second parameter.
 
-    Parameters
-    ----------
-    message, wanted, where
-        See `data_of`.
-
-    Returns
-    -------
-    int
-        The parameter.
-
-    Raises
-    ------
-    ReplyGarbled
-        It is no reply to this request.
+    message, wanted, where: See `data_of`.
+    Raises ReplyGarbled: It is no reply to this request.
     """
     number, channel, value, destination, _ = struct.unpack_from("<HBBBB", message)
     if number != wanted + 1 or destination & _LONG or channel != CHANNEL:
@@ -356,22 +238,7 @@ def parameter_of(message: bytes, wanted: int, where: str) -> int:
 def family_of(model: str, where: str) -> Family:
     """Return the family of a model.
 
-    Parameters
-    ----------
-    model
-        Name of the model, as the controller reports it.
-    where
-        Name of the port, for messages.
-
-    Returns
-    -------
-    Family
-        The family.
-
-    Raises
-    ------
-    DeviceRefused
-        This driver does not know the units of this model.
+    Raises DeviceRefused: This driver does not know the units of this model.
     """
     for beginning, family in FAMILIES.items():
         if model.upper().startswith(beginning):

@@ -30,23 +30,12 @@ before the command, which is not sent, or after it, and stops what the command h
 
 
 class AxisState(NamedTuple):
-    """State of an axis; all values of one moment, as far as the protocol allows.
+    """State of an axis; all values of one moment, as far as the protocol allows."""
 
-    Attributes
-    ----------
-    position_deg
-        Position, in degrees.
-    busy
-        Whether the axis moves.
-    problem
-        Why the present move will not end at its target; empty while nothing is wrong.
-    position_kept
-        Whether the position is still known after that problem, as after another command or a hold.
-    """
-
-    position_deg: float
-    busy: bool
-    problem: str = ""
+    position_deg: float  # Position, in degrees
+    busy: bool  # Whether the axis moves
+    problem: str = ""  # Why the present move will not end at its target; empty while nothing is wrong
+    # Whether the position is still known after that problem, as after another command or a hold.
     position_kept: bool = False
 
 

@@ -26,39 +26,18 @@ _OWN_COMMANDS = {"move", "home"}
 
 @dataclass(frozen=True, kw_only=True)
 class XimcAxis:
-    """One axis as the station file describes it.
+    """One axis as the station file describes it."""
 
-    Attributes
-    ----------
-    name
-        "pan", "tilt" or "roll".
-    port
-        Port of its controller.
-    serial
-        Serial number of the controller; empty when it is not checked.
-    steps_per_deg
-        Full steps per degree; negative when the counter falls as the angle grows.
-    limits
-        Soft limits, speed and acceleration.
-    zero_deg
-        Angle of the reference, in degrees: homing sets the counter to 0 there.
-    tolerance_deg
-        Largest distance of the counter from its target at rest, in degrees.
-    encoder_counts_per_deg
-        Encoder counts per degree, with sign; None without an encoder.
-    encoder_tolerance_deg
-        Largest difference between encoder and counter, in degrees.
-    """
-
-    name: str
+    name: str  # "pan", "tilt" or "roll"
     port: str
-    serial: str
-    steps_per_deg: float
+    serial: str  # Serial number of the controller; empty when it is not checked
+    steps_per_deg: float  # Full steps per degree; negative when the counter falls as the angle grows
     limits: AxisLimits
-    zero_deg: float = 0.0
-    tolerance_deg: float = 0.002
+    zero_deg: float = 0.0  # Angle of the reference, in degrees: homing sets the counter to 0 there
+    tolerance_deg: float = 0.002  # Largest distance of the counter from its target at rest, in degrees
+    # Encoder counts per degree, with sign; None without an encoder.
     encoder_counts_per_deg: float | None = None
-    encoder_tolerance_deg: float = 0.05
+    encoder_tolerance_deg: float = 0.05  # Largest difference between encoder and counter, in degrees
 
 
 class XimcStage(WatchedStage[XimcAxis]):
@@ -66,27 +45,12 @@ class XimcStage(WatchedStage[XimcAxis]):
 
     Open it with ``XimcStage.open``; the constructor takes ports that are open already.
 
-    Parameters
-    ----------
-    ports
-        The open port of each axis's controller, in the order of ``axes``.
-    axes
-        The axes, in the order of the station file.
-    clock
-        Every wait between two requests goes through it.
-    wire_log
-        Records every byte; None for no record.
-
-    Raises
-    ------
-    WrongDevice
-        A serial number differs; nothing was set.
-    OutsideLimits
-        Limits, speed or acceleration in the station file lie beyond the controller's.
-    DeviceRefused
-        The controller refuses a setting, or does not count the steps of a stepper motor.
-    ReplyError, PortLost
-        A controller does not answer.
+    ports: The open port of each axis's controller, in the order of ``axes``.
+    axes: The axes, in the order of the station file.
+    wire_log: Records every byte; None for no record.
+    Raises OutsideLimits: Limits, speed or acceleration in the station file lie beyond the controller's.
+    Raises DeviceRefused: The controller refuses a setting, or does not count the steps of a stepper motor.
+    Raises ReplyError, PortLost: A controller does not answer.
     """
 
     def __init__(
@@ -117,16 +81,6 @@ class XimcStage(WatchedStage[XimcAxis]):
         """Open all ports, check the serial numbers, and set speeds and borders. Moves nothing.
 
         The ports raise the errors of ``drivers.serial_port.SerialPort``.
-
-        Parameters
-        ----------
-        axes, clock, wire_log
-            See the class, which raises the other errors.
-
-        Returns
-        -------
-        XimcStage
-            The open stage.
         """
         with ExitStack() as opened:
             ports = []
@@ -139,10 +93,7 @@ class XimcStage(WatchedStage[XimcAxis]):
     def identify(self) -> Sequence[AxisIdentity]:
         """See `Stage.identify`.
 
-        Raises
-        ------
-        WrongDevice
-            A serial number is not the one in the station file.
+        Raises WrongDevice: A serial number is not the one in the station file.
         """
         found = []
         for axis in self._axes.values():

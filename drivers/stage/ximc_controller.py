@@ -26,26 +26,10 @@ _LONGEST_DRAIN_S = 1.0
 class XimcController:
     """The controller of one axis, on its own line. Opening asks for settings; it sets nothing.
 
-    Parameters
-    ----------
-    port
-        The open port; the protocol needs 115200 baud and two stop bits.
-    clock, wire_log
-        See ``drivers.link.Link``.
-
-    Attributes
-    ----------
-    serial
-        Serial number of the controller.
-    division
-        Microsteps per full step.
-
-    Raises
-    ------
-    DeviceRefused
-        The controller drives no stepper motor, or counts by an encoder.
-    ReplyError, PortLost
-        The controller does not answer.
+    port: The open port; the protocol needs 115200 baud and two stop bits.
+    clock, wire_log: See ``drivers.link.Link``.
+    Raises DeviceRefused: The controller drives no stepper motor, or counts by an encoder.
+    Raises ReplyError, PortLost: The controller does not answer.
     """
 
     def __init__(self, port: Port, *, clock: Clock, wire_log: WireLog | None = None) -> None:
@@ -66,24 +50,12 @@ class XimcController:
         return self._link.lock
 
     def read_serial(self) -> str:
-        """Ask for the serial number.
-
-        Returns
-        -------
-        str
-            The number, in decimal digits.
-        """
+        """Ask for the serial number."""
         layout = ximc_protocol.SERIAL_LAYOUT
         return str(layout.unpack(self._query("gser", layout))[0])
 
     def read_identity(self) -> tuple[str, str, str]:
-        """Ask for maker, model and firmware.
-
-        Returns
-        -------
-        tuple of str
-            Maker, model, and version of the firmware.
-        """
+        """Ask for maker, model and firmware."""
         layout = ximc_protocol.INFORMATION_LAYOUT
         maker, _, model, *_ = layout.unpack(self._query("geti", layout))
         version = ximc_protocol.VERSION_LAYOUT
@@ -91,76 +63,37 @@ class XimcController:
         return _text(maker), _text(model), f"{major}.{minor}.{release}"
 
     def read_status(self) -> Status:
-        """Ask for the state of the axis.
-
-        Returns
-        -------
-        Status
-            Position, motion and flags of one moment.
-        """
+        """Ask for the state of the axis."""
         return Status.unpack(self._query("gets", Status.LAYOUT))
 
     def read_move_settings(self) -> MoveSettings:
         """Ask for speed and acceleration.
 
-        Returns
-        -------
-        MoveSettings
-            The settings, in the controller's units.
+        Returns: The settings, in the controller's units.
         """
         return MoveSettings.unpack(self._query("gmov", MoveSettings.LAYOUT))
 
     def read_edge_settings(self) -> EdgeSettings:
         """Ask for the borders at which the controller itself stops.
 
-        Returns
-        -------
-        EdgeSettings
-            The settings, in the controller's units.
+        Returns: The settings, in the controller's units.
         """
         return EdgeSettings.unpack(self._query("geds", EdgeSettings.LAYOUT))
 
     def set(self, command: str, data: bytes) -> None:
         """Send a setting; repeat it when its echo does not come, which does no harm.
 
-        Parameters
-        ----------
-        command
-            The four letters of the command.
-        data
-            Data of the command, without CRC.
-
-        Raises
-        ------
-        DeviceRefused
-            The controller refuses the setting.
-        ReplyTimeout, ReplyGarbled
-            No valid echo came at the last attempt.
-        PortLost
-            The port is gone.
+        data: Data of the command, without CRC.
+        Raises ReplyTimeout, ReplyGarbled: No valid echo came at the last attempt.
         """
         repeat(lambda: self.command(command, data))
 
     def command(self, command: str, data: bytes = b"", *, urgent: bool = False) -> None:
         """Send a command, once, and wait for its echo.
 
-        Parameters
-        ----------
-        command
-            The four letters of the command.
-        data
-            Data of the command, without CRC.
-        urgent
-            Send at once, without resynchronising.
-
-        Raises
-        ------
-        DeviceRefused
-            The controller refuses the command.
-        ReplyTimeout, ReplyGarbled
-            No valid echo came.
-        PortLost
-            The port is gone.
+        data: Data of the command, without CRC.
+        urgent: Send at once, without resynchronising.
+        Raises ReplyTimeout, ReplyGarbled: No valid echo came.
         """
 
         def read_reply(reader: ReplyReader) -> None:
@@ -172,31 +105,14 @@ class XimcController:
     def move(self, count: int) -> None:
         """Start a move; the command is sent once.
 
-        Parameters
-        ----------
-        count
-            Target, in microsteps.
-
-        Raises
-        ------
-        DeviceRefused
-            The controller refuses the move.
-        ReplyTimeout, ReplyGarbled
-            No valid echo came: the axis may be moving.
-        PortLost
-            The port is gone.
+        Raises ReplyTimeout, ReplyGarbled: No valid echo came: the axis may be moving.
         """
         self.command("move", ximc_protocol.move_data(*self.to_steps(count)))
 
     def stop(self) -> None:
         """Ramp down at once, without resynchronising; repeat the stop when its echo does not come.
 
-        Raises
-        ------
-        ReplyError
-            No echo came at the last attempt.
-        PortLost
-            The port is gone.
+        Raises ReplyError: No echo came at the last attempt.
         """
         with self._link.lock:
             repeat(
@@ -205,45 +121,18 @@ class XimcController:
             )
 
     def to_microsteps(self, steps: int, microsteps: int) -> int:
-        """Return a position in microsteps.
-
-        Parameters
-        ----------
-        steps
-            Full steps.
-        microsteps
-            Microsteps beyond the full steps.
-
-        Returns
-        -------
-        int
-            Position, in microsteps.
-        """
+        """Return a position in microsteps."""
         return steps * self.division + microsteps
 
     def to_steps(self, count: int) -> tuple[int, int]:
-        """Split a position into full steps and microsteps of the same sign.
-
-        Parameters
-        ----------
-        count
-            Position, in microsteps.
-
-        Returns
-        -------
-        tuple of int
-            Full steps, and microsteps beyond them.
-        """
+        """Split a position into full steps and microsteps of the same sign."""
         steps, microsteps = divmod(abs(count), self.division)
         return (steps, microsteps) if count >= 0 else (-steps, -microsteps)
 
     def listen(self, duration_s: float) -> None:
         """Wait for bytes on the line. No clock interrupts this wait: it is for stopping only.
 
-        Parameters
-        ----------
-        duration_s
-            Longest wait, in seconds.
+        duration_s: Longest wait, in seconds.
         """
         with self._link.lock:
             self._link.receive(duration_s)

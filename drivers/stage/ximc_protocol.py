@@ -68,15 +68,7 @@ _REMAINDERS = [_remainder(byte) for byte in range(256)]
 def crc16(data: bytes) -> int:
     """Return the CRC of the data of a message, a CRC-16/MODBUS: polynomial 0xA001 (reflected), start value 0xFFFF.
 
-    Parameters
-    ----------
-    data
-        The data.
-
-    Returns
-    -------
-    int
-        The CRC, 16 bits.
+    Returns: The CRC, 16 bits.
 
     Examples
     --------
@@ -92,17 +84,7 @@ def crc16(data: bytes) -> int:
 def request(command: str, data: bytes = b"") -> bytes:
     """Return the bytes of a request.
 
-    Parameters
-    ----------
-    command
-        The four letters of the command.
-    data
-        Data of the command; empty for a command without data.
-
-    Returns
-    -------
-    bytes
-        The letters, then the data and their CRC.
+    data: Data of the command; empty for a command without data.
 
     Examples
     --------
@@ -115,21 +97,7 @@ def request(command: str, data: bytes = b"") -> bytes:
 def check_head(command: str, head: bytes, where: str) -> None:
     """Check that a reply begins with the letters of its command.
 
-    Parameters
-    ----------
-    command
-        The four letters of the command.
-    head
-        The first four bytes of the reply.
-    where
-        Name of the line, for the message.
-
-    Raises
-    ------
-    DeviceRefused
-        The controller refuses the command.
-    ReplyGarbled
-        The reply begins with anything else.
+    head: The first four bytes of the reply.
     """
     if head == command.encode("ascii"):
         return
@@ -149,24 +117,7 @@ def check_head(command: str, head: bytes, where: str) -> None:
 def check_data(command: str, data: bytes, where: str) -> bytes:
     """Check the CRC of a reply's data.
 
-    Parameters
-    ----------
-    command
-        The four letters of the command, for the message.
-    data
-        The data with their CRC.
-    where
-        Name of the line, for the message.
-
-    Returns
-    -------
-    bytes
-        The data without their CRC.
-
-    Raises
-    ------
-    ReplyGarbled
-        The CRC is wrong.
+    Returns: The data without their CRC.
     """
     body, given = data[:-2], data[-2:]
     if struct.pack("<H", crc16(body)) != given:
@@ -176,39 +127,22 @@ def check_data(command: str, data: bytes, where: str) -> bytes:
 
 @dataclass(frozen=True)
 class Status:
-    """The data of ``gets``: the state of the axis at one moment.
-
-    Attributes
-    ----------
-    command_state
-        Latest motion command, and whether it runs or has failed.
-    encoder_state
-        State of the encoder.
-    steps, microsteps
-        Position, in full steps and microsteps beyond them.
-    encoder
-        Position, in encoder counts.
-    flags
-        State flags; see ``IS_HOMED`` and ``STATE_FLAGS``.
-    """
+    """The data of ``gets``: the state of the axis at one moment."""
 
     LAYOUT: ClassVar[struct.Struct] = struct.Struct("<5Bihqih5hIIB4x")
 
-    command_state: int
+    command_state: int  # Latest motion command, and whether it runs or has failed
     encoder_state: int
     steps: int
     microsteps: int
     encoder: int
-    flags: int
+    flags: int  # State flags; see ``IS_HOMED`` and ``STATE_FLAGS``
 
     @classmethod
     def unpack(cls, data: bytes) -> Self:
         """Unpack the data of ``gets``.
 
-        Parameters
-        ----------
-        data
-            The data, without CRC.
+        data: The data, without CRC.
         """
         fields = cls.LAYOUT.unpack(data)
         return cls(fields[1], fields[3], fields[5], fields[6], fields[7], fields[15])
@@ -241,19 +175,7 @@ class Status:
 
 @dataclass(frozen=True)
 class MoveSettings:
-    """The data of ``gmov`` and ``smov``.
-
-    Attributes
-    ----------
-    speed, speed_microsteps
-        Speed, in full steps per second and microsteps per second beyond them.
-    acceleration, deceleration
-        Acceleration and deceleration, in full steps per second squared.
-    antiplay_speed, antiplay_microsteps
-        Speed of the backlash compensation, in the units of ``speed``.
-    flags, reserved
-        Kept as they were read.
-    """
+    """The data of ``gmov`` and ``smov``."""
 
     LAYOUT: ClassVar[struct.Struct] = struct.Struct("<IBHHIBB9s")
 
@@ -261,6 +183,7 @@ class MoveSettings:
     speed_microsteps: int
     acceleration: int
     deceleration: int
+    # antiplay_speed, antiplay_microsteps: Speed of the backlash compensation, in the units of ``speed``.
     antiplay_speed: int
     antiplay_microsteps: int
     flags: int
@@ -270,37 +193,21 @@ class MoveSettings:
     def unpack(cls, data: bytes) -> Self:
         """Unpack the data of a reply.
 
-        Parameters
-        ----------
-        data
-            The data, without CRC.
+        data: The data, without CRC.
         """
         return cls(*cls.LAYOUT.unpack(data))
 
     def pack(self) -> bytes:
         """Pack the data of a request.
 
-        Returns
-        -------
-        bytes
-            The data, without CRC.
+        Returns: The data, without CRC.
         """
         return self.LAYOUT.pack(*vars(self).values())
 
 
 @dataclass(frozen=True)
 class EdgeSettings:
-    """The data of ``geds`` and ``seds``: the borders at which the controller itself stops.
-
-    Attributes
-    ----------
-    border_flags, switch_flags
-        Kind of the borders, and settings of the limit switches.
-    left_steps, left_microsteps, right_steps, right_microsteps
-        The borders, in full steps and microsteps beyond them.
-    reserved
-        Kept as it was read.
-    """
+    """The data of ``geds`` and ``seds``: the borders at which the controller itself stops."""
 
     LAYOUT: ClassVar[struct.Struct] = struct.Struct("<BBihih6s")
 
@@ -316,20 +223,14 @@ class EdgeSettings:
     def unpack(cls, data: bytes) -> Self:
         """Unpack the data of a reply.
 
-        Parameters
-        ----------
-        data
-            The data, without CRC.
+        data: The data, without CRC.
         """
         return cls(*cls.LAYOUT.unpack(data))
 
     def pack(self) -> bytes:
         """Pack the data of a request.
 
-        Returns
-        -------
-        bytes
-            The data, without CRC.
+        Returns: The data, without CRC.
         """
         return self.LAYOUT.pack(*vars(self).values())
 
@@ -354,16 +255,6 @@ _RESERVED = b"\xcc" * 6
 def move_data(steps: int, microsteps: int) -> bytes:
     """Return the data of ``move``.
 
-    Parameters
-    ----------
-    steps
-        Target, in full steps.
-    microsteps
-        Microsteps beyond the full steps, of the same sign.
-
-    Returns
-    -------
-    bytes
-        The data, without CRC.
+    Returns: The data, without CRC.
     """
     return _MOVE_LAYOUT.pack(steps, microsteps, _RESERVED)

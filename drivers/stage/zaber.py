@@ -24,27 +24,11 @@ class ZaberStage(WatchedStage[ZaberAxis]):
 
     Open it with ``ZaberStage.open``; the constructor takes a port that is open already.
 
-    Parameters
-    ----------
-    port
-        The open port.
-    axes
-        The axes, in the order of the station file.
-    clock
-        Every wait between two requests goes through it.
-    wire_log
-        Records every byte; None for no record.
-
-    Raises
-    ------
-    WrongDevice
-        A serial number differs; nothing was set.
-    OutsideLimits
-        The limits in the station file lie beyond the controller's travel, or the scales differ.
-    DeviceRefused
-        The controller refuses a setting.
-    ReplyError, PortLost
-        The controller does not answer.
+    axes: The axes, in the order of the station file.
+    wire_log: Records every byte; None for no record.
+    Raises OutsideLimits: The limits in the station file lie beyond the controller's travel, or the scales
+      differ.
+    Raises ReplyError, PortLost: The controller does not answer.
     """
 
     def __init__(
@@ -76,29 +60,14 @@ class ZaberStage(WatchedStage[ZaberAxis]):
     ) -> ZaberStage:
         """Open the port, check the serial numbers, and set limits, speed and acceleration. Moves nothing.
 
-        Parameters
-        ----------
-        port
-            Address of the port; see ``drivers.serial_port.SerialPort``, which raises the errors of opening.
-        baudrate
-            Bits per second.
-        axes, clock, wire_log
-            See the class, which raises the other errors.
-
-        Returns
-        -------
-        ZaberStage
-            The open stage.
+        port: Address of the port; see ``drivers.serial_port.SerialPort``, which raises the errors of opening.
         """
         return cls(SerialPort(port, baudrate=baudrate), axes, clock=clock, wire_log=wire_log)
 
     def identify(self) -> Sequence[AxisIdentity]:
         """See `Stage.identify`.
 
-        Raises
-        ------
-        WrongDevice
-            A serial number is not the one in the station file.
+        Raises WrongDevice: A serial number is not the one in the station file.
         """
         found = []
         for axis in self._axes.values():

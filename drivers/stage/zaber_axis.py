@@ -22,84 +22,37 @@ _SCALE_AGREES = 1e-6
 
 @dataclass(frozen=True, kw_only=True)
 class ZaberAxis:
-    """One axis as the station file describes it.
+    """One axis as the station file describes it."""
 
-    Attributes
-    ----------
-    name
-        "pan", "tilt" or "roll".
-    device, axis
-        Address of the device in the chain, and number of the axis on it.
-    serial
-        Serial number of the device; empty when it is not checked.
-    microsteps_per_deg
-        Microsteps per degree; negative when the counter falls as the angle grows. Never guessed from a model.
-    zero_deg
-        Angle at which the counter is 0, in degrees: angle = zero_deg + microsteps / microsteps_per_deg.
-    limits
-        Soft limits, speed and acceleration.
-    tolerance_deg
-        Largest distance of the counter from its target at rest, in degrees.
-    encoder_tolerance_deg
-        Largest difference between encoder and counter, in degrees.
-    """
-
-    name: str
+    name: str  # "pan", "tilt" or "roll"
     device: int
-    serial: str
+    serial: str  # Serial number of the device; empty when it is not checked
+    # Microsteps per degree; negative when the counter falls as the angle grows. Never guessed from a model.
     microsteps_per_deg: float
     limits: AxisLimits
     axis: int = 1
+    # Angle at which the counter is 0, in degrees: angle = zero_deg + microsteps / microsteps_per_deg.
     zero_deg: float = 0.0
-    tolerance_deg: float = 0.002
-    encoder_tolerance_deg: float = 0.05
+    tolerance_deg: float = 0.002  # Largest distance of the counter from its target at rest, in degrees
+    encoder_tolerance_deg: float = 0.05  # Largest difference between encoder and counter, in degrees
 
     def to_microsteps(self, angle_deg: float) -> int:
         """Return the count nearest to an angle.
 
-        Parameters
-        ----------
-        angle_deg
-            Angle, in degrees.
-
-        Returns
-        -------
-        int
-            Count, in microsteps.
+        angle_deg: Angle, in degrees.
         """
         return round((angle_deg - self.zero_deg) * self.microsteps_per_deg)
 
     def to_angle_deg(self, microsteps: float) -> float:
         """Return the angle of a count.
 
-        Parameters
-        ----------
-        microsteps
-            Count, in microsteps.
-
-        Returns
-        -------
-        float
-            Angle, in degrees.
+        Returns: Angle, in degrees.
         """
         return self.zero_deg + microsteps / self.microsteps_per_deg
 
 
 def check_scale(chain: ZaberChain, axis: ZaberAxis) -> None:
-    """Check that scale and limits agree with the controller's turn and travel.
-
-    Parameters
-    ----------
-    chain
-        The line.
-    axis
-        The axis.
-
-    Raises
-    ------
-    OutsideLimits
-        The scale gives another number of microsteps a turn, or the limits lie beyond the travel.
-    """
+    """Check that scale and limits agree with the controller's turn and travel."""
     turn = _setting(chain, axis, "limit.cycle.dist")
     expected = abs(axis.microsteps_per_deg) * 360.0
     if turn and abs(turn - expected) > max(1.0, _SCALE_AGREES * expected):
@@ -117,19 +70,8 @@ def program(chain: ZaberChain, axis: ZaberAxis) -> None:
 
     Only settings that differ are sent, because the controller keeps them in non-volatile memory.
 
-    Parameters
-    ----------
-    chain
-        The line.
-    axis
-        The axis.
-
-    Raises
-    ------
-    OutsideLimits
-        Speed or acceleration is below the controller's unit. Its acceleration 0 would mean full speed at once.
-    DeviceRefused
-        A setting reads back differently.
+    Raises OutsideLimits: Speed or acceleration is below the controller's unit. Its acceleration 0 would mean
+      full speed at once.
     """
     lowest, highest = _travel(axis)
     scale = abs(axis.microsteps_per_deg)

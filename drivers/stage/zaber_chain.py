@@ -30,19 +30,10 @@ _LONGEST_DRAIN_S = 1.0
 class ZaberChain:
     """A chain of devices on one line. Opening sends nothing.
 
-    Parameters
-    ----------
-    port
-        The open port.
-    devices
-        Addresses of the devices that this driver uses; others in the chain are stopped by ``stop_all`` only.
-    clock, wire_log
-        See ``drivers.link.Link``.
-
-    Attributes
-    ----------
-    unsolicited
-        The latest 100 alerts and information lines, oldest first.
+    devices: Addresses of the devices that this driver uses; others in the chain are stopped by ``stop_all``
+      only.
+    clock, wire_log: See ``drivers.link.Link``.
+    unsolicited: The latest 100 alerts and information lines, oldest first.
     """
 
     def __init__(
@@ -72,28 +63,11 @@ class ZaberChain:
     def command(self, device: int, axis: int, words: str) -> Reply:
         """Send a command, once: a command that moves something must never be sent twice.
 
-        Parameters
-        ----------
-        device
-            Address of the device; 0 for all.
-        axis
-            Number of the axis on the device; 0 for the device itself.
-        words
-            The command with its parameters, such as ``move abs 50000``.
-
-        Returns
-        -------
-        Reply
-            The device's reply, which accepts the command.
-
-        Raises
-        ------
-        DeviceRefused
-            The device rejects the command.
-        ReplyTimeout, ReplyGarbled
-            No valid reply came.
-        PortLost
-            The port is gone.
+        device: Address of the device; 0 for all.
+        axis: Number of the axis on the device; 0 for the device itself.
+        words: The command with its parameters, such as ``move abs 50000``.
+        Returns: The device's reply, which accepts the command.
+        Raises ReplyTimeout, ReplyGarbled: No valid reply came.
         """
         reply = self._ask_once(device, axis, words)
         if not reply.accepted:
@@ -108,48 +82,18 @@ class ZaberChain:
     def query(self, device: int, axis: int, words: str) -> Reply:
         """Send a command that does no harm when it is sent twice; repeat it when no valid reply comes.
 
-        Parameters
-        ----------
-        device, axis, words
-            See ``command``.
-
-        Returns
-        -------
-        Reply
-            The device's reply, which accepts the command.
-
-        Raises
-        ------
-        DeviceRefused
-            The device rejects the command.
-        ReplyTimeout, ReplyGarbled
-            No valid reply came at the last attempt.
-        PortLost
-            The port is gone.
+        device, axis, words: See ``command``.
+        Returns: The device's reply, which accepts the command.
+        Raises ReplyTimeout, ReplyGarbled: No valid reply came at the last attempt.
         """
         return repeat(lambda: self.command(device, axis, words))
 
     def query_integer(self, device: int, axis: int, words: str) -> int:
         """Send a query whose answer is one integer.
 
-        Parameters
-        ----------
-        device, axis, words
-            See ``command``.
-
-        Returns
-        -------
-        int
-            The integer.
-
-        Raises
-        ------
-        DeviceRefused
-            The device rejects the command.
-        ReplyTimeout, ReplyGarbled
-            No valid reply came at the last attempt, or the answer is no integer.
-        PortLost
-            The port is gone.
+        device, axis, words: See ``command``.
+        Raises ReplyTimeout, ReplyGarbled: No valid reply came at the last attempt, or the answer is no
+          integer.
         """
         data = self.query(device, axis, words).data
         return self.parse_integer(data)
@@ -157,20 +101,8 @@ class ZaberChain:
     def parse_integer(self, data: str) -> int:
         """Parse the data of a reply as one integer.
 
-        Parameters
-        ----------
-        data
-            Data of a reply.
-
-        Returns
-        -------
-        int
-            The integer.
-
-        Raises
-        ------
-        ReplyGarbled
-            The data are no integer; the line is then out of step.
+        data: Data of a reply.
+        Raises ReplyGarbled: The data are no integer; the line is then out of step.
         """
         if not re.fullmatch(r"-?\d{1,18}", data, re.ASCII):
             self._link.mark_out_of_step()
@@ -182,24 +114,9 @@ class ZaberChain:
     def query_flags(self, device: int, axis: int) -> tuple[str, ...]:
         """Ask for all warning flags of an axis.
 
-        Parameters
-        ----------
-        device, axis
-            See ``command``.
-
-        Returns
-        -------
-        tuple of str
-            All active flags.
-
-        Raises
-        ------
-        DeviceRefused
-            The device rejects the command.
-        ReplyTimeout, ReplyGarbled
-            No valid reply came at the last attempt, or the answer is no list of flags.
-        PortLost
-            The port is gone.
+        device, axis: See ``command``.
+        Raises ReplyTimeout, ReplyGarbled: No valid reply came at the last attempt, or the answer is no list
+          of flags.
         """
         data = self.query(device, axis, "warnings").data
         try:
@@ -211,17 +128,9 @@ class ZaberChain:
     def query_setting(self, device: int, axis: int, name: str) -> int | None:
         """Ask for a setting that is an integer.
 
-        Parameters
-        ----------
-        device, axis
-            See ``command``.
-        name
-            Name of the setting, such as ``limit.max``.
-
-        Returns
-        -------
-        int or None
-            The value; None when the device refuses the query, because it has no such setting.
+        device, axis: See ``command``.
+        name: Name of the setting, such as ``limit.max``.
+        Returns: The value; None when the device refuses the query, because it has no such setting.
         """
         try:
             return self.query_integer(device, axis, f"get {name}")
@@ -233,12 +142,7 @@ class ZaberChain:
 
         The stop is sent at once, without resynchronising.
 
-        Raises
-        ------
-        ReplyError
-            A device did not accept the stop at the last attempt.
-        PortLost
-            The port is gone.
+        Raises ReplyError: A device did not accept the stop at the last attempt.
         """
         with self._link.lock:
             repeat(self._stop_once)
@@ -246,10 +150,7 @@ class ZaberChain:
     def listen(self, duration_s: float) -> None:
         """Wait for bytes on the line. No clock interrupts this wait: it is for stopping only.
 
-        Parameters
-        ----------
-        duration_s
-            Longest wait, in seconds.
+        duration_s: Longest wait, in seconds.
         """
         with self._link.lock:
             self._link.receive(duration_s)

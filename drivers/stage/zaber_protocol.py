@@ -89,46 +89,22 @@ _UNSOLICITED = re.compile(
 
 @dataclass(frozen=True)
 class Reply:
-    """A device's reply to one request.
-
-    Attributes
-    ----------
-    device, axis, message_id
-        Address, axis and message id of the request.
-    accepted
-        Whether the device accepts the request.
-    busy
-        Whether the axis moves.
-    flag
-        The most urgent warning flag, or "--".
-    data
-        The value asked for, or the reason of a refusal.
-    """
+    """A device's reply to one request."""
 
     device: int
     axis: int
     message_id: int
-    accepted: bool
-    busy: bool
-    flag: str
-    data: str
+    accepted: bool  # Whether the device accepts the request
+    busy: bool  # Whether the axis moves
+    flag: str  # The most urgent warning flag, or "--"
+    data: str  # The value asked for, or the reason of a refusal
 
 
 @dataclass(frozen=True)
 class Unsolicited:
-    """A line that answers no request.
+    """A line that answers no request."""
 
-    Attributes
-    ----------
-    kind
-        "!" for an alert, "#" for an information line.
-    device, axis
-        Address of the sender.
-    text
-        Text of the message.
-    """
-
-    kind: str
+    kind: str  # "!" for an alert, "#" for an information line
     device: int
     axis: int
     text: str
@@ -137,15 +113,8 @@ class Unsolicited:
 def checksum(body: bytes) -> int:
     """Return the LRC (longitudinal redundancy check) of a message: two's complement of the sum of its bytes.
 
-    Parameters
-    ----------
-    body
-        All bytes between the first one of the message and the colon.
-
-    Returns
-    -------
-    int
-        The LRC, 0 to 255.
+    body: All bytes between the first one of the message and the colon.
+    Returns: The LRC, 0 to 255.
 
     Examples
     --------
@@ -158,21 +127,10 @@ def checksum(body: bytes) -> int:
 def request(device: int, axis: int, message_id: int, words: str = "") -> bytes:
     r"""Return the bytes of a request.
 
-    Parameters
-    ----------
-    device
-        Address of the device; 0 for all.
-    axis
-        Number of the axis; 0 for the device itself.
-    message_id
-        Message id, 0 to 99.
-    words
-        The command with its parameters; empty for a request that does nothing.
-
-    Returns
-    -------
-    bytes
-        The request with its checksum and line feed.
+    device: Address of the device; 0 for all.
+    axis: Number of the axis; 0 for the device itself.
+    message_id: Message id, 0 to 99.
+    words: The command with its parameters; empty for a request that does nothing.
 
     Examples
     --------
@@ -188,22 +146,7 @@ def request(device: int, axis: int, message_id: int, words: str = "") -> bytes:
 def parse_reply(line: bytes, where: str = "") -> Reply:
     r"""Parse a reply.
 
-    Parameters
-    ----------
-    line
-        The line with its CR LF.
-    where
-        Name of the line, for the message.
-
-    Returns
-    -------
-    Reply
-        Fields of the reply.
-
-    Raises
-    ------
-    ReplyGarbled
-        The line is no reply, or its checksum is missing or wrong.
+    Raises ReplyGarbled: The line is no reply, or its checksum is missing or wrong.
 
     Examples
     --------
@@ -232,22 +175,7 @@ def parse_reply(line: bytes, where: str = "") -> Reply:
 def parse_unsolicited(line: bytes, where: str = "") -> Unsolicited | None:
     r"""Parse an alert or an information line.
 
-    Parameters
-    ----------
-    line
-        The line with its CR LF.
-    where
-        Name of the line, for the message.
-
-    Returns
-    -------
-    Unsolicited or None
-        Fields of the message; None for any other line.
-
-    Raises
-    ------
-    ReplyGarbled
-        The checksum is wrong.
+    Returns: Fields of the message; None for any other line.
     """
     match = _UNSOLICITED.fullmatch(line)
     if match is None:
@@ -264,23 +192,6 @@ def parse_unsolicited(line: bytes, where: str = "") -> Unsolicited | None:
 def parse_flags(data: str, where: str = "") -> tuple[str, ...]:
     """Parse the data of a reply to ``warnings``: a count, then that many flags.
 
-    Parameters
-    ----------
-    data
-        Data of the reply.
-    where
-        Name of the line, for the message.
-
-    Returns
-    -------
-    tuple of str
-        The flags.
-
-    Raises
-    ------
-    ReplyGarbled
-        The data have another form.
-
     Examples
     --------
     >>> parse_flags("02 WR NI")
@@ -295,33 +206,12 @@ def parse_flags(data: str, where: str = "") -> tuple[str, ...]:
 
 
 def is_fault(flag: str) -> bool:
-    """Return whether an axis with this flag must not be moved, and its last move has failed.
-
-    Parameters
-    ----------
-    flag
-        Two letters.
-
-    Returns
-    -------
-    bool
-        True for faults, an unexpected limit and a displacement at rest.
-    """
+    """Return whether an axis with this flag must not be moved, and its last move has failed."""
     return flag.startswith("F") or flag in _STOPPING_WARNINGS
 
 
 def is_informational(flag: str) -> bool:
     """Return whether a flag reports a past event: a note, except manual control.
-
-    Parameters
-    ----------
-    flag
-        Two letters.
-
-    Returns
-    -------
-    bool
-        False for a flag that reports a present state.
 
     Examples
     --------
@@ -333,16 +223,6 @@ def is_informational(flag: str) -> bool:
 
 def describe_flag(flag: str) -> str:
     """Return the meaning of a flag.
-
-    Parameters
-    ----------
-    flag
-        Two letters.
-
-    Returns
-    -------
-    str
-        The meaning, with the flag in parentheses.
 
     Examples
     --------

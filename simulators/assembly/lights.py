@@ -27,19 +27,7 @@ def make_light(
 ) -> LightDriver:
     """Build the driver of a light.
 
-    Parameters
-    ----------
-    config
-        Kind and identity.
-    clock
-        Returns the time in seconds.
-    drive
-        Called with the new state of the light whenever it changes.
-
-    Returns
-    -------
-    LightDriver
-        The driver.
+    clock: Returns the time in seconds.
     """
     if config.kind == "gardasoft":
         return GardasoftRt(clock, drive)

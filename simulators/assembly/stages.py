@@ -45,17 +45,7 @@ Publish = Callable[[AxisName, LoadTrajectory], None]
 
 @dataclass(frozen=True)
 class Stage:
-    """A stage, ready to be connected to its ports.
-
-    Attributes
-    ----------
-    dialects
-        Devices, by name of the port on which they answer.
-    controllers
-        Controllers, by name of the axis.
-    ports
-        Name of the port on which the controller of each axis answers.
-    """
+    """A stage, ready to be connected to its ports."""
 
     dialects: Mapping[str, Dialect]
     controllers: Mapping[str, AxisController]
@@ -65,21 +55,9 @@ class Stage:
 def make_stage(kind: str, axes: Axes, clock: Clock, publish: Publish) -> Stage:
     """Build a stage.
 
-    Parameters
-    ----------
-    kind
-        A key of `simulators.config.STAGE_KINDS`; the configuration has checked it.
-    axes
-        Its axes, in the order of their addresses.
-    clock
-        Returns the time in seconds.
-    publish
-        Called with the name of an axis and each new trajectory of it.
-
-    Returns
-    -------
-    Stage
-        The stage.
+    kind: A key of `simulators.config.STAGE_KINDS`; the configuration has checked it.
+    axes: Its axes, in the order of their addresses.
+    clock: Returns the time in seconds.
     """
     return _MAKERS[kind](axes, clock, publish)
 

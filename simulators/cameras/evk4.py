@@ -46,16 +46,8 @@ class _HostGone(Exception):
 class SimulatedEvk4:
     """The simulated camera; it accepts one host at a time.
 
-    Parameters
-    ----------
-    world
-        World that the camera sees.
-    serial
-        Serial number that the camera reports.
-    host, port
-        Address to listen on; port 0 takes a free port.
-    paced
-        Whether the stream arrives at the sensor's own rate; False sends it as fast as it is computed.
+    host, port: Address to listen on; port 0 takes a free port.
+    paced: Whether the stream arrives at the sensor's own rate; False sends it as fast as it is computed.
     """
 
     def __init__(
@@ -108,13 +100,7 @@ class SimulatedEvk4:
         self.time_base.power_up()
 
     def report_fault(self, message: str) -> None:
-        """Send a fault notification to the connected host; without a host, do nothing.
-
-        Parameters
-        ----------
-        message
-            Text of the notification.
-        """
+        """Send a fault notification to the connected host; without a host, do nothing."""
         connection = self._connection
         if connection is not None:
             connection.notify(message)

@@ -14,12 +14,7 @@ from typing import Any
 class Refusal(Exception):
     """A refused command.
 
-    Parameters
-    ----------
-    code
-        Error code of the protocol, e.g. ``bad_value``.
-    message
-        Sentence for the host.
+    code: Error code of the protocol, e.g. ``bad_value``.
     """
 
     def __init__(self, code: str, message: str) -> None:
@@ -30,20 +25,7 @@ class Refusal(Exception):
 def parse_request(payload: bytes) -> dict[str, Any]:
     """Parse the payload of a request.
 
-    Parameters
-    ----------
-    payload
-        JSON as the host sent it.
-
-    Returns
-    -------
-    dict
-        The JSON object.
-
-    Raises
-    ------
-    Refusal
-        ``bad_request``: the payload is not JSON, or not a JSON object.
+    Raises Refusal: ``bad_request``: the payload is not JSON, or not a JSON object.
     """
     try:
         request = json.loads(payload)
@@ -57,24 +39,8 @@ def parse_request(payload: bytes) -> dict[str, Any]:
 def read_name(what: str, name: object, known: Mapping[str, Any]) -> str:
     """Check that a request names something that exists.
 
-    Parameters
-    ----------
-    what
-        Kind of the name: ``command``, ``bias`` or ``filter``.
-    name
-        Name from the request.
-    known
-        Mapping whose keys are the valid names.
-
-    Returns
-    -------
-    str
-        The name.
-
-    Raises
-    ------
-    Refusal
-        ``unknown_command``, ``unknown_bias`` or ``unknown_filter``.
+    what: Kind of the name: ``command``, ``bias`` or ``filter``.
+    Raises Refusal: ``unknown_command``, ``unknown_bias`` or ``unknown_filter``.
     """
     if not isinstance(name, str) or name not in known:
         raise Refusal(f"unknown_{what}", f"There is no {what} {name!r}; there are {', '.join(known)}.")
@@ -84,20 +50,7 @@ def read_name(what: str, name: object, known: Mapping[str, Any]) -> str:
 def read_enabled(request: Mapping[str, Any]) -> bool:
     """Read ``enabled`` from a request.
 
-    Parameters
-    ----------
-    request
-        The parsed request.
-
-    Returns
-    -------
-    bool
-        The requested state.
-
-    Raises
-    ------
-    Refusal
-        ``bad_value``: ``enabled`` is missing or not a boolean.
+    Raises Refusal: ``bad_value``: ``enabled`` is missing or not a boolean.
     """
     enabled = request.get("enabled")
     if not isinstance(enabled, bool):
@@ -108,20 +61,8 @@ def read_enabled(request: Mapping[str, Any]) -> bool:
 def read_frames(request: Mapping[str, Any]) -> int | None:
     """Read from a stop request how many frames the host has kept.
 
-    Parameters
-    ----------
-    request
-        The parsed request.
-
-    Returns
-    -------
-    int or None
-        Number of frames; None if the request does not say.
-
-    Raises
-    ------
-    Refusal
-        ``bad_value``: ``frames`` is not a whole number from 0 on.
+    Returns: Number of frames; None if the request does not say.
+    Raises Refusal: ``bad_value``: ``frames`` is not a whole number from 0 on.
     """
     frames = request.get("frames")
     if frames is not None and (isinstance(frames, bool) or not isinstance(frames, int) or frames < 0):

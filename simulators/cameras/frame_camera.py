@@ -43,11 +43,6 @@ class PictureMaker:
 
     The noise model is the linear camera model of the EMVA Standard 1288: shot noise of photons and dark current,
     and read noise. Shot noise is drawn as Gaussian. Each pixel has its own sensitivity.
-
-    Parameters
-    ----------
-    world
-        World that the camera sees.
     """
 
     def __init__(self, world: World) -> None:
@@ -63,11 +58,8 @@ class PictureMaker:
     def connection_seed(self) -> np.random.SeedSequence:
         """Return the seed for a connection that begins now.
 
-        Returns
-        -------
-        numpy.random.SeedSequence
-            Function of the bench's seed, the resting pose, the light, and the number of earlier connections with
-            the same pose and light.
+        Returns: Function of the bench's seed, the resting pose, the light, and the number of earlier
+          connections with the same pose and light.
         """
         now_s = self._world.now_s()
         key = json.dumps(
@@ -86,15 +78,8 @@ class PictureMaker:
     def expose(self, rng: np.random.Generator) -> NDArray[np.uint8]:
         """Expose one picture, beginning now.
 
-        Parameters
-        ----------
-        rng
-            Source of the picture's noise.
-
-        Returns
-        -------
-        ndarray
-            ``(height, width) uint8``, grey values.
+        rng: Source of the picture's noise.
+        Returns: ``(height, width) uint8``, grey values.
         """
         begin_s = self._world.now_s()
         light = self._world.light(begin_s)
@@ -118,19 +103,8 @@ class PictureMaker:
 def mean_brightness(light: LightState, begin_s: float, exposure_s: float) -> float:
     """Return the mean brightness of the light over an exposure.
 
-    Parameters
-    ----------
-    light
-        State of the light.
-    begin_s
-        Start of the exposure, s.
-    exposure_s
-        Duration of the exposure, s.
-
-    Returns
-    -------
-    float
-        Mean brightness, as a share of the nominal brightness.
+    begin_s: Start of the exposure, s.
+    exposure_s: Duration of the exposure, s.
     """
     if not light.output:
         return 0.0
@@ -155,12 +129,7 @@ FRAME_CAMERA_FAULTS: Final = {
 class SimulatedFrameCamera:
     """The simulated frame camera; it serves one host after another.
 
-    Parameters
-    ----------
-    world
-        World that the camera sees.
-    host, port
-        Address to listen on; port 0 takes a free port.
+    host, port: Address to listen on; port 0 takes a free port.
     """
 
     def __init__(self, world: World, *, host: str = "127.0.0.1", port: int = 0) -> None:
@@ -191,10 +160,7 @@ class SimulatedFrameCamera:
     def inject_fault(self, fault: str) -> None:
         """Set the fault that lasts from now on; it replaces an earlier one.
 
-        Parameters
-        ----------
-        fault
-            One of `FRAME_CAMERA_FAULTS`; ``mend`` clears the fault.
+        fault: One of `FRAME_CAMERA_FAULTS`; ``mend`` clears the fault.
         """
         self._fault = "" if fault == "mend" else fault
 

@@ -19,10 +19,7 @@ INTERVAL_S: Final = 0.5
 class KeepAlive:
     """Watches computations of any number of threads.
 
-    Parameters
-    ----------
-    notify
-        Called by a separate thread every ``INTERVAL_S`` while one computation lasts.
+    notify: Called by a separate thread every ``INTERVAL_S`` while one computation lasts.
     """
 
     def __init__(self, notify: Callable[[], None]) -> None:
@@ -44,13 +41,7 @@ class KeepAlive:
 
     @contextmanager
     def computing(self) -> Iterator[None]:
-        """Mark the ``with`` block as one computation of this thread.
-
-        Yields
-        ------
-        None
-            Nothing; the computation ends with the block.
-        """
+        """Mark the ``with`` block as one computation of this thread."""
         thread = threading.get_ident()
         with self._lock:
             self._started_s[thread] = time.monotonic()

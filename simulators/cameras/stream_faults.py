@@ -34,20 +34,11 @@ _JUMP: Final = 10
 
 @dataclass(frozen=True)
 class StreamFault:
-    """A fault of frames to come; a frame covers 2 ms.
+    """A fault of frames to come; a frame covers 2 ms."""
 
-    Attributes
-    ----------
-    kind
-        One of `STREAM_FAULTS`.
-    skip
-        Number of frames that pass unchanged first.
-    count
-        Number of frames to spoil; ``clock_back`` and ``silence`` last until cleared, whatever the count.
-    """
-
-    kind: str
-    skip: int = 0
+    kind: str  # One of `STREAM_FAULTS`
+    skip: int = 0  # Number of frames that pass unchanged first
+    # Number of frames to spoil; ``clock_back`` and ``silence`` last until cleared, whatever the count.
     count: int = 1
 
 
@@ -63,15 +54,7 @@ class StreamFaults:
     def inject(self, fault: StreamFault) -> None:
         """Add a fault for frames to come.
 
-        Parameters
-        ----------
-        fault
-            The fault.
-
-        Raises
-        ------
-        SimulatorError
-            If the kind of the fault is unknown.
+        Raises SimulatorError: If the kind of the fault is unknown.
         """
         if fault.kind not in STREAM_FAULTS:
             raise SimulatorError(
@@ -89,15 +72,8 @@ class StreamFaults:
     def apply(self, frame: bytes) -> bytes:
         """Apply the faults that are due to the next frame.
 
-        Parameters
-        ----------
-        frame
-            EVT3 words, 16 bit, little endian.
-
-        Returns
-        -------
-        bytes
-            What the host receives; empty if nothing arrives.
+        frame: EVT3 words, 16 bit, little endian.
+        Returns: What the host receives; empty if nothing arrives.
         """
         with self._lock:
             due = self._due()

@@ -35,10 +35,7 @@ class TimeBase:
     def start(self, at_us: int) -> None:
         """Begin a stream.
 
-        Parameters
-        ----------
-        at_us
-            Sensor time at which the stream begins, us.
+        at_us: Sensor time at which the stream begins, us.
         """
         self.now_us = at_us
         self._sent_us = [at_us]
@@ -46,12 +43,8 @@ class TimeBase:
     def advance(self, until_us: int, *, sent: bool) -> None:
         """Advance the clock to the end of a frame.
 
-        Parameters
-        ----------
-        until_us
-            Sensor time at the end of the frame, us.
-        sent
-            Whether the frame was sent to the host.
+        until_us: Sensor time at the end of the frame, us.
+        sent: Whether the frame was sent to the host.
         """
         self.now_us = until_us
         if sent:
@@ -60,15 +53,7 @@ class TimeBase:
     def stop(self, frames: int) -> bool:
         """Set the clock to the end of the last frame that the host kept.
 
-        Parameters
-        ----------
-        frames
-            Number of frames that the host kept.
-
-        Returns
-        -------
-        bool
-            False if fewer frames were sent; the clock then stays as it is.
+        Returns: False if fewer frames were sent; the clock then stays as it is.
         """
         if frames >= len(self._sent_us):
             return False

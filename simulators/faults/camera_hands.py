@@ -27,12 +27,7 @@ HAND_DEVICES: Final = ("mount", "lens", "board")
 class CameraHands:
     """Hands of a person at the camera and the board.
 
-    Parameters
-    ----------
-    world
-        World in which the camera stands.
-    changed
-        Called after each change.
+    changed: Called after each change.
     """
 
     def __init__(self, world: World, changed: Callable[[], None]) -> None:
@@ -42,20 +37,8 @@ class CameraHands:
     def action(self, order: FaultOrder) -> Callable[[], None]:
         """Return the call that carries out an order.
 
-        Parameters
-        ----------
-        order
-            Order for one of `HAND_DEVICES`.
-
-        Returns
-        -------
-        Callable
-            Changes the setup at once.
-
-        Raises
-        ------
-        ConfigError
-            If a parameter is invalid, or there is no board.
+        order: Order for one of `HAND_DEVICES`.
+        Raises ConfigError: If a parameter is invalid, or there is no board.
         """
         start = self._world.truth
         if order.device == "board":
@@ -72,11 +55,8 @@ class CameraHands:
     def seen(self) -> dict[str, Any]:
         """Return what can be read from lens and mount now.
 
-        Returns
-        -------
-        dict
-            ``focus_distance_m`` (a number, or "infinity"), ``ring_deg``, ``f_number``, ``turn_deg`` and ``shift_mm``;
-            with a board also ``placement``, its number.
+        Returns: ``focus_distance_m`` (a number, or "infinity"), ``ring_deg``, ``f_number``, ``turn_deg`` and
+          ``shift_mm``; with a board also ``placement``, its number.
         """
         setup = self._world.camera_setup(self._world.now_s())
         truth = with_setup(self._world.truth, setup)

@@ -24,18 +24,10 @@ Parameter = float | int | str
 
 @dataclass(frozen=True)
 class Fault:
-    """An entry of the catalogue.
-
-    Attributes
-    ----------
-    what
-        What happens.
-    parameters
-        Parameters of the fault, with their default values.
-    """
+    """An entry of the catalogue."""
 
     what: str
-    parameters: Mapping[str, Parameter]
+    parameters: Mapping[str, Parameter]  # Parameters of the fault, with their default values
 
 
 def _motion(what: str, **parameters: Parameter) -> Fault:
@@ -163,41 +155,19 @@ BOARD_FAULTS: Final[Mapping[str, Fault]] = {
 
 @dataclass(frozen=True)
 class FaultOrder:
-    """An order for one fault, checked against the catalogue.
-
-    Attributes
-    ----------
-    device, fault
-        Device, and name of its fault.
-    parameters
-        All parameters of the fault.
-    after_s
-        Delay before the fault happens, s.
-    """
+    """An order for one fault, checked against the catalogue."""
 
     device: str
     fault: str
     parameters: Mapping[str, Parameter]
-    after_s: float = 0.0
+    after_s: float = 0.0  # Delay before the fault happens, s
 
 
 def faults_of(device: str) -> Mapping[str, Fault]:
     """Return the faults of a device.
 
-    Parameters
-    ----------
-    device
-        Name of the device, e.g. ``pan`` or ``light``.
-
-    Returns
-    -------
-    Mapping
-        Entries of the catalogue, by name of the fault.
-
-    Raises
-    ------
-    ConfigError
-        If there is no such device.
+    device: Name of the device, e.g. ``pan`` or ``light``.
+    Raises ConfigError: If there is no such device.
     """
     by_device: dict[str, Mapping[str, Fault]] = {
         **dict.fromkeys(("pan", "tilt", "roll"), AXIS_FAULTS),
@@ -219,20 +189,8 @@ def faults_of(device: str) -> Mapping[str, Fault]:
 def fault_order_from_text(text: str) -> FaultOrder:
     """Read an order from text.
 
-    Parameters
-    ----------
-    text
-        Device, fault and parameters, separated by blanks.
-
-    Returns
-    -------
-    FaultOrder
-        The checked order.
-
-    Raises
-    ------
-    ConfigError
-        If the text is not an order, or names something unknown.
+    Returns: The checked order.
+    Raises ConfigError: If the text is not an order, or names something unknown.
 
     Examples
     --------
@@ -258,20 +216,9 @@ def fault_order_from_text(text: str) -> FaultOrder:
 def fault_order(given: Mapping[str, Any]) -> FaultOrder:
     """Check an order.
 
-    Parameters
-    ----------
-    given
-        The order as a mapping; values may be text.
-
-    Returns
-    -------
-    FaultOrder
-        The checked order.
-
-    Raises
-    ------
-    ConfigError
-        If a key is missing or unknown, or a value is invalid; ``where`` names the key.
+    given: The order as a mapping; values may be text.
+    Returns: The checked order.
+    Raises ConfigError: If a key is missing or unknown, or a value is invalid; ``where`` names the key.
     """
     for key in ("device", "fault"):
         if not isinstance(given.get(key), str):

@@ -34,34 +34,21 @@ class AxisController(Protocol):
     def restart(self, t_s: float) -> None:
         """Power-cycle the controller.
 
-        Parameters
-        ----------
-        t_s
-            Time of the restart, s.
+        t_s: Time of the restart, s.
         """
         ...
 
     def emergency_stop(self, t_s: float, *, released: bool = False) -> None:
         """Press or release the emergency stop.
 
-        Parameters
-        ----------
-        t_s
-            Time, s.
-        released
-            True releases the button.
+        t_s: Time, s.
         """
         ...
 
     def exchange(self, serial: str, t_s: float) -> None:
         """Replace the controller by another one, fresh from power-up.
 
-        Parameters
-        ----------
-        serial
-            Serial number of the new controller.
-        t_s
-            Time, s.
+        t_s: Time, s.
         """
         ...
 
@@ -72,10 +59,7 @@ class Light(Protocol):
     def clip(self, most_v: float | None) -> None:
         """Limit levels that are set from now on.
 
-        Parameters
-        ----------
-        most_v
-            Largest level, V; None restores the normal limit.
+        most_v: Largest level, V; None restores the normal limit.
         """
         ...
 
@@ -84,13 +68,7 @@ class Light(Protocol):
         ...
 
     def exchange(self, serial: str) -> None:
-        """Replace the driver by another one, fresh from power-up.
-
-        Parameters
-        ----------
-        serial
-            Serial number of the new driver.
-        """
+        """Replace the driver by another one, fresh from power-up."""
         ...
 
 
@@ -107,13 +85,7 @@ class Camera(Protocol):
         ...
 
     def report_fault(self, message: str) -> None:
-        """Report a fault to the host.
-
-        Parameters
-        ----------
-        message
-            Text of the report.
-        """
+        """Report a fault to the host."""
         ...
 
 
@@ -121,71 +93,32 @@ class FrameCamera(Protocol):
     """Interface of the frame camera for fault injection."""
 
     def inject_fault(self, fault: str) -> None:
-        """Set the fault that lasts from now on.
-
-        Parameters
-        ----------
-        fault
-            Name of the fault.
-        """
+        """Set the fault that lasts from now on."""
         ...
 
 
 @dataclass(frozen=True)
 class BenchParts:
-    """The parts of a bench that can have faults.
-
-    Attributes
-    ----------
-    axes
-        Controllers, by name of the axis.
-    ports
-        Devices on serial lines, by name of the port.
-    lines
-        Lines to these devices, by the same names.
-    axis_ports
-        Name of the port on which each axis answers.
-    light, lamp, camera
-        The light's driver, the lamp behind it, and the event camera.
-    clock
-        Returns the time in seconds.
-    frame_camera
-        The frame camera; None if the bench has none.
-    hands
-        Hands at the camera's mount and lens; None if they cannot be changed.
-    """
+    """The parts of a bench that can have faults."""
 
     axes: Mapping[str, AxisController]
     ports: Mapping[str, SerialDevice]
     lines: Mapping[str, FaultLine]
     axis_ports: Mapping[str, str]
+    # light, lamp, camera: The light's driver, the lamp behind it, and the event camera.
     light: Light
     lamp: Lamp
     camera: Camera
-    clock: Callable[[], float]
-    frame_camera: FrameCamera | None = None
-    hands: CameraHands | None = None
+    clock: Callable[[], float]  # Returns the time in seconds
+    frame_camera: FrameCamera | None = None  # The frame camera; None if the bench has none
+    hands: CameraHands | None = None  # Hands at the camera's mount and lens; None if they cannot be changed
 
 
 def fault_action(order: FaultOrder, parts: BenchParts) -> Callable[[], None]:
     """Return the call that injects a fault.
 
-    Parameters
-    ----------
-    order
-        The order; its delay is not applied here.
-    parts
-        Parts of the bench.
-
-    Returns
-    -------
-    Callable
-        Injects the fault at once.
-
-    Raises
-    ------
-    ConfigError
-        If this bench has no such device, or a parameter is invalid.
+    order: The order; its delay is not applied here.
+    Raises ConfigError: If this bench has no such device, or a parameter is invalid.
     """
     if order.device in parts.ports:
         return _on_port(order, parts)
@@ -252,24 +185,8 @@ def _on_port(order: FaultOrder, parts: BenchParts) -> Callable[[], None]:
 def line_fault_action(order: FaultOrder, port: SerialDevice, line: FaultLine) -> Callable[[], None]:
     """Return the call that injects a fault of a line.
 
-    Parameters
-    ----------
-    order
-        The order.
-    port
-        Device on the line.
-    line
-        Line to the device.
-
-    Returns
-    -------
-    Callable
-        Injects the fault at once.
-
-    Raises
-    ------
-    ConfigError
-        If a parameter is invalid.
+    order: The order.
+    Raises ConfigError: If a parameter is invalid.
     """
     if order.fault in {"unplug", "replug"}:
         return port.unplug if order.fault == "unplug" else port.replug

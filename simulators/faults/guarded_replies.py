@@ -22,16 +22,6 @@ _XIMC_ANSWER: Final = re.compile(rb"([a-z0-9]{4})(.+)..", re.DOTALL)
 def wrong_checksum(reply: bytes) -> bytes:
     r"""Replace the checksum by a wrong one.
 
-    Parameters
-    ----------
-    reply
-        Bytes from the device.
-
-    Returns
-    -------
-    bytes
-        Reply with the fault.
-
     Examples
     --------
     >>> wrong_checksum(b"@01 0 00 OK IDLE WR 0:BE\r\n")
@@ -49,16 +39,6 @@ def wrong_checksum(reply: bytes) -> bytes:
 def missing_checksum(reply: bytes) -> bytes:
     r"""Remove the checksum.
 
-    Parameters
-    ----------
-    reply
-        Bytes from the device.
-
-    Returns
-    -------
-    bytes
-        Reply with the fault.
-
     Examples
     --------
     >>> missing_checksum(b"@01 0 00 OK IDLE WR 0:BE\r\n")
@@ -71,16 +51,6 @@ def missing_checksum(reply: bytes) -> bytes:
 
 def wrong_id(reply: bytes) -> bytes:
     r"""Replace the message id, or the id of the servo, by the next one, with a correct checksum; XIMC has no ids.
-
-    Parameters
-    ----------
-    reply
-        Bytes from the device.
-
-    Returns
-    -------
-    bytes
-        Reply with the fault.
 
     Examples
     --------

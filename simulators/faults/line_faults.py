@@ -21,30 +21,17 @@ from simulators.ports.serial_device import Dialect
 
 @dataclass(frozen=True)
 class LineFault:
-    """A fault of messages to come.
+    """A fault of messages to come."""
 
-    Attributes
-    ----------
-    kind
-        One of `REPLY_FAULTS` or `REQUEST_FAULTS`; ``stale``: the previous reply arrives in place of this one; or
-        ``any``: one of the reply faults without text, drawn for each message.
-    count
-        Number of messages to spoil; None for all from then on.
-    skip
-        Number of messages that pass unchanged first.
-    chance
-        Probability with which a message is affected; messages that are not affected do not count.
-    delay_s
-        Delay of a late reply, s.
-    pattern, replacement
-        Regular expression that ``replaced`` searches in a message, and its replacement.
-    """
-
+    # One of `REPLY_FAULTS` or `REQUEST_FAULTS`; ``stale``: the previous reply arrives in place of this one;
+    # or ``any``: one of the reply faults without text, drawn for each message.
     kind: str
-    count: int | None = 1
-    skip: int = 0
+    count: int | None = 1  # Number of messages to spoil; None for all from then on
+    skip: int = 0  # Number of messages that pass unchanged first
+    # Probability with which a message is affected; messages that are not affected do not count.
     chance: float = 1.0
-    delay_s: float = 0.5
+    delay_s: float = 0.5  # Delay of a late reply, s
+    # pattern, replacement: Regular expression that ``replaced`` searches in a message, and its replacement.
     pattern: bytes = b""
     replacement: bytes = b""
 
@@ -107,14 +94,7 @@ _DRAWN: Final = ("lost", "late", "truncated", "garbled", "nul", "doubled", "spli
 class FaultLine:
     """A line with injected faults, in front of a device.
 
-    Parameters
-    ----------
-    device
-        Device at the far end.
-    clock
-        Returns the time in seconds.
-    rng
-        Source of random faults.
+    clock: Returns the time in seconds.
     """
 
     def __init__(self, device: Dialect, clock: Callable[[], float], rng: np.random.Generator) -> None:
@@ -140,15 +120,7 @@ class FaultLine:
     def inject(self, fault: LineFault) -> None:
         """Add a fault for messages to come.
 
-        Parameters
-        ----------
-        fault
-            The fault.
-
-        Raises
-        ------
-        SimulatorError
-            If the kind of the fault is unknown.
+        Raises SimulatorError: If the kind of the fault is unknown.
         """
         known = [*REPLY_FAULTS, *REQUEST_FAULTS, "stale", "any"]
         if fault.kind not in known:
@@ -158,34 +130,17 @@ class FaultLine:
         self._faults.append(fault)
 
     def say(self, text: bytes) -> None:
-        """Send the host an unsolicited text.
-
-        Parameters
-        ----------
-        text
-            Bytes to send.
-        """
+        """Send the host an unsolicited text."""
         self._delayed.append((self._clock(), text))
 
     def listen_at(self, baud: int) -> None:
-        """Let the device listen at another baud rate.
-
-        Parameters
-        ----------
-        baud
-            The baud rate.
-        """
+        """Let the device listen at another baud rate."""
         self._other_baud = baud
 
     def schedule(self, t_s: float, act: Callable[[], None]) -> None:
         """Schedule an action; it runs between two exchanges.
 
-        Parameters
-        ----------
-        t_s
-            Time from which the action is due, s.
-        act
-            The action.
+        t_s: Time from which the action is due, s.
         """
         self._scheduled.append((t_s, act))
 
@@ -264,17 +219,7 @@ class FaultLine:
 class SerialBridge:
     """A real device behind a port, as the far end of a line.
 
-    Parameters
-    ----------
-    port
-        Port of the device, as pyserial names it.
-    baud
-        Baud rate of the device.
-
-    Raises
-    ------
-    SimulatorError
-        If the port cannot be opened.
+    Raises SimulatorError: If the port cannot be opened.
     """
 
     def __init__(self, port: str, baud: int) -> None:

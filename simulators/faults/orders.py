@@ -16,13 +16,7 @@ from simulators.errors import SimulatorError
 
 
 def print_answer(content: Mapping[str, Any]) -> None:
-    """Write one line of JSON to standard output, and flush it.
-
-    Parameters
-    ----------
-    content
-        Content of the line.
-    """
+    """Write one line of JSON to standard output, and flush it."""
     sys.stdout.write(json.dumps(content) + "\n")
     sys.stdout.flush()
 
@@ -40,13 +34,8 @@ def allow_background() -> None:
 def take_orders(carry_out: Callable[[str], Mapping[str, Any]], ended: Callable[[], None]) -> None:
     """Read orders until standard input ends.
 
-    Parameters
-    ----------
-    carry_out
-        Carries out one order and returns what was done. If it raises SimulatorError or ValueError, the answer is
-        the error's text.
-    ended
-        Called at the end of standard input.
+    carry_out: Carries out one order and returns what was done. If it raises SimulatorError or ValueError, the
+      answer is the error's text.
     """
     waiting = b""
     while heard := _read():

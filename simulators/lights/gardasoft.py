@@ -50,20 +50,11 @@ class _RtError(Exception):
 
 @dataclass(frozen=True)
 class Output:
-    """Settings of one output.
+    """Settings of one output."""
 
-    Attributes
-    ----------
-    mode
-        ``CONTINUOUS``, ``SWITCHED`` or ``PULSE``.
-    percent
-        Brightness, percent of the lamp's rating.
-    width_ms, delay_ms
-        Width of a pulse, and its delay after the trigger, ms.
-    """
-
-    mode: int = CONTINUOUS
-    percent: float = 0.0
+    mode: int = CONTINUOUS  # ``CONTINUOUS``, ``SWITCHED`` or ``PULSE``
+    percent: float = 0.0  # Brightness, percent of the lamp's rating
+    # width_ms, delay_ms: Width of a pulse, and its delay after the trigger, ms.
     width_ms: float = 1.0
     delay_ms: float = 0.005
 
@@ -71,19 +62,9 @@ class Output:
 class GardasoftRt:
     """The controller, as a dialect of a serial line.
 
-    Parameters
-    ----------
-    clock
-        Returns the time in seconds.
-    drive
-        Called with the new state of the light on output 1 whenever it changes.
-    version
-        Answer to ``VR``.
-
-    Attributes
-    ----------
-    outputs
-        Settings of the outputs, by channel number.
+    clock: Returns the time in seconds.
+    drive: Called with the new state of the light on output 1 whenever it changes.
+    version: Answer to ``VR``.
     """
 
     def __init__(
@@ -143,10 +124,7 @@ class GardasoftRt:
     def clip(self, most_v: float | None) -> None:
         """Limit brightness values that are set from now on.
 
-        Parameters
-        ----------
-        most_v
-            Limit as a drive voltage, V, where `FULL_DRIVE_V` is 100 %; None restores the normal limit.
+        most_v: Limit as a drive voltage, V, where `FULL_DRIVE_V` is 100 %; None restores the normal limit.
         """
         self._max_percent = _MAX_PERCENT if most_v is None else 100.0 * most_v / FULL_DRIVE_V
 
@@ -154,11 +132,6 @@ class GardasoftRt:
         """Let a protection switch the light off.
 
         The controller sends the event if events are enabled; in any case it keeps the event for ``GR``.
-
-        Parameters
-        ----------
-        event
-            Number of the event.
         """
         self._tripped = True
         self._event = f"Evt1,{event};"
@@ -169,10 +142,7 @@ class GardasoftRt:
     def exchange(self, serial: str) -> None:
         """Replace the controller by another one, fresh from power-up.
 
-        Parameters
-        ----------
-        serial
-            Ignored: this controller does not report a serial number.
+        serial: Ignored: this controller does not report a serial number.
         """
         del serial
         self.outputs = {channel: Output() for channel in range(1, _CHANNELS + 1)}

@@ -38,35 +38,19 @@ _MIN_AMPLITUDE_V: Final = 0.002
 
 @dataclass(frozen=True)
 class Settings:
-    """All settings; the defaults are those after a reset.
-
-    Attributes
-    ----------
-    shape
-        Waveform.
-    frequency_hz
-        Frequency, Hz.
-    duty_percent
-        Duty cycle of the square wave, percent.
-    low_v, high_v
-        Levels at the load that is set, V.
-    load_ohm
-        Load for which voltages are shown, ohm; infinite for an open circuit.
-    output, sync
-        Whether the output and the sync output are on.
-    sync_inverted
-        Whether the sync output falls where it otherwise rises.
-    """
+    """All settings; the defaults are those after a reset."""
 
     shape: Shape = "sine"
-    frequency_hz: float = 1000.0
+    frequency_hz: float = 1000.0  # Frequency, Hz
     duty_percent: float = 50.0
+    # low_v, high_v: Levels at the load that is set, V.
     low_v: float = -0.05
     high_v: float = 0.05
     load_ohm: float = SOURCE_OHM
+    # output, sync: Whether the output and the sync output are on.
     output: bool = False
     sync: bool = True
-    sync_inverted: bool = False
+    sync_inverted: bool = False  # Whether the sync output falls where it otherwise rises
 
     @property
     def amplitude_v(self) -> float:
@@ -82,19 +66,8 @@ class Settings:
 class Generator:
     """A function generator with one output.
 
-    Parameters
-    ----------
-    clock
-        Returns the time in seconds.
-    drive
-        Called with the new state of the light whenever it changes.
-
-    Attributes
-    ----------
-    most_v
-        Largest level into an open circuit, V, for values that are set from now on.
-    settings
-        The present settings.
+    clock: Returns the time in seconds.
+    most_v: Largest level into an open circuit, V, for values that are set from now on.
     """
 
     def __init__(self, clock: Callable[[], float], drive: Callable[[LightState], None]) -> None:
@@ -111,22 +84,13 @@ class Generator:
         self._apply(Settings())
 
     def set_shape(self, shape: Shape) -> None:
-        """Set the waveform.
-
-        Parameters
-        ----------
-        shape
-            The waveform.
-        """
+        """Set the waveform."""
         self._apply(replace(self.settings, shape=shape))
 
     def switch(self, *, output: bool | None = None, sync: bool | None = None) -> None:
         """Switch the output or the sync output.
 
-        Parameters
-        ----------
-        output, sync
-            New states; None leaves a state as it is.
+        output, sync: New states; None leaves a state as it is.
         """
         now = self.settings
         self._apply(
@@ -138,21 +102,12 @@ class Generator:
     def invert_sync(self, inverted: bool) -> None:
         """Set the polarity of the sync output.
 
-        Parameters
-        ----------
-        inverted
-            Whether it is inverted.
+        inverted: Whether it is inverted.
         """
         self._apply(replace(self.settings, sync_inverted=inverted))
 
     def set_load(self, ohm: float) -> None:
-        """Set the load for which voltages are shown; the output itself stays as it is.
-
-        Parameters
-        ----------
-        ohm
-            Load, ohm; infinite for an open circuit.
-        """
+        """Set the load for which voltages are shown; the output itself stays as it is."""
         scale = _voltage_share(ohm) / _voltage_share(self.settings.load_ohm)
         low_v, high_v = self.settings.low_v * scale, self.settings.high_v * scale
         self._apply(replace(self.settings, load_ohm=ohm, low_v=low_v, high_v=high_v))
@@ -160,17 +115,7 @@ class Generator:
     def set(self, name: Setting, value: float) -> ClipReason:
         """Set a value, clipped to its range.
 
-        Parameters
-        ----------
-        name
-            Name of the setting.
-        value
-            New value: Hz, percent or V.
-
-        Returns
-        -------
-        ClipReason
-            Why the value was clipped; empty if it was not.
+        Returns: Why the value was clipped; empty if it was not.
         """
         lowest, highest = self.bounds(name)
         held: ClipReason = "lower limit" if value < lowest else "upper limit" if value > highest else ""
@@ -186,18 +131,7 @@ class Generator:
         return held
 
     def bounds(self, name: Setting) -> tuple[float, float]:
-        """Return the range of a setting, which depends on the other settings.
-
-        Parameters
-        ----------
-        name
-            Name of the setting.
-
-        Returns
-        -------
-        tuple of float
-            Lowest and highest value: Hz, percent or V.
-        """
+        """Return the range of a setting, which depends on the other settings."""
         share = _voltage_share(self.settings.load_ohm)
         most, least = self.most_v * share, _MIN_AMPLITUDE_V * share
         half = self.settings.amplitude_v / 2.0
@@ -214,10 +148,7 @@ class Generator:
     def clip(self, most_v: float | None) -> None:
         """Limit levels that are set from now on.
 
-        Parameters
-        ----------
-        most_v
-            Largest level into an open circuit, V; None restores the normal limit.
+        most_v: Largest level into an open circuit, V; None restores the normal limit.
         """
         self.most_v = _MAX_V if most_v is None else most_v
 

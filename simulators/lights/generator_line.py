@@ -20,12 +20,7 @@ _MAX_MESSAGE: Final = 2048
 class GeneratorLine(ABC):
     """Base class of the generators: a dialect of a serial line.
 
-    Parameters
-    ----------
-    clock
-        Returns the time in seconds.
-    drive
-        Called with the new state of the light whenever it changes.
+    clock: Returns the time in seconds.
     """
 
     def __init__(self, clock: Callable[[], float], drive: Callable[[LightState], None]) -> None:
@@ -39,13 +34,7 @@ class GeneratorLine(ABC):
 
     @abstractmethod
     def exchange(self, serial: str) -> None:
-        """Replace the instrument by another one of this model, fresh from power-up.
-
-        Parameters
-        ----------
-        serial
-            Serial number of the new instrument.
-        """
+        """Replace the instrument by another one of this model, fresh from power-up."""
 
     @abstractmethod
     def _execute(self, message: str) -> list[str]:

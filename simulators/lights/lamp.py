@@ -66,13 +66,7 @@ _EFFECTS: Final[Mapping[str, Callable[[_Effect, float], _Effect]]] = {
 
 
 class Lamp:
-    """A lamp and its cables.
-
-    Parameters
-    ----------
-    show
-        Called with the light that results, whenever it changes.
-    """
+    """A lamp and its cables."""
 
     def __init__(self, show: Callable[[LightState], None]) -> None:
         self._show = show
@@ -82,10 +76,7 @@ class Lamp:
     def drive(self, state: LightState) -> None:
         """Set the light that the driver produces from now on.
 
-        Parameters
-        ----------
-        state
-            The driver's light.
+        state: The driver's light.
         """
         self._driven = state
         effect = self._effect
@@ -108,18 +99,10 @@ class Lamp:
     def inject_fault(self, kind: str, factor: float = 0.5) -> None:
         """Inject a fault that lasts until `clear_faults`.
 
-        Parameters
-        ----------
-        kind
-            One of `LAMP_FAULTS`.
-        factor
-            Factor of brightness, frequency or duty cycle; number of periods; or share of a period. Faults without
-            a factor ignore it.
-
-        Raises
-        ------
-        SimulatorError
-            If the kind is unknown or the factor is not positive.
+        kind: One of `LAMP_FAULTS`.
+        factor: Factor of brightness, frequency or duty cycle; number of periods; or share of a period. Faults
+          without a factor ignore it.
+        Raises SimulatorError: If the kind is unknown or the factor is not positive.
         """
         if kind not in LAMP_FAULTS:
             raise SimulatorError(

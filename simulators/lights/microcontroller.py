@@ -37,14 +37,8 @@ class _Refused(Exception):
 class MicrocontrollerLight:
     """The light, as a dialect of a serial line.
 
-    Parameters
-    ----------
-    serial
-        Answer to ``SERIAL?``.
-    clock
-        Returns the time in seconds.
-    drive
-        Called with the new state of the light whenever it changes.
+    serial: Answer to ``SERIAL?``.
+    clock: Returns the time in seconds.
     """
 
     def __init__(
@@ -92,10 +86,7 @@ class MicrocontrollerLight:
     def clip(self, most_v: float | None) -> None:
         """Limit levels that are set from now on.
 
-        Parameters
-        ----------
-        most_v
-            Limit as a drive voltage, V, where `FULL_DRIVE_V` is 100 %; None restores the normal limit.
+        most_v: Limit as a drive voltage, V, where `FULL_DRIVE_V` is 100 %; None restores the normal limit.
         """
         self._most_percent = 100.0 if most_v is None else 100.0 * most_v / FULL_DRIVE_V
 
@@ -106,13 +97,7 @@ class MicrocontrollerLight:
         self._publish()
 
     def exchange(self, serial: str) -> None:
-        """Replace the light by another one, fresh from power-up.
-
-        Parameters
-        ----------
-        serial
-            Serial number of the new light.
-        """
+        """Replace the light by another one, fresh from power-up."""
         self._serial = serial
         self._power_up()
 

@@ -37,12 +37,7 @@ _ERRORS = {
 class ScpiError(Exception):
     """An error of a command.
 
-    Parameters
-    ----------
-    code
-        Error number of SCPI-99, e.g. -113 for an undefined header.
-    detail
-        Text that the instrument appends to the standard text.
+    code: Error number of SCPI-99, e.g. -113 for an undefined header.
     """
 
     def __init__(self, code: int, detail: str = "") -> None:
@@ -55,11 +50,6 @@ class ErrorQueue:
     """Error queue of limited length, first in, first out.
 
     When the queue is full, its last entry becomes "Queue overflow" (SCPI-99, volume 2, chapter 21).
-
-    Parameters
-    ----------
-    length
-        Largest number of errors.
     """
 
     def __init__(self, length: int = 20) -> None:
@@ -67,13 +57,7 @@ class ErrorQueue:
         self._errors: list[ScpiError] = []
 
     def add(self, error: ScpiError) -> None:
-        """Append an error; when the queue is full, replace its last entry by -350.
-
-        Parameters
-        ----------
-        error
-            The error.
-        """
+        """Append an error; when the queue is full, replace its last entry by -350."""
         if len(self._errors) < self._length:
             self._errors.append(error)
         else:
@@ -82,10 +66,7 @@ class ErrorQueue:
     def next(self) -> str:
         """Remove the oldest error.
 
-        Returns
-        -------
-        str
-            Number and text, as an instrument prints them; ``+0,"No error"`` if the queue is empty.
+        Returns: Number and text, as an instrument prints them; ``+0,"No error"`` if the queue is empty.
         """
         error = self._errors.pop(0) if self._errors else ScpiError(0)
         return f'{error.code:+d},"{error.text}"'
@@ -96,35 +77,17 @@ class ErrorQueue:
 
 
 class Unit(NamedTuple):
-    """One command or query of a message.
+    """One command or query of a message."""
 
-    Attributes
-    ----------
-    header
-        Absolute header, in capitals, without a question mark.
-    query
-        Whether it is a query.
-    arguments
-        Its arguments.
-    """
-
-    header: str
-    query: bool
+    header: str  # Absolute header, in capitals, without a question mark
+    query: bool  # Whether it is a query
     arguments: list[str]
 
 
 def units(message: str) -> Iterator[Unit]:
     """Split a message at its semicolons; a header without a leading colon continues the path of the one before.
 
-    Parameters
-    ----------
-    message
-        Message without its line end.
-
-    Yields
-    ------
-    Unit
-        Each command or query in turn.
+    message: Message without its line end.
 
     Examples
     --------
@@ -147,16 +110,9 @@ def units(message: str) -> Iterator[Unit]:
 def header_pattern(specification: str) -> re.Pattern[str]:
     """Compile a header from the notation of instrument manuals.
 
-    Parameters
-    ----------
-    specification
-        Header: capitals are the short form, brackets enclose optional nodes, # stands for an optional channel
-        number 1.
-
-    Returns
-    -------
-    re.Pattern
-        Pattern that matches absolute headers in capitals.
+    specification: Header: capitals are the short form, brackets enclose optional nodes, # stands for an
+      optional channel number 1.
+    Returns: Pattern that matches absolute headers in capitals.
 
     Examples
     --------
@@ -180,13 +136,7 @@ class _Entry:
 
 
 class CommandTree:
-    """The commands of an instrument.
-
-    Parameters
-    ----------
-    errors
-        Queue for errors of commands.
-    """
+    """The commands of an instrument."""
 
     def __init__(self, errors: ErrorQueue) -> None:
         self.errors = errors
@@ -195,14 +145,9 @@ class CommandTree:
     def add(self, specification: str, setter: Setter | None, getter: Getter | None) -> None:
         """Register a header as a command, a query, or both.
 
-        Parameters
-        ----------
-        specification
-            Header, as `header_pattern` takes it.
-        setter
-            Executes the command; None if there is no command.
-        getter
-            Answers the query; None if there is no query.
+        specification: Header, as `header_pattern` takes it.
+        setter: Executes the command; None if there is no command.
+        getter: Answers the query; None if there is no query.
         """
         self._entries.append(_Entry(header_pattern(specification), setter, getter))
 
@@ -212,15 +157,8 @@ class CommandTree:
         Errors go to the queue. A command error (-1xx) ends the message; an
         execution error (-2xx) does not.
 
-        Parameters
-        ----------
-        message
-            Message without its line end.
-
-        Returns
-        -------
-        str or None
-            Answers of all queries, separated by semicolons; None if there are none.
+        message: Message without its line end.
+        Returns: Answers of all queries, separated by semicolons; None if there are none.
         """
         answers: list[str] = []
         for unit in units(message):
@@ -248,20 +186,8 @@ class CommandTree:
 def only_argument(arguments: Sequence[str]) -> str:
     """Return the only argument.
 
-    Parameters
-    ----------
-    arguments
-        Arguments of a command.
-
-    Returns
-    -------
-    str
-        The argument.
-
-    Raises
-    ------
-    ScpiError
-        -109 without an argument, -108 with several.
+    arguments: Arguments of a command.
+    Raises ScpiError: -109 without an argument, -108 with several.
     """
     if not arguments:
         raise ScpiError(-109)
@@ -273,15 +199,8 @@ def only_argument(arguments: Sequence[str]) -> str:
 def expect_no_arguments(arguments: Sequence[str]) -> None:
     """Check that a command has no arguments.
 
-    Parameters
-    ----------
-    arguments
-        Arguments of a command.
-
-    Raises
-    ------
-    ScpiError
-        -108 if there are any.
+    arguments: Arguments of a command.
+    Raises ScpiError: -108 if there are any.
     """
     if arguments:
         raise ScpiError(-108)
@@ -290,22 +209,7 @@ def expect_no_arguments(arguments: Sequence[str]) -> None:
 def number(word: str, unit_factors: dict[str, float]) -> float:
     """Read a number with an optional unit.
 
-    Parameters
-    ----------
-    word
-        The argument.
-    unit_factors
-        Factor of each unit, by its name in capitals.
-
-    Returns
-    -------
-    float
-        The number in base units.
-
-    Raises
-    ------
-    ScpiError
-        -104 for no number, -131 for an unknown unit.
+    Raises ScpiError: -104 for no number, -131 for an unknown unit.
 
     Examples
     --------
@@ -324,15 +228,7 @@ def number(word: str, unit_factors: dict[str, float]) -> float:
 def boolean(word: str) -> bool:
     """Read ON, OFF or a number; only 0 is off.
 
-    Parameters
-    ----------
-    word
-        The argument.
-
-    Returns
-    -------
-    bool
-        Whether it is on.
+    Returns: Whether it is on.
     """
     if word.upper() in {"ON", "OFF"}:
         return word.upper() == "ON"
@@ -342,22 +238,7 @@ def boolean(word: str) -> bool:
 def choice(word: str, choices: Sequence[str]) -> str:
     """Read one of several words, in short or long form.
 
-    Parameters
-    ----------
-    word
-        The argument.
-    choices
-        Words; their capitals are the short form.
-
-    Returns
-    -------
-    str
-        Short form of the word.
-
-    Raises
-    ------
-    ScpiError
-        -224 if the word is none of them.
+    Raises ScpiError: -224 if the word is none of them.
 
     Examples
     --------

@@ -42,26 +42,16 @@ _CLIP_ERRORS: Final = {
 
 @dataclass(frozen=True)
 class GeneratorModel:
-    """Identity of a generator, and its variant of the language.
+    """Identity of a generator, and its variant of the language."""
 
-    Attributes
-    ----------
-    serial, maker, name, firmware
-        Fields of the answer to ``*IDN?``.
-    error_queue
-        Whether it answers ``SYST:ERR?``; some generators do not.
-    numbered_channels
-        Whether headers carry a channel number (``SOUR1:FREQ``, ``OUTP1``), and the state of the output is read
-        as ON or OFF instead of 1 or 0.
-    baud
-        Baud rate of the serial port.
-    """
-
+    # serial, maker, name, firmware: Fields of the answer to ``*IDN?``.
     serial: str = "SG0042"
     maker: str = "Keysight Technologies"
     name: str = "33250A"
     firmware: str = "2.05-1.01-2.00-03-2"
-    error_queue: bool = True
+    error_queue: bool = True  # Whether it answers ``SYST:ERR?``; some generators do not
+    # Whether headers carry a channel number (``SOUR1:FREQ``, ``OUTP1``), and the state of the output is read
+    # as ON or OFF instead of 1 or 0.
     numbered_channels: bool = False
     baud: int = 9600
 
@@ -69,14 +59,7 @@ class GeneratorModel:
 class ScpiGenerator(GeneratorLine):
     """The generator, as a dialect of a serial line.
 
-    Parameters
-    ----------
-    model
-        Identity of the generator and its variant of the language.
-    clock
-        Returns the time in seconds.
-    drive
-        Called with the new state of the light whenever it changes.
+    clock: Returns the time in seconds.
     """
 
     def __init__(

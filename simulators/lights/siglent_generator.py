@@ -37,14 +37,7 @@ _VALUES: Final[Mapping[str, Setting]] = {
 class SiglentGenerator(GeneratorLine):
     """The generator, as a dialect of a serial line.
 
-    Parameters
-    ----------
-    serial
-        Serial number.
-    clock
-        Returns the time in seconds.
-    drive
-        Called with the new state of the light whenever it changes.
+    clock: Returns the time in seconds.
     """
 
     def __init__(

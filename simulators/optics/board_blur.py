@@ -43,19 +43,12 @@ _EVEN_PX: Final = 0.01
 
 
 class BoardBlur(NamedTuple):
-    """Diameters of the blur over the image.
-
-    Attributes
-    ----------
-    smallest_px, largest_px
-        Over the board, as far as it lies in the image.
-    map_px
-        (height + 2 n, width + 2 n) float64, diameter in each pixel of the plane of the board, n = ``reach_px`` of the
-        largest one; None if there is no blur.
-    """
+    """Diameters of the blur over the image."""
 
     smallest_px: float
     largest_px: float
+    # (height + 2 n, width + 2 n) float64, diameter in each pixel of the plane of the board, n = ``reach_px``
+    # of the largest one; None if there is no blur.
     map_px: FloatArray | None
 
 
@@ -65,19 +58,9 @@ def plane_blur(truth: Truth, seen_px: FloatArray, rotation: FloatArray, position
     Own derivation: the point of the plane n . X = n . t that a ray (x, y, 1) meets has the reciprocal depth
     n . (x, y, 1) / n . t. The lens's distortion is left out, as it changes depths by little.
 
-    Parameters
-    ----------
-    truth
-        Camera and lens.
-    seen_px
-        (N, 2), image points of the board's outline.
-    rotation, position
-        R, (3, 3), and t, (3,) mm: X_cam = R P + t.
-
-    Returns
-    -------
-    BoardBlur
-        Diameters, px.
+    seen_px: (N, 2), image points of the board's outline.
+    rotation, position: R, (3, 3), and t, (3,) mm: X_cam = R P + t.
+    Returns: Diameters, px.
     """
     normal = rotation[:, 2]
     distance = float(normal @ position)
@@ -109,17 +92,8 @@ def spread_unevenly(image: NDArray[np.float32], blur: BoardBlur) -> NDArray[np.f
     Own rule: the light of a point is divided between two diameters that are at most about `STEP_PX` apart, linearly in
     their squares: the second moment of the blur is then exact.
 
-    Parameters
-    ----------
-    image
-        (height + 2 n, width + 2 n) float32, n = ``reach_px`` of the largest diameter.
-    blur
-        Diameters.
-
-    Returns
-    -------
-    (height, width) float32
-        At least 0; the given image without a blur.
+    image: (height + 2 n, width + 2 n) float32, n = ``reach_px`` of the largest diameter.
+    Returns: At least 0; the given image without a blur.
     """
     margin = reach_px(blur.largest_px)
     if blur.map_px is None or margin == 0:

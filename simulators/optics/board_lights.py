@@ -29,60 +29,28 @@ BANDS: Final = 24
 
 
 class ImageOfLight(NamedTuple):
-    """A light's image.
+    """A light's image."""
 
-    Attributes
-    ----------
-    left, top
-        First column and row of its window.
-    share
-        (rows, columns) float32: 1 in pixels that see this light, else 0.
-    frequency_hz
-        Frequency of a dot; 0: that of the whole board.
-    phase
-        Phase of a dot at the common moment, in periods; of the lines of a screen how much later they change.
-    flickers
-        Whether the light flickers.
-    """
-
+    # left, top: First column and row of its window.
     left: int
     top: int
-    share: NDArray[np.float32]
-    frequency_hz: float
+    share: NDArray[np.float32]  # (rows, columns) float32: 1 in pixels that see this light, else 0
+    frequency_hz: float  # Frequency of a dot; 0: that of the whole board
+    # Phase of a dot at the common moment, in periods; of the lines of a screen how much later they change.
     phase: float
-    flickers: bool
+    flickers: bool  # Whether the light flickers
 
 
 def has_many_lights(truth: Truth) -> bool:
-    """Return whether the board is more than one light.
-
-    Parameters
-    ----------
-    truth
-        The board.
-
-    Returns
-    -------
-    bool
-        True for blinking dots, and for a screen that is drawn line by line.
-    """
+    """Return whether the board is more than one light."""
     return truth.board.blinks or (truth.board.own_clock and truth.board.scan > 0.0)
 
 
 def images_of_lights(truth: Truth, angles_deg: Mapping[Any, float]) -> list[ImageOfLight]:
     """Return the images of all lights of the board, or of both boards.
 
-    Parameters
-    ----------
-    truth
-        Camera, lens and board.
-    angles_deg
-        Angles of the axes by name; missing = 0.
-
-    Returns
-    -------
-    list of ImageOfLight
-        Only those in view. A pixel belongs to one light at most: to that of the nearer dot.
+    angles_deg: Angles of the axes by name; missing = 0.
+    Returns: Only those in view. A pixel belongs to one light at most: to that of the nearer dot.
     """
     flickers = placing.flickers(truth.board, placing.view_of(truth))
     boards = placed_boards(truth, angles_deg)

@@ -28,17 +28,7 @@ _RING: Final = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])
 def points_mm(board: BoardTruth, target: StarTarget) -> FloatArray:
     """Return the points that a detector finds.
 
-    Parameters
-    ----------
-    board
-        The board.
-    target
-        The star target, for a board of stars.
-
-    Returns
-    -------
-    (N, 2) float64
-        Inner corners, centres of circles or dots, row by row, or stars by id, mm.
+    Returns: Inner corners, centres of circles or dots, row by row, or stars by id, mm.
     """
     if board.kind == "stars":
         return np.asarray(target.positions_mm(target.ids), np.float64)
@@ -51,17 +41,7 @@ def points_mm(board: BoardTruth, target: StarTarget) -> FloatArray:
 def middle_mm(board: BoardTruth, target: StarTarget) -> FloatArray:
     """Return the point of the board that a placement puts somewhere.
 
-    Parameters
-    ----------
-    board
-        The board.
-    target
-        The star target, for a board of stars.
-
-    Returns
-    -------
-    (3,) float64
-        Middle of the points; of a star target the centre of its tag, mm.
+    Returns: Middle of the points; of a star target the centre of its tag, mm.
     """
     if board.kind == "stars":
         return np.array([*target.tag_centre_mm, 0.0])
@@ -72,19 +52,8 @@ def middle_mm(board: BoardTruth, target: StarTarget) -> FloatArray:
 def bright_areas(board: BoardTruth, target: StarTarget, *, pixels: bool) -> tuple[FloatArray, ...]:
     """Return the rings from which the board's light comes.
 
-    Parameters
-    ----------
-    board
-        The board.
-    target
-        The star target, for a board of stars.
-    pixels
-        Whether the pixels of a screen are drawn one by one.
-
-    Returns
-    -------
-    tuple of (N, corners, 2) float64
-        Rings, mm; kept, so do not change them.
+    pixels: Whether the pixels of a screen are drawn one by one.
+    Returns: Rings, mm; kept, so do not change them.
     """
     key = (board.kind, board.columns, board.rows, board.pitch_mm, board.surface, board.dot_mm)
     return _areas(*key, board.margin_mm, board.pixel_mm if pixels else 0.0, board.fill, target)

@@ -34,45 +34,22 @@ PIXELS_SEEN: Final = 5e-4
 
 
 class PlacedBoard(NamedTuple):
-    """A board in front of the camera.
+    """A board in front of the camera."""
 
-    Attributes
-    ----------
-    rotation, position
-        R, (3, 3), and t, (3,) mm: X_cam = R P + t.
-    """
-
+    # rotation, position: R, (3, 3), and t, (3,) mm: X_cam = R P + t.
     rotation: FloatArray
     position: FloatArray
 
     def depth_mm(self, points: FloatArray) -> FloatArray:
         """Return the depth of points of the board.
 
-        Parameters
-        ----------
-        points
-            (..., 2), points of the board, mm.
-
-        Returns
-        -------
-        (...,) float64
-            Distance from the plane of the lens, mm.
+        points: (..., 2), points of the board, mm.
+        Returns: Distance from the plane of the lens, mm.
         """
         return np.asarray(points @ self.rotation[2, :2] + self.position[2])
 
     def projection(self, truth: Truth) -> Projection:
-        """Return the projection of the board's plane.
-
-        Parameters
-        ----------
-        truth
-            Camera and lens.
-
-        Returns
-        -------
-        Projection
-            For the compiled functions.
-        """
+        """Return the projection of the board's plane."""
         r = np.ascontiguousarray(self.rotation)
         return Projection(lens_of(camera_of(truth)), r, -r.T @ self.position, NO_ABERRATIONS)
 
@@ -83,17 +60,8 @@ def placed_boards(truth: Truth, angles_deg: Mapping[Any, float]) -> tuple[Placed
     Own derivation: with the rotation G of the camera from its axes at zero angles, the board's own rotation B, its
     middle at p and m on the board, R = G B and t = G (p - B m).
 
-    Parameters
-    ----------
-    truth
-        Camera, mount, gimbal and board.
-    angles_deg
-        Angles of the axes by name; missing = 0.
-
-    Returns
-    -------
-    tuple of PlacedBoard
-        The first one is that of the placement.
+    angles_deg: Angles of the axes by name; missing = 0.
+    Returns: The first one is that of the placement.
     """
     at_zero = optics.pose_rotation({}, truth.optics, truth.gimbal)
     turned = optics.true_rotation(angles_deg, truth) @ at_zero.T
@@ -113,17 +81,8 @@ def points(truth: Truth, angles_deg: Mapping[Any, float]) -> FloatArray:
 
     Projection: Hartley and Zisserman (2004), section 6.1.
 
-    Parameters
-    ----------
-    truth
-        Camera, lens and board.
-    angles_deg
-        Angles of the axes by name; missing = 0.
-
-    Returns
-    -------
-    (N, 2) float64
-        Image points, px, in the order of `board_outline.points_mm`; nan behind the camera.
+    angles_deg: Angles of the axes by name; missing = 0.
+    Returns: Image points, px, in the order of `board_outline.points_mm`; nan behind the camera.
     """
     placed = placed_boards(truth, angles_deg)[0]
     on_board = board_outline.points_mm(truth.board, truth.target)
@@ -133,17 +92,8 @@ def points(truth: Truth, angles_deg: Mapping[Any, float]) -> FloatArray:
 def moved_px(before: Truth, after: Truth, angles_deg: Mapping[Any, float]) -> float:
     """Return how far the points of the board have moved in the image.
 
-    Parameters
-    ----------
-    before, after
-        Camera, lens and board, at two moments.
-    angles_deg
-        Angles of the axes by name; missing = 0.
-
-    Returns
-    -------
-    float
-        Largest distance, px; infinite if a point comes from behind the camera.
+    angles_deg: Angles of the axes by name; missing = 0.
+    Returns: Largest distance, px; infinite if a point comes from behind the camera.
     """
     distance = np.linalg.norm(points(after, angles_deg) - points(before, angles_deg), axis=1)
     return float(np.nan_to_num(distance, nan=np.inf).max())
@@ -154,19 +104,9 @@ def picture(truth: Truth, angles_deg: Mapping[Any, float], *, subsamples: int = 
 
     Areas: Levien (2016). Own model of the point spread: see `coverage.spread_kernel`.
 
-    Parameters
-    ----------
-    truth
-        Camera, lens and board.
-    angles_deg
-        Angles of the axes by name; missing = 0.
-    subsamples
-        Cells along each side of a pixel.
-
-    Returns
-    -------
-    (height, width) float32
-        Without the brightness of the lens's aperture.
+    angles_deg: Angles of the axes by name; missing = 0.
+    subsamples: Cells along each side of a pixel.
+    Returns: Without the brightness of the lens's aperture.
     """
     board, camera = truth.board, truth.camera
     image = np.zeros((camera.height, camera.width), np.float32)
@@ -179,17 +119,7 @@ def picture(truth: Truth, angles_deg: Mapping[Any, float], *, subsamples: int = 
 def blur_of(truth: Truth, placed: PlacedBoard) -> BoardBlur:
     """Return the diameters of the blur over the image of a board.
 
-    Parameters
-    ----------
-    truth
-        Camera and lens.
-    placed
-        Pose of the board.
-
-    Returns
-    -------
-    BoardBlur
-        Diameters, px.
+    Returns: Diameters, px.
     """
     outline = board_outline.bright_areas(truth.board, truth.target, pixels=False)[0].reshape(-1, 2)
     ahead = outline[placed.depth_mm(outline) > NEAREST_MM]

@@ -40,22 +40,14 @@ ROLL_TO = 1.2
 
 
 class Disc(NamedTuple):
-    """Disc of light in one pose.
+    """Disc of light in one pose."""
 
-    Attributes
-    ----------
-    x, y
-        Centre on the target plane, mm.
-    radius
-        Mean radius, mm.
-    edge
-        (EDGE_TERMS,) float64: relative change of the radius in direction phi, as coefficients of cos 2 phi, sin 2 phi,
-        cos 3 phi, ...; (0,) for a circle.
-    """
-
+    # x, y: Centre on the target plane, mm.
     x: float
     y: float
-    radius: float
+    radius: float  # Mean radius, mm
+    # (EDGE_TERMS,) float64: relative change of the radius in direction phi, as coefficients of cos 2 phi, sin
+    # 2 phi, cos 3 phi, ...; (0,) for a circle.
     edge: FloatArray
 
 
@@ -64,42 +56,30 @@ EDGE_TERMS: Final = 8
 
 
 class Aberrations(NamedTuple):
-    """Errors of the collimator in one pose, as the compiled functions take them.
+    """Errors of the collimator in one pose, as the compiled functions take them."""
 
-    Attributes
-    ----------
-    x, y, r
-        The camera's centre is (x, y, -r), mm of the target plane.
-    b_x, b_y
-        Centre of the disc relative to (x, y), in units of r.
-    defocus, spherical, coma, astigmatism, field_curvature, distortion
-        Third-order coefficients, dimensionless; the reticle's bow is part of the distortion.
-    print_scale
-        Relative error of the printed lengths.
-    roll_mm
-        Outward displacement at the disc's edge.
-    disc_x, disc_y, disc_radius
-        Disc of light, mm.
-    irregular
-        (K, 2) float64, mm: coefficients of ``irregularity.displacement_field``; (0, 2) for none.
-    """
-
+    # x, y, r: The camera's centre is (x, y, -r), mm of the target plane.
     x: float
     y: float
     r: float
+    # b_x, b_y: Centre of the disc relative to (x, y), in units of r.
     b_x: float
     b_y: float
+    # defocus, spherical, coma, astigmatism, field_curvature, distortion: Third-order coefficients,
+    # dimensionless; the reticle's bow is part of the distortion.
     defocus: float
     spherical: float
     coma: float
     astigmatism: float
     field_curvature: float
     distortion: float
-    print_scale: float
-    roll_mm: float
+    print_scale: float  # Relative error of the printed lengths
+    roll_mm: float  # Outward displacement at the disc's edge
+    # disc_x, disc_y, disc_radius: Disc of light, mm.
     disc_x: float
     disc_y: float
     disc_radius: float
+    # (K, 2) float64, mm: coefficients of ``irregularity.displacement_field``; (0, 2) for none.
     irregular: FloatArray
 
 
@@ -120,17 +100,8 @@ def disc_of(collimator: CollimatorTruth, rotation: FloatArray) -> Disc:
     to 5 periods around it. Own model: the centre lies at (x, y) + offset + walk * tangents + wander * random function,
     and the radius is r tan(half angle) (1 + breathing * random function).
 
-    Parameters
-    ----------
-    collimator
-        Disc and its variations.
-    rotation
-        (3, 3), camera <- target.
-
-    Returns
-    -------
-    Disc
-        Centre, mean radius and edge, mm.
+    rotation: (3, 3), camera <- target.
+    Returns: Centre, mean radius and edge, mm.
     """
     along = _axis(rotation)
     x, y = collimator.x + collimator.disc_x, collimator.y + collimator.disc_y
@@ -160,17 +131,8 @@ def relative_radius(cosine: float, sine: float, edge: FloatArray) -> float:
 
     Own model: the Fourier series 1 + sum over m >= 2 of a_m cos(m phi) + b_m sin(m phi).
 
-    Parameters
-    ----------
-    cosine, sine
-        Of the direction's angle from X.
-    edge
-        (2 M,) float64, as in ``Disc``.
-
-    Returns
-    -------
-    float
-        Radius / mean radius.
+    cosine, sine: Of the direction's angle from X.
+    edge: (2 M,) float64, as in ``Disc``.
     """
     wide, c, s = 1.0, cosine, sine
     for m in range(edge.size // 2):
@@ -185,17 +147,7 @@ def radius_fraction(x_mm: float, y_mm: float, disc: Disc) -> float:
 
     Own definition: the distance divided by the radius in that direction.
 
-    Parameters
-    ----------
-    x_mm, y_mm
-        Point of the target plane.
-    disc
-        Disc of light.
-
-    Returns
-    -------
-    float
-        0 at the centre, 1 at the edge.
+    Returns: 0 at the centre, 1 at the edge.
     """
     x, y = x_mm - disc.x, y_mm - disc.y
     away = math.sqrt(x * x + y * y)
@@ -208,17 +160,8 @@ def radius_fraction(x_mm: float, y_mm: float, disc: Disc) -> float:
 def radius_fractions(points_mm: FloatArray, disc: Disc) -> FloatArray:
     """Return ``radius_fraction`` for several points.
 
-    Parameters
-    ----------
-    points_mm
-        (N, 2) float64, points of the target plane.
-    disc
-        Disc of light.
-
-    Returns
-    -------
-    (N,) float64
-        0 at the centre, 1 at the edge.
+    points_mm: (N, 2) float64, points of the target plane.
+    Returns: 0 at the centre, 1 at the edge.
     """
     out = np.empty(points_mm.shape[0])
     for i in range(points_mm.shape[0]):
@@ -244,19 +187,8 @@ def aberrations_of(
 
     Own definition: b = (disc centre - (x, y)) / r, as in the head of the module.
 
-    Parameters
-    ----------
-    collimator
-        Coefficients and disc.
-    rotation
-        (3, 3), camera <- target.
-    reticle
-        Errors of the print.
-
-    Returns
-    -------
-    Aberrations
-        Everything that ``displacement`` needs.
+    rotation: (3, 3), camera <- target.
+    Returns: Everything that ``displacement`` needs.
     """
     disc = disc_of(collimator, rotation)
     return Aberrations(
@@ -294,17 +226,8 @@ def apparent_points(points_mm: FloatArray, aberrations: Aberrations) -> FloatArr
 
     Own addition to P of `displacement`; the third-order terms are those of Born and Wolf, section 5.3.
 
-    Parameters
-    ----------
-    points_mm
-        (N, 2), true positions on the target plane.
-    aberrations
-        Errors of the collimator in the pose.
-
-    Returns
-    -------
-    (N, 2) float64
-        Apparent positions, mm.
+    points_mm: (N, 2), true positions on the target plane.
+    Returns: Apparent positions, mm.
     """
     return np.asarray(_apparent_points(np.ascontiguousarray(points_mm, np.float64), aberrations))
 
@@ -315,17 +238,7 @@ def displacement(x_mm: float, y_mm: float, e: Aberrations) -> tuple[float, float
 
     Third-order terms: Born and Wolf, Principles of Optics, section 5.3.
 
-    Parameters
-    ----------
-    x_mm, y_mm
-        True position on the target plane.
-    e
-        Errors of the collimator in the pose.
-
-    Returns
-    -------
-    tuple of float
-        dx and dy, mm.
+    Returns: dx and dy, mm.
     """
     larger_x, larger_y = e.print_scale * (x_mm - e.x), e.print_scale * (y_mm - e.y)
     x_mm, y_mm = x_mm + larger_x, y_mm + larger_y
@@ -349,17 +262,7 @@ def reticle_point(x_mm: float, y_mm: float, e: Aberrations) -> tuple[float, floa
 
     Own derivation: the fixed point of P <- (x, y) - displacement(P).
 
-    Parameters
-    ----------
-    x_mm, y_mm
-        Apparent position on the target plane.
-    e
-        Errors of the collimator in the pose.
-
-    Returns
-    -------
-    tuple of float
-        True position, mm.
+    Returns: True position, mm.
     """
     p_x, p_y = x_mm, y_mm
     for _ in range(6):
@@ -372,15 +275,7 @@ def reticle_point(x_mm: float, y_mm: float, e: Aberrations) -> tuple[float, floa
 def is_ideal(e: Aberrations) -> bool:
     """Return whether the collimator displaces no point.
 
-    Parameters
-    ----------
-    e
-        Errors of the collimator in the pose.
-
-    Returns
-    -------
-    bool
-        True if all coefficients are zero.
+    Returns: True if all coefficients are zero.
     """
     return (
         e.defocus == 0.0

@@ -26,19 +26,7 @@ REACH_SIGMAS: Final = 3.6
 def empty_picture(width: int, height: int, cells: int, margin: int) -> NDArray[np.float32]:
     """Return an empty picture.
 
-    Parameters
-    ----------
-    width, height
-        Pixels of the image.
-    cells
-        Cells along a pixel's side.
-    margin
-        Pixels around the image that are drawn as well, so that their light can spread into it.
-
-    Returns
-    -------
-    (rows of cells, columns of cells + 1) float32
-        Differences of covered area along each row, all zero.
+    cells: Cells along a pixel's side.
     """
     return np.zeros(((height + 2 * margin) * cells, (width + 2 * margin) * cells + 1), np.float32)
 
@@ -49,16 +37,10 @@ def add_edge(steps: NDArray[np.float32], x0: float, y0: float, x1: float, y1: fl
 
     Source: the accumulation buffer of Levien (2016).
 
-    Parameters
-    ----------
-    steps
-        (rows, columns + 1) float32: differences along a row, changed in place. Parts of the edge outside are cut off.
-    x0, y0
-        Start of the edge, cells.
-    x1, y1
-        End of the edge, cells.
-    weight
-        Value that a cell gains if it lies wholly inside a ring that runs from +x to +y (clockwise as seen).
+    steps: (rows, columns + 1) float32: differences along a row, changed in place. Parts of the edge outside
+      are cut off.
+    weight: Value that a cell gains if it lies wholly inside a ring that runs from +x to +y (clockwise as
+      seen).
     """
     rows, columns = steps.shape[0], steps.shape[1] - 1
     if y0 == y1 or (x0 >= columns and x1 >= columns):
@@ -108,18 +90,9 @@ def spread_kernel(sigma_px: float, cells: int) -> FloatArray:
     Own derivation: a cell at x has the weight Phi((x + 1/2) / s) - Phi((x - 1/2) / s), in pixels, where s^2 is sigma^2
     minus 1/12 of the cell's squared width.
 
-    Parameters
-    ----------
-    sigma_px
-        Standard deviation of the point spread.
-    cells
-        Cells along a pixel's side.
-
-    Returns
-    -------
-    (cells + 2 n,) float64
-        Weights of the pixel's cells and of n cells to either side; they sum to 1. The width of a cell counts as part of
-        the point spread.
+    cells: Cells along a pixel's side.
+    Returns: Weights of the pixel's cells and of n cells to either side; they sum to 1. The width of a cell
+      counts as part of the point spread.
     """
     sigma = math.sqrt(max(sigma_px**2 - 1.0 / (12.0 * cells**2), 1e-12))
     beside = math.ceil(REACH_SIGMAS * sigma_px * cells)
@@ -147,25 +120,12 @@ def join_cells(
     Own model: light times (shade 0 + shade 1 times covered area), summed with the kernel's weights along rows and
     columns.
 
-    Parameters
-    ----------
-    steps
-        (rows, columns + 1) float32, filled by ``add_edge`` for a picture with a margin of ``margin`` pixels all around.
-    light
-        (height + 2 margin + 1, width + 2 margin + 1) float32 brightness at the corners of pixels; linear between.
-    shades
-        Share of the light that uncovered area sends, and how much more covered area sends.
-    kernel
-        (cells + 2 n,) float64, weights of ``spread_kernel``.
-    cells
-        Cells along a pixel's side.
-    margin
-        Pixels drawn around the image.
-
-    Returns
-    -------
-    (height, width) float32
-        Brightness of each pixel.
+    steps: (rows, columns + 1) float32, filled by ``add_edge`` for a picture with a margin of ``margin``
+      pixels all around.
+    light: (height + 2 margin + 1, width + 2 margin + 1) float32 brightness at the corners of pixels; linear
+      between.
+    kernel: (cells + 2 n,) float64, weights of ``spread_kernel``.
+    cells: Cells along a pixel's side.
     """
     height, width = steps.shape[0] // cells - 2 * margin, (steps.shape[1] - 1) // cells - 2 * margin
     before = margin * cells - (kernel.size - cells) // 2  # cells of the margin beyond the kernel's reach

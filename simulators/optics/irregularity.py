@@ -45,22 +45,12 @@ def field_coefficients(axis: tuple[float, float], rms: float, rim_rms: float, se
     Zernike polynomials: Noll (1976). Random functions: Shinozuka and Deodatis (1991). The field at the rim is this
     project's own.
 
-    Parameters
-    ----------
-    axis
-        Tangents of the camera's turn.
-    rms
-        Root mean square displacement over the disc and over poses, mm.
-    rim_rms
-        Root mean square displacement of the rim's field at the disc's edge, in x and in y, mm.
-    seed
-        Identifies the collimator.
-
-    Returns
-    -------
-    (MONOMIALS + 2 RIM_HARMONICS + 1, 2) float64
-        Coefficients in mm, for ``displacement_field``. First those of u^p v^q, p outermost, with coordinates from the
-        disc's centre in its radii. Then those of the rim: 1, cos phi, sin phi, cos 2 phi, ...
+    axis: Tangents of the camera's turn.
+    rms: Root mean square displacement over the disc and over poses, mm.
+    rim_rms: Root mean square displacement of the rim's field at the disc's edge, in x and in y, mm.
+    Returns: Coefficients in mm, for ``displacement_field``. First those of u^p v^q, p outermost, with
+      coordinates from the disc's centre in its radii. Then those of the rim: 1, cos phi, sin phi, cos 2 phi,
+      ...
     """
     polynomials, sigmas = _zernike()
     around = 2 * RIM_HARMONICS + 1
@@ -78,19 +68,7 @@ def random_functions(axis: tuple[float, float], count: int, seed: int) -> FloatA
     Each is a sum of sinusoids with random wave vectors and phases (spectral representation; Shinozuka and Deodatis
     1991).
 
-    Parameters
-    ----------
-    axis
-        Tangents of the camera's turn.
-    count
-        Number of functions.
-    seed
-        Identifies the collimator.
-
-    Returns
-    -------
-    (count,) float64
-        Values of the functions in this pose.
+    axis: Tangents of the camera's turn.
     """
     waves, phases = _waves(count, seed)
     return np.asarray(math.sqrt(2.0 / WAVES) * np.sin(waves @ np.array(axis) + phases).sum(axis=1))
@@ -161,17 +139,8 @@ def displacement_field(u: float, v: float, coefficients: FloatArray) -> tuple[fl
     Own model: sum c_pq u^p v^q, and beyond rho = `RIM_FROM` also ((rho - `RIM_FROM`) / (1 - `RIM_FROM`))^`RIM_POWER`
     times a Fourier series of the angle.
 
-    Parameters
-    ----------
-    u, v
-        Point relative to the disc's centre, in its radii.
-    coefficients
-        (MONOMIALS + 2 RIM_HARMONICS + 1, 2) float64, or (0, 2) for no displacement.
-
-    Returns
-    -------
-    tuple of float
-        Displacement in x and y, in the unit of the coefficients.
+    u, v: Point relative to the disc's centre, in its radii.
+    coefficients: (MONOMIALS + 2 RIM_HARMONICS + 1, 2) float64, or (0, 2) for no displacement.
     """
     x, y = 0.0, 0.0
     if coefficients.shape[0] == 0:

@@ -24,46 +24,26 @@ GRID_PX: Final = 8
 
 
 class Lens(NamedTuple):
-    """Parameters of a lens, as the compiled functions take them.
+    """Parameters of a lens, as the compiled functions take them."""
 
-    Attributes
-    ----------
-    fx, fy, cx, cy
-        Focal lengths and principal point, px.
-    k1, k2, k3, k4
-        Radial coefficients; k4 of a fisheye only.
-    p1, p2
-        Tangential coefficients; of a pinhole only.
-    fisheye
-        Whether the model is the fisheye; else the pinhole.
-    """
-
+    # fx, fy, cx, cy: Focal lengths and principal point, px.
     fx: float
     fy: float
     cx: float
     cy: float
+    # k1, k2, k3, k4: Radial coefficients; k4 of a fisheye only.
     k1: float
     k2: float
     k3: float
     k4: float
+    # p1, p2: Tangential coefficients; of a pinhole only.
     p1: float
     p2: float
-    fisheye: bool
+    fisheye: bool  # Whether the model is the fisheye; else the pinhole
 
 
 def lens_of(camera: CameraTruth) -> Lens:
-    """Return the lens of a camera.
-
-    Parameters
-    ----------
-    camera
-        True parameters of the camera.
-
-    Returns
-    -------
-    Lens
-        The same parameters for the compiled functions.
-    """
+    """Return the lens of a camera."""
     c = camera
     return Lens(c.fx, c.fy, c.cx, c.cy, c.k1, c.k2, c.k3, c.k4, c.p1, c.p2, camera.projection == "fisheye")
 
@@ -75,18 +55,6 @@ def distort(xn: float, yn: float, lens: Lens) -> tuple[float, float]:
     Pinhole: radial k1, k2, k3 and tangential p1, p2 (Brown 1966, 1971; sign and order as in OpenCV). Fisheye (Kannala
     and Brandt 2006, radial part, as in OpenCV): with theta = atan r, the point lies at
     theta (1 + k1 theta^2 + k2 theta^4 + k3 theta^6 + k4 theta^8).
-
-    Parameters
-    ----------
-    xn, yn
-        Undistorted normalised coordinates x/z and y/z.
-    lens
-        Lens model.
-
-    Returns
-    -------
-    tuple of float
-        Distorted normalised coordinates.
     """
     r2 = xn * xn + yn * yn
     if lens.fisheye:
@@ -110,17 +78,8 @@ def image_point(x: float, y: float, z: float, lens: Lens) -> tuple[float, float]
     Pinhole projection: Hartley and Zisserman (2004), section 6.1. Distortion: Brown (1971), or Kannala and Brandt
     (2006), as in `distort`.
 
-    Parameters
-    ----------
-    x, y, z
-        Point in the camera's frame, in any unit.
-    lens
-        Lens model.
-
-    Returns
-    -------
-    tuple of float
-        u and v, px; NaN if the point does not lie in front of the camera.
+    x, y, z: Point in the camera's frame, in any unit.
+    Returns: u and v, px; NaN if the point does not lie in front of the camera.
     """
     if not z > 0.0:
         return math.nan, math.nan
@@ -134,22 +93,8 @@ def undistort(xd: FloatArray, yd: FloatArray, camera: CameraTruth) -> tuple[Floa
     The pinhole model is inverted by fixed-point iteration, the fisheye by Newton's method. Own derivation: x <- x +
     (x_d - distort(x)) for the pinhole model.
 
-    Parameters
-    ----------
-    xd, yd
-        Distorted normalised coordinates, two arrays of one shape (...,).
-    camera
-        True parameters of the camera.
-
-    Returns
-    -------
-    tuple of arrays, (...,) float64
-        Undistorted normalised coordinates x/z and y/z.
-
-    Raises
-    ------
-    ConfigError
-        If the distortion cannot be inverted there: the radial polynomial decreases inside the image.
+    Raises ConfigError: If the distortion cannot be inverted there: the radial polynomial decreases inside the
+      image.
     """
     lens = lens_of(camera)
     if lens.fisheye:
@@ -169,20 +114,7 @@ def undistort(xd: FloatArray, yd: FloatArray, camera: CameraTruth) -> tuple[Floa
 
 
 def distort_arrays(xn: FloatArray, yn: FloatArray, lens: Lens) -> tuple[FloatArray, FloatArray]:
-    """Return ``distort`` for arrays.
-
-    Parameters
-    ----------
-    xn, yn
-        Undistorted normalised coordinates, two arrays of one shape (...,).
-    lens
-        Lens model.
-
-    Returns
-    -------
-    tuple of arrays, (...,) float64
-        Distorted normalised coordinates.
-    """
+    """Return ``distort`` for arrays."""
     flat = _distort(np.column_stack([np.ravel(xn), np.ravel(yn)]), lens)
     return flat[:, 0].reshape(xn.shape), flat[:, 1].reshape(xn.shape)
 
@@ -230,23 +162,10 @@ def ray_grid(camera: CameraTruth, margin_px: int = 0) -> FloatArray:
 
     Own derivation: the inverse of `image_point`, ((u - cx) / fx, (v - cy) / fy) without distortion.
 
-    Parameters
-    ----------
-    camera
-        True parameters of the camera.
-    margin_px
-        How far the grid extends beyond the image's border.
-
-    Returns
-    -------
-    (rows, columns, 2) float64
-        Undistorted normalised coordinates. The grid divides the image evenly, from the outer edges of its outermost
-        pixels (or of the margin's).
-
-    Raises
-    ------
-    ConfigError
-        If the distortion cannot be inverted there; ``undistort`` raises it.
+    margin_px: How far the grid extends beyond the image's border.
+    Returns: Undistorted normalised coordinates. The grid divides the image evenly, from the outer edges of
+      its outermost pixels (or of the margin's).
+    Raises ConfigError: If the distortion cannot be inverted there; ``undistort`` raises it.
     """
     u, v = (
         np.linspace(-0.5 - margin_px, size - 0.5 + margin_px, math.ceil((size + 2 * margin_px) / GRID_PX) + 1)

@@ -53,22 +53,10 @@ SHARP_PX: Final = 0.02
 
 
 class Focus(NamedTuple):
-    """Lens and sensor as they stand.
-
-    Attributes
-    ----------
-    focal_mm
-        Focal length f of the lens.
-    distance_m
-        Focus distance d; infinite for parallel light, negative beyond infinity.
-    image_mm
-        Image distance v, from the lens to the sensor.
-    stretch
-        Image distance, divided by that of the bench as delivered.
-    """
+    """Lens and sensor as they stand."""
 
     focal_mm: float
-    distance_m: float
+    distance_m: float  # Focus distance d; infinite for parallel light, negative beyond infinity
     image_mm: float
     stretch: float
 
@@ -79,16 +67,6 @@ def focus_of(truth: Truth) -> Focus:
     Source: Gaussian lens formula, Hecht, Optics, section 5.2. As delivered, the image distance is that of section
     ``camera``, and the lens is focused on the pattern. A screen may stand at any distance, so the focal lengths are
     those at infinity.
-
-    Parameters
-    ----------
-    truth
-        Camera, lens and collimator.
-
-    Returns
-    -------
-    Focus
-        Focal length, focus distance and image distance.
     """
     delivered_mm = truth.lens.pixel_um * 1e-3 * 0.5 * (truth.camera.fx + truth.camera.fy)
     vergence = 0.0 if truth.at_finite_distance else pattern_vergence_per_m(truth)
@@ -106,15 +84,7 @@ def pattern_vergence_per_m(truth: Truth) -> float:
     Own derivation: a shift t of the camera moves the pattern by -defocus t on the target, which is the angle
     defocus t / r; a point at the distance s moves by t / s.
 
-    Parameters
-    ----------
-    truth
-        Collimator.
-
-    Returns
-    -------
-    float
-        1 / m; 0 at infinity, negative for converging light.
+    Returns: 1 / m; 0 at infinity, negative for converging light.
     """
     return truth.collimator.defocus / truth.collimator.r * 1e3
 
@@ -124,15 +94,7 @@ def camera_of(truth: Truth) -> CameraTruth:
 
     Source: Hecht, Optics, section 5.2; the head of the module has the equation.
 
-    Parameters
-    ----------
-    truth
-        Camera, lens and collimator.
-
-    Returns
-    -------
-    CameraTruth
-        The same object if the lens is focused as delivered.
+    Returns: The same object if the lens is focused as delivered.
     """
     stretch = focus_of(truth).stretch
     if stretch == 1.0:
@@ -145,17 +107,8 @@ def blur_px(truth: Truth, vergence_per_m: float | None = None) -> float:
 
     Source: circle of confusion, Potmesil and Chakravarty (1981).
 
-    Parameters
-    ----------
-    truth
-        Camera, lens and collimator.
-    vergence_per_m
-        Reciprocal of the point's distance; None: that of the pattern behind the collimator.
-
-    Returns
-    -------
-    float
-        Diameter, px; 0 if the lens is focused as delivered.
+    vergence_per_m: Reciprocal of the point's distance; None: that of the pattern behind the collimator.
+    Returns: Diameter, px; 0 if the lens is focused as delivered.
     """
     return abs(signed_blur_px(truth, vergence_per_m))
 
@@ -165,17 +118,9 @@ def signed_blur_px(truth: Truth, vergence_per_m: float | None = None) -> float:
 
     Source: circle of confusion, Potmesil and Chakravarty (1981).
 
-    Parameters
-    ----------
-    truth
-        Camera, lens and collimator.
-    vergence_per_m
-        Reciprocal of the point's distance; None: that of the pattern behind the collimator.
-
-    Returns
-    -------
-    float
-        Diameter, px; positive if the lens is focused nearer than the point. It is linear in the vergence.
+    vergence_per_m: Reciprocal of the point's distance; None: that of the pattern behind the collimator.
+    Returns: Diameter, px; positive if the lens is focused nearer than the point. It is linear in the
+      vergence.
     """
     if truth.lens.focus_distance_m is None:
         return 0.0
@@ -191,15 +136,7 @@ def brightness(truth: Truth) -> float:
 
     Source: the light grows with the square of aperture over image distance (Hecht, Optics, section 5.3).
 
-    Parameters
-    ----------
-    truth
-        Camera, lens and collimator.
-
-    Returns
-    -------
-    float
-        1 as delivered.
+    Returns: 1 as delivered.
     """
     return (DELIVERED_F_NUMBER / truth.lens.f_number / focus_of(truth).stretch) ** 2
 
@@ -207,15 +144,7 @@ def brightness(truth: Truth) -> float:
 def reach_px(diameter_px: float) -> int:
     """Return how far outside the image a scene must be known to blur it.
 
-    Parameters
-    ----------
-    diameter_px
-        Diameter of the disc of light.
-
-    Returns
-    -------
-    int
-        Pixels; 0 without a blur.
+    Returns: Pixels; 0 without a blur.
     """
     return math.ceil(0.5 * diameter_px) + 1 if diameter_px >= SHARP_PX else 0
 
@@ -226,17 +155,8 @@ def spread_over_disc(image: NDArray[np.float32], diameter_px: float) -> NDArray[
     The transfer function of an even disc is 2 J1(pi b q) / (pi b q) at the spatial frequency q (Goodman,
     Introduction to Fourier Optics, chapter 2). So no disc is drawn into pixels, and the time does not depend on b.
 
-    Parameters
-    ----------
-    image
-        (height + 2 n, width + 2 n) float32, n = `reach_px` of the diameter.
-    diameter_px
-        Diameter b of the disc.
-
-    Returns
-    -------
-    (height, width) float32
-        At least 0; the given image without a blur.
+    image: (height + 2 n, width + 2 n) float32, n = `reach_px` of the diameter.
+    Returns: At least 0; the given image without a blur.
     """
     margin = reach_px(diameter_px)
     if margin == 0:
@@ -245,19 +165,9 @@ def spread_over_disc(image: NDArray[np.float32], diameter_px: float) -> NDArray[
 
 
 class Spectrum(NamedTuple):
-    """An image in the frequency domain, from which it can be blurred by several diameters.
+    """An image in the frequency domain, from which it can be blurred by several diameters."""
 
-    Attributes
-    ----------
-    values
-        (rows, columns // 2 + 1) complex64.
-    size
-        Rows and columns of the padded image.
-    image_size
-        Rows and columns of the image.
-    """
-
-    values: NDArray[np.complex64]
+    values: NDArray[np.complex64]  # (rows, columns // 2 + 1) complex64
     size: tuple[int, int]
     image_size: tuple[int, int]
 
@@ -265,16 +175,7 @@ class Spectrum(NamedTuple):
     def of(cls, image: NDArray[np.float32]) -> Spectrum:
         """Return the spectrum of an image.
 
-        Parameters
-        ----------
-        image
-            (rows, columns) float32.
-
-        Returns
-        -------
-        Spectrum
-            Of the image with rows and columns appended, over which its end passes evenly into its beginning: a step
-            there would ring into the image.
+        image: (rows, columns) float32.
         """
         height, width = image.shape
         rows, columns = (int(fft.next_fast_len(n + SEAM_PX, real=True)) for n in image.shape)
@@ -292,19 +193,8 @@ def blurred_spectrum(spectrum: Spectrum, diameter_px: float, margin_px: int) -> 
 
     Source: see `spread_over_disc`.
 
-    Parameters
-    ----------
-    spectrum
-        Of the image with its margin.
-    diameter_px
-        Diameter of the disc.
-    margin_px
-        Pixels that are removed on each side; at least half a diameter.
-
-    Returns
-    -------
-    (height, width) float32
-        At least 0.
+    margin_px: Pixels that are removed on each side; at least half a diameter.
+    Returns: At least 0.
     """
     (rows, columns), (height, width) = spectrum.size, spectrum.image_size
     transfer = _disc_transfer(rows, columns, round(diameter_px, 6))
@@ -330,15 +220,7 @@ def ring_deg(truth: Truth) -> float:
 
     Own model: a thread that moves the lens evenly with the turn, so the angle is proportional to v - f.
 
-    Parameters
-    ----------
-    truth
-        Camera, lens and collimator.
-
-    Returns
-    -------
-    float
-        Degrees from infinity; `RING_SPAN_DEG` at the near stop, negative beyond infinity.
+    Returns: Degrees from infinity; `RING_SPAN_DEG` at the near stop, negative beyond infinity.
     """
     focus = focus_of(truth)
     return _ring_deg(focus.focal_mm, focus.distance_m)
@@ -355,20 +237,7 @@ def _magnification(focal_mm: float, distance_m: float) -> float:
 
 
 def with_ring_at(truth: Truth, angle_deg: float) -> LensTruth:
-    """Return the lens with its ring turned to an angle, or to the stop before it.
-
-    Parameters
-    ----------
-    truth
-        Camera, lens and collimator.
-    angle_deg
-        Degrees from infinity.
-
-    Returns
-    -------
-    LensTruth
-        With the focus distance of that angle.
-    """
+    """Return the lens with its ring turned to an angle, or to the stop before it."""
     focal_mm = focus_of(truth).focal_mm
     angle_deg = min(max(angle_deg, _ring_deg(focal_mm, BEYOND_M)), RING_SPAN_DEG)
     m = angle_deg / RING_SPAN_DEG * _magnification(focal_mm, CLOSEST_M)
@@ -379,16 +248,9 @@ def with_ring_at(truth: Truth, angle_deg: float) -> LensTruth:
 def truth_record(truth: Truth) -> dict[str, Any]:
     """Return all parameters as plain numbers: the content of ``truth.json``.
 
-    Parameters
-    ----------
-    truth
-        All parameters.
-
-    Returns
-    -------
-    dict
-        As ``Truth.to_dict``; ``fx`` and ``fy`` of the camera are those of the present focus. Section ``lens`` holds
-        focus, aperture, blur and the law; ``placed`` of section ``board`` is where the board stands.
+    Returns: As ``Truth.to_dict``; ``fx`` and ``fy`` of the camera are those of the present focus. Section
+      ``lens`` holds focus, aperture, blur and the law; ``placed`` of section ``board`` is where the board
+      stands.
     """
     record, focus = replace(truth, camera=camera_of(truth)).to_dict(), focus_of(truth)
     record["lens"] = {

@@ -57,19 +57,9 @@ def pose_rotation(
 
     Rotations about the axes: Diebel (2006). ``gimbal`` has the equation with errors.
 
-    Parameters
-    ----------
-    angles_deg
-        "pan" about the camera's y axis, "tilt" about its x axis, "roll" about its z axis; missing = 0.
-    optics
-        Holds the mounting rotation R0.
-    gimbal
-        Errors between these angles and the direction in which the camera points.
-
-    Returns
-    -------
-    (3, 3) float64
-        Rotation matrix R.
+    angles_deg: "pan" about the camera's y axis, "tilt" about its x axis, "roll" about its z axis; missing =
+      0.
+    optics: Holds the mounting rotation R0.
     """
     return gimbal_rotation(angles_deg, gimbal) @ rotation_matrix(np.radians(optics.mounting_deg))
 
@@ -79,18 +69,8 @@ def true_rotation(angles_deg: Mapping[Any, float], truth: Truth) -> FloatArray:
 
     All simulated cameras and the rehearsed world use this function. Rotations: Diebel (2006).
 
-    Parameters
-    ----------
-    angles_deg
-        Angles of the loads by axis, "pan", "tilt" and "roll", degrees; missing = 0. With backlash they differ from the
-        readings; see ``gimbal.load_angles_deg``.
-    truth
-        Mounting of the camera, how far it is turned in its mount, and errors of the gimbal.
-
-    Returns
-    -------
-    (3, 3) float64
-        Rotation matrix R.
+    angles_deg: Angles of the loads by axis, "pan", "tilt" and "roll", degrees; missing = 0. With backlash
+      they differ from the readings; see ``gimbal.load_angles_deg``.
     """
     rotation = pose_rotation(angles_deg, truth.optics, truth.gimbal)
     if truth.mount.turn_deg == (0.0, 0.0, 0.0):
@@ -104,15 +84,7 @@ def beam_of(truth: Truth) -> CollimatorTruth:
 
     Own definition: the entrance pupil moves by ``mount.shift_mm``, and the disc of light by the opposite amount.
 
-    Parameters
-    ----------
-    truth
-        Collimator and mount.
-
-    Returns
-    -------
-    CollimatorTruth
-        The same object if the camera is not shifted.
+    Returns: The same object if the camera is not shifted.
     """
     x, y = truth.mount.shift_mm
     if x == y == 0.0:
@@ -124,17 +96,7 @@ def beam_of(truth: Truth) -> CollimatorTruth:
 def projection_of(truth: Truth, rotation: FloatArray) -> Projection:
     """Return the projection of a pose.
 
-    Parameters
-    ----------
-    truth
-        Camera and collimator.
-    rotation
-        (3, 3), camera <- target.
-
-    Returns
-    -------
-    Projection
-        Lens, rotation, centre and collimator errors for the compiled functions.
+    rotation: (3, 3), camera <- target.
     """
     c = beam_of(truth)
     return Projection(
@@ -150,19 +112,9 @@ def project(points_mm: FloatArray, rotation: FloatArray, truth: Truth) -> FloatA
 
     Spherical motion: arXiv:2512.16092, eq. 2. Projection: Hartley and Zisserman (2004), section 6.1.
 
-    Parameters
-    ----------
-    points_mm
-        (N, 2), points of the target plane.
-    rotation
-        (3, 3), camera <- target.
-    truth
-        Camera and collimator.
-
-    Returns
-    -------
-    (N, 2) float64
-        Image points, px; NaN behind the camera.
+    points_mm: (N, 2), points of the target plane.
+    rotation: (3, 3), camera <- target.
+    Returns: Image points, px; NaN behind the camera.
     """
     return np.asarray(
         image_points(np.ascontiguousarray(points_mm, np.float64), projection_of(truth, rotation))
@@ -176,23 +128,11 @@ def star_centres(
 
     Own rule of visibility; projection as in `project`.
 
-    Parameters
-    ----------
-    truth
-        Camera, collimator and optics.
-    rotation
-        (3, 3), camera <- target.
-    clearance
-        A star is visible if it lies at least that many squares inside the bright part of the disc ...
-    border_px
-        ... and at least that far inside the image's edge.
-
-    Returns
-    -------
-    ids
-        (N,) int64, increasing.
-    points_px
-        (N, 2) float64, pixel centres at integers.
+    rotation: (3, 3), camera <- target.
+    clearance: A star is visible if it lies at least that many squares inside the bright part of the disc ...
+    border_px: ... and at least that far inside the image's edge.
+    Returns: (N,) int64, increasing.
+    Returns: (N, 2) float64, pixel centres at integers.
     """
     ids = truth.target.ids
     positions = np.asarray(truth.target.positions_mm(ids), np.float64)
@@ -206,20 +146,11 @@ def star_centres(
 
 
 class Light(NamedTuple):
-    """Illumination of the target.
-
-    Attributes
-    ----------
-    disc
-        Disc of light.
-    rim
-        Width of the rim over which brightness falls to zero, as a share of the disc's radius.
-    gradient_x, gradient_y
-        Relative change of illumination over the disc's radius.
-    """
+    """Illumination of the target."""
 
     disc: Disc
-    rim: float
+    rim: float  # Width of the rim over which brightness falls to zero, as a share of the disc's radius
+    # gradient_x, gradient_y: Relative change of illumination over the disc's radius.
     gradient_x: float
     gradient_y: float
 
@@ -229,19 +160,10 @@ def render(truth: Truth, rotation: FloatArray, *, subsamples: int = 4) -> NDArra
 
     Own model of the image; the head of the module describes it. The areas are exact (Levien, 2016).
 
-    Parameters
-    ----------
-    truth
-        Camera, collimator and optics.
-    rotation
-        (3, 3), camera <- target.
-    subsamples
-        Cells along each side of a pixel. The black area of a cell is exact; the point spread weighs whole cells.
-
-    Returns
-    -------
-    (height, width) float32
-        About 0 to 1: printed brightness x disc x illumination, after the point spread.
+    rotation: (3, 3), camera <- target.
+    subsamples: Cells along each side of a pixel. The black area of a cell is exact; the point spread weighs
+      whole cells.
+    Returns: About 0 to 1: printed brightness x disc x illumination, after the point spread.
     """
     optics, camera, disc = truth.optics, camera_of(truth), disc_of(beam_of(truth), rotation)
     blur = blur_px(truth)

@@ -22,16 +22,8 @@ CORNERS = 4
 def black_polygons(target: StarTarget) -> FloatArray:
     """Return the outlines of everything that is printed black.
 
-    Parameters
-    ----------
-    target
-        Printed target.
-
-    Returns
-    -------
-    (N, 4, 2) float64
-        Convex polygons that do not overlap, mm, each clockwise as seen (from +X to +Y). The first corner of a star's
-        segment is the star's centre.
+    Returns: Convex polygons that do not overlap, mm, each clockwise as seen (from +X to +Y). The first corner
+      of a star's segment is the star's centre.
     """
     nodes = target.positions_mm(target.ids)
     stars = nodes[:, None, None, :] + target.pitch_mm * _black_segments(target.segments)[None]

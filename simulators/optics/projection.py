@@ -27,38 +27,18 @@ CHORD_PX: Final = 1e-3
 
 
 class Projection(NamedTuple):
-    """Projection by a camera in one pose, as the compiled functions take it.
-
-    Attributes
-    ----------
-    lens
-        Lens model.
-    rotation
-        (3, 3) float64, rotation R.
-    centre
-        (3,) float64, camera centre c, mm.
-    aberrations
-        Errors of the collimator in the pose.
-    """
+    """Projection by a camera in one pose, as the compiled functions take it."""
 
     lens: Lens
-    rotation: FloatArray
-    centre: FloatArray
+    rotation: FloatArray  # (3, 3) float64, rotation R
+    centre: FloatArray  # (3,) float64, camera centre c, mm
     aberrations: Aberrations
 
 
 class Cells(NamedTuple):
-    """Resolution of a drawing.
+    """Resolution of a drawing."""
 
-    Attributes
-    ----------
-    per_px
-        Cells along a pixel's side.
-    margin_px
-        Pixels drawn around the image.
-    """
-
-    per_px: int
+    per_px: int  # Cells along a pixel's side
     margin_px: int
 
 
@@ -69,17 +49,7 @@ def plane_to_image(x_mm: float, y_mm: float, projection: Projection) -> tuple[fl
     X_cam = R (P + displacement - c): spherical motion of arXiv:2512.16092, eq. 2, if c is the collimator's centre.
     Projection: Hartley and Zisserman (2004), section 6.1.
 
-    Parameters
-    ----------
-    x_mm, y_mm
-        Point of the plane.
-    projection
-        Camera in the pose.
-
-    Returns
-    -------
-    tuple of float
-        u and v, px; NaN if the point does not lie in front of the camera.
+    Returns: u and v, px; NaN if the point does not lie in front of the camera.
     """
     dx, dy = displacement(x_mm, y_mm, projection.aberrations)
     x, y, z = x_mm + dx - projection.centre[0], y_mm + dy - projection.centre[1], -projection.centre[2]
@@ -96,17 +66,8 @@ def plane_to_image(x_mm: float, y_mm: float, projection: Projection) -> tuple[fl
 def image_points(points_mm: FloatArray, projection: Projection) -> FloatArray:
     """Return the image points of points of the plane.
 
-    Parameters
-    ----------
-    points_mm
-        (N, 2) float64, points of the plane.
-    projection
-        Camera in the pose.
-
-    Returns
-    -------
-    (N, 2) float64
-        Image points, px; NaN behind the camera.
+    points_mm: (N, 2) float64, points of the plane.
+    Returns: Image points, px; NaN behind the camera.
     """
     out = np.empty((points_mm.shape[0], 2))
     for i in range(points_mm.shape[0]):
@@ -120,17 +81,8 @@ def plane_points(rays: FloatArray, projection: Projection) -> FloatArray:
 
     Own derivation: a ray d = [x y 1] meets the plane at c + s R^T d, with s such that Z = 0.
 
-    Parameters
-    ----------
-    rays
-        (rows, columns, 2) undistorted normalised coordinates.
-    projection
-        Camera in the pose.
-
-    Returns
-    -------
-    (rows, columns, 2) float64
-        Points of the plane, mm; NaN for a ray that leads away from it.
+    rays: (rows, columns, 2) undistorted normalised coordinates.
+    Returns: Points of the plane, mm; NaN for a ray that leads away from it.
     """
     out = np.empty_like(rays)
     r, c = projection.rotation, projection.centre
@@ -157,19 +109,10 @@ def draw(
 ) -> None:
     """Add the areas of polygons to a picture.
 
-    Parameters
-    ----------
-    polygons_mm
-        (N, corners, 2), clockwise as seen; corners may repeat. Each is smaller than the image.
-    projection
-        Camera in the pose.
-    rays
-        (rows, columns, 2), from ``lens.ray_grid``. A polygon is left out if none of its corners lies within the angle
-        of these rays from the optical axis: the lens polynomial is not valid there.
-    cells
-        Resolution of the drawing.
-    steps
-        (rows of cells, columns of cells + 1) float32, changed in place as by ``coverage.add_edge``.
+    polygons_mm: (N, corners, 2), clockwise as seen; corners may repeat. Each is smaller than the image.
+    rays: (rows, columns, 2), from ``lens.ray_grid``. A polygon is left out if none of its corners lies within
+      the angle of these rays from the optical axis: the lens polynomial is not valid there.
+    steps: (rows of cells, columns of cells + 1) float32, changed in place as by ``coverage.add_edge``.
     """
     reach = float(np.linalg.norm(rays, axis=-1).max())
     _draw(np.ascontiguousarray(polygons_mm, np.float64), projection, reach, cells, steps)

@@ -27,24 +27,10 @@ FloatArray = NDArray[np.float64]
 def picture(truth: Truth, angles_deg: Mapping[Any, float], *, subsamples: int = 4) -> NDArray[np.float32]:
     """Return the share of the full light that reaches each pixel in a pose.
 
-    Parameters
-    ----------
-    truth
-        Camera, optics, and collimator or screen.
-    angles_deg
-        Angles of the axes by name; missing = 0.
-    subsamples
-        Cells along each side of a pixel.
-
-    Returns
-    -------
-    (height, width) float32
-        About 0 to 1 at the brightness of the lens as delivered.
-
-    Raises
-    ------
-    SimulationMisuse
-        If a screen is not wholly in front of the camera.
+    angles_deg: Angles of the axes by name; missing = 0.
+    subsamples: Cells along each side of a pixel.
+    Returns: About 0 to 1 at the brightness of the lens as delivered.
+    Raises SimulationMisuse: If a screen is not wholly in front of the camera.
     """
     if truth.board.present:
         image = board_scene.picture(truth, angles_deg, subsamples=subsamples)
@@ -59,17 +45,8 @@ def picture(truth: Truth, angles_deg: Mapping[Any, float], *, subsamples: int = 
 def still_picture(truth: Truth, angles_deg: Mapping[Any, float]) -> NDArray[np.float32]:
     """Return the picture of a camera that stands still; the last two are kept, as one pose is recorded often.
 
-    Parameters
-    ----------
-    truth
-        Camera, optics, and collimator or screen.
-    angles_deg
-        Angles of the axes by name; missing = 0.
-
-    Returns
-    -------
-    (height, width) float32
-        As `picture`; the array may be shared, so do not change it.
+    angles_deg: Angles of the axes by name; missing = 0.
+    Returns: As `picture`; the array may be shared, so do not change it.
     """
     return _kept_picture(truth, tuple(sorted(angles_deg.items())))
 
@@ -95,17 +72,8 @@ def _screen_picture(truth: Truth, rotation: FloatArray, subsamples: int) -> NDAr
 def corners(truth: Truth, angles_deg: Mapping[Any, float]) -> FloatArray:
     """Return the image points of the board in a pose: its inner corners, circles, dots or stars.
 
-    Parameters
-    ----------
-    truth
-        Camera, optics, and screen or board.
-    angles_deg
-        Angles of the axes by name; missing = 0.
-
-    Returns
-    -------
-    (N, 2) float64
-        Image points, px, row by row.
+    angles_deg: Angles of the axes by name; missing = 0.
+    Returns: Image points, px, row by row.
     """
     if truth.board.present:
         return board_scene.points(truth, angles_deg)
@@ -120,18 +88,7 @@ def _screen_of(truth: Truth) -> ScreenTruth:
 
 
 def board_of(screen: ScreenTruth) -> Checkerboard:
-    """Return the board on a screen.
-
-    Parameters
-    ----------
-    screen
-        True size and pose of the board.
-
-    Returns
-    -------
-    Checkerboard
-        Its corners and squares.
-    """
+    """Return the board on a screen."""
     return Checkerboard(screen.columns, screen.rows, screen.square_mm)
 
 
@@ -140,17 +97,8 @@ def board_pose(screen: ScreenTruth, rotation: FloatArray) -> tuple[FloatArray, F
 
     Own derivation: with the board's own rotation R0, position p and middle m, R = R_pose R0 and t = R_pose (p - R0 m).
 
-    Parameters
-    ----------
-    screen
-        True pose of the board at zero angles.
-    rotation
-        (3, 3) of the camera's pose, from the axes at zero angles.
-
-    Returns
-    -------
-    tuple of arrays
-        Rotation R, (3, 3), and position t, (3,) mm.
+    rotation: (3, 3) of the camera's pose, from the axes at zero angles.
+    Returns: Rotation R, (3, 3), and position t, (3,) mm.
     """
     own = np.asarray(cv2.Rodrigues(np.radians(np.asarray(screen.turn_deg, np.float64)))[0], np.float64)
     middle = 0.5 * screen.square_mm * np.array([screen.columns - 1.0, screen.rows - 1.0, 0.0])

@@ -24,19 +24,11 @@ FloatArray = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Checkerboard:
-    """A checkerboard; the screen is dark around it.
-
-    Attributes
-    ----------
-    columns, rows
-        Inner corners along X and Y.
-    square_mm
-        Side of a square.
-    """
+    """A checkerboard; the screen is dark around it."""
 
     columns: int = 11
     rows: int = 7
-    square_mm: float = 20.0
+    square_mm: float = 20.0  # Side of a square
 
     @property
     def corners_mm(self) -> FloatArray:
@@ -61,24 +53,9 @@ def project_board(
 
     Projection: Hartley and Zisserman (2004), section 6.1.
 
-    Parameters
-    ----------
-    board
-        Board on the screen.
-    camera
-        True parameters of the camera.
-    rotation, position
-        R, (3, 3), and t, (3,) mm: X_cam = R P + t.
-
-    Returns
-    -------
-    (columns * rows, 2) float64
-        Image points, px, row by row; pixel centres at integers.
-
-    Raises
-    ------
-    SimulationMisuse
-        If the board is not wholly in front of the camera.
+    rotation, position: R, (3, 3), and t, (3,) mm: X_cam = R P + t.
+    Returns: Image points, px, row by row; pixel centres at integers.
+    Raises SimulationMisuse: If the board is not wholly in front of the camera.
     """
     return np.asarray(image_points(board.corners_mm, _projection(board, camera, rotation, position)))
 
@@ -90,24 +67,9 @@ def project_outline(
 
     Projection: Hartley and Zisserman (2004), section 6.1.
 
-    Parameters
-    ----------
-    board
-        Board on the screen.
-    camera
-        True parameters of the camera.
-    rotation, position
-        R, (3, 3), and t, (3,) mm: X_cam = R P + t.
-
-    Returns
-    -------
-    (N, 2) float64
-        Image points, px.
-
-    Raises
-    ------
-    SimulationMisuse
-        If the board is not wholly in front of the camera.
+    rotation, position: R, (3, 3), and t, (3,) mm: X_cam = R P + t.
+    Returns: Image points, px.
+    Raises SimulationMisuse: If the board is not wholly in front of the camera.
     """
     outline = np.ascontiguousarray(board.bright_mm.reshape(-1, 2))
     return np.asarray(image_points(outline, _projection(board, camera, rotation, position)))
@@ -139,30 +101,10 @@ def render_board(
 
     Areas: Levien (2016). Own model of the point spread: see `coverage.spread_kernel`.
 
-    Parameters
-    ----------
-    board
-        Board on the screen.
-    camera
-        True parameters of the camera.
-    rotation, position
-        R, (3, 3), and t, (3,) mm: X_cam = R P + t.
-    psf_px
-        Standard deviation of the Gaussian point spread.
-    subsamples
-        Cells along each side of a pixel.
-    margin_px
-        Pixels n around the image that are drawn as well.
-
-    Returns
-    -------
-    (height + 2 n, width + 2 n) float32
-        0 to 1.
-
-    Raises
-    ------
-    SimulationMisuse
-        If the board is not wholly in front of the camera.
+    rotation, position: R, (3, 3), and t, (3,) mm: X_cam = R P + t.
+    subsamples: Cells along each side of a pixel.
+    Returns: 0 to 1.
+    Raises SimulationMisuse: If the board is not wholly in front of the camera.
     """
     projection = _projection(board, camera, rotation, position)
     kernel = spread_kernel(psf_px, subsamples)

@@ -40,21 +40,9 @@ _NEXT: Final = np.uint32(1)
 def smooth_level(drive: Drive, level: Any, phase: float, bent: bool) -> Any:
     """Return u of a pixel at a phase, interpolated on the atlas.
 
-    Parameters
-    ----------
-    drive
-        Light with an atlas.
-    level
-        Level of the pixel on the atlas; negative if too dark ever to fire.
-    phase
-        Phase below one period, us.
-    bent
-        Whether the atlas has uneven bins, that is, the light is square.
-
-    Returns
-    -------
-    float32
-        u in the periodic steady state.
+    level: Level of the pixel on the atlas; negative if too dark ever to fire.
+    phase: Phase below one period, us.
+    bent: Whether the atlas has uneven bins, that is, the light is square.
     """
     x = _bin_at(drive, np.float32(phase), bent)
     i = np.int32(x)
@@ -71,19 +59,7 @@ def smooth_level(drive: Drive, level: Any, phase: float, bent: bool) -> Any:
 def between(table: NDArray[np.float32], j: Any, f: Any) -> Any:
     """Interpolate between the entries j and j + 1 of a table.
 
-    Parameters
-    ----------
-    table
-        (N,) float32.
-    j
-        Index of the lower entry.
-    f
-        Fraction of the way to the next entry.
-
-    Returns
-    -------
-    float32
-        Interpolated value.
+    table: (N,) float32.
     """
     return table[j] + f * (table[j + _NEXT] - table[j])
 
@@ -168,21 +144,8 @@ def _tabulated_crossing(d: Drive, j: Any, f: Any, target: Any, bright: Any, dark
 def branch_crossing(d: Drive, level: Any, target: Any, off: Any) -> Any:
     """Return the phase at which a pixel's ln u meets a target on one branch of the atlas.
 
-    Parameters
-    ----------
-    d
-        Light with an atlas.
-    level
-        Level of the pixel on the atlas.
-    target
-        ln u that is crossed.
-    off
-        Whether the branch rises (OFF); else it falls (ON).
-
-    Returns
-    -------
-    float32
-        Phase, us; may exceed a period.
+    off: Whether the branch rises (OFF); else it falls (ON).
+    Returns: Phase, us; may exceed a period.
     """
     j = np.uint32(np.int32(level))
     f = level - np.float32(j)
@@ -201,24 +164,11 @@ def near_crossing(
     it. With ``exact_crossing`` the two halves of a crossing are two short loops over many pixels: a processor then
     waits for the memory of several pixels at once.
 
-    Parameters
-    ----------
-    d
-        Light with an atlas.
-    level
-        Level of the pixel on the atlas; negative if too dark ever to fire.
-    on_at, off_at
-        Values of u at which an ON and an OFF event come.
-    phase
-        Phase from which on crossings count, below one period, us.
-    bent
-        Whether the atlas has uneven bins, that is, the light is square; the crossing is then exact.
-
-    Returns
-    -------
-    tuple of float32
-        Phase of the crossing on its branch, us; ln u there; the earliest phase that it may have, us; what is to be
-        added to it, us (inf = it never crosses); and its polarity (1.0 = ON).
+    level: Level of the pixel on the atlas; negative if too dark ever to fire.
+    phase: Phase from which on crossings count, below one period, us.
+    bent: Whether the atlas has uneven bins, that is, the light is square; the crossing is then exact.
+    Returns: Phase of the crossing on its branch, us; ln u there; the earliest phase that it may have, us;
+      what is to be added to it, us (inf = it never crosses); and its polarity (1.0 = ON).
     """
     j = np.uint32(np.int32(max(level, _ZERO)))
     f = level - np.float32(j)
@@ -250,21 +200,10 @@ def exact_crossing(
 ) -> Any:
     """Return the phase of a pixel's next crossing.
 
-    Parameters
-    ----------
-    d
-        Light with an atlas.
-    level
-        Level of the pixel on the atlas; negative if too dark ever to fire.
-    near, target, earliest, shift
-        From ``near_crossing``.
-    bent
-        Whether the atlas has uneven bins.
-
-    Returns
-    -------
-    float32
-        Phase of the crossing, us; may exceed a period; inf = none.
+    level: Level of the pixel on the atlas; negative if too dark ever to fire.
+    near, target, earliest, shift: From ``near_crossing``.
+    bent: Whether the atlas has uneven bins.
+    Returns: Phase of the crossing, us; may exceed a period; inf = none.
     """
     cross = near
     if not bent:
@@ -280,23 +219,10 @@ def smooth_crossing(
 ) -> tuple[Any, Any]:
     """Return phase and polarity of a pixel's next crossing.
 
-    Parameters
-    ----------
-    d
-        Light with an atlas.
-    level
-        Level of the pixel on the atlas; negative if too dark ever to fire.
-    on_at, off_at
-        Values of u at which an ON and an OFF event come.
-    phase
-        Phase from which on crossings count, below one period, us.
-    bent
-        Whether the atlas has uneven bins, that is, the light is square.
-
-    Returns
-    -------
-    tuple of float32
-        Phase of the crossing in us (may exceed a period, inf = none) and its polarity (1.0 = ON).
+    level: Level of the pixel on the atlas; negative if too dark ever to fire.
+    phase: Phase from which on crossings count, below one period, us.
+    bent: Whether the atlas has uneven bins, that is, the light is square.
+    Returns: Phase of the crossing in us (may exceed a period, inf = none) and its polarity (1.0 = ON).
     """
     near, target, earliest, shift, is_on = near_crossing(d, level, on_at, off_at, phase, bent)
     return exact_crossing(d, level, near, target, earliest, shift, bent), is_on

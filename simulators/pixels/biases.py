@@ -47,48 +47,23 @@ FASTEST_FOLLOWER_US: Final = 1.0
 
 @dataclass(frozen=True)
 class PixelSettings:
-    """Physical settings of all pixels, before their mismatch.
-
-    Attributes
-    ----------
-    threshold_on, threshold_off
-        Contrast thresholds in units of log intensity.
-    dead_us
-        Refractory time after a read.
-    q_us
-        Time constant of the photoreceptor at nominal brightness (1).
-    ambient
-        Constant light (stray light, dark current), nominal brightness = 1.
-    background_gain
-        Factor on the rate of background events.
-    follower_us
-        Time constant of the source follower behind the photoreceptor, a second low-pass pole; 0: none.
-    high_pass_hz
-        Corner frequency of the high-pass before the comparators; 0: none.
-    """
+    """Physical settings of all pixels, before their mismatch."""
 
     threshold_on: float = math.log(1.25)
     threshold_off: float = math.log(1.25)
-    dead_us: float = 50.0
-    q_us: float = 20.0
-    ambient: float = 1.0 / 9.0
+    dead_us: float = 50.0  # Refractory time after a read
+    q_us: float = 20.0  # Time constant of the photoreceptor at nominal brightness (1)
+    ambient: float = 1.0 / 9.0  # Constant light (stray light, dark current), nominal brightness = 1
     background_gain: float = 1.0
+    # Time constant of the source follower behind the photoreceptor, a second low-pass pole; 0: none.
     follower_us: float = 0.0
-    high_pass_hz: float = 0.0
+    high_pass_hz: float = 0.0  # Corner frequency of the high-pass before the comparators; 0: none
 
     @classmethod
     def from_biases(cls, biases: Mapping[str, int]) -> PixelSettings:
         """Return the settings for a set of biases.
 
-        Parameters
-        ----------
-        biases
-            Offsets from the factory value, by name; missing = 0.
-
-        Returns
-        -------
-        PixelSettings
-            By the assumed laws of this module.
+        biases: Offsets from the factory value, by name; missing = 0.
 
         Examples
         --------

@@ -49,76 +49,38 @@ LEAST: Final = 1.0 + LOWEST_CONTRAST
 
 
 class Drive(NamedTuple):
-    """The light's waveform, the photoreceptor's constants, and the tables of the steady state.
+    """The light's waveform, the photoreceptor's constants, and the tables of the steady state."""
 
-    Attributes
-    ----------
-    kind
-        SQUARE (closed form), SMOOTH (atlas with even bins) or BENT (atlas of a square light, with uneven bins).
-    period_us
-        Length of a period.
-    high_us
-        Length of the high part of a square's period.
-    w_high, w_low
-        Upper and lower level of the light, nominal brightness = 1.
-    ambient
-        Constant light, nominal brightness = 1.
-    q_us
-        Time constant of the photoreceptor at nominal brightness.
-    start_us
-        Sensor time at which a period begins.
-    atlas
-        (bins + 1, levels) float32: ln u over a period; the light increases from level to level.
-    flat
-        (levels * (bins + 1),) float32: the same, one row after the other.
-    turns
-        (N_TURNS, levels) float32: extremes of each level's curve, and their phases in us.
-    when
-        (2 * levels * (WHEN_STEPS + 2),) float32: phase of a crossing in us, ON and OFF, by light and height.
-    grid
-        (bins + 1,) float32: phases of the bins' edges, us; BENT: half of the bins in either part.
-    lowest
-        Light of the first level; a pixel with less light never crosses a threshold.
-    contrast
-        Relative change of brightness for a light of 1.
-    log_step
-        Step between levels in ln(1 + light * contrast), in which levels are evenly spaced: ln u is nearly linear in it.
-    """
-
+    # SQUARE (closed form), SMOOTH (atlas with even bins) or BENT (atlas of a square light, with uneven bins).
     kind: int
-    period_us: float
-    high_us: float
+    period_us: float  # Length of a period
+    high_us: float  # Length of the high part of a square's period
+    # w_high, w_low: Upper and lower level of the light, nominal brightness = 1.
     w_high: float
     w_low: float
-    ambient: float
+    ambient: float  # Constant light, nominal brightness = 1
     q_us: float
     start_us: float
+    # (bins + 1, levels) float32: ln u over a period; the light increases from level to level.
     atlas: NDArray[np.float32]
-    flat: NDArray[np.float32]
+    flat: NDArray[np.float32]  # (levels * (bins + 1),) float32: the same, one row after the other
+    # (N_TURNS, levels) float32: extremes of each level's curve, and their phases in us.
     turns: NDArray[np.float32]
+    # (2 * levels * (WHEN_STEPS + 2),) float32: phase of a crossing in us, ON and OFF, by light and height.
     when: NDArray[np.float32]
+    # (bins + 1,) float32: phases of the bins' edges, us; BENT: half of the bins in either part.
     grid: NDArray[np.float32]
-    lowest: float
-    contrast: float
+    lowest: float  # Light of the first level; a pixel with less light never crosses a threshold
+    contrast: float  # Relative change of brightness for a light of 1
+    # Step between levels in ln(1 + light * contrast), in which levels are evenly spaced: ln u is nearly
+    # linear in it.
     log_step: float
 
 
 def make_drive(light: LightState, start_us: float, settings: PixelSettings) -> Drive:
     """Return the light as the pixels respond to it.
 
-    Parameters
-    ----------
-    light
-        Waveform, frequency and levels.
-    start_us
-        Sensor time at which a period begins.
-    settings
-        Time constants and ambient light of the pixels.
-
-    Returns
-    -------
-    Drive
-        With tables where there is no closed form.
+    Returns: With tables where there is no closed form.
     """
     period = light.period_us
     plain = settings.follower_us == 0.0 and settings.high_pass_hz == 0.0
@@ -214,19 +176,11 @@ def fill_curves(
     middle, and the limit 1 / I goes linearly from begin to end (a first-order hold). This is exact for a square light,
     and of second order in the step's length for a smooth one; it stays accurate however short q is.
 
-    Parameters
-    ----------
-    curves
-        (levels, bins + 1) float64, filled in: ln u at the bins' edges.
-    lights
-        (levels,) float64, light of each level.
-    wave
-        (3, steps) float64, w at the begin, in the middle and at the end of each step, with a whole number of steps per
-        bin.
-    ambient
-        Constant part of I.
-    bin_q
-        (bins,) float64, length of each bin in units of q.
+    curves: (levels, bins + 1) float64, filled in: ln u at the bins' edges.
+    lights: (levels,) float64, light of each level.
+    wave: (3, steps) float64, w at the begin, in the middle and at the end of each step, with a whole number
+      of steps per bin.
+    bin_q: (bins,) float64, length of each bin in units of q.
     """
     bins, steps = bin_q.size, wave.shape[1] // bin_q.size
     for j in range(lights.size):
@@ -257,12 +211,8 @@ def low_pass(curves: NDArray[np.float64], bin_tau: NDArray[np.float64]) -> None:
 
     Exact for a curve that is linear within a bin (first-order hold).
 
-    Parameters
-    ----------
-    curves
-        (levels, bins + 1) float64, values at the bins' edges, changed in place.
-    bin_tau
-        (bins,) float64, length of each bin in time constants.
+    curves: (levels, bins + 1) float64, values at the bins' edges, changed in place.
+    bin_tau: (bins,) float64, length of each bin in time constants.
     """
     bins = bin_tau.size
     for j in range(curves.shape[0]):
@@ -292,16 +242,10 @@ def fill_when(
 ) -> None:
     """Find the extremes of each curve, and the phases at which it crosses heights between them; see ``Drive``.
 
-    Parameters
-    ----------
-    curves
-        (levels, bins + 1) float64, ln u at the bins' edges.
-    turns
-        (N_TURNS, levels) float32, filled in.
-    when
-        (2, levels, WHEN_STEPS + 2) float32, filled in, us.
-    grid
-        (bins + 1,) float64, phases of the bins' edges, us.
+    curves: (levels, bins + 1) float64, ln u at the bins' edges.
+    turns: (N_TURNS, levels) float32, filled in.
+    when: (2, levels, WHEN_STEPS + 2) float32, filled in, us.
+    grid: (bins + 1,) float64, phases of the bins' edges, us.
     """
     bins = curves.shape[1] - 1
     period = grid[bins]
@@ -335,21 +279,9 @@ def fill_when(
 def crossing_bin(curve: NDArray[np.float64], first: int, last: int, target: float, off: bool) -> float:
     """Return where a curve crosses a target, found by bisection on the branch between two bins.
 
-    Parameters
-    ----------
-    curve
-        (bins + 1,) float64, values at the bins' edges.
-    first, last
-        Bins between which the curve is monotone; the last may exceed one period.
-    target
-        Value that is crossed.
-    off
-        Whether the branch rises (OFF); else it falls (ON).
-
-    Returns
-    -------
-    float
-        Bin and the fraction within it.
+    curve: (bins + 1,) float64, values at the bins' edges.
+    first, last: Bins between which the curve is monotone; the last may exceed one period.
+    off: Whether the branch rises (OFF); else it falls (ON).
     """
     bins = curve.size - 1
     low, high = first, last

@@ -39,12 +39,7 @@ _LONG_AGO: Final = -(1 << 40)
 class EventFilters:
     """The enabled filters of a sensor.
 
-    Parameters
-    ----------
-    width, height
-        Pixels of the sensor.
-    enabled
-        Whether each filter is on, by name; missing = off.
+    enabled: Whether each filter is on, by name; missing = off.
     """
 
     def __init__(self, width: int, height: int, enabled: Mapping[str, bool]) -> None:
@@ -71,17 +66,9 @@ class EventFilters:
     def apply(self, events: Events) -> tuple[Events, NDArray[np.int64]]:
         """Pass a slice of events through the filters.
 
-        Parameters
-        ----------
-        events
-            Events in order of time, after those of the previous slice.
-
-        Returns
-        -------
-        events : Events
-            Events that are left.
-        entered_t : (N,) int64
-            Times, us, of the events that entered the rate controller, which counts them even if it is off.
+        events: Events in order of time, after those of the previous slice.
+        Returns: Times, us, of the events that entered the rate controller, which counts them even if it is
+          off.
         """
         for name in self._enabled:
             if name == "erc":

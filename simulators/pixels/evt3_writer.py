@@ -57,17 +57,8 @@ _N_STATE: Final = 9
 class Evt3Writer:
     """Encoder of a stream in slices; the stream continues from slice to slice.
 
-    Parameters
-    ----------
-    start_us
-        Sensor time at which the stream starts; a multiple of 16.
-    width, height
-        Pixels of the sensor.
-
-    Raises
-    ------
-    SimulationMisuse
-        If the start is not a multiple of 16.
+    start_us: Sensor time at which the stream starts; a multiple of 16.
+    Raises SimulationMisuse: If the start is not a multiple of 16.
     """
 
     def __init__(self, start_us: int = 0, *, width: int = 1280, height: int = 720) -> None:
@@ -98,28 +89,14 @@ class Evt3Writer:
 
         The words do not depend on how the stream is cut into slices.
 
-        Parameters
-        ----------
-        t, x, y, p
-            Events of the slice, four (N,) arrays: int64 us, uint16 px, uint16 px, uint8 (1 = ON). t does not decrease;
-            events of one time, row and polarity are in order of x.
-        until_us
-            Sensor time at which the slice ends.
-        trigger_t, trigger_value
-            Edges of the trigger input in the slice, two (M,) arrays: int64 us in order of time, and uint8 (1 = rising),
-            to which twice the number of the channel is added.
-        entered_t
-            (K,) int64 us, times of the events that entered the rate controller; None: those of the slice.
-
-        Returns
-        -------
-        (W,) uint16
-            EVT3 words.
-
-        Raises
-        ------
-        SimulationMisuse
-            If an event lies outside the slice or the sensor.
+        t, x, y, p: Events of the slice, four (N,) arrays: int64 us, uint16 px, uint16 px, uint8 (1 = ON). t
+          does not decrease; events of one time, row and polarity are in order of x.
+        trigger_t, trigger_value: Edges of the trigger input in the slice, two (M,) arrays: int64 us in order
+          of time, and uint8 (1 = rising), to which twice the number of the channel is added.
+        entered_t: (K,) int64 us, times of the events that entered the rate controller; None: those of the
+          slice.
+        Returns: EVT3 words.
+        Raises SimulationMisuse: If an event lies outside the slice or the sensor.
         """
         none_t, none_value = np.empty(0, np.int64), np.empty(0, np.uint8)
         edges = (

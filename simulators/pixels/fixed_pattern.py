@@ -31,21 +31,7 @@ def make_pixels(
 ) -> Pixels:
     """Return pixels with the thresholds of a camera; padding pixels, up to whole blocks, never request.
 
-    Parameters
-    ----------
-    width, height
-        Pixels of the sensor.
-    noise
-        Threshold mismatch and share of dead pixels.
-    settings
-        Nominal thresholds.
-    camera_seed
-        Seed of the fixed pattern.
-
-    Returns
-    -------
-    Pixels
-        Without light and without requests.
+    Returns: Without light and without requests.
     """
     blocks = -(-width // BLOCK)
     shape = (height, blocks * BLOCK)
@@ -90,22 +76,7 @@ def _draw_gains(
 
 
 def dead_pixels(width: int, height: int, noise: NoiseTruth, camera_seed: int) -> NDArray[np.bool_]:
-    """Return which pixels of a camera are dead.
-
-    Parameters
-    ----------
-    width, height
-        Pixels of the sensor.
-    noise
-        Share of dead pixels.
-    camera_seed
-        Seed of the fixed pattern.
-
-    Returns
-    -------
-    (height, width) bool
-        True for a dead pixel.
-    """
+    """Return which pixels of a camera are dead."""
     dead = np.zeros(width * height, np.bool_)
     dead[: round(noise.dead_share * dead.size)] = True
     if dead[0]:
@@ -116,24 +87,7 @@ def dead_pixels(width: int, height: int, noise: NoiseTruth, camera_seed: int) ->
 def draw_noise_rates(
     width: int, height: int, noise: NoiseTruth, settings: PixelSettings, camera_seed: int
 ) -> NDArray[np.float32]:
-    """Return the rates of background and hot-pixel events of a camera's pixels.
-
-    Parameters
-    ----------
-    width, height
-        Pixels of the sensor.
-    noise
-        Mean rates, and shares of hot and dead pixels.
-    settings
-        Factor on the background rate.
-    camera_seed
-        Seed of the fixed pattern.
-
-    Returns
-    -------
-    (height * width,) float32
-        Rates row by row, events/s.
-    """
+    """Return the rates of background and hot-pixel events of a camera's pixels."""
     pattern = np.random.default_rng([camera_seed, 2])
     n = width * height
     spread = np.exp(RATE_SPREAD * pattern.standard_normal(n, np.float32) - 0.5 * RATE_SPREAD**2)

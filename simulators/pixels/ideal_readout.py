@@ -63,31 +63,13 @@ def ideal_slices(
 
     Each array is a view of one buffer, which the next slice overwrites: copy what you keep.
 
-    Parameters
-    ----------
-    picture
-        (height, width) float32, share of the light's drive that reaches each pixel.
-    light
-        A light with one smooth rise and fall a period: neither square nor constant.
-    duration_us
-        End of the stream, exclusive.
-    phase
-        Phase of the light at time 0, in periods.
-    settings
-        Thresholds and time constant; the dead time is not used.
-    thresholds
-        ON and OFF thresholds of each pixel, two (height, width) arrays in units of log intensity, as
-        ``Sensor.thresholds`` has them; None: those of the settings for all pixels.
-
-    Yields
-    ------
-    (N,) EVENT
-        Events of a slice, a structured array.
-
-    Raises
-    ------
-    SimulationMisuse
-        If the light is square or constant.
+    picture: (height, width) float32, share of the light's drive that reaches each pixel.
+    phase: Phase of the light at time 0, in periods.
+    settings: Thresholds and time constant; the dead time is not used.
+    thresholds: ON and OFF thresholds of each pixel, two (height, width) arrays in units of log intensity, as
+      ``Sensor.thresholds`` has them; None: those of the settings for all pixels.
+    Yields: Events of a slice, a structured array.
+    Raises SimulationMisuse: If the light is square or constant.
     """
     chosen = settings if settings is not None else PixelSettings()
     drive = make_drive(light, -phase * light.period_us, chosen)
@@ -137,21 +119,9 @@ def ideal_events(
 ) -> NDArray[np.void]:
     """Return all events of ``ideal_slices`` in one array.
 
-    Parameters
-    ----------
-    picture
-        (height, width) float32, share of the light's drive that reaches each pixel.
-    light
-        A light with one smooth rise and fall a period.
-    duration_us
-        End of the stream, exclusive.
-    options
-        Further arguments of ``ideal_slices``.
-
-    Returns
-    -------
-    (N,) EVENT
-        Events sorted by time, a structured array.
+    picture: (height, width) float32, share of the light's drive that reaches each pixel.
+    options: Further arguments of ``ideal_slices``.
+    Returns: Events sorted by time, a structured array.
     """
     slices = [events.copy() for events in ideal_slices(picture, light, duration_us, **options)]
     events = np.empty(sum(map(len, slices)), EVENT)

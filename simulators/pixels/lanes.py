@@ -61,18 +61,7 @@ def _smaller(builder: Any, a: Any, b: Any) -> Any:
 
 @intrinsic
 def count_bits(_typing: Any, bits: Any) -> Any:
-    """Return the number of bits set in an unsigned integer, in the same type.
-
-    Parameters
-    ----------
-    bits
-        Bits.
-
-    Returns
-    -------
-    int
-        Number of bits.
-    """
+    """Return the number of bits set in an unsigned integer, in the same type."""
 
     def generate(_context: Any, builder: Any, _signature: Any, args: Any) -> Any:
         return builder.ctpop(args[0])
@@ -110,15 +99,7 @@ def _smallest_of_many(_typing: Any, values: Any) -> Any:
 def smallest(values: Any) -> Any:
     """Return the smallest of some numbers.
 
-    Parameters
-    ----------
-    values
-        (N,) float32, at least one number; none is NaN.
-
-    Returns
-    -------
-    float32
-        The minimum.
+    values: (N,) float32, at least one number; none is NaN.
     """
     if values.size >= _LANES:
         return _smallest_of_many(values)
@@ -154,17 +135,9 @@ _at_most = _comparison("<=")
 def bits_at_most(values: Any, limit: Any) -> Any:
     """Return which of some numbers are at most as large as a limit, a bit each.
 
-    Parameters
-    ----------
-    values
-        (N,) float32; N from 8 to 64.
-    limit
-        Limit, float32.
-
-    Returns
-    -------
-    uint64
-        The lowest bit is that of the first number.
+    values: (N,) float32; N from 8 to 64.
+    limit: Limit, float32.
+    Returns: The lowest bit is that of the first number.
     """
     last = values.size - _LANES
     bits = _at_most(values, last, limit) << np.uint64(last)
@@ -177,17 +150,8 @@ def bits_at_most(values: Any, limit: Any) -> Any:
 def first_equal(values: Any, wanted: Any) -> Any:
     """Return the index of the first number that equals the wanted one; 0 if none does.
 
-    Parameters
-    ----------
-    values
-        (N,) float32.
-    wanted
-        Number, float32.
-
-    Returns
-    -------
-    int64
-        Index.
+    values: (N,) float32.
+    wanted: Number, float32.
     """
     if FEWEST_BITS <= values.size <= MOST_BITS:
         last = values.size - _LANES
@@ -205,15 +169,8 @@ def first_equal(values: Any, wanted: Any) -> Any:
 def lowest_bit(bits: Any) -> Any:
     """Return the place of the lowest bit that is set.
 
-    Parameters
-    ----------
-    bits
-        Unsigned integer, not 0.
-
-    Returns
-    -------
-    int64
-        Place, 0 for the lowest.
+    bits: Unsigned integer, not 0.
+    Returns: Place, 0 for the lowest.
     """
     wide = np.uint64(bits)
     return np.int64(count_bits(~wide & (wide - np.uint64(1))))
@@ -223,19 +180,9 @@ def lowest_bit(bits: Any) -> Any:
 def waiting(_typing: Any, t_next: Any, is_on: Any, _t: Any) -> Any:
     """Return which pixels of a block wait, a bit each, and which of these have an ON event.
 
-    Parameters
-    ----------
-    t_next
-        (BLOCK,) float32, next requests, us after the epoch.
-    is_on
-        (BLOCK,) uint8, their polarities in bit 0.
-    _t
-        Present time, float32.
-
-    Returns
-    -------
-    tuple of uint32
-        Bits of waiting pixels, and of those with an ON event.
+    t_next: (BLOCK,) float32, next requests, us after the epoch.
+    is_on: (BLOCK,) uint8, their polarities in bit 0.
+    _t: Present time, float32.
     """
 
     def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
@@ -274,16 +221,10 @@ def _write_places(_typing: Any, table: Any, _byte: Any, _first: Any, out: Any, _
 def list_bits(bits: Any, first: Any, out: Any, n: Any) -> None:
     """Write the place of each bit that is set, lowest first; BLOCK places are touched.
 
-    Parameters
-    ----------
-    bits
-        One bit a place, uint32.
-    first
-        Place of the lowest bit, uint64.
-    out
-        (N,) unsigned integers, filled in from n on.
-    n
-        Index of the first place to write, uint64.
+    bits: One bit a place, uint32.
+    first: Place of the lowest bit, uint64.
+    out: (N,) unsigned integers, filled in from n on.
+    n: Index of the first place to write, uint64.
     """
     for k in range(4):
         byte = np.uint64(bits >> np.uint32(8 * k)) & np.uint64(0xFF)
@@ -295,17 +236,8 @@ def list_bits(bits: Any, first: Any, out: Any, n: Any) -> None:
 def prefetch(_typing: Any, array: Any, _i: Any) -> Any:
     """Ask for the cache line of element i of an array with one axis, without waiting for it.
 
-    Parameters
-    ----------
-    array
-        (N,) array.
-    _i
-        Index, int64.
-
-    Returns
-    -------
-    none
-        Nothing is read.
+    array: (N,) array.
+    _i: Index, int64.
     """
 
     def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:

@@ -33,14 +33,7 @@ from simulators.pixels.sensor_state import (
 def set_picture(px: Pixels, drive: Drive, picture: NDArray[np.float32]) -> None:
     """Store a picture as the light of the pixels.
 
-    Parameters
-    ----------
-    px
-        Pixels, changed in place.
-    drive
-        Light.
-    picture
-        (rows, width) float32, share of the light's drive that reaches each pixel.
+    picture: (rows, width) float32, share of the light's drive that reaches each pixel.
     """
     for r in range(picture.shape[0]):
         for c in range(picture.shape[1]):
@@ -53,20 +46,8 @@ def start_pixels(
 ) -> None:
     """Reset every pixel as if its dead time ended now, at ``state[FREE]``.
 
-    Parameters
-    ----------
-    px
-        Pixels, changed in place.
-    drive
-        Light.
-    ro
-        Readout, for dead time and noise of the reset.
-    width
-        Columns of the sensor.
-    state
-        (N_STATE,) float64, state of the loop.
-    random
-        (2,) uint64, generator; its counter advances.
+    state: (N_STATE,) float64, state of the loop.
+    random: (2,) uint64, generator; its counter advances.
     """
     t = state[FREE] - ro.dead_us
     start = period_start(drive, state[EPOCH], t)
@@ -91,22 +72,9 @@ def apply_change(
 
     A pixel that the change itself carries beyond its threshold requests at a random time within the step.
 
-    Parameters
-    ----------
-    px
-        Pixels, changed in place.
-    drive
-        New light.
-    width
-        Columns of the sensor.
-    t
-        Time of the change, us after the epoch.
-    step_us
-        Time over which the change is spread.
-    state
-        (N_STATE,) float64, state of the loop.
-    random
-        (2,) uint64, generator; its counter advances.
+    t: Time of the change, us after the epoch.
+    state: (N_STATE,) float64, state of the loop.
+    random: (2,) uint64, generator; its counter advances.
     """
     batch = px.batch
     start = period_start(drive, state[EPOCH], t)

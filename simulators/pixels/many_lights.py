@@ -39,24 +39,13 @@ class Window(Sensor):
     def take_gains(self, gains: NDArray[np.uint32]) -> None:
         """Take the thresholds of other pixels.
 
-        Parameters
-        ----------
-        gains
-            (height, width) uint32, as stored.
+        gains: (height, width) uint32, as stored.
         """
         self._pixels.gains[:, : self.width, sensor_state.GAINS] = gains
 
 
 class Part(NamedTuple):
-    """One light, and the sensor that sees it.
-
-    Attributes
-    ----------
-    light
-        Image of the light.
-    sensor
-        Sensor of its window.
-    """
+    """One light, and the sensor that sees it."""
 
     light: ImageOfLight
     sensor: Window
@@ -65,25 +54,7 @@ class Part(NamedTuple):
 class ManyLightsSensor:
     """A sensor in front of many lights, in place of `Sensor`.
 
-    Parameters
-    ----------
-    truth
-        Camera, lens, board and noise.
-    angles_deg
-        Angles of the axes at the start.
-    settings
-        Thresholds, dead time, time constants.
-    camera_seed
-        Seed of the fixed pattern.
-    seed
-        Seed of the noise over time, and of the moment at which the lights' clock is met.
-
-    Attributes
-    ----------
-    width, height
-        Pixels of the sensor.
-    parts
-        The lights in view and their sensors, from `begin` on.
+    parts: The lights in view and their sensors, from `begin` on.
     """
 
     def __init__(
@@ -116,16 +87,9 @@ class ManyLightsSensor:
     ) -> None:
         """Start under a picture and a light; see `Sensor.begin`.
 
-        Parameters
-        ----------
-        picture
-            (height, width) float32, share of the light that reaches each pixel.
-        light
-            Light of the board as a whole; it drives the lines of a screen. Dots have lights of their own.
-        phase
-            Its phase at ``at_us``, in periods.
-        at_us
-            Sensor time of the start.
+        picture: (height, width) float32, share of the light that reaches each pixel.
+        light: Light of the board as a whole; it drives the lines of a screen. Dots have lights of their own.
+        phase: Its phase at ``at_us``, in periods.
         """
         self._now_us = at_us
         self._whole.begin(np.zeros_like(picture), _STEADY, 0.0, at_us=at_us)
@@ -137,43 +101,19 @@ class ManyLightsSensor:
     ) -> None:
         """Apply a new picture or light now; see `Sensor.change`.
 
-        Parameters
-        ----------
-        picture
-            (height, width) float32, share of the light that reaches each pixel; None: unchanged.
-        light
-            Light of the board as a whole.
-        phase
-            Its phase now, in periods.
-        step_us
-            Pixels that the change itself carries beyond a threshold fire within this time.
+        picture: (height, width) float32, share of the light that reaches each pixel; None: unchanged.
         """
         self._for_each(picture, light, phase, lambda sensor, *seen: sensor.change(*seen, step_us))
 
     def look_again(self, truth: Truth, angles_deg: Mapping[Any, float]) -> None:
-        """Look for the lights at other places, before the next `begin`.
-
-        Parameters
-        ----------
-        truth
-            Camera, lens and board.
-        angles_deg
-            Angles of the axes.
-        """
+        """Look for the lights at other places, before the next `begin`."""
         self._truth, self._angles = truth, dict(angles_deg)
 
     def run(self, until_us: float) -> Events:
         """Return the events up to a time; see `Sensor.run`.
 
-        Parameters
-        ----------
-        until_us
-            Time of the sensor's clock, exclusive.
-
-        Returns
-        -------
-        Events
-            In order of time.
+        until_us: Time of the sensor's clock, exclusive.
+        Returns: In order of time.
         """
         found = [self._whole.run(until_us)]
         for light, sensor in self.parts:
@@ -230,26 +170,7 @@ def make_sensor(
     camera_seed: int,
     seed: np.random.SeedSequence,
 ) -> Sensor | ManyLightsSensor:
-    """Return the sensor that a scene needs.
-
-    Parameters
-    ----------
-    truth
-        Camera, noise and scene.
-    angles_deg
-        Angles of the axes at the start.
-    settings
-        Thresholds, dead time, time constants.
-    camera_seed
-        Seed of the fixed pattern.
-    seed
-        Seed of the noise over time.
-
-    Returns
-    -------
-    Sensor or ManyLightsSensor
-        The latter for blinking dots, and for a screen that is drawn line by line.
-    """
+    """Return the sensor that a scene needs."""
     if board_lights.has_many_lights(truth):
         return ManyLightsSensor(truth, angles_deg, settings=settings, camera_seed=camera_seed, seed=seed)
     width, height = truth.camera.width, truth.camera.height

@@ -58,19 +58,9 @@ _TINY: Final = np.float32(1e-30)
 def period_start(drive: Drive, epoch: float, t: float) -> float:
     """Return the start of the light's period that contains a time.
 
-    Parameters
-    ----------
-    drive
-        Light.
-    epoch
-        Sensor time of the epoch, us.
-    t
-        Time, us after the epoch.
-
-    Returns
-    -------
-    float
-        Start of the period, us after the epoch.
+    epoch: Sensor time of the epoch, us.
+    t: Time, us after the epoch.
+    Returns: Start of the period, us after the epoch.
     """
     first = drive.start_us - epoch
     return first + floor((t - first) / drive.period_us) * drive.period_us
@@ -80,17 +70,8 @@ def period_start(drive: Drive, epoch: float, t: float) -> float:
 def stored_light(drive: Drive, light: float) -> float:
     """Return the number by which a pixel's light is stored.
 
-    Parameters
-    ----------
-    drive
-        Light.
-    light
-        Share of the light's drive that reaches the pixel.
-
-    Returns
-    -------
-    float
-        The share itself under a square light; else its level on the atlas, -1 if too dark ever to fire.
+    light: Share of the light's drive that reaches the pixel.
+    Returns: The share itself under a square light; else its level on the atlas, -1 if too dark ever to fire.
     """
     if drive.kind == SQUARE:
         return light
@@ -104,17 +85,8 @@ def stored_light(drive: Drive, light: float) -> float:
 def steady_state(d: Drive, placed: Any) -> tuple[Any, Any]:
     """Return U_RISE and U_FALL of a pixel.
 
-    Parameters
-    ----------
-    d
-        Light.
-    placed
-        Stored light of the pixel, from ``stored_light``.
-
-    Returns
-    -------
-    tuple of float32
-        U_RISE and U_FALL, as in a batch.
+    placed: Stored light of the pixel, from ``stored_light``.
+    Returns: U_RISE and U_FALL, as in a batch.
     """
     if d.kind != SQUARE:
         return placed, _ZERO
@@ -125,14 +97,8 @@ def steady_state(d: Drive, placed: Any) -> tuple[Any, Any]:
 def fill_steady_states(drive: Drive, batch: NDArray[np.float32], n: int) -> None:
     """Fill in U_RISE and U_FALL of each pixel from its stored light.
 
-    Parameters
-    ----------
-    drive
-        Light.
-    batch
-        (N_BATCH, columns) float32, changed in place.
-    n
-        Number of pixels in the batch.
+    batch: (N_BATCH, columns) float32, changed in place.
+    n: Number of pixels in the batch.
     """
     if drive.kind != SQUARE:
         for k in range(n):
@@ -146,21 +112,9 @@ def fill_steady_states(drive: Drive, batch: NDArray[np.float32], n: int) -> None
 def level_at(d: Drive, light: Any, u_rise: Any, u_fall: Any, phase: float) -> Any:
     """Return u of one pixel at a phase.
 
-    Parameters
-    ----------
-    d
-        Light.
-    light
-        Stored light of the pixel, from ``stored_light``.
-    u_rise, u_fall
-        From ``steady_state``.
-    phase
-        Phase below one period, us.
-
-    Returns
-    -------
-    float32
-        u in the periodic steady state.
+    light: Stored light of the pixel, from ``stored_light``.
+    u_rise, u_fall: From ``steady_state``.
+    phase: Phase below one period, us.
     """
     if d.kind != SQUARE:
         return smooth_level(d, u_rise, phase, d.kind == BENT)
@@ -171,23 +125,10 @@ def level_at(d: Drive, light: Any, u_rise: Any, u_fall: Any, phase: float) -> An
 def crossing(d: Drive, light: Any, u_rise: Any, u_fall: Any, on_at: Any, off_at: Any, phase: float) -> Any:
     """Return the first crossing of one pixel at or after a phase.
 
-    Parameters
-    ----------
-    d
-        Light.
-    light
-        Stored light of the pixel, from ``stored_light``.
-    u_rise, u_fall
-        From ``steady_state``.
-    on_at, off_at
-        Values of u at which an ON and an OFF event come.
-    phase
-        Phase below one period, us.
-
-    Returns
-    -------
-    tuple of float32
-        Phase of the crossing in us (may exceed a period, inf = none) and its polarity (1.0 = ON).
+    light: Stored light of the pixel, from ``stored_light``.
+    u_rise, u_fall: From ``steady_state``.
+    phase: Phase below one period, us.
+    Returns: Phase of the crossing in us (may exceed a period, inf = none) and its polarity (1.0 = ON).
     """
     if d.kind != SQUARE:
         return smooth_crossing(d, u_rise, on_at, off_at, phase, d.kind == BENT)
@@ -198,16 +139,9 @@ def crossing(d: Drive, light: Any, u_rise: Any, u_fall: Any, on_at: Any, off_at:
 def fill_levels(drive: Drive, batch: NDArray[np.float32], n: int, phase: float) -> None:
     """Fill in U of each pixel at a phase.
 
-    Parameters
-    ----------
-    drive
-        Light.
-    batch
-        (N_BATCH, columns) float32, changed in place.
-    n
-        Number of pixels in the batch.
-    phase
-        Phase below one period, us.
+    batch: (N_BATCH, columns) float32, changed in place.
+    n: Number of pixels in the batch.
+    phase: Phase below one period, us.
     """
     if drive.kind == SMOOTH:
         for k in range(n):
@@ -224,16 +158,9 @@ def fill_levels(drive: Drive, batch: NDArray[np.float32], n: int, phase: float) 
 def fill_crossings(drive: Drive, batch: NDArray[np.float32], n: int, phase: float) -> None:
     """Fill in T and IS_ON of each pixel: the first crossing of ON_AT or OFF_AT at or after a phase.
 
-    Parameters
-    ----------
-    drive
-        Light.
-    batch
-        (N_BATCH, columns) float32, changed in place.
-    n
-        Number of pixels in the batch.
-    phase
-        Phase below one period, us.
+    batch: (N_BATCH, columns) float32, changed in place.
+    n: Number of pixels in the batch.
+    phase: Phase below one period, us.
     """
     if drive.kind == SMOOTH:
         for k in range(n):

@@ -48,15 +48,7 @@ def _next_bits(random: NDArray[np.uint64]) -> Any:
 def uniform(random: NDArray[np.uint64]) -> float:
     """Return the next random number, uniform in (0, 1).
 
-    Parameters
-    ----------
-    random
-        (2,) uint64, generator; its counter advances.
-
-    Returns
-    -------
-    float
-        Random number.
+    random: (2,) uint64, generator; its counter advances.
     """
     return (np.int64(_next_bits(random) >> np.uint64(11)) + 0.5) * (1.0 / 9007199254740992.0)
 
@@ -65,19 +57,8 @@ def uniform(random: NDArray[np.uint64]) -> float:
 def reset_error(normals: NDArray[np.float32], spread: float, random: NDArray[np.uint64]) -> Any:
     """Return the next random factor on u of a new reference: the noise of a reset in log intensity, to first order.
 
-    Parameters
-    ----------
-    normals
-        (4096,) float32, normal deviates to choose from.
-    spread
-        Standard deviation of the noise.
-    random
-        (2,) uint64, generator; its counter advances, unless the spread is 0.
-
-    Returns
-    -------
-    float32
-        Factor.
+    normals: (4096,) float32, normal deviates to choose from.
+    random: (2,) uint64, generator; its counter advances, unless the spread is 0.
     """
     if spread == 0.0:
         return np.float32(1.0)
@@ -94,18 +75,9 @@ def reset_errors(
 ) -> None:
     """Multiply n values by the next factors of ``reset_error``.
 
-    Parameters
-    ----------
-    normals
-        (4096,) float32, normal deviates to choose from.
-    spread
-        Standard deviation of the noise.
-    random
-        (2,) uint64, generator; its counter advances by n, unless the spread is 0.
-    values
-        (N,) float32, the first n are changed in place.
-    n
-        Number of values.
+    normals: (4096,) float32, normal deviates to choose from.
+    random: (2,) uint64, generator; its counter advances by n, unless the spread is 0.
+    values: (N,) float32, the first n are changed in place.
     """
     if spread == 0.0:
         return
@@ -123,21 +95,9 @@ def earlier_reset_error(
 ) -> Any:
     """Return a factor that ``reset_error`` or ``reset_errors`` drew before.
 
-    Parameters
-    ----------
-    normals
-        (4096,) float32, normal deviates to choose from.
-    spread
-        Standard deviation of the noise.
-    random
-        (2,) uint64, generator; not changed.
-    back
-        1 for the last factor drawn, 2 for the one before it, ...
-
-    Returns
-    -------
-    float32
-        Factor.
+    normals: (4096,) float32, normal deviates to choose from.
+    random: (2,) uint64, generator; not changed.
+    back: 1 for the last factor drawn, 2 for the one before it, ...
     """
     if spread == 0.0:
         return np.float32(1.0)
@@ -158,20 +118,11 @@ def draw_arrivals(
 
     Exponential waiting times for the sensor as a whole; the pixel by Walker's alias method (Walker 1977).
 
-    Parameters
-    ----------
-    alias
-        (pixels,) uint64, Walker's alias table of the pixels' rates, from ``fill_alias``.
-    rate_us
-        Rate of all pixels together, events per us.
-    after
-        Time of the last event drawn, us.
-    random
-        (2,) uint64, generator; its counter advances.
-    times
-        (N,) float64, filled in: times, us.
-    where
-        (N,) int64, filled in: pixel number times 2, plus 1 if ON.
+    alias: (pixels,) uint64, Walker's alias table of the pixels' rates, from ``fill_alias``.
+    after: Time of the last event drawn, us.
+    random: (2,) uint64, generator; its counter advances.
+    times: (N,) float64, filled in: times, us.
+    where: (N,) int64, filled in: pixel number times 2, plus 1 if ON.
     """
     n = np.uint64(alias.size)
     key, count = random[KEY], random[COUNTER]
@@ -197,12 +148,8 @@ def draw_arrivals(
 def fill_alias(scaled: NDArray[np.float64], alias: NDArray[np.uint64]) -> None:
     """Fill Walker's alias table (Walker 1977), by Vose's algorithm (Vose 1991).
 
-    Parameters
-    ----------
-    scaled
-        (N,) float64, rates scaled to a mean of 1; used up.
-    alias
-        (N,) uint64, filled in: share of 2^32 in the low half, the other pixel in the high half.
+    scaled: (N,) float64, rates scaled to a mean of 1; used up.
+    alias: (N,) uint64, filled in: share of 2^32 in the low half, the other pixel in the high half.
     """
     n = scaled.size
     small, large = np.empty(n, np.int32), np.empty(n, np.int32)

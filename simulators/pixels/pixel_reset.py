@@ -33,17 +33,7 @@ _GAIN: Final = np.float32(1.0 / 65536.0)
 def firing_levels(u: Any, gains: Any) -> tuple[Any, Any]:
     """Return the levels at which a pixel fires.
 
-    Parameters
-    ----------
-    u
-        Reference of the pixel.
-    gains
-        Its ON and OFF gain in one uint32; see ``sensor_state.ON_BITS``.
-
-    Returns
-    -------
-    tuple of float32
-        Values of u of an ON and of an OFF event.
+    gains: Its ON and OFF gain in one uint32; see ``sensor_state.ON_BITS``.
     """
     on = np.float32(np.int32(gains & np.uint32(0xFFFF))) * _GAIN
     off = np.float32(np.int32(gains >> np.uint32(ON_BITS))) * _GAIN
@@ -96,20 +86,8 @@ def _store(
 def cross_exactly(px: Pixels, drive: Drive, r: int, c: int, u: float, phase: float, start: float) -> None:
     """Set a pixel's next crossing by a reference in double precision, and store the reference with its lower digits.
 
-    Parameters
-    ----------
-    px
-        Pixels, changed in place.
-    drive
-        Square light.
-    r, c
-        Row and column of the pixel.
-    u
-        Its reference.
-    phase
-        Phase from which on crossings count, us.
-    start
-        Start of the light's period, us after the epoch.
+    phase: Phase from which on crossings count, us.
+    start: Start of the light's period, us after the epoch.
     """
     on_gain, off_gain = _gains_of(px.gains[r, c, GAINS])
     cross, on = tail.crossing(drive, px.cell[r, c, STORED_LIGHT], u * on_gain, u / off_gain, phase)
@@ -131,22 +109,9 @@ def reset_pixel(
 ) -> None:
     """Set one pixel's new reference at a phase, and its next crossing: ``reset_row`` for a single pixel.
 
-    Parameters
-    ----------
-    px
-        Pixels, changed in place.
-    drive
-        Light.
-    ro
-        Readout, for the noise of the reset.
-    r, c
-        Row and column of the pixel.
-    phase
-        Phase of the reset, us.
-    start
-        Start of the light's period, us after the epoch.
-    random
-        (2,) uint64, generator; its counter advances.
+    phase: Phase of the reset, us.
+    start: Start of the light's period, us after the epoch.
+    random: (2,) uint64, generator; its counter advances.
     """
     light = px.cell[r, c, STORED_LIGHT]
     u_rise, u_fall = pr.steady_state(drive, light)
@@ -171,24 +136,10 @@ def reset_at_once(
 
     They are one pixel, unless several are alike.
 
-    Parameters
-    ----------
-    px
-        Pixels, changed in place; ``column`` lists those of the row.
-    drive
-        Square light.
-    ro
-        Readout, for dead time and noise of the reset.
-    r
-        Row.
-    n
-        Number of listed pixels.
-    t
-        Time of request and read, us after the epoch.
-    start
-        Start of a period of the light, us after the epoch.
-    random
-        (2,) uint64, generator; its counter advances.
+    px: Pixels, changed in place; ``column`` lists those of the row.
+    t: Time of request and read, us after the epoch.
+    start: Start of a period of the light, us after the epoch.
+    random: (2,) uint64, generator; its counter advances.
     """
     for k in range(n):
         c = np.int64(px.column[k])
@@ -210,24 +161,10 @@ def reset_row(
 ) -> None:
     """Set the new references of the listed pixels of a row, at the end of the dead time, and their next crossings.
 
-    Parameters
-    ----------
-    px
-        Pixels, changed in place; ``column`` lists those of the row.
-    drive
-        Light.
-    ro
-        Readout, for dead time and noise of the reset.
-    r
-        Row.
-    n
-        Number of listed pixels.
-    t
-        Time at which the row is read, us after the epoch.
-    start
-        Start of a period of the light not after ``t``, us after the epoch.
-    random
-        (2,) uint64, generator; its counter advances.
+    px: Pixels, changed in place; ``column`` lists those of the row.
+    t: Time at which the row is read, us after the epoch.
+    start: Start of a period of the light not after ``t``, us after the epoch.
+    random: (2,) uint64, generator; its counter advances.
     """
     t_live = t + ro.dead_us
     start += floor((t_live - start) / drive.period_us) * drive.period_us

@@ -74,18 +74,9 @@ def draw_noise(px: Pixels, ro: Readout, width: int, after: float, random: NDArra
     Many are drawn at a time, and the memory of their pixels and blocks is asked for at once: it is in the cache when
     the events come.
 
-    Parameters
-    ----------
-    px
-        Pixels; ``noise_t`` and ``noise_at`` are filled in.
-    ro
-        Readout, for the noise rates.
-    width
-        Columns of the sensor.
-    after
-        Time of the last event drawn, us after the epoch.
-    random
-        (2,) uint64, generator; its counter advances.
+    px: Pixels; ``noise_t`` and ``noise_at`` are filled in.
+    after: Time of the last event drawn, us after the epoch.
+    random: (2,) uint64, generator; its counter advances.
     """
     draw_arrivals(ro.alias, ro.noise_rate_us, after, random, px.noise_t, px.noise_at)
     columns = px.t_next.shape[1]
@@ -286,30 +277,12 @@ def read_rows(
 ) -> int:
     """Run the sensor's loop up to a time, or until the output is nearly full.
 
-    Parameters
-    ----------
-    px
-        Pixels, changed in place.
-    drive
-        Light.
-    ro
-        Dead time, arbiter, link and noise.
-    state
-        (N_STATE,) float64, state of the loop, changed in place. ``state[FULL]`` is 1 if the output was nearly full
-        before ``until``.
-    random
-        (2,) uint64, generator; its counter advances.
-    until
-        End, us after the epoch, exclusive.
-    width
-        Columns of the sensor.
-    out
-        t (int64, sensor time), x, y (uint16), p (uint8): arrays of equal length, filled from the start.
-
-    Returns
-    -------
-    int
-        Number of events written. The next call continues exactly there.
+    state: (N_STATE,) float64, state of the loop, changed in place. ``state[FULL]`` is 1 if the output was
+      nearly full before ``until``.
+    random: (2,) uint64, generator; its counter advances.
+    until: End, us after the epoch, exclusive.
+    out: t (int64, sensor time), x, y (uint16), p (uint8): arrays of equal length, filled from the start.
+    Returns: Number of events written. The next call continues exactly there.
     """
     room = out[0].size - width - BLOCK
     start = period_start(drive, state[EPOCH], state[FREE])

@@ -45,75 +45,32 @@ FIFO_WORDS: Final = 65536.0
 
 
 class Events(NamedTuple):
-    """Contrast events, in the order in which they are read.
+    """Contrast events, in the order in which they are read."""
 
-    Attributes
-    ----------
-    t
-        (N,) int64, time on the sensor's clock, us.
-    x, y
-        (N,) uint16, column and row.
-    p
-        (N,) uint8, polarity, 1 = ON.
-    """
-
-    t: NDArray[np.int64]
+    t: NDArray[np.int64]  # (N,) int64, time on the sensor's clock, us
+    # x, y: (N,) uint16, column and row.
     x: NDArray[np.uint16]
     y: NDArray[np.uint16]
-    p: NDArray[np.uint8]
+    p: NDArray[np.uint8]  # (N,) uint8, polarity, 1 = ON
 
 
 @dataclass(frozen=True)
 class Link:
-    """Speed of the readout and of the link.
-
-    Attributes
-    ----------
-    row_us
-        Time to read a row, in addition to its events.
-    event_us
-        Time to read an event.
-    words_us
-        16-bit words that the link carries per us.
-    fifo_words
-        Words that can wait for the link.
-    """
+    """Speed of the readout and of the link."""
 
     row_us: float = ROW_US
     event_us: float = 1.0 / PEAK_EVENTS_US
-    words_us: float = LINK_WORDS_US
+    words_us: float = LINK_WORDS_US  # 16-bit words that the link carries per us
     fifo_words: float = FIFO_WORDS
 
     @classmethod
     def ideal(cls) -> Link:
-        """Return a link without any delay: it gives what the pixels alone would give.
-
-        Returns
-        -------
-        Link
-            Neither the arbiter nor the link costs any time.
-        """
+        """Return a link without any delay: it gives what the pixels alone would give."""
         return cls(row_us=0.0, event_us=0.0, words_us=1e12, fifo_words=1e15)
 
 
 class Sensor:
-    """An event sensor under a flickering light.
-
-    Parameters
-    ----------
-    width, height
-        Pixels of the sensor.
-    noise
-        Fixed pattern and noise.
-    settings
-        Thresholds, dead time, time constants.
-    camera_seed
-        Seed of the fixed pattern.
-    seed
-        Seed of the noise over time.
-    link
-        Readout and link.
-    """
+    """An event sensor under a flickering light."""
 
     def __init__(
         self,
@@ -165,21 +122,9 @@ class Sensor:
         The pixels run through two periods of the light before that, at most 100 ms. They then begin in the state of a
         sensor that has seen the light for long.
 
-        Parameters
-        ----------
-        picture
-            (height, width) float32, share of the light's drive that reaches each pixel.
-        light
-            Waveform, frequency and levels.
-        phase
-            Phase of the light at ``at_us``, in periods.
-        at_us
-            Sensor time of the start.
-
-        Raises
-        ------
-        SimulationMisuse
-            If the picture's shape is not that of the sensor.
+        picture: (height, width) float32, share of the light's drive that reaches each pixel.
+        phase: Phase of the light at ``at_us``, in periods.
+        Raises SimulationMisuse: If the picture's shape is not that of the sensor.
         """
         warmup_us = min(2.0 * light.period_us, 1e5) if light.high > light.low else 1000.0
         begin_us = at_us - warmup_us
@@ -206,21 +151,8 @@ class Sensor:
     ) -> None:
         """Apply a new picture or light now.
 
-        Parameters
-        ----------
-        picture
-            (height, width) float32, share of the light's drive that reaches each pixel; None: unchanged.
-        light
-            Waveform, frequency and levels.
-        phase
-            Phase of the light now, in periods.
-        step_us
-            Pixels that the change itself carries beyond a threshold fire within this time.
-
-        Raises
-        ------
-        SimulationMisuse
-            If the picture's shape is not that of the sensor.
+        picture: (height, width) float32, share of the light's drive that reaches each pixel; None: unchanged.
+        Raises SimulationMisuse: If the picture's shape is not that of the sensor.
         """
         self._drive = make_drive(light, self._now_us - phase * light.period_us, self.settings)
         self._set_picture(picture)
@@ -242,20 +174,9 @@ class Sensor:
     def run(self, until_us: float) -> Events:
         """Return the events from the end of the last call to a time.
 
-        Parameters
-        ----------
-        until_us
-            Time of the sensor's clock, exclusive.
-
-        Returns
-        -------
-        Events
-            In the order in which they are read.
-
-        Raises
-        ------
-        SimulationMisuse
-            If no picture has been shown yet.
+        until_us: Time of the sensor's clock, exclusive.
+        Returns: In the order in which they are read.
+        Raises SimulationMisuse: If no picture has been shown yet.
         """
         if self._drive is None:
             raise SimulationMisuse("The sensor has not been shown a picture yet.", remedy="Call begin first.")
@@ -349,23 +270,10 @@ def simulate(
 ) -> Events:
     """Return the events of a still picture under a flickering light, from time 0 to ``duration_us``.
 
-    Parameters
-    ----------
-    picture
-        (height, width) float32, share of the light's drive that reaches each pixel (``optics.render``).
-    light
-        Waveform, frequency and levels.
-    duration_us
-        End, exclusive.
-    phase
-        Phase of the light at time 0, in periods.
-    noise, settings, camera_seed, seed, link
-        As ``Sensor`` takes them.
-
-    Returns
-    -------
-    Events
-        In the order in which they are read.
+    picture: (height, width) float32, share of the light's drive that reaches each pixel (``optics.render``).
+    phase: Phase of the light at time 0, in periods.
+    noise, settings, camera_seed, seed, link: As ``Sensor`` takes them.
+    Returns: In the order in which they are read.
     """
     height, width = picture.shape
     sensor = Sensor(

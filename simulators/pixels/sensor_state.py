@@ -45,98 +45,47 @@ divided by high bits / 65536."""
 
 
 class Pixels(NamedTuple):
-    """State and fixed pattern of the pixels; columns are padded to whole blocks.
+    """State and fixed pattern of the pixels; columns are padded to whole blocks."""
 
-    Attributes
-    ----------
-    t_next
-        (rows, columns) float32, time of the next request, us after the epoch; inf = none.
-    is_on
-        (rows, columns) uint8, polarity of that request in bit 0; above it, the lower digits of U_REF (``square_tail``).
-    cell
-        (rows, columns, N_CELL) float32, further numbers of each pixel.
-    gains
-        (rows, columns, N_CELL) uint32, the same memory as words.
-    block_min
-        (rows, blocks) float32, earliest request of each block.
-    row_min
-        (rows padded to whole groups,) float32, earliest request of each row.
-    group_min
-        (groups,) float32, earliest request of each group of rows.
-    batch
-        (N_BATCH, columns) float32, scratch: the pixels of a row that are processed.
-    column
-        (columns + BLOCK,) uint32, their columns.
-    off_column
-        (columns + BLOCK,) uint16, scratch: the columns of those with an OFF event.
-    asked
-        (blocks,) uint32, scratch: the blocks of a row in which pixels wait.
-    noise_t
-        (AHEAD,) float64, times of the next background and hot-pixel events, us after the epoch.
-    noise_at
-        (AHEAD,) int64, their pixels: row * width + column, times 2, plus 1 if ON.
-    """
-
+    # (rows, columns) float32, time of the next request, us after the epoch; inf = none.
     t_next: NDArray[np.float32]
+    # (rows, columns) uint8, polarity of that request in bit 0; above it, the lower digits of U_REF
+    # (``square_tail``).
     is_on: NDArray[np.uint8]
-    cell: NDArray[np.float32]
-    gains: NDArray[np.uint32]
-    block_min: NDArray[np.float32]
-    row_min: NDArray[np.float32]
-    group_min: NDArray[np.float32]
+    cell: NDArray[np.float32]  # (rows, columns, N_CELL) float32, further numbers of each pixel
+    gains: NDArray[np.uint32]  # (rows, columns, N_CELL) uint32, the same memory as words
+    block_min: NDArray[np.float32]  # (rows, blocks) float32, earliest request of each block
+    row_min: NDArray[np.float32]  # (rows padded to whole groups,) float32, earliest request of each row
+    group_min: NDArray[np.float32]  # (groups,) float32, earliest request of each group of rows
+    # (N_BATCH, columns) float32, scratch: the pixels of a row that are processed.
     batch: NDArray[np.float32]
-    column: NDArray[np.uint32]
+    column: NDArray[np.uint32]  # (columns + BLOCK,) uint32, their columns
+    # (columns + BLOCK,) uint16, scratch: the columns of those with an OFF event.
     off_column: NDArray[np.uint16]
-    asked: NDArray[np.uint32]
+    asked: NDArray[np.uint32]  # (blocks,) uint32, scratch: the blocks of a row in which pixels wait
+    # (AHEAD,) float64, times of the next background and hot-pixel events, us after the epoch.
     noise_t: NDArray[np.float64]
-    noise_at: NDArray[np.int64]
+    noise_at: NDArray[np.int64]  # (AHEAD,) int64, their pixels: row * width + column, times 2, plus 1 if ON
 
 
 class Readout(NamedTuple):
-    """Dead time, arbiter, link and temporal noise.
+    """Dead time, arbiter, link and temporal noise."""
 
-    Attributes
-    ----------
-    dead_us
-        Refractory time of a pixel after a read.
-    reset_noise
-        Standard deviation of the reference after a reset, in units of log intensity.
-    row_us, event_us
-        Time to read a row, and additional time for each of its events.
-    link_words_us
-        Words that the link carries per us.
-    fifo_words
-        Words that can wait for the link.
-    noise_rate_us
-        Rate of background and hot-pixel events of all pixels together, events per us.
-    alias
-        (pixels,) uint64, Walker's alias table of the pixels' noise rates; see ``pixel_noise``.
-    normals
-        (4096,) float32, normal deviates.
-    """
-
-    dead_us: float
-    reset_noise: float
+    dead_us: float  # Refractory time of a pixel after a read
+    reset_noise: float  # Standard deviation of the reference after a reset, in units of log intensity
     row_us: float
     event_us: float
     link_words_us: float
     fifo_words: float
     noise_rate_us: float
+    # (pixels,) uint64, Walker's alias table of the pixels' noise rates; see ``pixel_noise``.
     alias: NDArray[np.uint64]
-    normals: NDArray[np.float32]
+    normals: NDArray[np.float32]  # (4096,) float32, normal deviates
 
 
 @njit(forceinline=True, **JIT)
 def update_row(px: Pixels, r: int) -> None:
-    """Update the earliest request of a row and of its group from those of its blocks.
-
-    Parameters
-    ----------
-    px
-        Pixels, changed in place.
-    r
-        Row.
-    """
+    """Update the earliest request of a row and of its group from those of its blocks."""
     px.row_min[r] = smallest(px.block_min[r])
     g = r // GROUP
     px.group_min[g] = smallest(px.row_min[g * GROUP : (g + 1) * GROUP])
@@ -146,14 +95,7 @@ def update_row(px: Pixels, r: int) -> None:
 def retime(px: Pixels, r: int, c: int, before: float) -> None:
     """Update the minima after the request of one pixel was moved.
 
-    Parameters
-    ----------
-    px
-        Pixels, changed in place.
-    r, c
-        Row and column of the pixel.
-    before
-        Time of its request before the move, us after the epoch.
+    before: Time of its request before the move, us after the epoch.
     """
     b = c // BLOCK
     old = px.block_min[r, b]
@@ -172,13 +114,7 @@ def retime(px: Pixels, r: int, c: int, before: float) -> None:
 
 @njit(**JIT)
 def update_minima(px: Pixels) -> None:
-    """Update all minima from the pixels' requests.
-
-    Parameters
-    ----------
-    px
-        Pixels, changed in place.
-    """
+    """Update all minima from the pixels' requests."""
     rows, blocks = px.block_min.shape
     for r in range(rows):
         for b in range(blocks):
@@ -190,17 +126,7 @@ def update_minima(px: Pixels) -> None:
 def row_at(px: Pixels, oldest: float) -> int:
     """Return the first row whose earliest request is the earliest of all.
 
-    Parameters
-    ----------
-    px
-        Pixels.
-    oldest
-        Time of the earliest request, us after the epoch.
-
-    Returns
-    -------
-    int
-        Row.
+    oldest: Time of the earliest request, us after the epoch.
     """
     g = first_equal(px.group_min, oldest)
     return g * GROUP + first_equal(px.row_min[g * GROUP : (g + 1) * GROUP], oldest)
@@ -210,14 +136,7 @@ def row_at(px: Pixels, oldest: float) -> int:
 def move_epoch(px: Pixels, state: NDArray[np.float64], by_us: float) -> None:
     """Move the epoch to a later time, so that float32 keeps resolving the times.
 
-    Parameters
-    ----------
-    px
-        Pixels; all their times are changed.
-    state
-        (N_STATE,) float64, state of the loop, changed in place.
-    by_us
-        How much later the epoch is.
+    state: (N_STATE,) float64, state of the loop, changed in place.
     """
     shift = np.float32(by_us)
     rows, columns = px.t_next.shape

@@ -52,21 +52,12 @@ MOVING_SUBSAMPLES: Final = 2
 
 @dataclass(frozen=True)
 class CameraState:
-    """Settings of the camera when a stream starts.
-
-    Attributes
-    ----------
-    biases
-        Offsets from the factory value, by name.
-    filters
-        Whether each on-chip filter is on, by name.
-    trigger_in
-        Whether the trigger input is enabled.
-    """
+    """Settings of the camera when a stream starts."""
 
     biases: Mapping[str, int] = field(default_factory=lambda: dict(FACTORY))
+    # Whether each on-chip filter is on, by name.
     filters: Mapping[str, bool] = field(default_factory=lambda: dict.fromkeys(FILTERS, False))
-    trigger_in: bool = False
+    trigger_in: bool = False  # Whether the trigger input is enabled
 
 
 PREVIEW_SUBSAMPLES: Final = 1
@@ -81,18 +72,11 @@ VIEW_LASTS_S: Final = 5.0
 class SensorStream:
     """A stream in progress.
 
-    Parameters
-    ----------
-    world
-        Angles of the axes and state of the light.
-    camera
-        The camera's settings; they hold for the whole stream.
-    repeats
-        Number of earlier streams with the same pose and settings, by ``stream_key``; this stream is added to it.
-    clock_us
-        State of the sensor's clock, us, not wrapped.
-    preview
-        Whether the stream is for a live picture.
+    camera: The camera's settings; they hold for the whole stream.
+    repeats: Number of earlier streams with the same pose and settings, by ``stream_key``; this stream is
+      added to it.
+    clock_us: State of the sensor's clock, us, not wrapped.
+    preview: Whether the stream is for a live picture.
     """
 
     def __init__(
@@ -143,17 +127,10 @@ class SensorStream:
     def go_on(self, camera: CameraState, clock_us: int) -> bool:
         """Begin the next preview with the sensor as it stands.
 
-        Parameters
-        ----------
-        camera
-            The camera's settings.
-        clock_us
-            State of the sensor's clock, us, not wrapped.
-
-        Returns
-        -------
-        bool
-            False if light, settings or clock are others than at the end of this stream: a new one is needed.
+        camera: The camera's settings.
+        clock_us: State of the sensor's clock, us, not wrapped.
+        Returns: False if light, settings or clock are others than at the end of this stream: a new one is
+          needed.
         """
         asked_s = self._world.now_s()
         if camera != self._camera or self._world.light(asked_s) != self._light or clock_us > self.clock_us:
@@ -193,10 +170,7 @@ class SensorStream:
     def next_frame(self) -> bytes:
         """Compute the next 2 ms of sensor time.
 
-        Returns
-        -------
-        bytes
-            EVT3 words, little-endian.
+        Returns: EVT3 words, little-endian.
         """
         end_us = self._now_us + FRAME_US
         self._follow_world()
@@ -285,21 +259,8 @@ def sync_edges(
 ) -> tuple[NDArray[np.int64], NDArray[np.uint8]]:
     """Return the edges of the light's sync line with first_us <= t < end_us.
 
-    Parameters
-    ----------
-    light
-        Frequency, duty and sync line.
-    period_starts_us
-        Time at which a period of the light begins.
-    first_us, end_us
-        Interval.
-
-    Returns
-    -------
-    t : (N,) int64
-        Times, us, rounded down.
-    value : (N,) uint8
-        Level after each edge.
+    Returns: Times, us, rounded down.
+    Returns: Level after each edge.
     """
     period = light.period_us
     k = np.arange(
@@ -318,19 +279,8 @@ def stream_key(world: World, camera: CameraState, at_s: float) -> str:
     It holds resting pose, light and camera settings; also temperature, drift and shift of the mount, if they are
     simulated, and what a person has changed at the camera since the start.
 
-    Parameters
-    ----------
-    world
-        Angles of the axes and state of the light.
-    camera
-        The camera's settings.
-    at_s
-        World time of the request.
-
-    Returns
-    -------
-    str
-        JSON with sorted keys.
+    camera: The camera's settings.
+    Returns: JSON with sorted keys.
     """
     key: dict[str, Any] = {
         "microsteps": dict(world.resting_microsteps(at_s)),

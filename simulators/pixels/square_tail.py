@@ -34,15 +34,7 @@ TIME_STEP_US: Final = 4.0 / 1024.0
 def tail_width(d: Drive) -> float:
     """Return the relative distance of u from its limit below which u changes more slowly than ``STEEP``.
 
-    Parameters
-    ----------
-    d
-        Light.
-
-    Returns
-    -------
-    float
-        Relative distance; 0 if the light is not square.
+    Returns: Relative distance; 0 if the light is not square.
     """
     return STEEP * max(d.q_us, LEAST_Q_US) if d.kind == SQUARE else 0.0
 
@@ -51,19 +43,8 @@ def tail_width(d: Drive) -> float:
 def limit_distance(d: Drive, light: Any, on_at: Any, off_at: Any) -> Any:
     """Return how near the nearer of a pixel's two targets is to the limit of u in its part of the period, relatively.
 
-    Parameters
-    ----------
-    d
-        Square light.
-    light
-        Share of the light's drive that reaches the pixel.
-    on_at, off_at
-        Values of u at which an ON and an OFF event come.
-
-    Returns
-    -------
-    float32
-        Relative distance.
+    light: Share of the light's drive that reaches the pixel.
+    Returns: Relative distance.
     """
     i_high = np.float32(d.ambient) + light * np.float32(d.w_high)
     i_low = np.float32(d.ambient) + light * np.float32(d.w_low)
@@ -74,19 +55,9 @@ def limit_distance(d: Drive, light: Any, on_at: Any, off_at: Any) -> Any:
 def fill_limit_distance(drive: Drive, batch: NDArray[np.float32], n: int) -> Any:
     """Fill in ``LIMIT_DISTANCE`` of each pixel under a square light.
 
-    Parameters
-    ----------
-    drive
-        Square light.
-    batch
-        (N_BATCH, columns) float32, changed in place.
-    n
-        Number of pixels in the batch.
-
-    Returns
-    -------
-    float32
-        The smallest distance, at most 1.
+    batch: (N_BATCH, columns) float32, changed in place.
+    n: Number of pixels in the batch.
+    Returns: The smallest distance, at most 1.
     """
     for k in range(n):
         batch[pr.LIMIT_DISTANCE, k] = limit_distance(
@@ -111,19 +82,8 @@ def _steady(d: Drive, light: float) -> tuple[float, float]:
 def level(d: Drive, light: float, phase: float) -> float:
     """Return u of a pixel at a phase.
 
-    Parameters
-    ----------
-    d
-        Square light.
-    light
-        Share of the light's drive that reaches the pixel.
-    phase
-        Phase below one period, us.
-
-    Returns
-    -------
-    float
-        u in the periodic steady state.
+    light: Share of the light's drive that reaches the pixel.
+    phase: Phase below one period, us.
     """
     u_rise, u_fall = _steady(d, light)
     rising = phase >= d.high_us  # u rises in the low part
@@ -136,21 +96,9 @@ def level(d: Drive, light: float, phase: float) -> float:
 def crossing(d: Drive, light: float, on_at: float, off_at: float, phase: float) -> tuple[float, bool]:
     """Return the first crossing at or after a phase.
 
-    Parameters
-    ----------
-    d
-        Square light.
-    light
-        Share of the light's drive that reaches the pixel.
-    on_at, off_at
-        Values of u at which an ON and an OFF event come.
-    phase
-        Phase below one period, us.
-
-    Returns
-    -------
-    tuple
-        Phase of the crossing in us (inf = none), and whether it is ON.
+    light: Share of the light's drive that reaches the pixel.
+    phase: Phase below one period, us.
+    Returns: Phase of the crossing in us (inf = none), and whether it is ON.
     """
     u_rise, u_fall = _steady(d, light)
     bright, dark = 1.0 / (d.ambient + light * d.w_high), 1.0 / (d.ambient + light * d.w_low)
@@ -174,25 +122,11 @@ def request_time(d: Drive, light: float, target: float, on: bool, t: float, star
     On a steep slope the target determines the moment better than the stored time does. The light that the pixel
     receives at the end of its dead time sets the next reference.
 
-    Parameters
-    ----------
-    d
-        Square light.
-    light
-        Share of the light's drive that reaches the pixel.
-    target
-        Value of u that was crossed.
-    on
-        Whether the request is ON.
-    t
-        Stored time of the request, us after the epoch.
-    start
-        Start of a period of the light, us after the epoch.
-
-    Returns
-    -------
-    float
-        Time, us after the epoch; ``t`` itself if the request was not a crossing.
+    light: Share of the light's drive that reaches the pixel.
+    on: Whether the request is ON.
+    t: Stored time of the request, us after the epoch.
+    start: Start of a period of the light, us after the epoch.
+    Returns: Time, us after the epoch; ``t`` itself if the request was not a crossing.
     """
     begin = start + floor((t - start) / d.period_us) * d.period_us + (0.0 if on else d.high_us)
     u_rise, u_fall = _steady(d, light)
@@ -209,17 +143,8 @@ def request_time(d: Drive, light: float, target: float, on: bool, t: float, star
 def lower_digits(u: float, u32: Any) -> Any:
     """Return the digits of u that its float32 value lacks, to be stored beside it.
 
-    Parameters
-    ----------
-    u
-        Reference in double precision.
-    u32
-        The same, rounded to float32.
-
-    Returns
-    -------
-    uint8
-        Digits in bits 1 to 7; bit 0 is free.
+    u32: The same, rounded to float32.
+    Returns: Digits in bits 1 to 7; bit 0 is free.
     """
     steps = floor((u / np.float64(u32) - 1.0) * (63.0 * 16777216.0) + 64.5)
     return np.uint8(np.int64(min(max(steps, 1.0), 127.0)) << 1)
@@ -229,17 +154,8 @@ def lower_digits(u: float, u32: Any) -> Any:
 def join_digits(u32: Any, digits: Any) -> float:
     """Return a reference with its lower digits.
 
-    Parameters
-    ----------
-    u32
-        Reference in float32.
-    digits
-        From ``lower_digits``; 0 in bits 1 to 7 if none were stored.
-
-    Returns
-    -------
-    float
-        Reference in double precision.
+    u32: Reference in float32.
+    digits: From ``lower_digits``; 0 in bits 1 to 7 if none were stored.
     """
     steps = np.int64(digits >> np.uint8(1))
     return np.float64(u32) * (1.0 + ((steps - 64) / (63.0 * 16777216.0) if steps else 0.0))

@@ -26,15 +26,8 @@ _BAUD_BY_CODE = {
 class PseudoTerminal:
     """The device's end of a serial line.
 
-    Parameters
-    ----------
-    link
-        Path of the symlink to the client's end, as in ``/dev/serial/by-id``.
-
-    Raises
-    ------
-    SimulatorError
-        If the symlink cannot be created.
+    link: Path of the symlink to the client's end, as in ``/dev/serial/by-id``.
+    Raises SimulatorError: If the symlink cannot be created.
     """
 
     def __init__(self, link: Path) -> None:
@@ -60,10 +53,7 @@ class PseudoTerminal:
     def plug(self) -> None:
         """Create the terminal and its symlink; replace a symlink that a dead process left behind.
 
-        Raises
-        ------
-        SimulatorError
-            If the symlink cannot be created.
+        Raises SimulatorError: If the symlink cannot be created.
         """
         self._master, self._slave = os.openpty()
         # Raw mode first: a cooked terminal would echo the client's first bytes as if the device had sent them.

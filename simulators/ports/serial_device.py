@@ -36,25 +36,14 @@ class Dialect(Protocol):
     def receive(self, data: bytes) -> bytes:
         """Take bytes as they arrive and return the answers.
 
-        Parameters
-        ----------
-        data
-            Bytes from the host, in pieces of any size.
-
-        Returns
-        -------
-        bytes
-            Answers that are ready now; may be empty.
+        Returns: Answers that are ready now; may be empty.
         """
         ...
 
     def unsolicited(self) -> bytes:
         """Return messages that the device sends without a request, and late answers.
 
-        Returns
-        -------
-        bytes
-            Messages since the last call; may be empty.
+        Returns: Messages since the last call; may be empty.
         """
         ...
 
@@ -75,10 +64,7 @@ class Port(Protocol):
     def fileno(self) -> int:
         """Return the file descriptor to wait on.
 
-        Returns
-        -------
-        int
-            The descriptor; -1 while unplugged.
+        Returns: The descriptor; -1 while unplugged.
         """
         ...
 
@@ -93,30 +79,18 @@ class Port(Protocol):
     def read(self) -> bytes:
         """Return what the client has sent.
 
-        Returns
-        -------
-        bytes
-            Bytes since the last read; may be empty.
+        Returns: Bytes since the last read; may be empty.
         """
         ...
 
     def write(self, data: bytes) -> None:
-        """Send bytes to the client; bytes that the client leaves no room for are lost.
-
-        Parameters
-        ----------
-        data
-            Bytes to send.
-        """
+        """Send bytes to the client; bytes that the client leaves no room for are lost."""
         ...
 
     def client_baud(self) -> int | None:
         """Return the baud rate that the client has set.
 
-        Returns
-        -------
-        int or None
-            Baud rate; None if it is unknown.
+        Returns: Baud rate; None if it is unknown.
         """
         ...
 
@@ -128,14 +102,8 @@ class Port(Protocol):
 class SerialDevice:
     """A device that answers on a port until it is closed.
 
-    Parameters
-    ----------
-    port
-        The device's end of the line.
-    dialect
-        Protocol of the device.
-    paced
-        Whether bytes take the time that they need at the baud rate.
+    port: The device's end of the line.
+    paced: Whether bytes take the time that they need at the baud rate.
     """
 
     def __init__(self, port: Port, dialect: Dialect, *, paced: bool = True) -> None:
@@ -186,11 +154,6 @@ class SerialDevice:
         """Run a function in the serving thread, between two exchanges, and wait until it has returned.
 
         If the serving thread itself calls this method, the function runs at once.
-
-        Parameters
-        ----------
-        act
-            Function to run; this method raises again what the function raises.
         """
         if threading.current_thread() is self._thread:
             act()

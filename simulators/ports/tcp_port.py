@@ -12,13 +12,7 @@ _CHUNK = 4096
 
 
 class TcpPort:
-    """The device's end of a line over TCP.
-
-    Parameters
-    ----------
-    name
-        Name of the port in messages.
-    """
+    """The device's end of a line over TCP."""
 
     def __init__(self, name: str) -> None:
         self.name = name

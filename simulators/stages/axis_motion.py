@@ -30,25 +30,9 @@ class Axis:
     Commands take the time at which they arrive; queries take the time that they ask about. Times are in seconds,
     on the caller's clock.
 
-    Parameters
-    ----------
-    mechanics
-        Mechanical properties.
-    now_s
-        Time of power-up, s.
-    publish
-        Called with each new trajectory of the load; this is how the world learns where the axis points.
-
-    Attributes
-    ----------
-    commanded
-        Trajectory that the controller commands, motor counts from the true zero of the load.
-    motor
-        Trajectory of the shaft, in the same counts.
-    pointing
-        Trajectory of the load.
-    stuck_busy
-        Whether the controller keeps reporting busy.
+    now_s: Time of power-up, s.
+    publish: Called with each new trajectory of the load; this is how the world learns where the axis points.
+    stuck_busy: Whether the controller keeps reporting busy.
     """
 
     def __init__(
@@ -76,15 +60,7 @@ class Axis:
     def counter(self, t_s: float) -> float:
         """Return the controller's counter.
 
-        Parameters
-        ----------
-        t_s
-            Time, s.
-
-        Returns
-        -------
-        float
-            Counts.
+        t_s: Time, s.
         """
         self._finish_homing(t_s)
         return self.commanded.position(t_s) - self._origin
@@ -92,15 +68,7 @@ class Axis:
     def encoder(self, t_s: float) -> float:
         """Return the count of an encoder on the shaft; it is set to 0 together with the counter.
 
-        Parameters
-        ----------
-        t_s
-            Time, s.
-
-        Returns
-        -------
-        float
-            Counts.
+        t_s: Time, s.
         """
         self._finish_homing(t_s)
         return self.motor.position(t_s) - self._encoder_origin
@@ -108,15 +76,7 @@ class Axis:
     def rest_counter(self, t_s: float) -> float:
         """Return the counter at which the present command ends.
 
-        Parameters
-        ----------
-        t_s
-            Time, s.
-
-        Returns
-        -------
-        float
-            Counts.
+        t_s: Time, s.
         """
         self._finish_homing(t_s)
         return self.commanded.rest - self._origin
@@ -124,45 +84,23 @@ class Axis:
     def velocity(self, t_s: float) -> float:
         """Return the commanded velocity.
 
-        Parameters
-        ----------
-        t_s
-            Time, s.
-
-        Returns
-        -------
-        float
-            Velocity, counts/s.
+        t_s: Time, s.
         """
         return self.commanded.velocity(t_s)
 
     def busy(self, t_s: float) -> bool:
         """Return whether a ramp is under way; settling of the load does not count.
 
-        Parameters
-        ----------
-        t_s
-            Time, s.
-
-        Returns
-        -------
-        bool
-            Whether the motor is moving.
+        t_s: Time, s.
+        Returns: Whether the motor is moving.
         """
         return t_s < self.commanded.end_s
 
     def reports_busy(self, t_s: float) -> bool:
         """Return what the controller reports: the truth, unless a fault of reporting is set.
 
-        Parameters
-        ----------
-        t_s
-            Time, s.
-
-        Returns
-        -------
-        bool
-            The reported state. Each false "idle" is reported once.
+        t_s: Time, s.
+        Returns: The reported state. Each false "idle" is reported once.
         """
         busy = self.busy(t_s)
         if busy and self._false_idle_replies > 0:
@@ -173,15 +111,8 @@ class Axis:
     def referenced(self, t_s: float) -> bool:
         """Return whether homing has set the reference.
 
-        Parameters
-        ----------
-        t_s
-            Time, s.
-
-        Returns
-        -------
-        bool
-            Whether the axis has a reference.
+        t_s: Time, s.
+        Returns: Whether the axis has a reference.
         """
         self._finish_homing(t_s)
         return self._referenced
@@ -189,15 +120,8 @@ class Axis:
     def take_event(self, t_s: float) -> MotionEvent | None:
         """Return, once, the event that the controller must have noticed by now.
 
-        Parameters
-        ----------
-        t_s
-            Time, s.
-
-        Returns
-        -------
-        MotionEvent or None
-            The event; None if there is none.
+        t_s: Time, s.
+        Returns: The event; None if there is none.
         """
         event = self._event
         if event is None or t_s < event.t_s:
@@ -209,14 +133,8 @@ class Axis:
     def move_to(self, target: float, t_s: float, speed: float, acceleration: float) -> None:
         """Ramp to a counter value from the present position and velocity.
 
-        Parameters
-        ----------
-        target
-            Target, counts.
-        t_s
-            Time of the command, s.
-        speed, acceleration
-            Limits of the ramp, counts/s and counts/s^2.
+        t_s: Time of the command, s.
+        speed, acceleration: Limits of the ramp, counts/s and counts/s^2.
         """
         self._abandon_homing(t_s)
         self._ramp_through(t_s, [(target + self._origin, speed)], acceleration)
@@ -224,12 +142,8 @@ class Axis:
     def stop(self, t_s: float, acceleration: float) -> None:
         """Brake to a halt on a whole count; this aborts homing, without a reference.
 
-        Parameters
-        ----------
-        t_s
-            Time of the command, s.
-        acceleration
-            Deceleration, counts/s^2.
+        t_s: Time of the command, s.
+        acceleration: Deceleration, counts/s^2.
         """
         self._abandon_homing(t_s)
         velocity = self.commanded.velocity(t_s)
@@ -240,10 +154,7 @@ class Axis:
     def halt(self, t_s: float) -> None:
         """Stop at once, as if the motor's current were cut.
 
-        Parameters
-        ----------
-        t_s
-            Time of the command, s.
+        t_s: Time of the command, s.
         """
         self._abandon_homing(t_s)
         self._event = None
@@ -257,16 +168,10 @@ class Axis:
     ) -> None:
         """Find the reference sensor: run past it at full speed, then return to it slowly from below.
 
-        Parameters
-        ----------
-        t_s
-            Time of the command, s.
-        speed, slow
-            Speed of the first and of the second part, counts/s.
-        acceleration
-            Acceleration, counts/s^2.
-        set_counter
-            Whether homing sets counter and encoder to 0 at the sensor.
+        t_s: Time of the command, s.
+        speed, slow: Speed of the first and of the second part, counts/s.
+        acceleration: Acceleration, counts/s^2.
+        set_counter: Whether homing sets counter and encoder to 0 at the sensor.
         """
         self._finish_homing(t_s)
         self._referenced = False
@@ -279,10 +184,7 @@ class Axis:
     def restart(self, t_s: float) -> None:
         """Power-cycle the controller: the axis halts, counter and encoder become 0, and the reference is lost.
 
-        Parameters
-        ----------
-        t_s
-            Time of the restart, s.
+        t_s: Time of the restart, s.
         """
         self.halt(t_s)
         self._referenced = False
@@ -296,12 +198,7 @@ class Axis:
     def set_counter(self, value: float, t_s: float) -> None:
         """Assign another counter value to the present position.
 
-        Parameters
-        ----------
-        value
-            New counter value, counts.
-        t_s
-            Time of the command, s.
+        t_s: Time of the command, s.
         """
         self._finish_homing(t_s)
         self._origin = self.commanded.position(t_s) - value
@@ -309,12 +206,7 @@ class Axis:
     def set_encoder(self, value: float, t_s: float) -> None:
         """Assign another encoder value to the present position.
 
-        Parameters
-        ----------
-        value
-            New encoder value, counts.
-        t_s
-            Time of the command, s.
+        t_s: Time of the command, s.
         """
         self._finish_homing(t_s)
         self._encoder_origin = self.motor.position(t_s) - value
@@ -323,32 +215,18 @@ class Axis:
     def arm(self, fault: MotionFault | None) -> None:
         """Arm a fault for a motion to come; it replaces an armed one.
 
-        Parameters
-        ----------
-        fault
-            The fault; None disarms.
+        fault: The fault; None disarms.
         """
         self._armed = fault
 
     def report_false_idle(self, times: int) -> None:
-        """Let the controller report idle although the axis moves.
-
-        Parameters
-        ----------
-        times
-            Number of false reports.
-        """
+        """Let the controller report idle although the axis moves."""
         self._false_idle_replies = times
 
     def push(self, counts: float, t_s: float) -> None:
         """Turn the shaft from outside; the counter does not notice.
 
-        Parameters
-        ----------
-        counts
-            Rotation of the shaft, counts.
-        t_s
-            Time, s.
+        t_s: Time, s.
         """
         load, offset = self._load(t_s)
         pieces = [piece._replace(position=piece.position + counts) for piece in self.motor.pieces]

@@ -34,21 +34,8 @@ _RESULT_FAIL, _UNKNOWN, _DAMAGED, _RANGE, _LENGTH, _LIMIT, _ACCESS = range(1, 8)
 class DynamixelBus:
     """The servos on one line, as a dialect.
 
-    Parameters
-    ----------
-    models
-        Servos, by id.
-    clock
-        Returns the time in seconds.
-    publish
-        Called with the id of a servo and each new trajectory of it.
-    baud
-        Baud rate of the bus.
-
-    Attributes
-    ----------
-    servos
-        The servos, by id.
+    clock: Returns the time in seconds.
+    publish: Called with the id of a servo and each new trajectory of it.
     """
 
     def __init__(
@@ -198,12 +185,8 @@ class DynamixelBus:
     def cut_power(self, t_s: float, *, restored: bool = False) -> None:
         """Cut the power of the bus, or restore it; nothing happens if it was never cut.
 
-        Parameters
-        ----------
-        t_s
-            Time, s.
-        restored
-            Whether the power comes back.
+        t_s: Time, s.
+        restored: Whether the power comes back.
         """
         for servo in self.servos.values():
             servo.power(t_s, on=restored)

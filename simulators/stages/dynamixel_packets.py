@@ -13,10 +13,7 @@ class AccessError(Exception):
 class RangeError(Exception):
     """A value out of range.
 
-    Parameters
-    ----------
-    by_setting
-        Whether a setting of the servo limits it.
+    by_setting: Whether a setting of the servo limits it.
     """
 
     def __init__(self, *, by_setting: bool = False) -> None:
@@ -25,18 +22,7 @@ class RangeError(Exception):
 
 
 def crc_of(data: bytes) -> int:
-    """Return the CRC-16 of a packet without its last two bytes, bit by bit: polynomial 0x8005, begun with 0.
-
-    Parameters
-    ----------
-    data
-        The bytes from the header on.
-
-    Returns
-    -------
-    int
-        The CRC.
-    """
+    """Return the CRC-16 of a packet without its last two bytes, bit by bit: polynomial 0x8005, begun with 0."""
     register = 0
     for byte in data:
         for bit in (128, 64, 32, 16, 8, 4, 2, 1):
@@ -48,18 +34,7 @@ def crc_of(data: bytes) -> int:
 
 
 def unstuffed(body: bytes) -> bytes:
-    """Drop the byte FD that follows each FF FF FD.
-
-    Parameters
-    ----------
-    body
-        Instruction and parameters as they came.
-
-    Returns
-    -------
-    bytes
-        Instruction and parameters.
-    """
+    """Drop the byte FD that follows each FF FF FD."""
     clean = bytearray()
     skip = False
     for byte in body:
@@ -73,22 +48,7 @@ def unstuffed(body: bytes) -> bytes:
 
 
 def status_packet(number: int, error: int, data: bytes = b"") -> bytes:
-    """Return a status packet.
-
-    Parameters
-    ----------
-    number
-        Id of the servo.
-    error
-        Error field.
-    data
-        Parameters.
-
-    Returns
-    -------
-    bytes
-        The packet.
-    """
+    """Return a status packet."""
     body = bytearray()
     for byte in (0x55, error, *data):
         body.append(byte)

@@ -70,45 +70,17 @@ _FIELDS: Final = {
 
 @dataclass(frozen=True)
 class ServoModel:
-    """A servo and the axis behind it.
+    """A servo and the axis behind it."""
 
-    Attributes
-    ----------
-    mechanics
-        Mechanical properties; a count is a position of the servo.
-    number
-        Model number.
-    boot_s
-        Time without answers after a restart, s.
-    """
-
-    mechanics: Mechanics
+    mechanics: Mechanics  # Mechanical properties; a count is a position of the servo
     number: int = 1060
-    boot_s: float = 0.4
+    boot_s: float = 0.4  # Time without answers after a restart, s
 
 
 class DynamixelServo:
     """A servo.
 
-    Parameters
-    ----------
-    number
-        Its id.
-    model
-        The servo and its axis.
-    axis
-        Motion of the axis.
-    now_s
-        Time of power-up, s.
-
-    Attributes
-    ----------
-    number
-        Its id.
-    axis
-        Motion of the axis.
-    registered
-        The write that waits for an action.
+    now_s: Time of power-up, s.
     """
 
     def __init__(self, number: int, model: ServoModel, axis: Axis, now_s: float) -> None:
@@ -142,15 +114,8 @@ class DynamixelServo:
     def answers(self, t_s: float) -> bool:
         """Return whether the servo has power and runs.
 
-        Parameters
-        ----------
-        t_s
-            Time, s.
-
-        Returns
-        -------
-        bool
-            Whether it answers.
+        t_s: Time, s.
+        Returns: Whether it answers.
         """
         return self._powered and t_s >= self._boot_ends_s
 
@@ -160,15 +125,7 @@ class DynamixelServo:
     def table(self, t_s: float) -> bytes:
         """Return the whole control table.
 
-        Parameters
-        ----------
-        t_s
-            Time, s.
-
-        Returns
-        -------
-        bytes
-            The table.
+        t_s: Time, s.
         """
         table = bytearray(_TABLE_BYTES)
         struct.pack_into("<HIB", table, 0, self._model_number, 0, 45)
@@ -192,23 +149,9 @@ class DynamixelServo:
     def write(self, first: int, data: bytes, t_s: float) -> None:
         """Write whole fields; all of them are checked before one is changed.
 
-        Parameters
-        ----------
-        first
-            Address of the first byte.
-        data
-            The bytes.
-        t_s
-            Time, s.
-
-        Raises
-        ------
-        AccessError
-            An address is read-only, or cannot be written while the torque is on.
-        RangeError
-            A value is out of range.
-        struct.error
-            The data end within a field.
+        first: Address of the first byte.
+        t_s: Time, s.
+        Raises AccessError: An address is read-only, or cannot be written while the torque is on.
         """
         values: list[tuple[int, int]] = []
         at = first
@@ -268,10 +211,7 @@ class DynamixelServo:
     def take_events(self, t_s: float) -> None:
         """Process what happened to the motion so far.
 
-        Parameters
-        ----------
-        t_s
-            Time, s.
+        t_s: Time, s.
         """
         event = self.axis.take_event(t_s)
         if event is None:
@@ -291,10 +231,7 @@ class DynamixelServo:
     def clear_turns(self, t_s: float) -> None:
         """Count turns from the present one.
 
-        Parameters
-        ----------
-        t_s
-            Time, s.
+        t_s: Time, s.
         """
         if not self.axis.busy(t_s):
             self._turns = 0
@@ -303,10 +240,7 @@ class DynamixelServo:
     def restart(self, t_s: float) -> None:
         """Restart: no answers for a while, then without torque, without errors, with the volatile values of delivery.
 
-        Parameters
-        ----------
-        t_s
-            Time of the restart, s.
+        t_s: Time of the restart, s.
         """
         self.axis.restart(t_s)
         self._power_up(t_s)
@@ -315,12 +249,8 @@ class DynamixelServo:
     def power(self, t_s: float, *, on: bool) -> None:
         """Cut or restore the power; nothing happens if it is as wanted.
 
-        Parameters
-        ----------
-        t_s
-            Time, s.
-        on
-            Whether there is power.
+        t_s: Time, s.
+        on: Whether there is power.
         """
         if on and not self._powered:
             self._powered = True
@@ -332,24 +262,15 @@ class DynamixelServo:
     def emergency_stop(self, t_s: float, *, released: bool = False) -> None:
         """See `AxisController.emergency_stop`. The button cuts the power of the servo.
 
-        Parameters
-        ----------
-        t_s
-            Time, s.
-        released
-            True restores it.
+        t_s: Time, s.
         """
         self.power(t_s, on=released)
 
     def exchange(self, serial: str, t_s: float) -> None:
         """Replace the servo by one of another model, fresh from power-up: servos have no serial number.
 
-        Parameters
-        ----------
-        serial
-            Model number, if it is that of a servo; else that of an XM430-W350.
-        t_s
-            Time, s.
+        serial: Model number, if it is that of a servo; else that of an XM430-W350.
+        t_s: Time, s.
         """
         known = serial.isdigit() and 1000 <= int(serial) < 2000
         self._model_number = int(serial) if known else 1020

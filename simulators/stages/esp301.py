@@ -32,62 +32,31 @@ _MAX_LINE: Final = 256
 
 @dataclass(frozen=True)
 class EspAxisModel:
-    """One axis: the stage and its settings at power-up.
-
-    Attributes
-    ----------
-    mechanics
-        Mechanical properties.
-    serial
-        Serial number of the stage.
-    lowest_deg, highest_deg
-        Software limits, degrees.
-    name
-        Model of the stage, as ``ID?`` reports it.
-    speed_deg_s, acceleration_deg_s2
-        Ramp settings, degrees/s and degrees/s^2.
-    home_speed_deg_s
-        Speed of homing, degrees/s.
-    most_speed_deg_s, most_acceleration_deg_s2
-        Largest values of the ramp settings.
-    """
+    """One axis: the stage and its settings at power-up."""
 
     mechanics: Mechanics
     serial: str
+    # lowest_deg, highest_deg: Software limits, degrees.
     lowest_deg: float
     highest_deg: float
-    name: str = "URS75BCC"
+    name: str = "URS75BCC"  # Model of the stage, as ``ID?`` reports it
+    # speed_deg_s, acceleration_deg_s2: Ramp settings, degrees/s and degrees/s^2.
     speed_deg_s: float = 40.0
     acceleration_deg_s2: float = 200.0
-    home_speed_deg_s: float = 20.0
+    home_speed_deg_s: float = 20.0  # Speed of homing, degrees/s
     most_speed_deg_s: float = 80.0
     most_acceleration_deg_s2: float = 320.0
 
 
 @dataclass
 class EspAxis:
-    """State of one axis: its mechanics and its settings in the controller.
-
-    Attributes
-    ----------
-    controller
-        Controller of the axis.
-    number
-        Number of the axis, from 1.
-    model
-        Stage and settings at power-up.
-    axis
-        Motion of the axis.
-    motor_on, homing
-        Whether the motor is on, and whether the axis is homing.
-    settings
-        Values by two-letter command.
-    """
+    """State of one axis: its mechanics and its settings in the controller."""
 
     controller: EspController
-    number: int
+    number: int  # Number of the axis, from 1
     model: EspAxisModel
     axis: Axis
+    # motor_on, homing: Whether the motor is on, and whether the axis is homing.
     motor_on: bool = False
     homing: bool = False
     settings: dict[str, float] = field(default_factory=dict)
@@ -103,12 +72,7 @@ class EspAxis:
     def exchange(self, serial: str, t_s: float) -> None:
         """Replace the stage by another one of this model, and restart the controller.
 
-        Parameters
-        ----------
-        serial
-            Serial number of the new stage.
-        t_s
-            Time, s.
+        t_s: Time, s.
         """
         self.model = replace(self.model, serial=serial)
         self.controller.restart(t_s)
@@ -117,21 +81,9 @@ class EspAxis:
 class EspController:
     """The controller, as a dialect of a serial line.
 
-    Parameters
-    ----------
-    models
-        Its axes, from number 1.
-    clock
-        Returns the time in seconds.
-    publish
-        Called with the number of an axis and each new trajectory of it.
-    baud
-        Baud rate of the port: 19200 on RS-232, 921600 on USB.
-
-    Attributes
-    ----------
-    axes
-        Its axes, by number.
+    models: Its axes, from number 1.
+    clock: Returns the time in seconds.
+    baud: Baud rate of the port: 19200 on RS-232, 921600 on USB.
     """
 
     def __init__(
@@ -386,10 +338,7 @@ class EspController:
     def restart(self, t_s: float) -> None:
         """Reboot: no answers for 1 s, then motors off and counters at 0.
 
-        Parameters
-        ----------
-        t_s
-            Time of the reboot, s.
+        t_s: Time of the reboot, s.
         """
         for one in self.axes.values():
             one.axis.restart(t_s)
@@ -399,12 +348,7 @@ class EspController:
     def emergency_stop(self, t_s: float, *, released: bool = False) -> None:
         """Press the emergency stop, which switches all motors off, or release it; the motors then stay off.
 
-        Parameters
-        ----------
-        t_s
-            Time, s.
-        released
-            True releases the button.
+        t_s: Time, s.
         """
         self._stop_pressed = not released
         if released:

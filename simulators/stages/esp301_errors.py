@@ -34,10 +34,7 @@ _AXIS_ERROR_TEXTS: Final = {
 class EspError(Exception):
     """A refused command.
 
-    Parameters
-    ----------
-    number
-        Number of a controller error or of an axis error, depending on where it is raised.
+    number: Number of a controller error or of an axis error, depending on where it is raised.
     """
 
     def __init__(self, number: int) -> None:
@@ -48,14 +45,6 @@ class EspError(Exception):
 def error_text(number: int) -> str:
     """Return the text of an error, as ``TB?`` answers it.
 
-    Parameters
-    ----------
-    number
-        Number of a controller error, or axis * 100 + number of an axis error.
-
-    Returns
-    -------
-    str
-        The text, in capitals.
+    number: Number of a controller error, or axis * 100 + number of an axis error.
     """
     return _AXIS_ERROR_TEXTS[number % 100] if number >= 100 else _ERROR_TEXTS[number]

@@ -38,50 +38,25 @@ class _PtuError(Exception):
 
 @dataclass(frozen=True)
 class PtuAxisModel:
-    """One axis: its mechanics, and its settings at power-up.
+    """One axis: its mechanics, and its settings at power-up."""
 
-    Attributes
-    ----------
-    mechanics
-        Mechanical properties; a count is a position of the unit.
-    limit_deg
-        Limit in both directions that a reset finds, degrees.
-    speed_deg_s, acceleration_deg_s2
-        Ramp settings, degrees/s and degrees/s^2.
-    most_speed_deg_s
-        Largest speed, degrees/s.
-    """
-
-    mechanics: Mechanics
-    limit_deg: float
+    mechanics: Mechanics  # Mechanical properties; a count is a position of the unit
+    limit_deg: float  # Limit in both directions that a reset finds, degrees
+    # speed_deg_s, acceleration_deg_s2: Ramp settings, degrees/s and degrees/s^2.
     speed_deg_s: float = 40.0
     acceleration_deg_s2: float = 200.0
-    most_speed_deg_s: float = 100.0
+    most_speed_deg_s: float = 100.0  # Largest speed, degrees/s
 
 
 @dataclass
 class PtuAxis:
-    """State of one axis.
-
-    Attributes
-    ----------
-    unit
-        The unit of the axis.
-    letter
-        P or T.
-    model
-        Mechanics and settings at power-up.
-    axis
-        Motion of the axis.
-    settings
-        Values by the letters after the axis's letter.
-    """
+    """State of one axis."""
 
     unit: PtuController
     letter: str
     model: PtuAxisModel
     axis: Axis
-    settings: dict[str, int] = field(default_factory=dict)
+    settings: dict[str, int] = field(default_factory=dict)  # Values by the letters after the axis's letter
 
     def power_up(self) -> None:
         """Set the settings of a power-up."""
@@ -110,12 +85,7 @@ class PtuAxis:
     def exchange(self, serial: str, t_s: float) -> None:
         """Replace the unit by another one, fresh from power-up.
 
-        Parameters
-        ----------
-        serial
-            Serial number of the new unit.
-        t_s
-            Time, s.
+        t_s: Time, s.
         """
         self.unit.serial = serial
         self.unit.restart(t_s)
@@ -124,25 +94,8 @@ class PtuAxis:
 class PtuController:
     """The unit, as a dialect of a serial line.
 
-    Parameters
-    ----------
-    models
-        Its axes by letter, P and T.
-    serial
-        Answer to ``VS``.
-    clock
-        Returns the time in seconds.
-    publish
-        Called with the letter of an axis and each new trajectory of it.
-    baud
-        Baud rate of the port.
-
-    Attributes
-    ----------
-    axes
-        Its axes, by letter.
-    serial
-        Its serial number.
+    serial: Answer to ``VS``.
+    clock: Returns the time in seconds.
     """
 
     def __init__(
@@ -365,10 +318,7 @@ class PtuController:
     def restart(self, t_s: float) -> None:
         """Reboot: no answers for 2 s, then a banner; all settings are those of a power-up, counters are 0.
 
-        Parameters
-        ----------
-        t_s
-            Time of the reboot, s.
+        t_s: Time of the reboot, s.
         """
         for one in self.axes.values():
             one.axis.restart(t_s)
@@ -379,12 +329,8 @@ class PtuController:
     def cut_power(self, t_s: float, *, restored: bool = False) -> None:
         """Cut the power of the unit, or restore it.
 
-        Parameters
-        ----------
-        t_s
-            Time, s.
-        restored
-            Whether the power comes back; nothing happens if it was never cut.
+        t_s: Time, s.
+        restored: Whether the power comes back; nothing happens if it was never cut.
         """
         if restored and not self._powered:
             self._powered = True

@@ -26,10 +26,7 @@ _GROUPS: Final = {
 class GcodeError(Exception):
     """A refused block.
 
-    Parameters
-    ----------
-    number
-        Error number of GRBL 1.1.
+    number: Error number of GRBL 1.1.
     """
 
     def __init__(self, number: int) -> None:
@@ -39,44 +36,18 @@ class GcodeError(Exception):
 
 @dataclass(frozen=True)
 class Block:
-    """Content of a block; None stands for what the block does not contain.
+    """Content of a block; None stands for what the block does not contain."""
 
-    Attributes
-    ----------
-    motion
-        "G0" or "G1"; the last one remains in force.
-    distance
-        "G90" (absolute) or "G91" (relative); the last one remains in force.
-    dwell_s
-        Dwell time of G4, s.
-    feed
-        Feed, units/min.
-    machine_coordinates
-        Whether the block contains G53.
-    targets
-        Coordinates by axis letter, units.
-    """
-
-    motion: str | None = None
-    distance: str | None = None
-    dwell_s: float | None = None
+    motion: str | None = None  # "G0" or "G1"; the last one remains in force
+    distance: str | None = None  # "G90" (absolute) or "G91" (relative); the last one remains in force
+    dwell_s: float | None = None  # Dwell time of G4, s
     feed: float | None = None
-    machine_coordinates: bool = False
+    machine_coordinates: bool = False  # Whether the block contains G53
     targets: dict[str, float] = field(default_factory=dict)
 
 
 def strip_line(line: str) -> str:
     """Return a line as the firmware keeps it: without blanks, comments and ``/``, in capitals.
-
-    Parameters
-    ----------
-    line
-        The line as it was sent.
-
-    Returns
-    -------
-    str
-        What is left.
 
     Examples
     --------
@@ -89,23 +60,10 @@ def strip_line(line: str) -> str:
 def parse_block(line: str, axes: str = "XYZ") -> Block:
     """Parse a block.
 
-    Parameters
-    ----------
-    line
-        The block, with or without comments and blanks.
-    axes
-        Letters of the axes that the controller has.
-
-    Returns
-    -------
-    Block
-        Content of the block.
-
-    Raises
-    ------
-    GcodeError
-        1 letter expected, 2 bad number, 4 negative value, 20 unsupported code, 21 two codes of one group, 23 code
-        is not a whole number, 24 two codes need the axes, 25 repeated letter, 28 dwell time missing.
+    line: The block, with or without comments and blanks.
+    Raises GcodeError: 1 letter expected, 2 bad number, 4 negative value, 20 unsupported code, 21 two codes of
+      one group, 23 code is not a whole number, 24 two codes need the axes, 25 repeated letter, 28 dwell time
+      missing.
 
     Examples
     --------

@@ -38,43 +38,21 @@ _EXTRA_FIELDS: Final = {0: "|WCO:0.000,0.000,0.000", 1: "|Ov:100,100,100"}
 
 
 class _Pause(NamedTuple):
-    """The wait after an alarm.
+    """The wait after an alarm."""
 
-    Attributes
-    ----------
-    until_s
-        Its end, s.
-    then
-        What the board sends then.
-    restarts
-        Whether it restarts then; otherwise it waits for a reset.
-    """
-
-    until_s: float
+    until_s: float  # Its end, s
     then: str
-    restarts: bool
+    restarts: bool  # Whether it restarts then; otherwise it waits for a reset
 
 
 class GrblController(SystemCommands):
     """The controller, as a dialect of a serial line.
 
-    Parameters
-    ----------
-    models
-        Its axes by letter: X, Y and Z in this order.
-    clock
-        Returns the time in seconds.
-    publish
-        Called with the letter of an axis and each new trajectory of it.
-    pull_off_deg
-        Distance from the switch at which homing ends, degrees.
-
-    Attributes
-    ----------
-    name
-        Name that a user has given it by ``$I=``.
-    settings
-        Values of the ``$`` settings, by number.
+    models: Its axes by letter: X, Y and Z in this order.
+    clock: Returns the time in seconds.
+    pull_off_deg: Distance from the switch at which homing ends, degrees.
+    name: Name that a user has given it by ``$I=``.
+    settings: Values of the ``$`` settings, by number.
     """
 
     def __init__(
@@ -332,10 +310,7 @@ class GrblController(SystemCommands):
     def restart(self, t_s: float) -> None:
         """Power-cycle the controller: position 0, locked until homed.
 
-        Parameters
-        ----------
-        t_s
-            Time of the restart, s.
+        t_s: Time of the restart, s.
         """
         for axis in self.axes.values():
             axis.restart(t_s)
@@ -344,12 +319,7 @@ class GrblController(SystemCommands):
     def exchange(self, name: str, t_s: float) -> None:
         """Replace the board by another one with factory settings.
 
-        Parameters
-        ----------
-        name
-            Name of the new board.
-        t_s
-            Time, s.
+        t_s: Time, s.
         """
         self.name = name
         self.settings.clear()
@@ -359,12 +329,7 @@ class GrblController(SystemCommands):
     def emergency_stop(self, t_s: float, *, released: bool = False) -> None:
         """Hold the board in reset, as a stop button on its reset pin does, or release it.
 
-        Parameters
-        ----------
-        t_s
-            Time, s.
-        released
-            True releases the button.
+        t_s: Time, s.
         """
         self._in_reset = not released
         if released:
@@ -377,15 +342,7 @@ class GrblController(SystemCommands):
 
 @dataclass(frozen=True)
 class GrblAxis:
-    """One axis of a controller, for fault injection.
-
-    Attributes
-    ----------
-    controller
-        Controller of the axis.
-    letter
-        Letter of the axis.
-    """
+    """One axis of a controller, for fault injection."""
 
     controller: GrblController
     letter: str
@@ -406,11 +363,7 @@ class GrblAxis:
     def exchange(self, serial: str, t_s: float) -> None:
         """Replace the board by another one.
 
-        Parameters
-        ----------
-        serial
-            Name of the new board: GRBL has no serial number, but a name that a user gives it by ``$I=``.
-        t_s
-            Time, s.
+        serial: Name of the new board: GRBL has no serial number, but a name that a user gives it by ``$I=``.
+        t_s: Time, s.
         """
         self.controller.exchange(serial, t_s)

@@ -26,18 +26,10 @@ class Answered(Exception):
 
 
 class SystemCommands:
-    """The commands; `simulators.stages.grbl.GrblController` derives from it.
+    """The commands; `simulators.stages.grbl.GrblController` derives from it."""
 
-    Attributes
-    ----------
-    name
-        Name that a user has given the board by ``$I=``.
-    settings
-        Values of the ``$`` settings, by number.
-    """
-
-    name: str
-    settings: dict[int, float]
+    name: str  # Name that a user has given the board by ``$I=``
+    settings: dict[int, float]  # Values of the ``$`` settings, by number
     _factory: Mapping[int, float]
     _output: str
     _state: State

@@ -27,74 +27,37 @@ _RUN_ON_S: Final = 0.005
 def must_be_positive(number: int) -> bool:
     """Return whether a setting is a scale, speed or acceleration: zero would make motion impossible.
 
-    Parameters
-    ----------
-    number
-        Number of the setting.
-
-    Returns
-    -------
-    bool
-        Whether zero is not allowed.
+    Returns: Whether zero is not allowed.
     """
     return STEPS <= number < MAX_TRAVEL or number in {HOMING_FEED, HOMING_SEEK}
 
 
 @dataclass(frozen=True)
 class GrblAxisModel:
-    """One axis.
+    """One axis."""
 
-    Attributes
-    ----------
-    mechanics
-        Mechanical properties; ``home_deg`` is where homing ends, the pull-off below the switch.
-    travel_deg
-        Distance from the switch to the other end, degrees.
-    max_rate_deg_s, acceleration_deg_s2
-        Ramp settings at the factory, degrees/s and degrees/s^2.
-    """
-
+    # Mechanical properties; ``home_deg`` is where homing ends, the pull-off below the switch.
     mechanics: Mechanics
-    travel_deg: float
+    travel_deg: float  # Distance from the switch to the other end, degrees
+    # max_rate_deg_s, acceleration_deg_s2: Ramp settings at the factory, degrees/s and degrees/s^2.
     max_rate_deg_s: float = 40.0
     acceleration_deg_s2: float = 200.0
 
 
 class Motion(NamedTuple):
-    """A queued motion.
-
-    Attributes
-    ----------
-    targets
-        Machine coordinates by axis letter, units.
-    feed
-        Feed, units/min; None for a rapid motion.
-    """
+    """A queued motion."""
 
     targets: dict[str, float]
-    feed: float | None
+    feed: float | None  # Feed, units/min; None for a rapid motion
 
 
 class Planner:
     """The axes of a controller and their queue of motions.
 
-    Parameters
-    ----------
-    models
-        Axes by letter: X, Y and Z in this order.
-    settings
-        Settings of the controller, by number; they may change while all axes rest.
-    now_s
-        Time of power-up, s.
-    publish
-        Called with the letter of an axis and each new trajectory of it.
-
-    Attributes
-    ----------
-    axes
-        Motions of the axes, by letter.
-    held
-        Whether a feed hold is in force.
+    models: Axes by letter: X, Y and Z in this order.
+    settings: Settings of the controller, by number; they may change while all axes rest.
+    now_s: Time of power-up, s.
+    held: Whether a feed hold is in force.
     """
 
     def __init__(
@@ -119,60 +82,31 @@ class Planner:
     def moving(self, now: float) -> bool:
         """Return whether an axis moves, or keeps reporting busy.
 
-        Parameters
-        ----------
-        now
-            Time, s.
-
-        Returns
-        -------
-        bool
-            Whether one does.
+        now: Time, s.
+        Returns: Whether one does.
         """
         return any(axis.busy(now) or axis.stuck_busy for axis in self.axes.values())
 
     def reports_false_idle(self, now: float) -> bool:
         """Return whether a moving axis reports idle this once.
 
-        Parameters
-        ----------
-        now
-            Time, s.
-
-        Returns
-        -------
-        bool
-            Whether one does.
+        now: Time, s.
+        Returns: Whether one does.
         """
         return any(axis.busy(now) and not axis.reports_busy(now) for axis in self.axes.values())
 
     def done(self, now: float) -> bool:
         """Return whether nothing moves and the queue is empty.
 
-        Parameters
-        ----------
-        now
-            Time, s.
-
-        Returns
-        -------
-        bool
-            False during a hold too.
+        now: Time, s.
         """
         return not self._queue and not self.held and not self.moving(now)
 
     def position(self, now: float) -> list[float]:
         """Return the machine position of three axes.
 
-        Parameters
-        ----------
-        now
-            Time, s.
-
-        Returns
-        -------
-        list of float
-            Units; 0 for missing axes.
+        now: Time, s.
+        Returns: Units; 0 for missing axes.
         """
         found = [axis.counter(now) / self._steps(letter) for letter, axis in self.axes.items()]
         return found + [0.0] * (3 - len(found))
@@ -180,15 +114,7 @@ class Planner:
     def feed(self, now: float) -> float:
         """Return the present speed along the path.
 
-        Parameters
-        ----------
-        now
-            Time, s.
-
-        Returns
-        -------
-        float
-            Speed, units/min.
+        now: Time, s.
         """
         speeds = [axis.velocity(now) / self._steps(letter) for letter, axis in self.axes.items()]
         return 60.0 * math.sqrt(sum(speed * speed for speed in speeds))
@@ -196,30 +122,14 @@ class Planner:
     def final_target(self, now: float) -> dict[str, float]:
         """Return where all queued motions end.
 
-        Parameters
-        ----------
-        now
-            Time, s.
-
-        Returns
-        -------
-        dict
-            Machine coordinates by axis letter, units.
+        now: Time, s.
         """
         return dict(self._queue[-1].targets) if self._queue else self._rest_targets(now)
 
     def inside(self, targets: Mapping[str, float]) -> bool:
         """Return whether targets lie within the travel of all axes.
 
-        Parameters
-        ----------
-        targets
-            Machine coordinates by axis letter, units.
-
-        Returns
-        -------
-        bool
-            Whether all do.
+        Returns: Whether all do.
         """
         return all(-self._setting(MAX_TRAVEL, one) <= target <= 0.0 for one, target in targets.items())
 
@@ -227,12 +137,7 @@ class Planner:
     def add(self, motion: Motion, now: float) -> None:
         """Append a motion to the queue.
 
-        Parameters
-        ----------
-        motion
-            The motion.
-        now
-            Time, s.
+        now: Time, s.
         """
         self._queue.append(motion)
         self.go_on(now)
@@ -240,10 +145,7 @@ class Planner:
     def go_on(self, now: float) -> None:
         """Start the next motion if the last one has ended.
 
-        Parameters
-        ----------
-        now
-            Time, s.
+        now: Time, s.
         """
         while self._queue and not self.held and not self.moving(now):
             self._current = self._queue.popleft()
@@ -252,10 +154,7 @@ class Planner:
     def hold(self, now: float) -> None:
         """Brake, and keep the rest of the queue (feed hold).
 
-        Parameters
-        ----------
-        now
-            Time, s.
+        now: Time, s.
         """
         if self._current is not None and not self.held:
             self._queue.appendleft(self._current)
@@ -265,10 +164,7 @@ class Planner:
     def resume(self, now: float) -> None:
         """Continue after a hold.
 
-        Parameters
-        ----------
-        now
-            Time, s.
+        now: Time, s.
         """
         self.held = False
         self.go_on(now)
@@ -276,10 +172,7 @@ class Planner:
     def cancel(self, now: float) -> None:
         """Brake, and empty the queue.
 
-        Parameters
-        ----------
-        now
-            Time, s.
+        now: Time, s.
         """
         self.forget()
         self._brake(now)
@@ -292,10 +185,7 @@ class Planner:
     def halt(self, now: float) -> None:
         """Cut the current of the motors: they run on a little, and steps are lost.
 
-        Parameters
-        ----------
-        now
-            Time, s.
+        now: Time, s.
         """
         self.forget()
         for axis in self.axes.values():
@@ -306,10 +196,7 @@ class Planner:
     def home(self, now: float) -> None:
         """Seek the switches with all axes at once.
 
-        Parameters
-        ----------
-        now
-            Time, s.
+        now: Time, s.
         """
         for letter, axis in self.axes.items():
             scale = self._steps(letter)
@@ -319,15 +206,8 @@ class Planner:
     def homed(self, now: float) -> bool:
         """Set the counters after homing.
 
-        Parameters
-        ----------
-        now
-            Time, s.
-
-        Returns
-        -------
-        bool
-            False if a switch was not found.
+        now: Time, s.
+        Returns: False if a switch was not found.
         """
         for letter, axis in self.axes.items():
             axis.set_counter(-self._settings[PULL_OFF] * self._steps(letter), now)

@@ -20,17 +20,9 @@ _WITH_DECIMALS: Final = {11, 12, 24, 25, 27}
 def factory_settings(models: Mapping[str, GrblAxisModel], pull_off_deg: float) -> dict[int, float]:
     """Return the factory settings of a board with these axes.
 
-    Parameters
-    ----------
-    models
-        Axes by letter: X, Y and Z in this order.
-    pull_off_deg
-        Distance from the switch at which homing ends, degrees.
-
-    Returns
-    -------
-    dict
-        Values by number, in rising order.
+    models: Axes by letter: X, Y and Z in this order.
+    pull_off_deg: Distance from the switch at which homing ends, degrees.
+    Returns: Values by number, in rising order.
     """
     settings = {
         0: 10.0,
@@ -58,40 +50,15 @@ def factory_settings(models: Mapping[str, GrblAxisModel], pull_off_deg: float) -
 
 
 def format_setting(number: int, value: float) -> str:
-    """Format a setting as GRBL prints it: whole-number settings without decimals, all others with three.
-
-    Parameters
-    ----------
-    number
-        Number of the setting.
-    value
-        Its value.
-
-    Returns
-    -------
-    str
-        The printed value.
-    """
+    """Format a setting as GRBL prints it: whole-number settings without decimals, all others with three."""
     return f"{value:.3f}" if number in _WITH_DECIMALS or number >= STEPS else f"{value:.0f}"
 
 
 def parse_setting(command: str) -> tuple[int, float]:
     """Parse the change of a setting.
 
-    Parameters
-    ----------
-    command
-        The line after its ``$``, without blanks.
-
-    Returns
-    -------
-    tuple of int and float
-        Number and value of the setting.
-
-    Raises
-    ------
-    GcodeError
-        2 bad number, 3 not a setting.
+    command: The line after its ``$``, without blanks.
+    Raises GcodeError: 2 bad number, 3 not a setting.
 
     Examples
     --------

@@ -43,31 +43,16 @@ _POWER_OK, _ENABLED = 0x1000_0000, 0x8000_0000
 
 @dataclass(frozen=True)
 class AptModel:
-    """Identity of a controller, and the axis behind it.
-
-    Attributes
-    ----------
-    mechanics
-        Mechanical properties.
-    serial
-        Serial number.
-    name
-        Name of the model: "K10CR1" or "KDC101".
-    speed_deg_s, acceleration_deg_s2
-        Ramp settings at power-up, degrees/s and degrees/s^2.
-    home_speed_deg_s
-        Speed of homing, degrees/s; the last part is ten times slower.
-    boot_s
-        Time without answers after a restart, s.
-    """
+    """Identity of a controller, and the axis behind it."""
 
     mechanics: Mechanics
     serial: int
-    name: str = "K10CR1"
+    name: str = "K10CR1"  # Name of the model: "K10CR1" or "KDC101"
+    # speed_deg_s, acceleration_deg_s2: Ramp settings at power-up, degrees/s and degrees/s^2.
     speed_deg_s: float = 10.0
     acceleration_deg_s2: float = 10.0
-    home_speed_deg_s: float = 10.0
-    boot_s: float = 1.0
+    home_speed_deg_s: float = 10.0  # Speed of homing, degrees/s; the last part is ten times slower
+    boot_s: float = 1.0  # Time without answers after a restart, s
 
     @property
     def servo(self) -> bool:
@@ -77,10 +62,7 @@ class AptModel:
     def speed_units(self) -> tuple[float, float]:
         """Return the scales of the ramp settings.
 
-        Returns
-        -------
-        tuple of float
-            Units for one count/s, and for one count/s^2.
+        Returns: Units for one count/s, and for one count/s^2.
         """
         if self.servo:
             return _SERVO_PERIOD_S * 65_536.0, _SERVO_PERIOD_S**2 * 65_536.0
@@ -90,19 +72,7 @@ class AptModel:
 class AptController:
     """The controller, as a dialect of a serial line.
 
-    Parameters
-    ----------
-    model
-        Identity and axis.
-    clock
-        Returns the time in seconds.
-    publish
-        Called with each new trajectory of the axis.
-
-    Attributes
-    ----------
-    axis
-        Motion of the axis.
+    clock: Returns the time in seconds.
     """
 
     def __init__(
@@ -301,10 +271,7 @@ class AptController:
     def restart(self, t_s: float) -> None:
         """Reboot: no answers for a while, then no reference, counter 0, and the settings of a power-up.
 
-        Parameters
-        ----------
-        t_s
-            Time of the reboot, s.
+        t_s: Time of the reboot, s.
         """
         self.axis.restart(t_s)
         self._power_up()
@@ -313,12 +280,7 @@ class AptController:
     def emergency_stop(self, t_s: float, *, released: bool = False) -> None:
         """Cut the power of the controller, or restore it; nothing happens if it was never cut.
 
-        Parameters
-        ----------
-        t_s
-            Time, s.
-        released
-            True restores it.
+        t_s: Time, s.
         """
         if released and not self._powered:
             self._powered = True
@@ -330,12 +292,8 @@ class AptController:
     def exchange(self, serial: str, t_s: float) -> None:
         """Replace the controller by another one of this model, fresh from power-up.
 
-        Parameters
-        ----------
-        serial
-            Serial number of the new controller; 0 is used if it is not a number.
-        t_s
-            Time, s.
+        serial: Serial number of the new controller; 0 is used if it is not a number.
+        t_s: Time, s.
         """
         self.model = replace(self.model, serial=int(serial) if serial.isdigit() else 0)
         self.restart(t_s)
@@ -343,10 +301,7 @@ class AptController:
     def switch_off_channel(self, t_s: float) -> None:
         """Switch the channel off at the panel.
 
-        Parameters
-        ----------
-        t_s
-            Time, s.
+        t_s: Time, s.
         """
         self._enable(False, t_s)
 

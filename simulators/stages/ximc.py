@@ -45,53 +45,25 @@ _IGNORE_POSITION, _IGNORE_ENCODER = 0x01, 0x02
 
 @dataclass(frozen=True)
 class XimcModel:
-    """Identity of a controller, and the axis behind it.
-
-    Attributes
-    ----------
-    mechanics
-        Mechanical properties.
-    serial
-        Serial number.
-    lowest_deg, highest_deg
-        Borders at power-up, degrees; the controller stops there.
-    speed_deg_s, acceleration_deg_s2
-        Ramp settings at power-up, degrees/s and degrees/s^2.
-    home_speed_deg_s
-        Speed of homing, degrees/s; the last part is ten times slower.
-    encoder_counts_per_step
-        Resolution of the encoder on the shaft; 0 for none.
-    boot_s
-        Time without answers after a restart, s.
-    """
+    """Identity of a controller, and the axis behind it."""
 
     mechanics: Mechanics
     serial: int
+    # lowest_deg, highest_deg: Borders at power-up, degrees; the controller stops there.
     lowest_deg: float
     highest_deg: float
+    # speed_deg_s, acceleration_deg_s2: Ramp settings at power-up, degrees/s and degrees/s^2.
     speed_deg_s: float = 40.0
     acceleration_deg_s2: float = 200.0
-    home_speed_deg_s: float = 20.0
-    encoder_counts_per_step: int = 20
-    boot_s: float = 0.5
+    home_speed_deg_s: float = 20.0  # Speed of homing, degrees/s; the last part is ten times slower
+    encoder_counts_per_step: int = 20  # Resolution of the encoder on the shaft; 0 for none
+    boot_s: float = 0.5  # Time without answers after a restart, s
 
 
 class XimcController:
     """The controller, as a dialect of a serial line.
 
-    Parameters
-    ----------
-    model
-        Identity and axis.
-    clock
-        Returns the time in seconds.
-    publish
-        Called with each new trajectory of the axis.
-
-    Attributes
-    ----------
-    axis
-        Motion of the axis.
+    clock: Returns the time in seconds.
     """
 
     def __init__(
@@ -295,10 +267,7 @@ class XimcController:
     def restart(self, t_s: float) -> None:
         """Reboot: no answers for a while, then no reference and counter 0.
 
-        Parameters
-        ----------
-        t_s
-            Time of the reboot, s.
+        t_s: Time of the reboot, s.
         """
         self.axis.restart(t_s)
         self._buffer = b""
@@ -309,12 +278,7 @@ class XimcController:
     def emergency_stop(self, t_s: float, *, released: bool = False) -> None:
         """Press the emergency input, which halts the axis and raises the alarm, or release it; the alarm stays.
 
-        Parameters
-        ----------
-        t_s
-            Time, s.
-        released
-            True releases the input.
+        t_s: Time, s.
         """
         self._stop_pressed = not released
         if not released:
@@ -325,12 +289,8 @@ class XimcController:
     def exchange(self, serial: str, t_s: float) -> None:
         """Replace the controller by another one of this model, fresh from power-up.
 
-        Parameters
-        ----------
-        serial
-            Serial number of the new controller; 0 is used if it is not a number.
-        t_s
-            Time, s.
+        serial: Serial number of the new controller; 0 is used if it is not a number.
+        t_s: Time, s.
         """
         self.model = replace(self.model, serial=int(serial) if serial.isdigit() else 0)
         self._settings = self._factory_settings()

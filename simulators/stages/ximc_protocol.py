@@ -37,10 +37,7 @@ LAYOUTS: Final = {
 class ErrorReply(Exception):
     """An error answer.
 
-    Parameters
-    ----------
-    letters
-        ``errc`` (unknown command), ``errd`` (wrong CRC) or ``errv`` (wrong value).
+    letters: ``errc`` (unknown command), ``errd`` (wrong CRC) or ``errv`` (wrong value).
     """
 
     def __init__(self, letters: bytes) -> None:
@@ -51,15 +48,8 @@ class ErrorReply(Exception):
 def crc16(data: bytes) -> int:
     """Return the cyclic redundancy check with polynomial 0xA001 (reflected) and start value 0xFFFF.
 
-    Parameters
-    ----------
-    data
-        Data of a command or an answer, without the four letters.
-
-    Returns
-    -------
-    int
-        The CRC, 16 bit.
+    data: Data of a command or an answer, without the four letters.
+    Returns: The CRC, 16 bit.
 
     Examples
     --------
@@ -77,15 +67,7 @@ def crc16(data: bytes) -> int:
 def data_length(letters: bytes) -> int:
     """Return the number of bytes after the letters of a command.
 
-    Parameters
-    ----------
-    letters
-        Four letters of the command.
-
-    Returns
-    -------
-    int
-        Length of the data, CRC included; 0 for a command without data.
+    Returns: Length of the data, CRC included; 0 for a command without data.
     """
     name = letters.decode("latin-1")
     if name in {"move", "movr"}:
@@ -100,15 +82,8 @@ def data_length(letters: bytes) -> int:
 def to_counts(steps: int, fraction: int) -> int:
     """Combine whole steps and 1/256 steps.
 
-    Parameters
-    ----------
-    steps, fraction
-        Whole steps and 1/256 steps, with the same sign.
-
-    Returns
-    -------
-    int
-        Position, 1/256 steps.
+    steps, fraction: Whole steps and 1/256 steps, with the same sign.
+    Returns: Position, 1/256 steps.
     """
     return steps * MICROSTEPS + fraction
 
@@ -116,15 +91,8 @@ def to_counts(steps: int, fraction: int) -> int:
 def to_steps(counts: int) -> tuple[int, int]:
     """Split a position into whole steps and 1/256 steps, both with the same sign.
 
-    Parameters
-    ----------
-    counts
-        Position, 1/256 steps.
-
-    Returns
-    -------
-    tuple of int
-        Whole steps and 1/256 steps.
+    counts: Position, 1/256 steps.
+    Returns: Whole steps and 1/256 steps.
 
     Examples
     --------

@@ -25,36 +25,19 @@ _END_OF_LINE = re.compile(rb"[\r\n]+")
 
 
 class Request(NamedTuple):
-    """A parsed request.
+    """A parsed request."""
 
-    Attributes
-    ----------
-    device, axis
-        Address; 0 stands for all.
-    message_id
-        Two digits; None if the request has no id.
-    words
-        Words of the command.
-    """
-
+    # device, axis: Address; 0 stands for all.
     device: int
     axis: int
-    message_id: str | None
+    message_id: str | None  # Two digits; None if the request has no id
     words: list[str]
 
 
 def checksum(body: str) -> str:
     """Return the longitudinal redundancy check (LRC) of a message.
 
-    Parameters
-    ----------
-    body
-        Message without its first character, ASCII.
-
-    Returns
-    -------
-    str
-        Two hexadecimal digits.
+    body: Message without its first character, ASCII.
 
     Examples
     --------
@@ -67,15 +50,8 @@ def checksum(body: str) -> str:
 def parse_request(line: bytes) -> Request | None:
     """Parse a line.
 
-    Parameters
-    ----------
-    line
-        Line without its end.
-
-    Returns
-    -------
-    Request or None
-        None if a controller does not answer the line: noise, or a wrong checksum.
+    line: Line without its end.
+    Returns: None if a controller does not answer the line: noise, or a wrong checksum.
 
     Examples
     --------
@@ -102,12 +78,8 @@ def parse_request(line: bytes) -> Request | None:
 class ZaberChain:
     """Controllers on one line, as a dialect of it.
 
-    Parameters
-    ----------
-    controllers
-        Controllers in the order of their addresses, from 1.
-    clock
-        Returns the time in seconds.
+    controllers: Controllers in the order of their addresses, from 1.
+    clock: Returns the time in seconds.
     """
 
     def __init__(self, controllers: Sequence[ZaberController], clock: Callable[[], float]) -> None:

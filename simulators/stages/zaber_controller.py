@@ -22,15 +22,9 @@ _NOT_CLEARABLE = {"WR", "FO", "FH"}
 
 @dataclass
 class CommandRejected(Exception):
-    """A rejected command.
+    """A rejected command."""
 
-    Attributes
-    ----------
-    reason
-        Data of the reply, e.g. ``BADDATA``.
-    """
-
-    reason: str
+    reason: str  # Data of the reply, e.g. ``BADDATA``.
 
 
 @dataclass
@@ -46,19 +40,7 @@ class _State:
 class ZaberController:
     """A controller with one axis.
 
-    Parameters
-    ----------
-    model
-        Identity and axis.
-    now_s
-        Time of power-up, s.
-    publish
-        Called with each new trajectory of the axis.
-
-    Attributes
-    ----------
-    axis
-        Motion of the axis.
+    now_s: Time of power-up, s.
     """
 
     def __init__(
@@ -76,15 +58,8 @@ class ZaberController:
     def awake(self, t_s: float) -> bool:
         """Return whether the controller answers; it does not while it boots.
 
-        Parameters
-        ----------
-        t_s
-            Time, s.
-
-        Returns
-        -------
-        bool
-            Whether it answers.
+        t_s: Time, s.
+        Returns: Whether it answers.
         """
         self._take_events(t_s)
         return t_s >= self._boot_ends_s
@@ -92,30 +67,16 @@ class ZaberController:
     def status(self, t_s: float) -> str:
         """Return the status word of a reply.
 
-        Parameters
-        ----------
-        t_s
-            Time, s.
-
-        Returns
-        -------
-        str
-            BUSY during a ramp, otherwise IDLE.
+        t_s: Time, s.
+        Returns: BUSY during a ramp, otherwise IDLE.
         """
         return "BUSY" if self.axis.reports_busy(t_s) else "IDLE"
 
     def warnings(self, t_s: float) -> list[str]:
         """Return all active warning flags.
 
-        Parameters
-        ----------
-        t_s
-            Time, s.
-
-        Returns
-        -------
-        list of str
-            Flags by rank, the highest first.
+        t_s: Time, s.
+        Returns: Flags by rank, the highest first.
         """
         flags = set(self._state.flags)
         if not self.axis.referenced(t_s):
@@ -130,15 +91,8 @@ class ZaberController:
     def came_to_rest(self, t_s: float) -> bool:
         """Return whether an alert is due: a motion has ended since the last call, and alerts are enabled.
 
-        Parameters
-        ----------
-        t_s
-            Time, s.
-
-        Returns
-        -------
-        bool
-            Whether an alert is due.
+        t_s: Time, s.
+        Returns: Whether an alert is due.
         """
         busy = self.axis.busy(t_s)
         ended = self._state.was_busy and not busy
@@ -149,24 +103,10 @@ class ZaberController:
     def execute(self, axis: int, words: list[str], t_s: float) -> str:
         """Execute a command.
 
-        Parameters
-        ----------
-        axis
-            Addressed axis; 0 for the controller and all its axes.
-        words
-            Words of the command; empty to read the status only.
-        t_s
-            Time of its arrival, s.
-
-        Returns
-        -------
-        str
-            Data of the reply.
-
-        Raises
-        ------
-        CommandRejected
-            If the reply is a rejection.
+        axis: Addressed axis; 0 for the controller and all its axes.
+        words: Words of the command; empty to read the status only.
+        t_s: Time of its arrival, s.
+        Raises CommandRejected: If the reply is a rejection.
         """
         if axis > 1:
             raise CommandRejected("BADAXIS")
@@ -325,12 +265,7 @@ class ZaberController:
     def emergency_stop(self, t_s: float, *, released: bool = False) -> None:
         """Press the emergency stop, which halts and holds the axis, or release it.
 
-        Parameters
-        ----------
-        t_s
-            Time, s.
-        released
-            True releases the button.
+        t_s: Time, s.
         """
         if released:
             self._state.flags.discard("FH")
@@ -341,12 +276,7 @@ class ZaberController:
     def exchange(self, serial: str, t_s: float) -> None:
         """Replace the controller by another one of this model, fresh from power-up.
 
-        Parameters
-        ----------
-        serial
-            Serial number of the new controller.
-        t_s
-            Time, s.
+        t_s: Time, s.
         """
         self.model = replace(self.model, serial=serial)
         self._state = self._powered_up()
@@ -365,10 +295,7 @@ class ZaberController:
     def restart(self, t_s: float) -> None:
         """Reboot: no answers for a while, then no reference unless parked; settings are kept.
 
-        Parameters
-        ----------
-        t_s
-            Time of the reboot, s.
+        t_s: Time of the reboot, s.
         """
         if not self._state.parked:
             self.axis.restart(t_s)

@@ -21,49 +21,26 @@ _MAX_ACCELERATION_SETTING = 32_767
 
 @dataclass(frozen=True)
 class ZaberModel:
-    """Identity of a controller, and the axis behind it.
-
-    Attributes
-    ----------
-    mechanics
-        Mechanical properties.
-    serial
-        Serial number.
-    lowest, highest
-        Soft limits at power-up, microsteps.
-    device_id, firmware, build
-        Answers to ``get deviceid``, ``get version`` and ``get version.build``.
-    speed_deg_s, acceleration_deg_s2
-        Ramp settings at power-up, degrees/s and degrees/s^2.
-    home_speed_deg_s
-        Speed towards the reference sensor, degrees/s; the last part is ten times slower.
-    boot_s
-        Time without answers after a restart, s.
-    encoder
-        Whether the shaft has an encoder.
-    """
+    """Identity of a controller, and the axis behind it."""
 
     mechanics: Mechanics
     serial: str
     lowest: int
     highest: int
+    # device_id, firmware, build: Answers to ``get deviceid``, ``get version`` and ``get version.build``.
     device_id: int = 50958
     firmware: str = "7.38"
     build: str = "17403"
+    # speed_deg_s, acceleration_deg_s2: Ramp settings at power-up, degrees/s and degrees/s^2.
     speed_deg_s: float = 40.0
     acceleration_deg_s2: float = 200.0
+    # Speed towards the reference sensor, degrees/s; the last part is ten times slower.
     home_speed_deg_s: float = 20.0
-    boot_s: float = 0.5
-    encoder: bool = True
+    boot_s: float = 0.5  # Time without answers after a restart, s
+    encoder: bool = True  # Whether the shaft has an encoder
 
     def factory_settings(self) -> dict[str, int]:
-        """Return the factory settings.
-
-        Returns
-        -------
-        dict
-            Values by name, in the units of the protocol.
-        """
+        """Return the factory settings."""
         scale = self.mechanics.counts_per_deg * SPEED_UNIT
         return {
             "comm.alert": 0,
@@ -77,20 +54,7 @@ class ZaberModel:
 
 
 def setting_range(name: str, settings: Mapping[str, int]) -> tuple[int, int]:
-    """Return the range of a setting.
-
-    Parameters
-    ----------
-    name
-        Name of the setting.
-    settings
-        Present values, by name.
-
-    Returns
-    -------
-    tuple of int
-        Lowest and highest value, in the units of the protocol.
-    """
+    """Return the range of a setting."""
     ranges = {
         "comm.alert": (0, 1),
         "comm.checksum": (0, 1),

@@ -26,21 +26,11 @@ _COMPUTED: Final = ("seed", "field_tangents", "state", "shake")
 def board_from_config(given: object) -> BoardTruth:
     """Read the section of the board.
 
-    Parameters
-    ----------
-    given
-        Mapping with the keys of `BoardTruth`, or empty. ``frequencies_hz`` is a list, or a mapping with ``first`` and
-        ``last``. ``placements`` is a list of mappings; without it, places are drawn by ``anywhere``.
-
-    Returns
-    -------
-    BoardTruth
-        Defaults of the kind, with the given keys replaced; without ``kind`` if nothing is given.
-
-    Raises
-    ------
-    ConfigError
-        If a key is unknown or its value is not valid; the error names the key.
+    given: Mapping with the keys of `BoardTruth`, or empty. ``frequencies_hz`` is a list, or a mapping with
+      ``first`` and ``last``. ``placements`` is a list of mappings; without it, places are drawn by
+      ``anywhere``.
+    Returns: Defaults of the kind, with the given keys replaced; without ``kind`` if nothing is given.
+    Raises ConfigError: If a key is unknown or its value is not valid; the error names the key.
 
     Examples
     --------

@@ -15,22 +15,10 @@ from simulators.world.light_state import FULL_DRIVE_V, LightState
 def light_of_board(state: LightState, board: BoardTruth, *, flickers: bool, on_since_s: float) -> LightState:
     """Return the light of a board as the camera sees it.
 
-    Parameters
-    ----------
-    state
-        State of the bench's light.
-    board
-        The board.
-    flickers
-        Whether the board flickers.
-    on_since_s
-        World time at which the bench, and a screen with it, was switched on.
-
-    Returns
-    -------
-    LightState
-        A screen with a refresh rate shines by itself, and no sync edges reach the camera. A print in steady light does
-        not flicker, though the sync edges of the bench's light go on.
+    state: State of the bench's light.
+    flickers: Whether the board flickers.
+    Returns: A screen with a refresh rate shines by itself, and no sync edges reach the camera. A print in
+      steady light does not flicker, though the sync edges of the bench's light go on.
     """
     if board.own_clock:
         state = LightState(

@@ -22,65 +22,40 @@ TREMOR: Final = ((0.2, 1.0), (1.0, 0.5), (3.0, 0.03), (7.0, 0.01), (9.5, 0.04), 
 
 @dataclass(frozen=True)
 class Placement:
-    """A place of the board, and what is wrong with it.
+    """A place of the board, and what is wrong with it."""
 
-    Attributes
-    ----------
-    position_mm
-        Middle of the board's points, from the camera's centre, in the camera's axes at zero angles (X right, Y down,
-        Z away).
-    turn_deg
-        Rotation vector of the board, from facing the camera upright at zero angles.
-    flicker
-        Whether the board flickers; false: its light is steady.
-    second_mm
-        Where the middle of a second, equal board lies from that of the first; None: there is one board.
-    """
-
+    # Middle of the board's points, from the camera's centre, in the camera's axes at zero angles (X right, Y
+    # down, Z away).
     position_mm: Vector
     turn_deg: Vector = (0.0, 0.0, 0.0)
-    flicker: bool = True
+    flicker: bool = True  # Whether the board flickers; false: its light is steady
+    # Where the middle of a second, equal board lies from that of the first; None: there is one board.
     second_mm: Vector | None = None
 
 
 @dataclass(frozen=True)
 class Anywhere:
-    """Places that are drawn at random, wholly in view, in place of a list.
+    """Places that are drawn at random, wholly in view, in place of a list."""
 
-    Attributes
-    ----------
-    distance_mm, distance_spread
-        Mean distance of the board's middle, and its largest relative deviation.
-    tilt_deg
-        Largest angle between the board's normal and the line of sight.
-    roll_deg
-        Largest turn of the board in its plane.
-    """
-
+    # distance_mm, distance_spread: Mean distance of the board's middle, and its largest relative deviation.
     distance_mm: float = 1000.0
     distance_spread: float = 0.15
-    tilt_deg: float = 35.0
+    tilt_deg: float = 35.0  # Largest angle between the board's normal and the line of sight
     roll_deg: float = 20.0
 
 
 @dataclass(frozen=True)
 class HandTruth:
-    """A person's hand that places the board and holds it during the recording; zeros: a script and a stand.
+    """A person's hand that places the board and holds it during the recording; zeros: a script and a stand."""
 
-    Attributes
-    ----------
-    scatter_mm, scatter_deg
-        Random deviation of a placement from the script, 1 sigma in each of three directions.
-    shake_mm, shake_deg
-        Rms of the shaking, in each of three directions.
-    shake_spectrum
-        Points (Hz, power density in any unit) of the shaking's power spectrum; linear between them, zero outside.
-    """
-
+    # scatter_mm, scatter_deg: Random deviation of a placement from the script, 1 sigma in each of three
+    # directions.
     scatter_mm: float = 0.0
     scatter_deg: float = 0.0
     shake_mm: float = 0.0
     shake_deg: float = 0.0
+    # Points (Hz, power density in any unit) of the shaking's power spectrum; linear between them, zero
+    # outside.
     shake_spectrum: tuple[tuple[float, float], ...] = TREMOR
 
     @property
@@ -91,92 +66,48 @@ class HandTruth:
 
 @dataclass(frozen=True)
 class BoardState:
-    """What a person has done to the board while the bench runs.
+    """What a person has done to the board while the bench runs."""
 
-    Attributes
-    ----------
-    number
-        Number of the placement, from 1.
-    move_mm, turn_deg
-        How far the board was moved and turned since it was placed.
-    flicker
-        Whether its light flickers.
-    second_mm
-        Where somebody put a second board, from the first one; None: nobody did.
-    """
-
-    number: int = 1
+    number: int = 1  # Number of the placement, from 1
     move_mm: Vector = (0.0, 0.0, 0.0)
     turn_deg: Vector = (0.0, 0.0, 0.0)
-    flicker: bool = True
+    flicker: bool = True  # Whether its light flickers
+    # Where somebody put a second board, from the first one; None: nobody did.
     second_mm: Vector | None = None
 
 
 @dataclass(frozen=True)
 class BoardTruth:
-    """A flat board at finite distance in place of the collimator.
+    """A flat board at finite distance in place of the collimator."""
 
-    Attributes
-    ----------
-    kind
-        One of `KINDS`; empty: there is no board.
-    columns, rows, pitch_mm
-        Points along X and Y, and their distance; for a checkerboard inner corners. The pitch of asymmetric circles is
-        the distance of their rows, half that of the circles of a row.
-    surface
-        ``print`` (white around the pattern), ``screen`` or ``leds`` (dark around it).
-    dot_mm
-        Diameter of a circle or dot.
-    margin_mm
-        White border of a print, beyond the outermost squares or circles.
-    black
-        Light of the black parts, as a share of the white ones'.
-    pixel_mm, fill
-        Distance of a screen's pixels, 0 for none, and the share of a pixel's area that shines.
-    refresh_hz, frames_on, frames_off
-        Refresh rate of a screen that shows the board and darkness by turns, for so many frames each; 0: the bench's
-        light drives the board.
-    scan
-        Share of a refresh over which the screen is drawn from its first line to its last one.
-    frequencies_hz, phases
-        Of each blinking dot, row by row; phases in periods, at one common moment.
-    placements
-        The script; after the last placement comes the first one.
-    anywhere
-        Random placements, if there is no script.
-    hand
-        Who places and holds the board.
-    seed
-        Seed of the hand's scatter and of random placements.
-    field_tangents
-        Tangents of the left, upper, right and lower edge of the camera's field, as configured: random placements
-        depend on them, and must not on the camera's temperature.
-    state
-        What a person has done so far.
-    shake
-        Present displacement by the shaking hand: three mm, three degrees.
-    """
-
-    kind: str = ""
+    kind: str = ""  # One of `KINDS`; empty: there is no board
+    # columns, rows, pitch_mm: Points along X and Y, and their distance; for a checkerboard inner corners. The
+    # pitch of asymmetric circles is the distance of their rows, half that of the circles of a row.
     columns: int = 0
     rows: int = 0
     pitch_mm: float = 0.0
-    surface: str = "print"
-    dot_mm: float = 0.0
-    margin_mm: float = 0.0
+    surface: str = "print"  # ``print`` (white around the pattern), ``screen`` or ``leds`` (dark around it)
+    dot_mm: float = 0.0  # Diameter of a circle or dot
+    margin_mm: float = 0.0  # White border of a print, beyond the outermost squares or circles
     black: float = 0.04
+    # pixel_mm, fill: Distance of a screen's pixels, 0 for none, and the share of a pixel's area that shines.
     pixel_mm: float = 0.0
     fill: float = 1.0
+    # refresh_hz, frames_on, frames_off: Refresh rate of a screen that shows the board and darkness by turns,
+    # for so many frames each; 0: the bench's light drives the board.
     refresh_hz: float = 0.0
     frames_on: int = 1
     frames_off: int = 1
+    # Share of a refresh over which the screen is drawn from its first line to its last one.
     scan: float = 0.0
     frequencies_hz: tuple[float, ...] = ()
     phases: tuple[float, ...] = ()
-    placements: tuple[Placement, ...] = ()
-    anywhere: Anywhere = field(default_factory=Anywhere)
+    placements: tuple[Placement, ...] = ()  # The script; after the last placement comes the first one
+    anywhere: Anywhere = field(default_factory=Anywhere)  # Random placements, if there is no script
     hand: HandTruth = field(default_factory=HandTruth)
-    seed: int = 0
+    seed: int = 0  # Seed of the hand's scatter and of random placements
+    # Tangents of the left, upper, right and lower edge of the camera's field, as configured: random
+    # placements depend on them, and must not on the camera's temperature.
     field_tangents: tuple[float, float, float, float] = (-1.0, -1.0, 1.0, 1.0)
     state: BoardState = field(default_factory=BoardState)
     shake: tuple[float, float, float, float, float, float] = (0.0,) * 6
@@ -204,14 +135,6 @@ class BoardTruth:
     def in_state(self, state: BoardState) -> BoardTruth:
         """Return the board after something was done to it.
 
-        Parameters
-        ----------
-        state
-            Placement and changes.
-
-        Returns
-        -------
-        BoardTruth
-            The same object if nothing has changed.
+        Returns: The same object if nothing has changed.
         """
         return self if state == self.state else replace(self, state=state)

@@ -14,20 +14,9 @@ from simulators.world.truth import Truth
 
 @dataclass(frozen=True)
 class CameraSetup:
-    """How the camera stands in its mount, and how its lens is set.
+    """How the camera stands in its mount, and how its lens is set."""
 
-    Attributes
-    ----------
-    shift_mm
-        Displacement across the beam from where the camera was aligned, along the target's X and Y.
-    turn_deg
-        Turn in the mount: pan, tilt and roll.
-    lens
-        Focus and aperture.
-    board
-        Placement of the board, and what was done to it since.
-    """
-
+    # Displacement across the beam from where the camera was aligned, along the target's X and Y.
     shift_mm: tuple[float, float]
     turn_deg: tuple[float, float, float]
     lens: LensTruth
@@ -35,35 +24,14 @@ class CameraSetup:
 
 
 def setup_of(truth: Truth) -> CameraSetup:
-    """Return the camera's setup in a truth.
-
-    Parameters
-    ----------
-    truth
-        All parameters.
-
-    Returns
-    -------
-    CameraSetup
-        Of its mount and lens, and of the board.
-    """
+    """Return the camera's setup in a truth."""
     return CameraSetup(truth.mount.shift_mm, truth.mount.turn_deg, truth.lens, truth.board.state)
 
 
 def with_setup(truth: Truth, setup: CameraSetup) -> Truth:
     """Return the truth with the camera set up in another way.
 
-    Parameters
-    ----------
-    truth
-        All parameters.
-    setup
-        Place in the mount, focus and aperture, and placement of the board.
-
-    Returns
-    -------
-    Truth
-        The same object if the camera is set up so already.
+    Returns: The same object if the camera is set up so already.
     """
     if setup == setup_of(truth):
         return truth

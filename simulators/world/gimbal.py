@@ -48,44 +48,26 @@ _STREAM: Final = 2
 
 @dataclass(frozen=True)
 class GimbalTruth:
-    """Errors between the readings of the axes and the direction in which the camera points.
+    """Errors between the readings of the axes and the direction in which the camera points."""
 
-    Attributes
-    ----------
-    wobble_deg
-        Tilt of each axis about each of the two other directions, root mean square over a turn, degrees.
-    eccentricity_deg
-        Amplitude of each encoder's error of one period a turn, degrees.
-    scale
-        Relative errors of the scales of pan, tilt and roll: the true angle is (1 + scale) times the reading.
-    backlash_deg
-        Play of the gears of pan, tilt and roll, degrees.
-    nonorthogonality_deg
-        Angle between tilt axis and pan axis, minus 90 degrees.
-    reading_sigma_deg
-        Standard deviation of the readings' errors, degrees. The same reading always has the same error.
-    camera_on_head_deg
-        Rotation vector of the camera on the last axis (M), degrees.
-    seed
-        Seed of the phases, the wobble and the readings' errors; 0: the bench's seed.
-    """
-
+    # Tilt of each axis about each of the two other directions, root mean square over a turn, degrees.
     wobble_deg: float = 0.0
-    eccentricity_deg: float = 0.0
+    eccentricity_deg: float = 0.0  # Amplitude of each encoder's error of one period a turn, degrees
+    # Relative errors of the scales of pan, tilt and roll: the true angle is (1 + scale) times the reading.
     scale: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    # Play of the gears of pan, tilt and roll, degrees.
     backlash_deg: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    nonorthogonality_deg: float = 0.0
+    nonorthogonality_deg: float = 0.0  # Angle between tilt axis and pan axis, minus 90 degrees
+    # Standard deviation of the readings' errors, degrees. The same reading always has the same error.
     reading_sigma_deg: float = 0.0
+    # Rotation vector of the camera on the last axis (M), degrees.
     camera_on_head_deg: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    seed: int = 0
+    seed: int = 0  # Seed of the phases, the wobble and the readings' errors; 0: the bench's seed
 
     def to_dict(self) -> dict[str, Any]:
         """Return all errors as plain numbers, with the random numbers and the law: a section of ``truth.json``.
 
-        Returns
-        -------
-        dict
-            Errors by name; ``scale`` and ``backlash_deg`` by axis.
+        Returns: Errors by name; ``scale`` and ``backlash_deg`` by axis.
         """
         return {
             "wobble_deg": self.wobble_deg,
@@ -116,35 +98,17 @@ class GimbalTruth:
 
 
 class DrawnErrors(NamedTuple):
-    """Random numbers of one axis.
+    """Random numbers of one axis."""
 
-    Attributes
-    ----------
-    phase
-        Phase of the encoder's error of one period a turn, radians.
-    wobble
-        For each of the two tilts of the axis: share and phase (radians) of one period a turn, then of two periods. The
-        squares of the two shares add up to 1.
-    """
-
-    phase: float
+    phase: float  # Phase of the encoder's error of one period a turn, radians
+    # For each of the two tilts of the axis: share and phase (radians) of one period a turn, then of two
+    # periods. The squares of the two shares add up to 1.
     wobble: tuple[tuple[float, float, float, float], ...]
 
 
 @lru_cache(maxsize=64)
 def drawn_errors(seed: int) -> tuple[DrawnErrors, DrawnErrors, DrawnErrors]:
-    """Return the random numbers of pan, tilt and roll.
-
-    Parameters
-    ----------
-    seed
-        Seed of the gimbal.
-
-    Returns
-    -------
-    tuple of DrawnErrors
-        For pan, tilt and roll.
-    """
+    """Return the random numbers of pan, tilt and roll."""
     rng = np.random.default_rng((seed, _STREAM))
 
     def one() -> DrawnErrors:
@@ -162,17 +126,8 @@ def true_angles_deg(angles_deg: Mapping[Any, float], gimbal: GimbalTruth) -> tup
 
     Own model; the head of the module has the equation.
 
-    Parameters
-    ----------
-    angles_deg
-        Angles of the loads as read: "pan", "tilt" and "roll", degrees; missing = 0.
-    gimbal
-        Errors.
-
-    Returns
-    -------
-    tuple of float
-        Pan, tilt and roll, degrees.
+    angles_deg: Angles of the loads as read: "pan", "tilt" and "roll", degrees; missing = 0.
+    Returns: Pan, tilt and roll, degrees.
 
     Examples
     --------
@@ -216,17 +171,9 @@ def gimbal_rotation(angles_deg: Mapping[Any, float], gimbal: GimbalTruth) -> Flo
 
     Rotations about the axes: Diebel (2006). Errors: own model.
 
-    Parameters
-    ----------
-    angles_deg
-        Angles of the loads as read: "pan" about y, "tilt" about x and "roll" about z, degrees; missing = 0.
-    gimbal
-        Errors.
-
-    Returns
-    -------
-    (3, 3) float64
-        Rz(roll) Rx(tilt) Ry(pan) if there are no errors.
+    angles_deg: Angles of the loads as read: "pan" about y, "tilt" about x and "roll" about z, degrees;
+      missing = 0.
+    Returns: Rz(roll) Rx(tilt) Ry(pan) if there are no errors.
     """
     pan, tilt, roll = (math.radians(angle) for angle in true_angles_deg(angles_deg, gimbal))
     skew = math.radians(gimbal.nonorthogonality_deg)
@@ -262,15 +209,7 @@ def rotation_matrix(rotation_vector: FloatArray | tuple[float, float, float] | l
 
     Source: Diebel (2006).
 
-    Parameters
-    ----------
-    rotation_vector
-        (3,) radians.
-
-    Returns
-    -------
-    (3, 3) float64
-        Rotation matrix.
+    rotation_vector: (3,) radians.
     """
     x, y, z = (float(v) for v in rotation_vector)
     angle = math.sqrt(x * x + y * y + z * z)
@@ -287,19 +226,8 @@ def load_angles_deg(
 
     Own rule: a load stands half of the play behind its motor, on the side that it came from.
 
-    Parameters
-    ----------
-    angles_deg
-        Angles of the motors by axis, which controllers and encoders report.
-    sides
-        Direction of each axis's last motion: +1, -1, or 0 if it has not moved; missing = 0.
-    gimbal
-        Holds the play.
-
-    Returns
-    -------
-    dict
-        Angles by axis, degrees.
+    sides: Direction of each axis's last motion: +1, -1, or 0 if it has not moved; missing = 0.
+    Returns: Angles by axis, degrees.
     """
     play = dict(zip(AXES, gimbal.backlash_deg, strict=True))
     return {

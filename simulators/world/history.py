@@ -14,10 +14,7 @@ _State = TypeVar("_State")
 class History(Generic[_State]):
     """A state over time: the state at a past moment can be looked up.
 
-    Parameters
-    ----------
-    first
-        State at all times before the first one that is appended.
+    first: State at all times before the first one that is appended.
     """
 
     def __init__(self, first: _State) -> None:
@@ -27,17 +24,8 @@ class History(Generic[_State]):
     def append(self, since_s: float, state: _State) -> None:
         """Set the state from a moment on.
 
-        Parameters
-        ----------
-        since_s
-            The moment.
-        state
-            State until the next one is appended.
-
-        Raises
-        ------
-        SimulationMisuse
-            If the moment is earlier than that of the previous state.
+        state: State until the next one is appended.
+        Raises SimulationMisuse: If the moment is earlier than that of the previous state.
         """
         if since_s < self._since[-1]:
             raise SimulationMisuse(
@@ -50,15 +38,7 @@ class History(Generic[_State]):
     def at(self, t_s: float) -> _State:
         """Return the state at a moment.
 
-        Parameters
-        ----------
-        t_s
-            The moment.
-
-        Returns
-        -------
-        object
-            The last one that was appended for this moment or an earlier one.
+        Returns: The last one that was appended for this moment or an earlier one.
         """
         return self._states[bisect_right(self._since, t_s) - 1]
 
@@ -68,13 +48,7 @@ class History(Generic[_State]):
         return self._states[-1]
 
     def forget_before(self, t_s: float) -> None:
-        """Drop states that ended before a moment.
-
-        Parameters
-        ----------
-        t_s
-            The moment.
-        """
+        """Drop states that ended before a moment."""
         first = bisect_right(self._since, t_s) - 1
         del self._since[:first]
         del self._states[:first]

@@ -17,23 +17,9 @@ _DELIVERED: Final = "pattern"
 def lens_from_config(given: object, camera: CameraTruth) -> LensTruth:
     """Read the section of the lens.
 
-    Parameters
-    ----------
-    given
-        Mapping with the keys ``focus_distance_m`` (a number, ``infinity``, or ``pattern``), ``f_number`` and
-        ``pixel_um``. All are optional.
-    camera
-        Camera of the lens.
-
-    Returns
-    -------
-    LensTruth
-        Defaults, with the given keys replaced.
-
-    Raises
-    ------
-    ConfigError
-        If a key is unknown or its value is not valid; the error names the key.
+    given: Mapping with the keys ``focus_distance_m`` (a number, ``infinity``, or ``pattern``), ``f_number``
+      and ``pixel_um``. All are optional.
+    Raises ConfigError: If a key is unknown or its value is not valid; the error names the key.
 
     Examples
     --------
@@ -67,22 +53,9 @@ def lens_from_config(given: object, camera: CameraTruth) -> LensTruth:
 def focus_distance_m(value: object, where: str) -> float:
     """Check a focus distance.
 
-    Parameters
-    ----------
-    value
-        A number, or the word ``infinity``.
-    where
-        Name of the key, for the error.
-
-    Returns
-    -------
-    float
-        Distance; infinite for parallel light, negative beyond infinity.
-
-    Raises
-    ------
-    ConfigError
-        If it is no distance, or the focus ring does not reach it.
+    value: A number, or the word ``infinity``.
+    Returns: Distance; infinite for parallel light, negative beyond infinity.
+    Raises ConfigError: If it is no distance, or the focus ring does not reach it.
     """
     word = isinstance(value, str) and value.strip().lower() in {"infinity", "inf", ".inf"}
     number = math.inf if word else value
@@ -106,22 +79,7 @@ def focus_distance_m(value: object, where: str) -> float:
 def f_number(value: object, where: str) -> float:
     """Check an f-number.
 
-    Parameters
-    ----------
-    value
-        The number.
-    where
-        Name of the key, for the error.
-
-    Returns
-    -------
-    float
-        The f-number.
-
-    Raises
-    ------
-    ConfigError
-        If it is not a number in the lens's range.
+    Raises ConfigError: If it is not a number in the lens's range.
     """
     number = _positive(value, where)
     low, high = F_NUMBERS

@@ -41,37 +41,21 @@ LAW: Final[Mapping[str, str]] = {
 
 @dataclass(frozen=True)
 class LensTruth:
-    """Focus and aperture of the camera's lens.
+    """Focus and aperture of the camera's lens."""
 
-    Attributes
-    ----------
-    focus_distance_m
-        Distance of the plane in focus from the lens; infinite for parallel light; negative: beyond infinity. None: as
-        the bench is delivered. The lens is then focused on the pattern, and the focal lengths are those of section
-        ``camera``.
-    f_number
-        Focal length divided by the diameter of the aperture.
-    pixel_um
-        Side of a pixel.
-    """
-
+    # Distance of the plane in focus from the lens; infinite for parallel light; negative: beyond infinity.
+    # None: as the bench is delivered. The lens is then focused on the pattern, and the focal lengths are
+    # those of section ``camera``.
     focus_distance_m: float | None = None
     f_number: float = DELIVERED_F_NUMBER
-    pixel_um: float = 4.86
+    pixel_um: float = 4.86  # Side of a pixel
 
 
 def in_reach(focus_distance_m: float) -> bool:
     """Return whether the focus ring reaches a distance.
 
-    Parameters
-    ----------
-    focus_distance_m
-        Distance of the plane in focus; infinite for parallel light, negative beyond infinity.
-
-    Returns
-    -------
-    bool
-        True from `CLOSEST_M` to infinity, and beyond it up to `BEYOND_M`.
+    focus_distance_m: Distance of the plane in focus; infinite for parallel light, negative beyond infinity.
+    Returns: True from `CLOSEST_M` to infinity, and beyond it up to `BEYOND_M`.
     """
     if math.isnan(focus_distance_m):
         return False

@@ -15,37 +15,19 @@ FULL_DRIVE_V = 5.0
 
 @dataclass(frozen=True)
 class LightState:
-    """Output of the light's driver from some moment on.
+    """Output of the light's driver from some moment on."""
 
-    Attributes
-    ----------
-    waveform
-        "square" or "sine".
-    frequency_hz
-        Flicker frequency.
-    duty_percent
-        Length of a square's high part, as a percentage of the period.
-    low_v, high_v
-        Lower and upper drive voltage.
-    output
-        Whether the light is driven at all; if not, it is dark.
-    sync
-        Whether sync edges reach the camera's trigger input (rising at the start of a period, falling at the end of a
-        square's high part or at half of a sine's period).
-    origin_s
-        World time at which a period begins. A period begins with the rising sync edge: the start of a square's high
-        part, or the upward crossing of a sine's middle.
-    sync_line
-        The cable that carries the sync edges.
-    """
-
-    waveform: Waveform = "square"
+    waveform: Waveform = "square"  # "square" or "sine"
     frequency_hz: float = 60.0
-    duty_percent: float = 50.0
+    duty_percent: float = 50.0  # Length of a square's high part, as a percentage of the period
     low_v: float = 0.0
     high_v: float = 5.0
-    output: bool = False
+    output: bool = False  # Whether the light is driven at all; if not, it is dark
+    # Whether sync edges reach the camera's trigger input (rising at the start of a period, falling at the end
+    # of a square's high part or at half of a sine's period).
     sync: bool = False
+    # World time at which a period begins. A period begins with the rising sync edge: the start of a square's
+    # high part, or the upward crossing of a sine's middle.
     origin_s: float = 0.0
     sync_line: SyncLine = field(default_factory=SyncLine)
 
@@ -72,27 +54,13 @@ class LightState:
     def phase_at(self, t_s: float) -> float:
         """Return the light's phase at a time.
 
-        Parameters
-        ----------
-        t_s
-            World time.
-
-        Returns
-        -------
-        float
-            Phase in periods, 0 <= phase < 1.
+        Returns: Phase in periods, 0 <= phase < 1.
         """
         phase = ((t_s - self.origin_s) * self.frequency_hz) % 1.0
         return phase if phase < 1.0 else 0.0  # just below a whole period, the remainder rounds up to 1
 
     def settings(self) -> tuple[object, ...]:
-        """Return everything but the origin and the cable, from which a recording's noise is seeded.
-
-        Returns
-        -------
-        tuple
-            Waveform, frequency, duty, brightness levels, output and sync.
-        """
+        """Return everything but the origin and the cable, from which a recording's noise is seeded."""
         return (
             self.waveform,
             self.frequency_hz,

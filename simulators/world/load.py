@@ -23,18 +23,6 @@ class LoadTrajectory:
 
     The load x follows the motor q with a first-order lag, ``settle_s dx/dt = q - x``. For each piece this has a closed
     form: a parabola behind the motor's, and an exponential decay of the load's initial distance from it.
-
-    Attributes
-    ----------
-    motor
-        Trajectory of the motor.
-    offsets
-        Load minus motor at rest, counts, for each piece: half the play of the gear, with the sign of the side that
-        the load came from.
-    loads
-        Position of the load at the start of each piece, counts.
-    counts_per_deg, settle_s
-        Scale, and time constant of the lag.
     """
 
     motor: MotorTrajectory
@@ -55,20 +43,7 @@ class LoadTrajectory:
     ) -> Self:
         """Return the trajectory of a load on a motor.
 
-        Parameters
-        ----------
-        motor
-            Trajectory of the motor.
-        load
-            Position of the load at the start, counts.
-        offset
-            Load minus motor at the start, counts, from the play of the gear.
-        backlash
-            Play of the gear, counts.
-        counts_per_deg
-            Scale, motor counts per degree of the load.
-        settle_s
-            Time constant of the lag; 0 for none.
+        settle_s: Time constant of the lag; 0 for none.
         """
         offsets: list[float] = []
         loads: list[float] = [load]
@@ -97,33 +72,14 @@ class LoadTrajectory:
         return self.motor.end_s + self.settle_s * math.log(residual / SETTLED_DEG)
 
     def load(self, t_s: float) -> float:
-        """Return the position of the load at a time.
-
-        Parameters
-        ----------
-        t_s
-            Time.
-
-        Returns
-        -------
-        float
-            Position, counts.
-        """
+        """Return the position of the load at a time."""
         index = self.motor.index(t_s)
         return _follow(self.motor.pieces[index], self.offsets[index], self.loads[index], t_s, self.settle_s)
 
     def angle_deg(self, t_s: float) -> float:
         """Return the angle of the load at a time.
 
-        Parameters
-        ----------
-        t_s
-            Time.
-
-        Returns
-        -------
-        float
-            Angle; exactly the final one once the load has settled.
+        Returns: Angle; exactly the final one once the load has settled.
         """
         load = self.rest if t_s >= self.settled_from_s else self.load(t_s)
         return load / self.counts_per_deg

@@ -21,15 +21,7 @@ STEP_ARCSEC: Final = 0.05
 def has_motion(mount: MountTruth) -> bool:
     """Return whether the mount moves at all.
 
-    Parameters
-    ----------
-    mount
-        True motion of the mount.
-
-    Returns
-    -------
-    bool
-        True if it vibrates or drifts.
+    Returns: True if it vibrates or drifts.
     """
     return vibrates(mount) or mount.drift_arcsec_per_min != (0.0, 0.0)
 
@@ -37,34 +29,13 @@ def has_motion(mount: MountTruth) -> bool:
 def vibrates(mount: MountTruth) -> bool:
     """Return whether the mount vibrates.
 
-    Parameters
-    ----------
-    mount
-        True motion of the mount.
-
-    Returns
-    -------
-    bool
-        True if amplitude and frequency are positive.
+    Returns: True if amplitude and frequency are positive.
     """
     return mount.vibration_arcsec > 0.0 and mount.vibration_hz > 0.0
 
 
 def drift_since_on_arcsec(mount: MountTruth, on_s: float) -> tuple[float, float]:
-    """Return the drift since the bench was switched on, in whole steps of `STEP_ARCSEC`.
-
-    Parameters
-    ----------
-    mount
-        True motion of the mount.
-    on_s
-        Time since the bench was switched on.
-
-    Returns
-    -------
-    tuple of float
-        Drift of pan and of tilt.
-    """
+    """Return the drift since the bench was switched on, in whole steps of `STEP_ARCSEC`."""
     pan, tilt = (
         round(round(rate * on_s / 60.0 / STEP_ARCSEC) * STEP_ARCSEC, 2) for rate in mount.drift_arcsec_per_min
     )
@@ -80,23 +51,11 @@ def true_angles_deg(
 ) -> dict[AxisName, float]:
     """Return the angles at which the camera really points.
 
-    Parameters
-    ----------
-    angles_deg
-        Angles of the axes by name.
-    mount
-        True motion of the mount.
-    start_drift_arcsec
-        Drift of pan and tilt at the recording's start, arc seconds, from ``drift_since_on_arcsec``.
-    phases
-        Phases of the vibration about pan and tilt at the recording's start, in periods.
-    t_s
-        Time since the recording's start.
-
-    Returns
-    -------
-    dict
-        Angles by name, degrees, with drift and vibration added.
+    start_drift_arcsec: Drift of pan and tilt at the recording's start, arc seconds, from
+      ``drift_since_on_arcsec``.
+    phases: Phases of the vibration about pan and tilt at the recording's start, in periods.
+    t_s: Time since the recording's start.
+    Returns: Angles by name, degrees, with drift and vibration added.
     """
     angles = dict(angles_deg)
     names: tuple[AxisName, AxisName] = ("pan", "tilt")

@@ -32,48 +32,21 @@ _CORNERS: Final = np.array([[-1.0, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]])
 
 
 class View(NamedTuple):
-    """The camera's field of view, for random placements.
+    """The camera's field of view, for random placements."""
 
-    Attributes
-    ----------
-    tangents
-        Tangents of the field's left, upper, right and lower edge.
-    board_mm
-        Width and height of the board.
-    """
-
-    tangents: tuple[float, float, float, float]
+    tangents: tuple[float, float, float, float]  # Tangents of the field's left, upper, right and lower edge
     board_mm: tuple[float, float]
 
 
 class BoardPose(NamedTuple):
-    """Pose of the board.
+    """Pose of the board."""
 
-    Attributes
-    ----------
-    rotation
-        (3, 3), camera at zero angles <- board.
-    middle_mm
-        (3,), middle of the board.
-    """
-
-    rotation: FloatArray
-    middle_mm: FloatArray
+    rotation: FloatArray  # (3, 3), camera at zero angles <- board
+    middle_mm: FloatArray  # (3,), middle of the board
 
 
 def field_tangents(camera: CameraTruth) -> tuple[float, float, float, float]:
-    """Return the tangents of the edges of a camera's field of view, without the lens's distortion.
-
-    Parameters
-    ----------
-    camera
-        The camera.
-
-    Returns
-    -------
-    tuple of float
-        Left, upper, right and lower edge.
-    """
+    """Return the tangents of the edges of a camera's field of view, without the lens's distortion."""
     return (
         (-0.5 - camera.cx) / camera.fx,
         (-0.5 - camera.cy) / camera.fy,
@@ -83,18 +56,7 @@ def field_tangents(camera: CameraTruth) -> tuple[float, float, float, float]:
 
 
 def view_of(truth: Truth) -> View:
-    """Return the camera's field of view, and the size of the board in it.
-
-    Parameters
-    ----------
-    truth
-        Board and printed target.
-
-    Returns
-    -------
-    View
-        Of the camera as configured.
-    """
+    """Return the camera's field of view, and the size of the board in it."""
     board = truth.board
     if board.kind == "stars":
         side = truth.target.pitch_mm * (truth.target.tag_squares + _AROUND_TAG)
@@ -110,16 +72,8 @@ def view_of(truth: Truth) -> View:
 def check_placements(truth: Truth) -> None:
     """Check that the board can stand where it shall.
 
-    Parameters
-    ----------
-    truth
-        Camera and board.
-
-    Raises
-    ------
-    ConfigError
-        If a placement of the script reaches behind the camera, or the board does not fit into the picture where it is
-        to be placed at random.
+    Raises ConfigError: If a placement of the script reaches behind the camera, or the board does not fit into
+      the picture where it is to be placed at random.
     """
     board, view = truth.board, view_of(truth)
     if not board.present:
@@ -147,17 +101,7 @@ def check_placements(truth: Truth) -> None:
 def placement(board: BoardTruth, view: View) -> Placement:
     """Return the present placement as the script has it, or as it was drawn.
 
-    Parameters
-    ----------
-    board
-        The board.
-    view
-        Field of view, for random placements.
-
-    Returns
-    -------
-    Placement
-        Without the scatter and the shaking of the hand.
+    Returns: Without the scatter and the shaking of the hand.
     """
     number = board.state.number
     if board.placements:
@@ -170,18 +114,6 @@ def pose(board: BoardTruth, view: View) -> BoardPose:
 
     Own rule: the hand's scatter, what a person did since, and the shaking are rotations about the board's middle and
     displacements, all along the camera's axes at zero angles.
-
-    Parameters
-    ----------
-    board
-        The board.
-    view
-        Field of view, for random placements.
-
-    Returns
-    -------
-    BoardPose
-        With scatter and shaking.
     """
     placed, hand, state = placement(board, view), board.hand, board.state
     drawn = np.random.default_rng((board.seed, _SCATTER, state.number)).normal(size=6)
@@ -198,17 +130,7 @@ def pose(board: BoardTruth, view: View) -> BoardPose:
 def flickers(board: BoardTruth, view: View) -> bool:
     """Return whether the board's light flickers.
 
-    Parameters
-    ----------
-    board
-        The board.
-    view
-        Field of view, for random placements.
-
-    Returns
-    -------
-    bool
-        False if the placement or a person says so.
+    Returns: False if the placement or a person says so.
     """
     return board.state.flicker and placement(board, view).flicker
 
@@ -216,17 +138,7 @@ def flickers(board: BoardTruth, view: View) -> bool:
 def second_mm(board: BoardTruth, view: View) -> FloatArray | None:
     """Return where a second board lies from the first one.
 
-    Parameters
-    ----------
-    board
-        The board.
-    view
-        Field of view, for random placements.
-
-    Returns
-    -------
-    (3,) float64 or None
-        In the camera's axes at zero angles; None if there is one board.
+    Returns: In the camera's axes at zero angles; None if there is one board.
     """
     given = board.state.second_mm or placement(board, view).second_mm
     return None if given is None else np.asarray(given, np.float64)
@@ -235,18 +147,8 @@ def second_mm(board: BoardTruth, view: View) -> FloatArray | None:
 def record(board: BoardTruth, view: View) -> dict[str, Any]:
     """Return the present placement as plain numbers, for ``truth.json``.
 
-    Parameters
-    ----------
-    board
-        The board.
-    view
-        Field of view, for random placements.
-
-    Returns
-    -------
-    dict
-        ``number``, ``position_mm`` and ``turn_deg`` with the hand's scatter but without its shaking, ``flicker`` and
-        ``second_mm``.
+    Returns: ``number``, ``position_mm`` and ``turn_deg`` with the hand's scatter but without its shaking,
+      ``flicker`` and ``second_mm``.
     """
     rotation, middle = pose(board, view)
     second = second_mm(board, view)
@@ -263,13 +165,6 @@ class HandShake:
     """The shaking of a hand during one recording: six independent motions of the same spectrum.
 
     Sum of waves of random frequency and phase: the spectral representation of Shinozuka and Deodatis (1991).
-
-    Parameters
-    ----------
-    hand
-        Rms and spectrum.
-    rng
-        Source of frequencies and phases.
     """
 
     def __init__(self, hand: HandTruth, rng: np.random.Generator) -> None:
@@ -280,15 +175,8 @@ class HandShake:
     def at(self, t_s: float) -> tuple[float, float, float, float, float, float]:
         """Return the displacement at a time.
 
-        Parameters
-        ----------
-        t_s
-            Time since the recording's start.
-
-        Returns
-        -------
-        tuple of float
-            Three mm and three degrees, as `BoardTruth.shake`.
+        t_s: Time since the recording's start.
+        Returns: Three mm and three degrees, as `BoardTruth.shake`.
         """
         waves = np.sin(2.0 * math.pi * (self._hz * t_s + self._phases)).sum(axis=1) * math.sqrt(2.0 / _WAVES)
         x, y, z, a, b, c = (self._rms * waves).tolist()

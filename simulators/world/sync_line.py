@@ -16,28 +16,13 @@ IntArray = NDArray[np.int64]
 
 @dataclass(frozen=True)
 class SyncLine:
-    """A cable; by default without faults.
+    """A cable; by default without faults."""
 
-    Attributes
-    ----------
-    inverted
-        Whether it swaps high and low.
-    missing_every
-        Both edges of every n-th period are lost; 0 for never.
-    extra_every
-        Every n-th period has a short false pulse in its low part; 0 for never.
-    jitter_us
-        Largest time by which edges come early or late.
-    lost_share
-        Share of the edges that do not cross the input's threshold, because the level is too low.
-    channel
-        Channel of the trigger input that the cable is plugged into.
-    """
-
-    inverted: bool = False
-    missing_every: int = 0
-    extra_every: int = 0
+    inverted: bool = False  # Whether it swaps high and low
+    missing_every: int = 0  # Both edges of every n-th period are lost; 0 for never
+    extra_every: int = 0  # Every n-th period has a short false pulse in its low part; 0 for never
     jitter_us: float = 0.0
+    # Share of the edges that do not cross the input's threshold, because the level is too low.
     lost_share: float = 0.0
     channel: int = 0
 
@@ -46,21 +31,11 @@ class SyncLine:
     ) -> tuple[IntArray, NDArray[np.uint8]]:
         """Carry the edges of some periods.
 
-        Parameters
-        ----------
-        periods
-            (N,) int64, numbers of the periods.
-        rising, falling
-            (N,) int64, times of their edges, us.
-        period_us
-            Length of a period.
-
-        Returns
-        -------
-        t : (M,) int64
-            Times in order, us.
-        value : (M,) uint8
-            Level after each edge, and twice the channel.
+        periods: (N,) int64, numbers of the periods.
+        rising, falling: (N,) int64, times of their edges, us.
+        period_us: Length of a period.
+        Returns: Times in order, us.
+        Returns: Level after each edge, and twice the channel.
 
         Examples
         --------

@@ -18,17 +18,7 @@ STEP_C: Final = 0.01
 def temperature_c(thermal: ThermalTruth, on_s: float) -> float:
     """Return the temperature of the camera at a time after it was switched on.
 
-    Parameters
-    ----------
-    thermal
-        Temperature of the room, and self-heating.
-    on_s
-        Time since the bench was switched on.
-
-    Returns
-    -------
-    float
-        Temperature in steps of `STEP_C`, degrees Celsius.
+    Returns: Temperature in steps of `STEP_C`, degrees Celsius.
 
     Examples
     --------
@@ -45,17 +35,7 @@ def temperature_c(thermal: ThermalTruth, on_s: float) -> float:
 def truth_at_temperature(truth: Truth, at_c: float) -> Truth:
     """Return the truth at a temperature.
 
-    Parameters
-    ----------
-    truth
-        Truth at the reference temperature.
-    at_c
-        Temperature of the camera.
-
-    Returns
-    -------
-    Truth
-        With focal lengths of that temperature; the same object if they are unchanged.
+    Returns: With focal lengths of that temperature; the same object if they are unchanged.
     """
     stretch = 1.0 + 1e-6 * truth.thermal.focal_ppm_per_c * (at_c - REFERENCE_C)
     if stretch == 1.0:
@@ -67,17 +47,7 @@ def truth_at_temperature(truth: Truth, at_c: float) -> Truth:
 def lamp_brightness(thermal: ThermalTruth, at_c: float) -> float:
     """Return the lamp's light at a temperature, relative to that at the reference temperature.
 
-    Parameters
-    ----------
-    thermal
-        Temperature coefficient of the lamp.
-    at_c
-        Temperature of the camera; the lamp has the same.
-
-    Returns
-    -------
-    float
-        At least 0; 1 at the reference temperature.
+    Returns: At least 0; 1 at the reference temperature.
     """
     return max(0.0, 1.0 + 1e-2 * thermal.lamp_percent_per_c * (at_c - REFERENCE_C))
 
@@ -85,14 +55,6 @@ def lamp_brightness(thermal: ThermalTruth, at_c: float) -> float:
 def has_effect(thermal: ThermalTruth) -> bool:
     """Return whether anything depends on the temperature.
 
-    Parameters
-    ----------
-    thermal
-        Temperature coefficients.
-
-    Returns
-    -------
-    bool
-        True if the focal lengths or the lamp's light do.
+    Returns: True if the focal lengths or the lamp's light do.
     """
     return thermal.focal_ppm_per_c != 0.0 or thermal.lamp_percent_per_c != 0.0

@@ -13,18 +13,10 @@ from typing import NamedTuple, Self
 
 
 class RampPhase(NamedTuple):
-    """A part of a ramp.
-
-    Attributes
-    ----------
-    duration_s
-        How long it lasts.
-    acceleration
-        Constant acceleration, counts/s^2.
-    """
+    """A part of a ramp."""
 
     duration_s: float
-    acceleration: float
+    acceleration: float  # Constant acceleration, counts/s^2
 
 
 def ramp(
@@ -34,19 +26,8 @@ def ramp(
 
     An axis that runs the wrong way, or too fast to stop in time, brakes to a halt first.
 
-    Parameters
-    ----------
-    position, velocity
-        State of the axis at the start, counts and counts/s.
-    target
-        Position at which it comes to rest, counts.
-    speed, acceleration
-        Limits of the ramp, positive, counts/s and counts/s^2.
-
-    Returns
-    -------
-    list of RampPhase
-        At most four; empty if the axis already rests at the target.
+    speed, acceleration: Limits of the ramp, positive, counts/s and counts/s^2.
+    Returns: At most four; empty if the axis already rests at the target.
 
     Examples
     --------
@@ -79,35 +60,17 @@ def _trapezoid(distance: float, entry: float, speed: float, acceleration: float)
 
 
 class Piece(NamedTuple):
-    """An interval of constant acceleration; the last one of a trajectory lasts until the next command.
-
-    Attributes
-    ----------
-    start_s
-        Time at which it begins.
-    position, velocity
-        Those of the motor at that time, counts and counts/s.
-    acceleration
-        Constant acceleration, counts/s^2.
-    """
+    """An interval of constant acceleration; the last one of a trajectory lasts until the next command."""
 
     start_s: float
     position: float
     velocity: float
-    acceleration: float
+    acceleration: float  # Constant acceleration, counts/s^2
 
     def position_at(self, t_s: float) -> float:
         """Return the position at a time.
 
-        Parameters
-        ----------
-        t_s
-            Time; before the start, the position is that of the start.
-
-        Returns
-        -------
-        float
-            Position, counts.
+        t_s: Time; before the start, the position is that of the start.
         """
         s = max(0.0, t_s - self.start_s)
         return self.position + self.velocity * s + self.acceleration * s * s / 2.0
@@ -115,41 +78,23 @@ class Piece(NamedTuple):
     def velocity_at(self, t_s: float) -> float:
         """Return the velocity at a time.
 
-        Parameters
-        ----------
-        t_s
-            Time; before the start, the velocity is that of the start.
-
-        Returns
-        -------
-        float
-            Velocity, counts/s.
+        t_s: Time; before the start, the velocity is that of the start.
         """
         return self.velocity + self.acceleration * max(0.0, t_s - self.start_s)
 
 
 @dataclass(frozen=True)
 class MotorTrajectory:
-    """Position of a motor over time, from one command to the next.
+    """Position of a motor over time, from one command to the next."""
 
-    Attributes
-    ----------
-    pieces
-        Intervals in order of time; in the last one the motor rests, or drifts slowly.
-    """
-
+    # Intervals in order of time; in the last one the motor rests, or drifts slowly.
     pieces: tuple[Piece, ...]
 
     @classmethod
     def resting(cls, t_s: float, position: float) -> Self:
         """Return the trajectory of a motor that stands still.
 
-        Parameters
-        ----------
-        t_s
-            Time of the command.
-        position
-            Where it stands, counts.
+        position: Where it stands, counts.
         """
         return cls((Piece(t_s, position, 0.0, 0.0),))
 
@@ -164,16 +109,7 @@ class MotorTrajectory:
     ) -> Self:
         """Plan ramps through several positions, with a stop at each.
 
-        Parameters
-        ----------
-        t_s
-            Time of the command.
-        position, velocity
-            State of the motor at that time, counts and counts/s.
-        stations
-            Positions in counts, each with the speed limit of the ramp to it, counts/s.
-        acceleration
-            Acceleration of all ramps, counts/s^2.
+        acceleration: Acceleration of all ramps, counts/s^2.
         """
         pieces: list[Piece] = []
         for station, speed in stations:
@@ -203,72 +139,29 @@ class MotorTrajectory:
     def index(self, t_s: float) -> int:
         """Return the index of the piece at a time.
 
-        Parameters
-        ----------
-        t_s
-            Time.
-
-        Returns
-        -------
-        int
-            Index into ``pieces``.
+        Returns: Index into ``pieces``.
         """
         return max(0, bisect_right(self.pieces, t_s, key=lambda piece: piece.start_s) - 1)
 
     def at(self, t_s: float) -> Piece:
         """Return the piece at a time.
 
-        Parameters
-        ----------
-        t_s
-            Time.
-
-        Returns
-        -------
-        Piece
-            The first one if the time lies before the command.
+        Returns: The first one if the time lies before the command.
         """
         return self.pieces[self.index(t_s)]
 
     def position(self, t_s: float) -> float:
-        """Return the motor's position at a time.
-
-        Parameters
-        ----------
-        t_s
-            Time.
-
-        Returns
-        -------
-        float
-            Position, counts.
-        """
+        """Return the motor's position at a time."""
         return self.at(t_s).position_at(t_s)
 
     def velocity(self, t_s: float) -> float:
-        """Return the motor's velocity at a time.
-
-        Parameters
-        ----------
-        t_s
-            Time.
-
-        Returns
-        -------
-        float
-            Velocity, counts/s.
-        """
+        """Return the motor's velocity at a time."""
         return self.at(t_s).velocity_at(t_s)
 
     def until(self, t_s: float, creep: float = 0.0) -> Self:
         """Return the trajectory that stops abruptly at a time, on a whole count.
 
-        Parameters
-        ----------
-        t_s
-            Time of the stop.
-        creep
-            Velocity of a slow drift from there on, counts/s.
+        creep: Velocity of a slow drift from there on, counts/s.
         """
         if t_s >= self.end_s and creep == 0.0:
             return self
@@ -278,15 +171,7 @@ class MotorTrajectory:
     def first_beyond(self, lowest: float, highest: float) -> float | None:
         """Return the time at which the trajectory first leaves a range.
 
-        Parameters
-        ----------
-        lowest, highest
-            Limits of the range, counts.
-
-        Returns
-        -------
-        float or None
-            Time; None if the trajectory stays inside.
+        Returns: Time; None if the trajectory stays inside.
         """
         for index, piece in enumerate(self.pieces):
             ends_s = self.pieces[index + 1].start_s if index + 1 < len(self.pieces) else piece.start_s

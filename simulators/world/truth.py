@@ -23,95 +23,64 @@ PITCH_MM: Final = 144.5 / 36.0
 
 @dataclass(frozen=True)
 class CameraTruth:
-    """The camera's lens in OpenCV's conventions, pixel centres at integers.
+    """The camera's lens in OpenCV's conventions, pixel centres at integers."""
 
-    Attributes
-    ----------
-    fx, fy, cx, cy
-        Focal lengths and principal point, px.
-    k1, k2, p1, p2, k3
-        Radial and tangential distortion on normalised coordinates (Brown 1966, 1971).
-    k4
-        With k1, k2 and k3 the polynomial of a fisheye's angle (Kannala and Brandt 2006); 0 for a pinhole.
-    projection
-        "pinhole" or "fisheye".
-    width, height
-        Pixels of the sensor.
-    """
-
+    # fx, fy, cx, cy: Focal lengths and principal point, px.
     fx: float = 3345.06
     fy: float = 3345.27
     cx: float = 642.10
     cy: float = 363.32
+    # k1, k2, p1, p2, k3: Radial and tangential distortion on normalised coordinates (Brown 1966, 1971).
     k1: float = 0.06
     k2: float = -0.90
     p1: float = 0.0
     p2: float = 0.0
     k3: float = 0.0
+    # With k1, k2 and k3 the polynomial of a fisheye's angle (Kannala and Brandt 2006); 0 for a pinhole.
     k4: float = 0.0
-    projection: str = "pinhole"
+    projection: str = "pinhole"  # "pinhole" or "fisheye"
     width: int = 1280
     height: int = 720
 
 
 @dataclass(frozen=True)
 class CollimatorTruth:
-    """Position of the camera's centre in the target's frame, the disc of light, and the collimator's errors.
+    """Position of the camera's centre in the target's frame, the disc of light, and the collimator's errors."""
 
-    Attributes
-    ----------
-    x, y, r
-        The camera's centre is (x, y, -r), mm of the target plane.
-    half_angle_deg
-        Half angle of the visible disc, seen from that centre.
-    disc_x, disc_y
-        Centre of the disc on the target, mm, from (x, y).
-    rim
-        Width of the vignetted rim, as a share of the disc's radius; brightness falls smoothly from 1 to 0 over it.
-    disc_walk
-        Displacement of the disc on the target along x and y, mm, per unit of the tangent of the camera's turn.
-    defocus, spherical, coma, astigmatism, field_curvature, distortion
-        Third-order errors of the collimator, dimensionless; see ``collimator_errors``.
-    rim_roll_mm
-        Outward displacement of points at the disc's edge, where the camera's pupil is partly filled; it grows with
-        the fourth power of the distance from the disc's centre.
-    disc_wander_mm
-        Random displacement of the disc, in addition to that by the turn, 1 sigma in x and in y.
-    disc_breathing
-        Random change of the disc's radius, as a share of it, 1 sigma.
-    disc_unevenness
-        Root mean square deviation of the disc's edge from a circle, as a share of its radius.
-    irregularity_mm
-        Root mean square of the random displacements; see ``irregularity``.
-    rim_irregularity_mm
-        Root mean square, in x and in y, of the random displacements that are added at the disc's edge.
-    glass_change
-        How much edge and random displacements differ between poses: they are functions of this share of the tangents
-        of the camera's turn. 0: they are the same in every pose.
-    glass_seed
-        Identifies the collimator: seed of its random errors.
-    """
-
+    # x, y, r: The camera's centre is (x, y, -r), mm of the target plane.
     x: float = 24.0 * PITCH_MM + 0.7
     y: float = 35.0 * PITCH_MM - 0.4
     r: float = 255.0
     half_angle_deg: float = 12.0
+    # disc_x, disc_y: Centre of the disc on the target, mm, from (x, y).
     disc_x: float = 0.0
     disc_y: float = 0.0
+    # Width of the vignetted rim, as a share of the disc's radius; brightness falls smoothly from 1 to 0 over
+    # it.
     rim: float = 0.08
+    # Displacement of the disc on the target along x and y, mm, per unit of the tangent of the camera's turn.
     disc_walk: tuple[float, float] = (0.0, 0.0)
+    # defocus, spherical, coma, astigmatism, field_curvature, distortion: Third-order errors of the
+    # collimator, dimensionless; see ``collimator_errors``.
     defocus: float = 0.0
     spherical: float = 0.0
     coma: float = 0.0
     astigmatism: float = 0.0
     field_curvature: float = 0.0
     distortion: float = 0.0
+    # Outward displacement of points at the disc's edge, where the camera's pupil is partly filled; it grows
+    # with the fourth power of the distance from the disc's centre.
     rim_roll_mm: float = 0.0
+    # Random displacement of the disc, in addition to that by the turn, 1 sigma in x and in y.
     disc_wander_mm: float = 0.0
-    disc_breathing: float = 0.0
+    disc_breathing: float = 0.0  # Random change of the disc's radius, as a share of it, 1 sigma
+    # Root mean square deviation of the disc's edge from a circle, as a share of its radius.
     disc_unevenness: float = 0.0
-    irregularity_mm: float = 0.0
+    irregularity_mm: float = 0.0  # Root mean square of the random displacements; see ``irregularity``
+    # Root mean square, in x and in y, of the random displacements that are added at the disc's edge.
     rim_irregularity_mm: float = 0.0
+    # How much edge and random displacements differ between poses: they are functions of this share of the
+    # tangents of the camera's turn. 0: they are the same in every pose.
     glass_change: float = 1.0
     glass_seed: int = 1
 
@@ -121,54 +90,32 @@ POLARITIES: Final = ("positive", "negative")
 
 @dataclass(frozen=True)
 class ReticleTruth:
-    """Errors of the printed target.
+    """Errors of the printed target."""
 
-    Attributes
-    ----------
-    bow_mm
-        Distance by which the target stands towards the camera at ``bow_radius_mm`` from (x, y), compared with (x, y).
-        It grows with the square of the distance. Negative: away from the camera.
-    bow_radius_mm
-        Radius at which the bow is stated, mm.
-    print_scale
-        Relative error of the printed lengths: a printed length is (1 + print_scale) times the nominal one.
-    polarity
-        "positive": what is black on the print blocks the light; "negative": what is white does.
-    """
-
+    # Distance by which the target stands towards the camera at ``bow_radius_mm`` from (x, y), compared with
+    # (x, y). It grows with the square of the distance. Negative: away from the camera.
     bow_mm: float = 0.0
-    bow_radius_mm: float = 40.0
+    bow_radius_mm: float = 40.0  # Radius at which the bow is stated, mm
+    # Relative error of the printed lengths: a printed length is (1 + print_scale) times the nominal one.
     print_scale: float = 0.0
+    # "positive": what is black on the print blocks the light; "negative": what is white does.
     polarity: str = "positive"
 
 
 @dataclass(frozen=True)
 class OpticsTruth:
-    """Blur and illumination of the image, and the mounting of the camera on the gimbal.
-
-    Attributes
-    ----------
-    psf_px
-        Standard deviation of the Gaussian point spread.
-    gradient_x, gradient_y
-        Relative change of illumination over the disc's radius, along the target's axes.
-    psf_rim_px
-        Standard deviation of the point spread at the disc's rim, where the collimator's own blur is added. It
-        changes with the square of the distance from the disc's centre. Zero: as at the centre.
-    black
-        Light that passes the reticle's black segments, as a share of the white ones'.
-    stray
-        Flickering light that reaches every pixel, as a share of the full light.
-    mounting_deg
-        Rotation vector of the camera on the gimbal at zero angles (R0 of the pose), degrees.
-    """
+    """Blur and illumination of the image, and the mounting of the camera on the gimbal."""
 
     psf_px: float = 0.7
+    # gradient_x, gradient_y: Relative change of illumination over the disc's radius, along the target's axes.
     gradient_x: float = 0.08
     gradient_y: float = -0.05
+    # Standard deviation of the point spread at the disc's rim, where the collimator's own blur is added. It
+    # changes with the square of the distance from the disc's centre. Zero: as at the centre.
     psf_rim_px: float = 0.0
-    black: float = 0.01
+    black: float = 0.01  # Light that passes the reticle's black segments, as a share of the white ones'
     stray: float = 0.0
+    # Rotation vector of the camera on the gimbal at zero angles (R0 of the pose), degrees.
     mounting_deg: tuple[float, float, float] = (0.31, -0.22, 0.45)
 
 
@@ -177,27 +124,16 @@ class NoiseTruth:
     """Fixed pattern and temporal noise of the sensor's pixels.
 
     Hu, Liu and Delbruck (2021), v2e, describe the origin of mismatch and background events in real sensors.
-
-    Attributes
-    ----------
-    mismatch
-        Relative standard deviation of a pixel's contrast thresholds (fixed pattern).
-    background_hz
-        Mean rate of background events of a pixel.
-    hot_share, hot_hz
-        Share of pixels that are hot, and the rate of their events.
-    dead_share
-        Share of pixels that never fire.
-    reset_noise
-        Standard deviation of the reference level after a reset, in units of log intensity.
     """
 
-    mismatch: float = 0.12
-    background_hz: float = 1.0
+    mismatch: float = 0.12  # Relative standard deviation of a pixel's contrast thresholds (fixed pattern)
+    background_hz: float = 1.0  # Mean rate of background events of a pixel
+    # hot_share, hot_hz: Share of pixels that are hot, and the rate of their events.
     hot_share: float = 2e-5
     hot_hz: float = 2000.0
+    # Standard deviation of the reference level after a reset, in units of log intensity.
     reset_noise: float = 0.01
-    dead_share: float = 0.0
+    dead_share: float = 0.0  # Share of pixels that never fire
 
 
 REFERENCE_C: Final = 41.5
@@ -214,71 +150,45 @@ LAW: Final[Mapping[str, str]] = {
 
 @dataclass(frozen=True)
 class ThermalTruth:
-    """Temperature of the camera, and what depends on it by the `LAW`.
+    """Temperature of the camera, and what depends on it by the `LAW`."""
 
-    Attributes
-    ----------
-    room_c, room_c_per_h
-        Temperature of the room when the bench is switched on, and its rate of change.
-    self_heating_c, warm_up_min
-        Final temperature of the camera above the room, and the time constant of its rise; 0: it is warm at once.
-    focal_ppm_per_c
-        Relative change of the focal lengths, 1e-6 per degree.
-    lamp_percent_per_c
-        Relative change of the lamp's light, percent per degree; the lamp is as warm as the camera.
-    """
-
+    # room_c, room_c_per_h: Temperature of the room when the bench is switched on, and its rate of change.
     room_c: float = 23.5
     room_c_per_h: float = 0.0
+    # self_heating_c, warm_up_min: Final temperature of the camera above the room, and the time constant of
+    # its rise; 0: it is warm at once.
     self_heating_c: float = 18.0
     warm_up_min: float = 0.0
-    focal_ppm_per_c: float = 0.0
+    focal_ppm_per_c: float = 0.0  # Relative change of the focal lengths, 1e-6 per degree
+    # Relative change of the lamp's light, percent per degree; the lamp is as warm as the camera.
     lamp_percent_per_c: float = 0.0
 
 
 @dataclass(frozen=True)
 class ScreenTruth:
-    """A flickering checkerboard on a screen, which may replace the collimator.
+    """A flickering checkerboard on a screen, which may replace the collimator."""
 
-    Attributes
-    ----------
-    columns, rows, square_mm
-        Inner corners of the board, and the side of its squares; 0 columns: no board.
-    position_mm
-        Middle of the board, from the camera's centre, in the camera's axes at zero angles.
-    turn_deg
-        Rotation vector of the screen (X right and Y down on it), from facing the camera at zero angles.
-    """
-
+    # columns, rows, square_mm: Inner corners of the board, and the side of its squares; 0 columns: no board.
     columns: int = 0
     rows: int = 8
     square_mm: float = 30.0
+    # Middle of the board, from the camera's centre, in the camera's axes at zero angles.
     position_mm: tuple[float, float, float] = (0.0, 0.0, 1500.0)
     turn_deg: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
 
 @dataclass(frozen=True)
 class MountTruth:
-    """Place and motion of the camera's mount; see ``mount``.
-
-    Attributes
-    ----------
-    shift_mm
-        Displacement of the camera's entrance pupil across the beam, along the target's X and Y, mm; the disc of light
-        moves by the opposite amount.
-    turn_deg
-        How far the camera is turned in its mount, after the gimbal's axes: pan, tilt and roll, each in the direction of
-        the axis of that name.
-    vibration_arcsec, vibration_hz
-        Amplitude of the vibration about the pan and the tilt axis, and its frequency.
-    drift_arcsec_per_min
-        Drift rates of pan and tilt.
-    """
+    """Place and motion of the camera's mount; see ``mount``."""
 
     vibration_arcsec: float = 0.0
     vibration_hz: float = 30.0
     drift_arcsec_per_min: tuple[float, float] = (0.0, 0.0)
+    # Displacement of the camera's entrance pupil across the beam, along the target's X and Y, mm; the disc of
+    # light moves by the opposite amount.
     shift_mm: tuple[float, float] = (0.0, 0.0)
+    # How far the camera is turned in its mount, after the gimbal's axes: pan, tilt and roll, each in the
+    # direction of the axis of that name.
     turn_deg: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
 
@@ -355,35 +265,7 @@ NOISE_LEVELS: Final[Mapping[str, NoiseTruth]] = {
 
 @dataclass(frozen=True)
 class Truth:
-    """All true parameters of the simulated world.
-
-    Attributes
-    ----------
-    camera
-        Lens and sensor size.
-    collimator
-        Geometry, disc of light and errors of the collimator.
-    optics
-        Blur, illumination and mounting.
-    noise
-        Fixed pattern and noise of the pixels.
-    thermal
-        Temperature and its effects.
-    mount
-        Place, vibration and drift.
-    screen
-        Checkerboard in place of the collimator.
-    reticle
-        Errors of the print.
-    gimbal
-        Errors between readings and pointing.
-    target
-        The printed pattern behind the collimator.
-    lens
-        Focus and aperture of the camera's lens.
-    board
-        Board at finite distance in place of the collimator.
-    """
+    """All true parameters of the simulated world."""
 
     camera: CameraTruth = field(default_factory=CameraTruth)
     collimator: CollimatorTruth = field(default_factory=CollimatorTruth)
@@ -395,7 +277,7 @@ class Truth:
     reticle: ReticleTruth = field(default_factory=ReticleTruth)
     gimbal: GimbalTruth = field(default_factory=GimbalTruth)
     target: StarTarget = field(default_factory=StarTarget)
-    lens: LensTruth = field(default_factory=LensTruth)
+    lens: LensTruth = field(default_factory=LensTruth)  # Focus and aperture of the camera's lens
     board: BoardTruth = field(default_factory=BoardTruth)
 
     @property
@@ -407,11 +289,6 @@ class Truth:
         """Return all parameters as plain numbers, by section: the content of ``truth.json``.
 
         The coefficients of a fisheye are named kb1 to kb4 there, as estimators name them.
-
-        Returns
-        -------
-        dict
-            Sections, each a dict by parameter.
         """
         values = dataclasses.asdict(self)
         values["thermal"]["law"] = dict(LAW)

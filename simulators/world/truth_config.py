@@ -49,24 +49,13 @@ _Section = TypeVar(
 def truth_from_config(config: Mapping[str, Any]) -> Truth:
     """Read the truth from the sections of a configuration that are named as the attributes of `Truth`.
 
-    Parameters
-    ----------
-    config
-        Every section and every key in it is optional; other sections are ignored. ``target`` describes the print with
-        the keys of `StarTarget`, its two numbers of squares as ``squares``. ``noise`` is the name of a level, or
-        a mapping over the typical level. ``collimator`` may be the name of a profile, or a mapping that names it as
-        ``profile`` beside the keys that differ from it. ``scale`` and ``backlash_deg`` of the ``gimbal`` are numbers
-        for all axes, or mappings by axis.
-
-    Returns
-    -------
-    Truth
-        Defaults, with the given keys replaced.
-
-    Raises
-    ------
-    ConfigError
-        If a key is unknown, or its value is not a finite number in its range; the error names the key.
+    config: Every section and every key in it is optional; other sections are ignored. ``target`` describes
+      the print with the keys of `StarTarget`, its two numbers of squares as ``squares``. ``noise`` is the
+      name of a level, or a mapping over the typical level. ``collimator`` may be the name of a profile, or a
+      mapping that names it as ``profile`` beside the keys that differ from it. ``scale`` and ``backlash_deg``
+      of the ``gimbal`` are numbers for all axes, or mappings by axis.
+    Raises ConfigError: If a key is unknown, or its value is not a finite number in its range; the error names
+      the key.
 
     Examples
     --------

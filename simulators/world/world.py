@@ -28,37 +28,20 @@ AxisName = Literal["pan", "tilt", "roll"]
 
 @dataclass(frozen=True)
 class AxisMotion:
-    """Motion of an axis from some moment on, until its next motion is set.
+    """Motion of an axis from some moment on, until its next motion is set."""
 
-    Attributes
-    ----------
-    angle_at
-        Returns the angle in degrees at a world time in seconds. Must be pure: the same time gives the same angle.
-    settled_from_s
-        World time from which on the angle no longer changes; ``math.inf`` for a motion without end.
-    microsteps
-        Position after ``settled_from_s``, one of the numbers that seed a recording's noise.
-    """
-
+    # Returns the angle in degrees at a world time in seconds. Must be pure: the same time gives the same
+    # angle.
     angle_at: Callable[[float], float]
+    # World time from which on the angle no longer changes; ``math.inf`` for a motion without end.
     settled_from_s: float
-    microsteps: int
+    microsteps: int  # Position after ``settled_from_s``, one of the numbers that seed a recording's noise
 
     @classmethod
     def resting(cls, angle_deg: float, microsteps: int) -> AxisMotion:
         """Return the motion of an axis that stands still.
 
-        Parameters
-        ----------
-        angle_deg
-            Where it stands.
-        microsteps
-            The same position in microsteps.
-
-        Returns
-        -------
-        AxisMotion
-            Settled at all times.
+        angle_deg: Where it stands.
         """
         return cls(angle_at=lambda _t_s: angle_deg, settled_from_s=-math.inf, microsteps=microsteps)
 
@@ -66,16 +49,9 @@ class AxisMotion:
 class World:
     """Physical state of the simulated bench.
 
-    Parameters
-    ----------
-    truth
-        Parameters that a calibration shall find, and those that disturb it.
-    seed
-        Seed of all noise over time.
-    camera_seed
-        Seed of the sensor's fixed pattern: a camera keeps its pattern over runs with different seeds.
-    clock
-        Returns world time in seconds; by default the machine's monotonic clock.
+    camera_seed: Seed of the sensor's fixed pattern: a camera keeps its pattern over runs with different
+      seeds.
+    clock: Returns world time in seconds; by default the machine's monotonic clock.
     """
 
     HISTORY_S = 120.0
@@ -102,10 +78,7 @@ class World:
     def now_s(self) -> float:
         """Return the world time.
 
-        Returns
-        -------
-        float
-            Seconds of the world's clock.
+        Returns: Seconds of the world's clock.
         """
         return self._clock()
 
@@ -114,15 +87,9 @@ class World:
     def set_axis(self, name: AxisName, motion: AxisMotion, *, since_s: float | None = None) -> None:
         """Set the motion of an axis; an axis that was never set stands at zero.
 
-        Parameters
-        ----------
-        name
-            Axis.
-        motion
-            Its motion until the next one is set.
-        since_s
-            World time at which the motion begins; None: now. A time before the previous motion's is refused with
-            `SimulationMisuse`.
+        motion: Its motion until the next one is set.
+        since_s: World time at which the motion begins; None: now. A time before the previous motion's is
+          refused with `SimulationMisuse`.
         """
         with self._lock:
             since = self.now_s() if since_s is None else since_s
@@ -135,13 +102,9 @@ class World:
     def set_light(self, state: LightState, *, since_s: float | None = None) -> None:
         """Set the state of the light.
 
-        Parameters
-        ----------
-        state
-            Its state until the next one is set.
-        since_s
-            World time at which the state begins; None: now. A time before the previous state's is refused with
-            `SimulationMisuse`.
+        state: Its state until the next one is set.
+        since_s: World time at which the state begins; None: now. A time before the previous state's is
+          refused with `SimulationMisuse`.
         """
         with self._lock:
             since = self.now_s() if since_s is None else since_s
@@ -151,12 +114,10 @@ class World:
     def shift_camera(self, shift_mm: tuple[float, float], *, since_s: float | None = None) -> None:
         """Move the camera across the beam.
 
-        Parameters
-        ----------
-        shift_mm
-            Displacement from where the camera was aligned, along the target's X and Y, mm; it replaces an earlier one.
-        since_s
-            World time of the move; None: now. A time before the previous move's is refused with `SimulationMisuse`.
+        shift_mm: Displacement from where the camera was aligned, along the target's X and Y, mm; it replaces
+          an earlier one.
+        since_s: World time of the move; None: now. A time before the previous move's is refused with
+          `SimulationMisuse`.
         """
         self.change_setup(lambda setup: replace(setup, shift_mm=shift_mm), since_s=since_s)
 
@@ -165,17 +126,8 @@ class World:
     ) -> CameraSetup:
         """Change what a person can change at the camera by hand.
 
-        Parameters
-        ----------
-        change
-            Returns the new setup for the present one.
-        since_s
-            World time of the change; None: now. A time before the previous change's is refused with `SimulationMisuse`.
-
-        Returns
-        -------
-        CameraSetup
-            The new setup.
+        since_s: World time of the change; None: now. A time before the previous change's is refused with
+          `SimulationMisuse`.
         """
         with self._lock:
             since = self.now_s() if since_s is None else since_s
@@ -189,46 +141,19 @@ class World:
     def camera_shift_mm(self, t_s: float) -> tuple[float, float]:
         """Return where the camera stands across the beam at a time.
 
-        Parameters
-        ----------
-        t_s
-            World time.
-
-        Returns
-        -------
-        tuple of float
-            Displacement along the target's X and Y, mm.
+        Returns: Displacement along the target's X and Y, mm.
         """
         return self.camera_setup(t_s).shift_mm
 
     def camera_setup(self, t_s: float) -> CameraSetup:
-        """Return how the camera is set up at a time.
-
-        Parameters
-        ----------
-        t_s
-            World time.
-
-        Returns
-        -------
-        CameraSetup
-            Place in the mount, focus and aperture.
-        """
+        """Return how the camera is set up at a time."""
         with self._lock:
             return self._setup.at(t_s)
 
     def angles_deg(self, t_s: float) -> Mapping[AxisName, float]:
         """Return the angles of all axes at a time.
 
-        Parameters
-        ----------
-        t_s
-            World time.
-
-        Returns
-        -------
-        mapping
-            Angles by axis, degrees; 0 for an axis that does not exist.
+        Returns: Angles by axis, degrees; 0 for an axis that does not exist.
         """
         with self._lock:
             motions = {name: history.at(t_s) for name, history in self._axes.items()}
@@ -239,15 +164,7 @@ class World:
     def is_settled(self, t_s: float) -> bool:
         """Return whether no axis moves at a time.
 
-        Parameters
-        ----------
-        t_s
-            World time.
-
-        Returns
-        -------
-        bool
-            True if all axes have settled.
+        Returns: True if all axes have settled.
         """
         with self._lock:
             return all(h.at(t_s).settled_from_s <= t_s for h in self._axes.values())
@@ -255,15 +172,7 @@ class World:
     def resting_microsteps(self, t_s: float) -> Mapping[AxisName, int]:
         """Return where each axis rests, or will rest, by the motion of a time.
 
-        Parameters
-        ----------
-        t_s
-            World time.
-
-        Returns
-        -------
-        mapping
-            Microsteps by axis, in alphabetical order; only axes that were set.
+        Returns: Microsteps by axis, in alphabetical order; only axes that were set.
         """
         with self._lock:
             return {name: h.at(t_s).microsteps for name, h in sorted(self._axes.items())}
@@ -271,15 +180,8 @@ class World:
     def light(self, t_s: float) -> LightState:
         """Return the state of the light at a time.
 
-        Parameters
-        ----------
-        t_s
-            World time.
-
-        Returns
-        -------
-        LightState
-            With voltages scaled to the lamp's light at the temperature of that time; of a board, as its light is seen.
+        Returns: With voltages scaled to the lamp's light at the temperature of that time; of a board, as its
+          light is seen.
         """
         with self._lock:
             state, setup = self._light.at(t_s), self._setup.at(t_s)
@@ -293,47 +195,20 @@ class World:
         return light_of_board(state, truth.board, flickers=flickers, on_since_s=self._on_since_s)
 
     def on_s(self, t_s: float) -> float:
-        """Return the time since the bench was switched on.
-
-        Parameters
-        ----------
-        t_s
-            World time.
-
-        Returns
-        -------
-        float
-            Seconds.
-        """
+        """Return the time since the bench was switched on."""
         return t_s - self._on_since_s
 
     def temperature_c(self, t_s: float) -> float:
         """Return the temperature of the camera at a time.
 
-        Parameters
-        ----------
-        t_s
-            World time.
-
-        Returns
-        -------
-        float
-            Degrees Celsius, in steps of 0.01.
+        Returns: Degrees Celsius, in steps of 0.01.
         """
         return temperature.temperature_c(self.truth.thermal, self.on_s(t_s))
 
     def truth_at(self, t_s: float) -> Truth:
         """Return the truth at the temperature of a time, with the camera as it is set up then.
 
-        Parameters
-        ----------
-        t_s
-            World time.
-
-        Returns
-        -------
-        Truth
-            With focal lengths of that temperature; focus is in section ``lens``.
+        Returns: With focal lengths of that temperature; focus is in section ``lens``.
         """
         truth = temperature.truth_at_temperature(self.truth, self.temperature_c(t_s))
         return with_setup(truth, self.camera_setup(t_s))

@@ -57,17 +57,7 @@ LENS = re.compile(r"lens model", re.IGNORECASE)
 
 @dataclass(frozen=True)
 class Case:
-    """A drawn bench, and what its station states.
-
-    Attributes
-    ----------
-    bench
-        Truth, views and readings.
-    options
-        Options of the calibration.
-    facts
-        What was drawn, for the file and the groups.
-    """
+    """A drawn bench, and what its station states."""
 
     bench: DrawnBench
     options: CalibrationOptions
@@ -75,20 +65,7 @@ class Case:
 
 
 def draw_case(seed: int, index: int) -> Case:
-    """Draw a bench and what its station states.
-
-    Parameters
-    ----------
-    seed
-        Seed of all benches.
-    index
-        Number of the bench.
-
-    Returns
-    -------
-    Case
-        Bench, options and facts.
-    """
+    """Draw a bench and what its station states."""
     rng = np.random.default_rng((seed, index))
     profile = str(rng.choice(["ideal", "S1", "S2", "S3", "like-bench"]))
     scale = float(rng.uniform(0.1, 1.0))
@@ -212,15 +189,7 @@ def _bound(
 def measure(seed: int, index: int) -> dict[str, Any]:
     """Calibrate a drawn bench and compare with its truth.
 
-    Parameters
-    ----------
-    seed, index
-        As for `draw_case`.
-
-    Returns
-    -------
-    dict of str to Any
-        What was drawn and found, ready for JSON.
+    seed, index: As for `draw_case`.
     """
     begun = time.process_time()
     line: dict[str, Any] = {"seed": seed, "index": index}
@@ -251,10 +220,7 @@ def measure(seed: int, index: int) -> dict[str, Any]:
 def explain(seed: int, index: int) -> None:
     """Print all about one bench: what was drawn, what was found, and what other models give.
 
-    Parameters
-    ----------
-    seed, index
-        As for `draw_case`.
+    seed, index: As for `draw_case`.
     """
     case = draw_case(seed, index)
     for name, value in measure(seed, index).items():
@@ -282,17 +248,8 @@ def _text(found: Calibration, truth: CameraTruth) -> str:
 def over(line: Mapping[str, Any], what: str) -> float:
     """Return an error over its expanded uncertainty.
 
-    Parameters
-    ----------
-    line
-        A measured bench.
-    what
-        ``fx`` or ``corner``.
-
-    Returns
-    -------
-    float
-        Its size; 1 is the limit.
+    what: ``fx`` or ``corner``.
+    Returns: Its size; 1 is the limit.
     """
     return float(abs(line[f"{what}_error"]) / (line["k"] * line[f"{what}_sigma"]))
 
@@ -300,15 +257,7 @@ def over(line: Mapping[str, Any], what: str) -> float:
 def named(line: Mapping[str, Any]) -> bool:
     """Return whether a note names the trouble of a bench; that of a lens with p1 and p2 must name the lens.
 
-    Parameters
-    ----------
-    line
-        A measured bench.
-
-    Returns
-    -------
-    bool
-        True if a note does.
+    Returns: True if a note does.
     """
     pattern = LENS if line["lens"] == "p1p2" else TROUBLE
     return any(pattern.search(note) for note in line["notes"])
@@ -336,13 +285,7 @@ GROUPS: Mapping[str, Callable[[Mapping[str, Any]], Any]] = {
 
 
 def report(lines: Sequence[Mapping[str, Any]]) -> None:
-    """Print coverage over all benches and by group, and every bench beyond twice its expanded uncertainty.
-
-    Parameters
-    ----------
-    lines
-        The measured benches.
-    """
+    """Print coverage over all benches and by group, and every bench beyond twice its expanded uncertainty."""
     solved = [line for line in lines if "refused" not in line]
     refused = [line for line in lines if "refused" in line]
     print(f"{len(lines)} benches, {len(refused)} refused; CPU {sum(x['seconds'] for x in lines):.0f} s")

@@ -34,12 +34,7 @@ COMMANDS = (
 class Version:
     """One version of the program, with a run folder and a home of its own.
 
-    Parameters
-    ----------
-    source
-        Root of its checkout.
-    folder
-        Where its run and its home lie.
+    folder: Where its run and its home lie.
     """
 
     def __init__(self, source: Path, folder: Path) -> None:

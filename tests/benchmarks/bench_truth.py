@@ -34,20 +34,7 @@ REPEATS_WITHIN = 0.15
 
 
 def show(row: Row, seeds: Sequence[int]) -> list[Solved]:
-    """Calibrate the benches of a row, and print it.
-
-    Parameters
-    ----------
-    row
-        The row.
-    seeds
-        Seeds of the benches.
-
-    Returns
-    -------
-    list of Solved
-        The results.
-    """
+    """Calibrate the benches of a row, and print it."""
     begun = time.process_time()
     solved, refused = solve_all(row, seeds)
     seconds = (time.process_time() - begun) / len(seeds)
@@ -69,13 +56,7 @@ def show(row: Row, seeds: Sequence[int]) -> list[Solved]:
 
 
 def compare_repeats(once: Sequence[Solved], repeated: Sequence[Solved]) -> None:
-    """Print U of repeated poses over that of the same poses once.
-
-    Parameters
-    ----------
-    once, repeated
-        Results of both rows.
-    """
+    """Print U of repeated poses over that of the same poses once."""
     first = {one.seed: one.expanded_px for one in once}
     ratios = [one.expanded_px / first[one.seed] for one in repeated if one.seed in first]
     middle = float(np.median(ratios))

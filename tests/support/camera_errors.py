@@ -28,32 +28,17 @@ _ACROSS = 17
 
 @dataclass(frozen=True)
 class WorstCorner:
-    """Error of a camera where its stated projection uncertainty is largest, along the direction of the largest.
+    """Error of a camera where its stated projection uncertainty is largest, along the direction of the largest."""
 
-    Attributes
-    ----------
-    error_px
-        Error there, px.
-    sigma_px
-        Stated standard uncertainty, px.
-    """
-
-    error_px: float
-    sigma_px: float
+    error_px: float  # Error there, px
+    sigma_px: float  # Stated standard uncertainty, px
 
 
 def true_camera(truth: CameraTruth) -> CameraModel:
     """Return the true camera as the engine describes cameras.
 
-    Parameters
-    ----------
-    truth
-        Lens and sensor; not a fisheye.
-
-    Returns
-    -------
-    CameraModel
-        Camera with k1, k2, p1, p2 and k3.
+    truth: Lens and sensor; not a fisheye.
+    Returns: Camera with k1, k2, p1, p2 and k3.
     """
     lens = {name: getattr(truth, name) for name in ("k1", "k2", "p1", "p2", "k3")}
     return CameraModel(truth.fx, truth.fy, truth.cx, truth.cy, (truth.width, truth.height), lens)
@@ -64,17 +49,7 @@ def corner_errors_urad(camera: CameraModel, truth: CameraTruth) -> FloatArray:
 
     The rotation is that of Kabsch (1976) over a grid on the whole sensor.
 
-    Parameters
-    ----------
-    camera
-        The calibrated camera.
-    truth
-        The true one.
-
-    Returns
-    -------
-    FloatArray
-        (4,) angles, urad.
+    Returns: (4,) angles, urad.
     """
     exact = true_camera(truth)
     grid = sensor_grid(camera.image_size, _ACROSS).reshape(-1, 2)
@@ -88,20 +63,7 @@ def corner_errors_urad(camera: CameraModel, truth: CameraTruth) -> FloatArray:
 
 
 def worst_corner(found: Calibration, truth: CameraTruth) -> WorstCorner:
-    """Return the error where the stated projection uncertainty is largest.
-
-    Parameters
-    ----------
-    found
-        Calibration with its covariance.
-    truth
-        The true camera.
-
-    Returns
-    -------
-    WorstCorner
-        Error along the direction in which the uncertainty is largest, and that uncertainty.
-    """
+    """Return the error where the stated projection uncertainty is largest."""
     across = 33
     sigma = projection_uncertainty(found.camera, found.camera_covariance, across).sigma_px
     place = np.unravel_index(int(np.nanargmax(sigma)), sigma.shape)

@@ -41,15 +41,8 @@ POSE_S = 30.0
 def grid(pan_deg: Sequence[float], tilt_deg: Sequence[float]) -> list[dict[str, float]]:
     """Return the poses of a grid, degrees.
 
-    Parameters
-    ----------
-    pan_deg, tilt_deg
-        Angles of each axis, degrees; pan changes fastest.
-
-    Returns
-    -------
-    list of dict
-        Poses with ``pan`` and ``tilt``.
+    pan_deg, tilt_deg: Angles of each axis, degrees; pan changes fastest.
+    Returns: Poses with ``pan`` and ``tilt``.
     """
     return [{"pan": float(p), "tilt": float(t)} for t in tilt_deg for p in pan_deg]
 
@@ -62,37 +55,19 @@ POSES: Mapping[int, Sequence[Mapping[str, float]]] = {3: THREE, 9: NINE, 25: TWE
 
 @dataclass(frozen=True)
 class GimbalErrors:
-    """Errors of the readings of a gimbal, each 1 sigma.
+    """Errors of the readings of a gimbal, each 1 sigma."""
 
-    Attributes
-    ----------
-    reading_sigma_deg
-        Noise of a reading, and of the rotation about each axis.
-    scale
-        Relative scale error of each axis.
-    """
-
-    reading_sigma_deg: float = 0.002
-    scale: float = 0.0
+    reading_sigma_deg: float = 0.002  # Noise of a reading, and of the rotation about each axis
+    scale: float = 0.0  # Relative scale error of each axis
 
 
 @dataclass(frozen=True)
 class DrawnBench:
-    """A drawn bench.
-
-    Attributes
-    ----------
-    truth
-        Its true parameters.
-    views
-        Views of the poses, in their order.
-    readings_deg
-        Readings of the axes for each view, degrees.
-    """
+    """A drawn bench."""
 
     truth: Truth
-    views: list[View] = field(repr=False)
-    readings_deg: list[dict[str, float]] = field(repr=False)
+    views: list[View] = field(repr=False)  # Views of the poses, in their order
+    readings_deg: list[dict[str, float]] = field(repr=False)  # Readings of the axes for each view, degrees
 
 
 def draw_bench(
@@ -111,36 +86,19 @@ def draw_bench(
 ) -> DrawnBench:
     """Draw glass, mounting, noise and gimbal errors of a bench from a seed.
 
-    Parameters
-    ----------
-    profile
-        Name of a collimator's profile, or the collimator.
-    poses
-        Angles ``pan``, ``tilt``, ``roll`` of the poses, degrees: the true ones, or the readings if `gimbal` is given.
-    seed
-        Seed of everything that is drawn.
-    errors
-        Simple errors of the gimbal; None for noise of .002 degrees. They have no effect if `gimbal` is given.
-    camera
-        The camera; None for the paper's.
-    star_sigma_px
-        Noise of a star per axis, px.
-    noise_seed
-        Further seed of the stars' noise alone, for repeated recordings.
-    common_share
-        Share of the noise's variance that all recordings of a pose have in common, whatever `noise_seed` is.
-    gimbal
-        Errors of the gimbal as the simulated bench has them; None for `errors`.
-    reticle
-        Errors of the print; None for a flat print without errors.
-    mount
-        Drift of the mount; its vibration and shift have no effect. None for no drift. A pose is recorded every
-        `POSE_S`.
-
-    Returns
-    -------
-    DrawnBench
-        Truth, views and readings.
+    profile: Name of a collimator's profile, or the collimator.
+    poses: Angles ``pan``, ``tilt``, ``roll`` of the poses, degrees: the true ones, or the readings if
+      `gimbal` is given.
+    errors: Simple errors of the gimbal; None for noise of .002 degrees. They have no effect if `gimbal` is
+      given.
+    camera: The camera; None for the paper's.
+    star_sigma_px: Noise of a star per axis, px.
+    common_share: Share of the noise's variance that all recordings of a pose have in common, whatever
+      `noise_seed` is.
+    gimbal: Errors of the gimbal as the simulated bench has them; None for `errors`.
+    reticle: Errors of the print; None for a flat print without errors.
+    mount: Drift of the mount; its vibration and shift have no effect. None for no drift. A pose is recorded
+      every `POSE_S`.
     """
     noise = np.random.default_rng((seed, 8, noise_seed))
     common = np.random.default_rng((seed, 9))
@@ -186,19 +144,9 @@ def draw_repeats(
 
     Glass, mounting and gimbal errors are the same in every round. The stars' noise is new, apart from the common share.
 
-    Parameters
-    ----------
-    profile, poses, seed
-        As for `draw_bench`.
-    times
-        Number of rounds.
-    **drawn
-        Further parameters of `draw_bench`, without `noise_seed`.
-
-    Returns
-    -------
-    DrawnBench
-        Bench with ``times * len(poses)`` views.
+    profile, poses, seed: As for `draw_bench`.
+    drawn: Further parameters of `draw_bench`, without `noise_seed`.
+    Returns: Bench with ``times * len(poses)`` views.
     """
     rounds = [draw_bench(profile, poses, seed, noise_seed=number, **drawn) for number in range(times)]
     views = [
@@ -236,27 +184,9 @@ def seen_view(
 ) -> View:
     """Return the stars that the camera sees in a pose, with noise.
 
-    Parameters
-    ----------
-    truth
-        Camera, collimator and target.
-    rotation
-        (3, 3) camera <- target.
-    name
-        Name of the view.
-    rng
-        Source of the stars' noise.
-    star_sigma_px
-        Noise of a star per axis, px.
-    common
-        Source of the noise that all recordings of the pose have in common; None if there is none.
-    common_share
-        Share of that noise in the variance.
-
-    Returns
-    -------
-    View
-        The stars in the bright part of the disc and inside the image.
+    rotation: (3, 3) camera <- target.
+    star_sigma_px: Noise of a star per axis, px.
+    common: Source of the noise that all recordings of the pose have in common; None if there is none.
     """
     c = truth.collimator
     half_rim = 0.5 * c.rim * c.r * math.tan(math.radians(c.half_angle_deg)) / optics.TARGET.pitch_mm

@@ -31,21 +31,11 @@ POSES = {"narrow": _NARROW, "wide": _WIDE, "three": _THREE}
 
 @dataclass(frozen=True)
 class DrawnRims:
-    """Rims of one bench.
-
-    Attributes
-    ----------
-    rims
-        Points for each pose.
-    looks_mm
-        (V, 2) points of the target at which the camera looks.
-    discs_mm
-        (V, 2) true centres of the discs.
-    """
+    """Rims of one bench."""
 
     rims: list[RimPoints]
-    looks_mm: Array
-    discs_mm: Array
+    looks_mm: Array  # (V, 2) points of the target at which the camera looks
+    discs_mm: Array  # (V, 2) true centres of the discs
 
     def fitted(self) -> list[FittedRim]:
         """Return the fitted discs."""
@@ -58,19 +48,7 @@ class DrawnRims:
 def draw_rims(truth: Truth, poses: Sequence[tuple[float, float]], seed: int) -> DrawnRims:
     """Draw the rims of a bench.
 
-    Parameters
-    ----------
-    truth
-        Camera and collimator.
-    poses
-        Pan and tilt, degrees; the roll is 10 degrees.
-    seed
-        Seed of the points' noise.
-
-    Returns
-    -------
-    DrawnRims
-        One rim for each pose.
+    poses: Pan and tilt, degrees; the roll is 10 degrees.
     """
     rng = np.random.default_rng(seed)
     c = truth.collimator

@@ -29,16 +29,8 @@ GRID = [[30.0, 1.0, 20.0], [-1.0, 30.0, 10.0], [0.0, 0.0, 1.0]]
 class MadeRun:
     """A run folder whose journal a test writes line by line.
 
-    Parameters
-    ----------
-    folder
-        The new folder.
-    poses
-        Number of poses of its plan.
-    begin
-        Time of the first line.
-    prompt
-        Whether a question comes before the calibration.
+    begin: Time of the first line.
+    prompt: Whether a question comes before the calibration.
     """
 
     def __init__(

@@ -66,12 +66,8 @@ def simulated(
 ) -> list[View]:
     """Views through one piece of glass, the camera turned as in the recordings.
 
-    Parameters
-    ----------
-    own_discs
-        Whether discs are drawn as the profile says; else they are those of the recordings.
-    profile
-        The collimator, "like-real" by default.
+    own_discs: Whether discs are drawn as the profile says; else they are those of the recordings.
+    profile: The collimator, "like-real" by default.
     """
     rng = np.random.default_rng(glass)
     collimator = replace(

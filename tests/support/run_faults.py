@@ -34,29 +34,16 @@ class Died(BaseException):
 
 @dataclass(frozen=True)
 class Fault:
-    """A fault as a run meets it.
-
-    Attributes
-    ----------
-    name
-        In the words of the table of faults.
-    of
-        Beginnings of the calls it strikes: ``stage.``, ``light.off``; ``tick`` for anything that passes the clock.
-    strike
-        Called with the scene when it strikes: raises, or returns what becomes of the call's result.
-    ends
-        How the run may end.
-    lasts
-        Whether it strikes every such call from then on, until the cause is removed.
-    station
-        What the station file says besides.
-    """
+    """A fault as a run meets it."""
 
     name: str
+    # Beginnings of the calls it strikes: ``stage.``, ``light.off``; ``tick`` for anything that passes the
+    # clock.
     of: tuple[str, ...]
+    # Called with the scene when it strikes: raises, or returns what becomes of the call's result.
     strike: Callable[[Scene], object]
-    ends: frozenset[str]
-    lasts: bool = False
+    ends: frozenset[str]  # How the run may end
+    lasts: bool = False  # Whether it strikes every such call from then on, until the cause is removed
     station: str = ""
 
 

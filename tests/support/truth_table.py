@@ -34,21 +34,12 @@ Choose = Callable[[DrawnBench, np.random.Generator], CalibrationOptions]
 
 @dataclass(frozen=True)
 class Asked:
-    """What a row asks for.
+    """What a row asks for."""
 
-    Attributes
-    ----------
-    error_px
-        Largest error of fx, px; None for no limit but U.
-    expanded_px
-        Smallest and largest expanded uncertainty of fx, px, median over the benches; None for no limit.
-    corner_urad
-        Largest error of a corner, urad; None for no limit.
-    """
-
-    error_px: float | None = None
+    error_px: float | None = None  # Largest error of fx, px; None for no limit but U
+    # Smallest and largest expanded uncertainty of fx, px, median over the benches; None for no limit.
     expanded_px: tuple[float, float] | None = None
-    corner_urad: float | None = None
+    corner_urad: float | None = None  # Largest error of a corner, urad; None for no limit
 
     def __str__(self) -> str:
         """Return the limits as text."""
@@ -63,29 +54,9 @@ class Asked:
 
 @dataclass(frozen=True)
 class Row:
-    """A row of the table.
+    """A row of the table."""
 
-    Attributes
-    ----------
-    name
-        Name for the option ``--rows``.
-    title
-        What the bench is and what its station states.
-    profile, poses
-        Collimator, and number of poses of the grid.
-    options
-        Options of the calibration for a drawn bench; the random numbers are for values with an uncertainty.
-    asked
-        Limits.
-    times
-        How often each pose is recorded.
-    reticle
-        Errors of the print.
-    only_noise
-        Whether the readings have errors of .002 degrees alone, and the station states a scale without error.
-    """
-
-    name: str
+    name: str  # Name for the option ``--rows``
     title: str
     profile: str
     poses: int
@@ -93,31 +64,19 @@ class Row:
     asked: Asked
     times: int = 1
     reticle: ReticleTruth = field(default_factory=ReticleTruth)
+    # Whether the readings have errors of .002 degrees alone, and the station states a scale without error.
     only_noise: bool = False
 
 
 @dataclass(frozen=True)
 class Solved:
-    """The result of one bench.
-
-    Attributes
-    ----------
-    seed
-        Seed of the bench.
-    error_px, expanded_px
-        Error and expanded uncertainty of fx, px.
-    corner_urad
-        Error of the worst corner, urad.
-    model
-        Model that was used.
-    notes
-        Notes of the result.
-    """
+    """The result of one bench."""
 
     seed: int
+    # error_px, expanded_px: Error and expanded uncertainty of fx, px.
     error_px: float
     expanded_px: float
-    corner_urad: float
+    corner_urad: float  # Error of the worst corner, urad
     model: str
     notes: tuple[str, ...]
 
@@ -125,15 +84,7 @@ class Solved:
 def gimbal_errors(seed: int) -> GimbalTruth:
     """Draw the errors of a gimbal: all of the simulators' own section.
 
-    Parameters
-    ----------
-    seed
-        Seed of the gimbal.
-
-    Returns
-    -------
-    GimbalTruth
-        Errors of the sizes that `readings` states.
+    Returns: Errors of the sizes that `readings` states.
     """
     rng = np.random.default_rng((seed, 11))
     return GimbalTruth(
@@ -152,19 +103,7 @@ def readings(
 ) -> GimbalReadings:
     """Return the readings of a bench as its station states them: .002 degrees.
 
-    Parameters
-    ----------
-    bench
-        The drawn bench.
-    bound
-        Bound of the parallax, if the station states one.
-    scale_sigma
-        Standard uncertainty of the scales that the station states.
-
-    Returns
-    -------
-    GimbalReadings
-        Readings of all views.
+    bound: Bound of the parallax, if the station states one.
     """
     return GimbalReadings(tuple(bench.readings_deg), 0.002, scale_sigma, 0.001, bound, "drawn")
 
@@ -269,20 +208,7 @@ BY_NAME: Mapping[str, Row] = {row.name: row for row in ROWS}
 
 
 def solve(row: Row, seed: int) -> Solved:
-    """Draw a bench of a row, calibrate it and compare with its truth.
-
-    Parameters
-    ----------
-    row
-        The row.
-    seed
-        Seed of glass, gimbal, noise and stated values.
-
-    Returns
-    -------
-    Solved
-        Errors and expanded uncertainty.
-    """
+    """Draw a bench of a row, calibrate it and compare with its truth."""
     gimbal = GimbalTruth(reading_sigma_deg=0.002, seed=seed) if row.only_noise else gimbal_errors(seed)
     drawn: dict[str, Any] = {"gimbal": gimbal, "reticle": row.reticle, "common_share": 0.4}
     poses = NINE if row.poses == 9 else POSES[row.poses]
@@ -300,20 +226,7 @@ def solve(row: Row, seed: int) -> Solved:
 
 
 def solve_all(row: Row, seeds: Sequence[int]) -> tuple[list[Solved], list[str]]:
-    """Solve a row for several seeds.
-
-    Parameters
-    ----------
-    row
-        The row.
-    seeds
-        Seeds of the benches.
-
-    Returns
-    -------
-    tuple
-        The results, and the errors of the benches that were refused.
-    """
+    """Solve a row for several seeds."""
     solved, refused = [], []
     for seed in seeds:
         try:
@@ -326,17 +239,7 @@ def solve_all(row: Row, seeds: Sequence[int]) -> tuple[list[Solved], list[str]]:
 def shortcomings(row: Row, solved: Sequence[Solved]) -> list[str]:
     """Return in which points results fall short of what their row asks.
 
-    Parameters
-    ----------
-    row
-        The row.
-    solved
-        Its results.
-
-    Returns
-    -------
-    list of str
-        Sentences; none if all is as asked.
+    Returns: Sentences; none if all is as asked.
     """
     asked, faults = row.asked, []
     error = max(abs(one.error_px) for one in solved)

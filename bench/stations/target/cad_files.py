@@ -37,22 +37,8 @@ _NO_DATE = datetime(2000, 1, 1, tzinfo=UTC)
 def dxf(drawing: Drawing, units: str) -> bytes:
     """Write a drawing as DXF (AutoCAD 2010), with a closed polyline for each area.
 
-    Parameters
-    ----------
-    drawing
-        The reticle.
-    units
-        Unit of the coordinates; the file states it as ``$INSUNITS``.
-
-    Returns
-    -------
-    bytes
-        The file.
-
-    Raises
-    ------
-    UsageError
-        If ezdxf is not installed.
+    units: Unit of the coordinates; the file states it as ``$INSUNITS``.
+    Raises UsageError: If ezdxf is not installed.
     """
     ezdxf = _library("ezdxf")
     was = ezdxf.options.write_fixed_meta_data_for_testing
@@ -79,24 +65,9 @@ _ON_OPAQUE = {"layer": OPAQUE_LAYER}
 def gdsii(drawing: Drawing, units: str) -> bytes:
     """Write a drawing as GDSII, with one flat cell and steps of 1 nm.
 
-    Parameters
-    ----------
-    drawing
-        The reticle.
-    units
-        Unit of the coordinates that a program shows; the steps do not depend on it.
-
-    Returns
-    -------
-    bytes
-        The file.
-
-    Raises
-    ------
-    UsageError
-        If gdstk is not installed.
-    TooLarge
-        If the glass is larger than steps of 1 nm can count.
+    units: Unit of the coordinates that a program shows; the steps do not depend on it.
+    Raises UsageError: If gdstk is not installed.
+    Raises TooLarge: If the glass is larger than steps of 1 nm can count.
     """
     gdstk = _library("gdstk")
     if max(drawing.width_mm, drawing.height_mm) >= _LARGEST_GDS_MM:

@@ -23,22 +23,10 @@ WRITERS: Mapping[str, Callable[[Drawing, str], bytes]] = {
 def drawing_file(target: TargetConfig, path: Path) -> bytes:
     """Return the file with the drawing of a target. Nothing is written.
 
-    Parameters
-    ----------
-    target
-        Section ``target`` of a station.
-    path
-        Name of the file; its ending is one of `WRITERS`.
-
-    Returns
-    -------
-    bytes
-        Content of the file.
-
-    Raises
-    ------
-    UsageError
-        If the ending is unknown, the library that writes it is missing, or the drawing does not fit into it.
+    target: Section ``target`` of a station.
+    path: Name of the file; its ending is one of `WRITERS`.
+    Raises UsageError: If the ending is unknown, the library that writes it is missing, or the drawing does
+      not fit into it.
     """
     write = WRITERS.get(path.suffix.lower())
     if write is None:

@@ -75,51 +75,22 @@ GLYPHS = {
 def unknown_letters(text: str) -> str:
     """Return the letters of a text that cannot be drawn, each once.
 
-    Parameters
-    ----------
-    text
-        The text; capital letters take the place of small ones.
-
-    Returns
-    -------
-    str
-        The letters in their order; empty if all can be drawn.
+    Returns: The letters in their order; empty if all can be drawn.
     """
     return "".join(dict.fromkeys(letter for letter in text.upper() if letter not in GLYPHS))
 
 
 def text_width(text: str, height: float) -> float:
-    """Return the width of a text.
-
-    Parameters
-    ----------
-    text
-        The text.
-    height
-        Height of its letters, in any unit.
-
-    Returns
-    -------
-    float
-        Width, in the unit of the height.
-    """
+    """Return the width of a text."""
     return max(0, (COLUMNS + 1) * len(text) - 1) * height / ROWS
 
 
 def text_rectangles(text: str, height: float) -> NDArray[np.float64]:
     """Return the rectangles of a text, with the upper left corner of its first letter at the origin, Y down.
 
-    Parameters
-    ----------
-    text
-        The text, with letters of `GLYPHS` only.
-    height
-        Height of its letters, in any unit.
-
-    Returns
-    -------
-    array
-        (N, 4) float64, in the unit of the height: left, top, right, bottom of each rectangle; they do not overlap.
+    text: The text, with letters of `GLYPHS` only.
+    Returns: (N, 4) float64, in the unit of the height: left, top, right, bottom of each rectangle; they do
+      not overlap.
     """
     cells = [
         (left + place * (COLUMNS + 1), row, right + place * (COLUMNS + 1), row + 1)

@@ -36,46 +36,24 @@ _MOST_POLYGONS = 1_000_000
 
 
 class Shapes(NamedTuple):
-    """Polygons of one part of a drawing.
+    """Polygons of one part of a drawing."""
 
-    Attributes
-    ----------
-    name
-        Part: "stars", "tag" or "margin".
-    polygons
-        (K, 2) float64 each, mm, corners in order, not repeated at the end.
-    joined
-        Number of polygons in a row that belong together, such as the segments of a star; 0: all of them.
-    """
-
-    name: str
-    polygons: list[Array]
+    name: str  # Part: "stars", "tag" or "margin"
+    polygons: list[Array]  # (K, 2) float64 each, mm, corners in order, not repeated at the end
+    # Number of polygons in a row that belong together, such as the segments of a star; 0: all of them.
     joined: int = 0
 
 
 @dataclass(frozen=True)
 class Drawing:
-    """A reticle as areas.
-
-    Attributes
-    ----------
-    width_mm, height_mm
-        Size of the glass.
-    parts
-        Opaque areas.
-    outline
-        Whether the edge of the glass is to be drawn.
-    title
-        What the drawing shows, one line.
-    offset_mm
-        Node (0, 0) of the pattern in the frame of the drawing, before any mirroring.
-    """
+    """A reticle as areas."""
 
     width_mm: float
     height_mm: float
     parts: tuple[Shapes, ...]
-    outline: bool
+    outline: bool  # Whether the edge of the glass is to be drawn
     title: str
+    # Node (0, 0) of the pattern in the frame of the drawing, before any mirroring.
     offset_mm: tuple[float, float]
 
     @property
@@ -87,21 +65,9 @@ class Drawing:
 def draw_target(target: TargetConfig) -> Drawing:
     """Draw the reticle that a station describes.
 
-    Parameters
-    ----------
-    target
-        Section ``target`` of the station.
-
-    Returns
-    -------
-    Drawing
-        The opaque areas.
-
-    Raises
-    ------
-    UsageError
-        If the serial number has letters that cannot be drawn, the marks do not fit into the margin, or the pattern
-        has too many parts for a file.
+    target: Section ``target`` of the station.
+    Raises UsageError: If the serial number has letters that cannot be drawn, the marks do not fit into the
+      margin, or the pattern has too many parts for a file.
     """
     pattern, negative = target.pattern(), target.polarity == "negative"
     if len(pattern.ids) * pattern.segments > 2 * _MOST_POLYGONS:
@@ -130,15 +96,8 @@ def draw_target(target: TargetConfig) -> Drawing:
 def title_of(target: TargetConfig) -> str:
     """Return what a target is, in one line, such as ``36h11-3 50/72 4.01389 mm``.
 
-    Parameters
-    ----------
-    target
-        Section ``target`` of the station.
-
-    Returns
-    -------
-    str
-        Serial number (if any), tag family and number, squares and pitch.
+    target: Section ``target`` of the station.
+    Returns: Serial number (if any), tag family and number, squares and pitch.
     """
     serial = f"{target.serial.upper()}  " if target.serial else ""
     columns, rows = target.squares
@@ -238,20 +197,9 @@ def _moved(rectangles: Array, x: float, y: float) -> Array:
 def scale_bar_mm(target: TargetConfig) -> float:
     """Return the length of the scale bars of a drawing.
 
-    Parameters
-    ----------
-    target
-        Section ``target`` of the station.
-
-    Returns
-    -------
-    float
-        Length, mm; 0 if there are none.
-
-    Raises
-    ------
-    UsageError
-        If the bar that is asked for is longer than the pattern.
+    target: Section ``target`` of the station.
+    Returns: Length, mm; 0 if there are none.
+    Raises UsageError: If the bar that is asked for is longer than the pattern.
     """
     pattern, given = target.pattern(), target.drawing.scale_bar_mm
     shorter = min(pattern.columns, pattern.rows) * pattern.pitch_mm

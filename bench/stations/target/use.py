@@ -36,70 +36,30 @@ _SEGMENTS = (12, 16, 24, 32)
 
 @dataclass(frozen=True)
 class Optics:
-    """Lens, sensor and beam with which a target is used.
+    """Lens, sensor and beam with which a target is used."""
 
-    Attributes
-    ----------
-    focal_px
-        Focal length of the lens, px.
-    r_mm
-        Focal length of the collimator, mm.
-    image_size
-        Width and height, px.
-    half_angle_deg
-        Half angle of the beam; None if it is unknown.
-    """
-
-    focal_px: float
-    r_mm: float
-    image_size: tuple[int, int]
-    half_angle_deg: float | None
+    focal_px: float  # Focal length of the lens, px
+    r_mm: float  # Focal length of the collimator, mm
+    image_size: tuple[int, int]  # Width and height, px
+    half_angle_deg: float | None  # Half angle of the beam; None if it is unknown
 
 
 @dataclass(frozen=True)
 class TargetUse:
-    """What a target is good for.
-
-    Attributes
-    ----------
-    stars
-        Number of stars on the target.
-    pitch_px
-        Distance of neighbouring stars in the image.
-    stars_in_view
-        Whole stars that the camera sees when it looks at the tag.
-    segment_px
-        Width of a star's segment at 0.4 pitches from its centre.
-    tag_px
-        Side of the tag.
-    camera_deg
-        Field of the camera, width and height.
-    target_deg
-        Field that the target fills from the middle of the tag: left, right, up, down.
-    beam_deg
-        Full angle of the beam; None if it is unknown.
-    warnings
-        What to change, one sentence or two each.
-    """
+    """What a target is good for."""
 
     stars: int
     pitch_px: float
-    stars_in_view: int
-    segment_px: float
+    stars_in_view: int  # Whole stars that the camera sees when it looks at the tag
+    segment_px: float  # Width of a star's segment at 0.4 pitches from its centre
     tag_px: float
     camera_deg: tuple[float, float]
     target_deg: tuple[float, float, float, float]
-    beam_deg: float | None
+    beam_deg: float | None  # Full angle of the beam; None if it is unknown
     warnings: tuple[str, ...]
 
     def to_dict(self) -> dict[str, Any]:
-        """Return everything as plain numbers and texts.
-
-        Returns
-        -------
-        dict
-            Values by name.
-        """
+        """Return everything as plain numbers and texts."""
         return asdict(self)
 
 
@@ -108,26 +68,10 @@ def optics_of(
 ) -> Optics:
     """Return lens, sensor and beam: as given, or else from sections ``expected`` and ``collimator`` of a station.
 
-    Parameters
-    ----------
-    station
-        The station.
-    focal_length_mm
-        Focal length of the lens; None: that of the station.
-    r_mm
-        Focal length of the collimator; None: that of the station.
-    pixel_um
-        Side of a pixel; None: that of the IMX636.
-
-    Returns
-    -------
-    Optics
-        The values.
-
-    Raises
-    ------
-    UsageError
-        If neither the options nor the station give a value.
+    focal_length_mm: Focal length of the lens; None: that of the station.
+    r_mm: Focal length of the collimator; None: that of the station.
+    pixel_um: Side of a pixel; None: that of the IMX636.
+    Raises UsageError: If neither the options nor the station give a value.
     """
     expected, collimator = station.expected, station.collimator
     certificate = collimator.certificate
@@ -158,17 +102,7 @@ def use_of(target: TargetConfig, optics: Optics) -> TargetUse:
     A place X mm off the axis of the collimator is seen in the direction X / r, and lies f X / r px off the middle of
     the image (Hartley and Zisserman, 2004, section 6.1).
 
-    Parameters
-    ----------
-    target
-        Section ``target`` of a station.
-    optics
-        Lens, sensor and beam.
-
-    Returns
-    -------
-    TargetUse
-        Numbers and warnings.
+    target: Section ``target`` of a station.
     """
     pattern = target.pattern()
     px_per_mm = optics.focal_px / optics.r_mm

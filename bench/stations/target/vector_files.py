@@ -30,17 +30,7 @@ class TooLarge(ValueError):
 def svg(drawing: Drawing, units: str) -> bytes:
     """Write a drawing as SVG.
 
-    Parameters
-    ----------
-    drawing
-        The reticle.
-    units
-        Unit of the coordinates, a key of `MM_PER_UNIT`; the printed size does not depend on it.
-
-    Returns
-    -------
-    bytes
-        The file.
+    units: Unit of the coordinates, a key of `MM_PER_UNIT`; the printed size does not depend on it.
     """
     scale = 1.0 / MM_PER_UNIT[units]
     width, height = drawing.width_mm * scale, drawing.height_mm * scale
@@ -71,22 +61,8 @@ def svg(drawing: Drawing, units: str) -> bytes:
 def pdf(drawing: Drawing, units: str) -> bytes:
     """Write a drawing as a PDF of one page, which is as large as the glass.
 
-    Parameters
-    ----------
-    drawing
-        The reticle.
-    units
-        Unused: the unit of a PDF is the point, 1/72 inch.
-
-    Returns
-    -------
-    bytes
-        The file.
-
-    Raises
-    ------
-    TooLarge
-        If the glass is larger than a page may be.
+    units: Unused: the unit of a PDF is the point, 1/72 inch.
+    Raises TooLarge: If the glass is larger than a page may be.
     """
     del units
     if max(drawing.width_mm, drawing.height_mm) > _LARGEST_PDF_MM:

@@ -29,22 +29,9 @@ _NO_EDGES: Final = np.zeros(0, [("t", "<u8"), ("source", "u1")])
 def from_aedat4(path: Path) -> EventSource:
     """Open an AEDAT4 file.
 
-    Parameters
-    ----------
-    path
-        The file.
-
-    Returns
-    -------
-    EventSource
-        Its only stream of events, with the edges at the camera's signal input.
-
-    Raises
-    ------
-    ValueError
-        If it cannot be decoded, or has no stream of events or several.
-    CameraSoftwareMissing
-        If the package ``aedat`` is not installed.
+    Returns: Its only stream of events, with the edges at the camera's signal input.
+    Raises ValueError: If it cannot be decoded, or has no stream of events or several.
+    Raises CameraSoftwareMissing: If the package ``aedat`` is not installed.
     """
     with _told():
         streams = _decoder(path).id_to_stream()

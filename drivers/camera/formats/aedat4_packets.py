@@ -34,22 +34,11 @@ class UnreadablePacket(ValueError):
 def checked_packets(path: Path) -> Iterator[int]:
     """Check one packet after another.
 
-    Parameters
-    ----------
-    path
-        The AEDAT4 file.
-
-    Yields
-    ------
-    int
-        For each packet the most bytes that it unpacks to; the packet may now be decoded.
-
-    Raises
-    ------
-    UnreadablePacket
-        If the header or a packet is larger than the file or than what is read, or if its compression cannot be read.
-    OSError
-        If the file cannot be read.
+    path: The AEDAT4 file.
+    Yields: For each packet the most bytes that it unpacks to; the packet may now be decoded.
+    Raises UnreadablePacket: If the header or a packet is larger than the file or than what is read, or if its
+      compression cannot be read.
+    Raises OSError: If the file cannot be read.
     """
     with path.open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as data:
         yield from _packets(_Bytes(data))

@@ -46,20 +46,8 @@ _WORST_BYTES: Final = 24
 def encode(events: Events) -> bytes:
     """Compress a chunk of events.
 
-    Parameters
-    ----------
-    events
-        The events, 1 to 65535.
-
-    Returns
-    -------
-    bytes
-        The chunk.
-
-    Raises
-    ------
-    ValueError
-        If there are no events or too many, or a column or row needs more than 11 bits.
+    events: The events, 1 to 65535.
+    Raises ValueError: If there are no events or too many, or a column or row needs more than 11 bits.
     """
     n = len(events.t)
     if not 0 < n <= MAX_EVENTS:
@@ -85,20 +73,7 @@ def encode(events: Events) -> bytes:
 def decode(chunk: bytes) -> Events:
     """Decompress a chunk.
 
-    Parameters
-    ----------
-    chunk
-        The bytes of one chunk.
-
-    Returns
-    -------
-    Events
-        Its events.
-
-    Raises
-    ------
-    ValueError
-        If the chunk ends too early, or its runs do not add up to its number of events.
+    Raises ValueError: If the chunk ends too early, or its runs do not add up to its number of events.
     """
     if len(chunk) < _HEAD_BYTES:
         raise ValueError(f"a chunk of {len(chunk)} bytes is shorter than its header")

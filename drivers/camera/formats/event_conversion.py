@@ -44,15 +44,7 @@ _BY_ENDING: Final[Mapping[str, Kind]] = {
 def kind_of_name(path: Path) -> Kind | None:
     """Return the kind of file that a name stands for: Metavision writes ``.hdf5``, others ``.h5``.
 
-    Parameters
-    ----------
-    path
-        The name.
-
-    Returns
-    -------
-    str or None
-        The kind; None if the ending is not known.
+    Returns: The kind; None if the ending is not known.
 
     Examples
     --------
@@ -65,30 +57,13 @@ def kind_of_name(path: Path) -> Kind | None:
 def convert(source: Path, target: Path, kind: Kind, *, utc_now: Callable[[], datetime]) -> ExportSummary:
     """Write the events and triggers of a file as a new file of another kind.
 
-    Parameters
-    ----------
-    source
-        The file to read; its contents decide its kind, not its name.
-    target
-        The file to make; it must not exist, and appears complete or not at all.
-    kind
-        Kind of the new file.
-    utc_now
-        Returns the time for the header of a new RAW file, if the source states none.
-
-    Returns
-    -------
-    ExportSummary
-        What was written.
-
-    Raises
-    ------
-    NotARecording
-        If the source holds no events, or both files would be RAW.
-    RecordingCorrupt
-        If the source is damaged.
-    RecordingFileError
-        If the source cannot be read, the target exists or cannot be written, or EVT3 cannot represent the contents.
+    source: The file to read; its contents decide its kind, not its name.
+    target: The file to make; it must not exist, and appears complete or not at all.
+    utc_now: Returns the time for the header of a new RAW file, if the source states none.
+    Raises NotARecording: If the source holds no events, or both files would be RAW.
+    Raises RecordingCorrupt: If the source is damaged.
+    Raises RecordingFileError: If the source cannot be read, the target exists or cannot be written, or EVT3
+      cannot represent the contents.
     """
     if is_evt3(source):
         if kind == "raw":
@@ -114,26 +89,10 @@ def write_raw(
 ) -> ExportSummary:
     """Write events as a new RAW file of EVT3. Its header names the source.
 
-    Parameters
-    ----------
-    found
-        The open file of the events.
-    path
-        The file to make; it must not exist.
-    source
-        The file that the events come from.
-    utc_now
-        Returns the time for the header, if the source states none.
-
-    Returns
-    -------
-    ExportSummary
-        What was written.
-
-    Raises
-    ------
-    RecordingFileError
-        If the file exists or cannot be written, or EVT3 cannot represent the sensor's size, times or triggers.
+    path: The file to make; it must not exist.
+    utc_now: Returns the time for the header, if the source states none.
+    Raises RecordingFileError: If the file exists or cannot be written, or EVT3 cannot represent the sensor's
+      size, times or triggers.
     """
     if not all(0 < side <= MAX_SIDE_PX for side in (found.width, found.height)):
         raise RecordingFileError(
@@ -179,15 +138,7 @@ def _folder_beside(target: Path) -> TemporaryDirectory[str]:
 def is_evt3(path: Path) -> bool:
     """Return whether a file is a RAW recording with EVT3 words, or pretends to be one.
 
-    Parameters
-    ----------
-    path
-        The file.
-
-    Returns
-    -------
-    bool
-        False too where it cannot be read.
+    Returns: False too where it cannot be read.
     """
     try:
         require_regular(path)

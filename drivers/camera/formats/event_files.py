@@ -56,43 +56,21 @@ _NOT_THERE: Final = ("evt", "plugin_name")  # keys without meaning outside RAW
 
 @dataclass(frozen=True)
 class ExportSummary:
-    """What was written to a file.
-
-    Attributes
-    ----------
-    events, triggers
-        Number of events and of trigger edges.
-    moved_events
-        Number of events that got their predecessor's time, because the format demands rising times.
-    cut_off
-        Whether the recording ends in the middle of a word, as half of all recordings do that were cut off.
-    """
+    """What was written to a file."""
 
     events: int
     triggers: int
+    # Number of events that got their predecessor's time, because the format demands rising times.
     moved_events: int = 0
+    # Whether the recording ends in the middle of a word, as half of all recordings do that were cut off.
     cut_off: bool = False
 
 
 def export_metavision(recording: RawFile, path: Path) -> ExportSummary:
     """Write a Metavision HDF5 file, with bounded memory.
 
-    Parameters
-    ----------
-    recording
-        The RAW file to export.
-    path
-        The file to make; it must not exist.
-
-    Returns
-    -------
-    ExportSummary
-        What was written.
-
-    Raises
-    ------
-    RecordingFileError
-        If the file exists or cannot be written, or the recording cannot be read.
+    path: The file to make; it must not exist.
+    Raises RecordingFileError: If the file exists or cannot be written, or the recording cannot be read.
     """
     triggers: list[Triggers] = []
     with _new_hdf5(path) as file:
@@ -117,22 +95,8 @@ def export_metavision(recording: RawFile, path: Path) -> ExportSummary:
 def export_hdf5(recording: RawFile, path: Path) -> ExportSummary:
     """Write a plain HDF5 file, with bounded memory.
 
-    Parameters
-    ----------
-    recording
-        The RAW file to export.
-    path
-        The file to make; it must not exist.
-
-    Returns
-    -------
-    ExportSummary
-        What was written.
-
-    Raises
-    ------
-    RecordingFileError
-        If the file exists or cannot be written, or the recording cannot be read.
+    path: The file to make; it must not exist.
+    Raises RecordingFileError: If the file exists or cannot be written, or the recording cannot be read.
     """
     triggers: list[Triggers] = []
     n = 0
@@ -165,22 +129,8 @@ def export_hdf5(recording: RawFile, path: Path) -> ExportSummary:
 def export_numpy(recording: RawFile, path: Path) -> ExportSummary:
     """Write an ``.npz`` file. All events are in memory meanwhile.
 
-    Parameters
-    ----------
-    recording
-        The RAW file to export.
-    path
-        The file to make; it must not exist.
-
-    Returns
-    -------
-    ExportSummary
-        What was written.
-
-    Raises
-    ------
-    RecordingFileError
-        If the file exists or cannot be written, or the recording cannot be read.
+    path: The file to make; it must not exist.
+    Raises RecordingFileError: If the file exists or cannot be written, or the recording cannot be read.
     """
     events, triggers = recording.read()
     with new_file(path) as part, part.open("xb") as file:

@@ -54,20 +54,12 @@ _UNREADABLE: Final = (
 
 @dataclass(frozen=True)
 class ImportedEvents:
-    """The contents of an imported file.
+    """The contents of an imported file."""
 
-    Attributes
-    ----------
-    events, triggers
-        In the order of the file.
-    width, height
-        Size of the sensor, px.
-    header
-        Other keys and texts that the file holds about the recording.
-    """
-
+    # events, triggers: In the order of the file.
     events: Events
     triggers: Triggers
+    # width, height: Size of the sensor, px.
     width: int
     height: int
     header: Mapping[str, str]
@@ -77,25 +69,11 @@ class ImportedEvents:
 def open_events(path: Path | str) -> Iterator[EventSource]:
     """Open a file of events. Its contents decide the format, not its name.
 
-    Parameters
-    ----------
-    path
-        The file.
-
-    Yields
-    ------
-    EventSource
-        The file; its events can be read until the end of the block.
-
-    Raises
-    ------
-    NotARecording
-        If it has none of the formats, lacks a part, keeps data in another file, or an event lies outside the
-        sensor.
-    RecordingCorrupt
-        If a chunk of events cannot be decompressed.
-    RecordingFileError
-        If it cannot be read.
+    Yields: The file; its events can be read until the end of the block.
+    Raises NotARecording: If it has none of the formats, lacks a part, keeps data in another file, or an event
+      lies outside the sensor.
+    Raises RecordingCorrupt: If a chunk of events cannot be decompressed.
+    Raises RecordingFileError: If it cannot be read.
     """
     path = Path(path)
     with ExitStack() as opened:
@@ -119,20 +97,8 @@ def open_events(path: Path | str) -> Iterator[EventSource]:
 def import_events(path: Path | str) -> ImportedEvents:
     """Read a file at once. Its contents decide the format, not its name.
 
-    Parameters
-    ----------
-    path
-        The file.
-
-    Returns
-    -------
-    ImportedEvents
-        All of it, in memory: 13 bytes an event.
-
-    Raises
-    ------
-    NotARecording, RecordingCorrupt, RecordingFileError
-        As `open_events`.
+    Returns: All of it, in memory: 13 bytes an event.
+    Raises NotARecording, RecordingCorrupt, RecordingFileError: As `open_events`.
     """
     with open_events(path) as source:
         with _told(Path(path)):

@@ -62,22 +62,10 @@ class Evt3Encoder:
     def words(self, events: Events, triggers: Triggers) -> Words:
         """Encode the next events and edges, merged by time; edges stand before events of the same microsecond.
 
-        Parameters
-        ----------
-        events
-            Times from 0 to one day, us; columns and rows below 2048 px; polarities 0 or 1.
-        triggers
-            Times from 0 to one day, us; values 0 or 1; channels 0 to 15.
-
-        Returns
-        -------
-        ndarray
-            (N,) uint16, EVT3 words.
-
-        Raises
-        ------
-        ValueError
-            If a value lies outside its range.
+        events: Times from 0 to one day, us; columns and rows below 2048 px; polarities 0 or 1.
+        triggers: Times from 0 to one day, us; values 0 or 1; channels 0 to 15.
+        Returns: (N,) uint16, EVT3 words.
+        Raises ValueError: If a value lies outside its range.
         """
         for t in (events.t, triggers.t):
             if len(t) and (t.min() < 0 or t.max() >= MAX_TIME_US):

@@ -36,17 +36,7 @@ Decoder = Callable[[bytes], NDArray[Any]]
 def has_member(group: Any, name: str) -> bool:
     """Return whether a group has a member of this name. The member need not be readable.
 
-    Parameters
-    ----------
-    group
-        The group, or the file.
-    name
-        Name without slashes.
-
-    Returns
-    -------
-    bool
-        Also True for a link.
+    name: Name without slashes.
     """
     return group.get(name, getlink=True) is not None
 
@@ -54,22 +44,7 @@ def has_member(group: Any, name: str) -> bool:
 def member(group: Any, path: str) -> Any:
     """Return a part of a file that lies in the file itself.
 
-    Parameters
-    ----------
-    group
-        The group, or the file.
-    path
-        Names with slashes between them.
-
-    Returns
-    -------
-    h5py.Group or h5py.Dataset
-        The part.
-
-    Raises
-    ------
-    ValueError
-        If it is missing, or a name on the way is a link to another place.
+    Raises ValueError: If it is missing, or a name on the way is a link to another place.
     """
     here = group
     for name in path.split("/"):
@@ -86,23 +61,8 @@ def member(group: Any, path: str) -> Any:
 def dataset(group: Any, path: str) -> Any:
     """Return an array of a file, after a check that the file itself holds it.
 
-    Parameters
-    ----------
-    group
-        The group, or the file.
-    path
-        Names with slashes between them.
-
-    Returns
-    -------
-    h5py.Dataset
-        The array; its type is a number, or a table of numbers.
-
-    Raises
-    ------
-    ValueError
-        If it is missing, no array, kept in another file, compressed by an unknown filter, or larger than the file can
-        hold.
+    Raises ValueError: If it is missing, no array, kept in another file, compressed by an unknown filter, or
+      larger than the file can hold.
     """
     found = member(group, path)
     if not isinstance(found, h5py.Dataset):
@@ -124,19 +84,7 @@ def dataset(group: Any, path: str) -> Any:
 def require_ratio(stated_bytes: int, file_bytes: int, what: str) -> None:
     """Refuse arrays that are much larger than the file that holds them.
 
-    Parameters
-    ----------
-    stated_bytes
-        Size of the arrays.
-    file_bytes
-        Size of the file, or of its compressed part.
-    what
-        Names the arrays in the message.
-
-    Raises
-    ------
-    ValueError
-        If the ratio is impossible for recorded events.
+    Raises ValueError: If the ratio is impossible for recorded events.
     """
     if stated_bytes > max(SMALL_BYTES, MOST_RATIO * file_bytes):
         raise ValueError(
@@ -147,15 +95,7 @@ def require_ratio(stated_bytes: int, file_bytes: int, what: str) -> None:
 def filters(found: Any) -> list[int]:
     """Return the numbers of an array's compression filters.
 
-    Parameters
-    ----------
-    found
-        The array.
-
-    Returns
-    -------
-    list of int
-        In the order of writing.
+    Returns: In the order of writing.
     """
     creation = found.id.get_create_plist()
     return [creation.get_filter(k)[0] for k in range(creation.get_nfilters())]
@@ -164,22 +104,10 @@ def filters(found: Any) -> list[int]:
 def rows(found: Any, decode: Decoder | None = None) -> Iterator[NDArray[Any]]:
     """Read an array of one dimension, or of whole rows, piece by piece.
 
-    Parameters
-    ----------
-    found
-        What `dataset` returned. A chunked one must be chunked along its first dimension only.
-    decode
-        Decompresses a chunk; None for gzip, shuffle and check sums.
-
-    Yields
-    ------
-    ndarray
-        (n, ...) rows in the array's own type, in order; all of them together are the whole array.
-
-    Raises
-    ------
-    ValueError
-        If chunks are missing or damaged. `ChunkDamaged` states the place.
+    found: What `dataset` returned. A chunked one must be chunked along its first dimension only.
+    decode: Decompresses a chunk; None for gzip, shuffle and check sums.
+    Yields: (n, ...) rows in the array's own type, in order; all of them together are the whole array.
+    Raises ValueError: If chunks are missing or damaged. `ChunkDamaged` states the place.
     """
     total = found.shape[0] if found.shape else 0
     if found.chunks is None:
@@ -209,22 +137,8 @@ def rows(found: Any, decode: Decoder | None = None) -> Iterator[NDArray[Any]]:
 def whole(found: Any, most_bytes: int) -> NDArray[Any]:
     """Read an array at once.
 
-    Parameters
-    ----------
-    found
-        What `dataset` returned.
-    most_bytes
-        Largest size that is read.
-
-    Returns
-    -------
-    ndarray
-        The array, in its own shape and type.
-
-    Raises
-    ------
-    ValueError
-        If it is larger, or cannot be read.
+    found: What `dataset` returned.
+    Raises ValueError: If it is larger, or cannot be read.
     """
     if found.nbytes > most_bytes:
         raise ValueError(f"{found.name} has {found.nbytes} bytes; at most {most_bytes} are read")
@@ -249,20 +163,7 @@ def whole(found: Any, most_bytes: int) -> NDArray[Any]:
 def texts(group: Any) -> dict[str, str]:
     """Return the attributes of a group, as text.
 
-    Parameters
-    ----------
-    group
-        The group, or the file.
-
-    Returns
-    -------
-    dict
-        Text by name.
-
-    Raises
-    ------
-    ValueError
-        If there are more attributes, or longer ones, than a recording has.
+    Raises ValueError: If there are more attributes, or longer ones, than a recording has.
     """
     names = list(group.attrs)
     if len(names) > _MOST_ATTRIBUTES:
@@ -282,12 +183,7 @@ def texts(group: Any) -> dict[str, str]:
 class ChunkDamaged(ValueError):
     """A chunk cannot be decompressed.
 
-    Parameters
-    ----------
-    what
-        What is wrong with it.
-    offset
-        Its first byte in the file.
+    offset: Its first byte in the file.
     """
 
     def __init__(self, what: str, offset: int) -> None:

@@ -19,20 +19,8 @@ from drivers.errors import DriverError, RecordingFileError
 def new_file(path: Path) -> Iterator[Path]:
     """Provide a path to write to; at the end of the block the file is renamed to its own name.
 
-    Parameters
-    ----------
-    path
-        The file to make; it must not exist.
-
-    Yields
-    ------
-    Path
-        The path to write to, in the same folder.
-
-    Raises
-    ------
-    RecordingFileError
-        If the file exists, or cannot be written.
+    path: The file to make; it must not exist.
+    Raises RecordingFileError: If the file exists, or cannot be written.
     """
     part = path.with_name(f"{path.name}.part")
     try:
@@ -53,17 +41,7 @@ def new_file(path: Path) -> Iterator[Path]:
 def write_error(path: Path, error: OSError) -> RecordingFileError:
     """Build the error of a file that cannot be written.
 
-    Parameters
-    ----------
-    path
-        The file.
-    error
-        What the system reports.
-
-    Returns
-    -------
-    RecordingFileError
-        With the system's reason.
+    Returns: With the system's reason.
     """
     return RecordingFileError(
         f"The file cannot be written ({error.strerror or error}).",

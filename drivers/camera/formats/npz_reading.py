@@ -27,17 +27,8 @@ _END: Final = b"PK\x05\x06"
 class NpzFile:
     """An open ``.npz`` file.
 
-    Parameters
-    ----------
-    path
-        The file.
-
-    Raises
-    ------
-    ValueError
-        If it is no such file.
-    zipfile.BadZipFile
-        If the archive is damaged.
+    Raises ValueError: If it is no such file.
+    Raises zipfile.BadZipFile: If the archive is damaged.
     """
 
     def __init__(self, path: Path) -> None:
@@ -56,20 +47,7 @@ class NpzFile:
     def length(self, name: str) -> int:
         """Return the number of elements of a list.
 
-        Parameters
-        ----------
-        name
-            Name of the array.
-
-        Returns
-        -------
-        int
-            Its length.
-
-        Raises
-        ------
-        ValueError
-            If it is missing, or no list of whole numbers.
+        Raises ValueError: If it is missing, or no list of whole numbers.
         """
         with self._open(name) as stream:
             return self._header(stream, name)[0]
@@ -77,22 +55,9 @@ class NpzFile:
     def rows(self, name: str, step: int) -> Iterator[NDArray[Any]]:
         """Read a list piece by piece.
 
-        Parameters
-        ----------
-        name
-            Name of the array.
-        step
-            Number of elements of a piece.
-
-        Yields
-        ------
-        ndarray
-            (n,) integers of the array's own type, the next ones; the last piece may be shorter.
-
-        Raises
-        ------
-        ValueError
-            If it is missing, no list of whole numbers, or ends too early.
+        step: Number of elements of a piece.
+        Yields: (n,) integers of the array's own type, the next ones; the last piece may be shorter.
+        Raises ValueError: If it is missing, no list of whole numbers, or ends too early.
         """
         with self._open(name) as stream:
             n, dtype = self._header(stream, name)

@@ -38,22 +38,9 @@ _SIZES: Final = {"49": (1280, 720), "48": (1280, 720), "42": (1280, 720), "21": 
 def header_fields(start: bytes) -> tuple[Mapping[str, str], int]:
     """Read the lines ``% key value`` at the start of a file.
 
-    Parameters
-    ----------
-    start
-        The first 65536 bytes of the file, or all of it.
-
-    Returns
-    -------
-    fields
-        Texts by key; keys in lower case.
-    size
-        Length of the header, bytes.
-
-    Raises
-    ------
-    ValueError
-        If the header does not end.
+    start: The first 65536 bytes of the file, or all of it.
+    Returns: Length of the header, bytes.
+    Raises ValueError: If the header does not end.
     """
     fields: dict[str, str] = {}
     at = 0
@@ -73,15 +60,8 @@ def header_fields(start: bytes) -> tuple[Mapping[str, str], int]:
 def is_evt2(fields: Mapping[str, str]) -> bool:
     """Return whether a header announces EVT2.
 
-    Parameters
-    ----------
-    fields
-        The header, as `header_fields` returns it.
-
-    Returns
-    -------
-    bool
-        True for ``format EVT2`` or ``evt 2.0``.
+    fields: The header, as `header_fields` returns it.
+    Returns: True for ``format EVT2`` or ``evt 2.0``.
     """
     encoding = fields.get("format", "").partition(";")[0]
     return encoding == "EVT2" or (not encoding and fields.get("evt") == "2.0")
@@ -90,15 +70,7 @@ def is_evt2(fields: Mapping[str, str]) -> bool:
 def is_evt2_file(path: Path) -> bool:
     """Return whether a file is RAW with EVT2 words.
 
-    Parameters
-    ----------
-    path
-        The file.
-
-    Returns
-    -------
-    bool
-        False too where it cannot be read; what reads it then says why.
+    Returns: False too where it cannot be read; what reads it then says why.
     """
     try:
         require_regular(path)
@@ -111,16 +83,9 @@ def is_evt2_file(path: Path) -> bool:
 def is_dat(start: bytes) -> bool:
     """Return whether a file is a DAT file of events.
 
-    Parameters
-    ----------
-    start
-        Its first bytes.
-
-    Returns
-    -------
-    bool
-        True for the first line that Prophesee's writers give to these files, and for a header that states a version
-        and a size but no encoding of RAW, as faery writes it.
+    start: Its first bytes.
+    Returns: True for the first line that Prophesee's writers give to these files, and for a header that
+      states a version and a size but no encoding of RAW, as faery writes it.
     """
     if start.startswith(b"% Data file containing"):
         return True
@@ -132,22 +97,8 @@ def is_dat(start: bytes) -> bool:
 def from_evt2(path: Path, fields: Mapping[str, str], begin: int) -> EventSource:
     """Open a RAW file of EVT2 words.
 
-    Parameters
-    ----------
-    path
-        The file.
-    fields, begin
-        Its header, and the offset of its first word, bytes.
-
-    Returns
-    -------
-    EventSource
-        The file.
-
-    Raises
-    ------
-    ValueError
-        If its size is not stated or impossible, or it has an event before its first time.
+    fields, begin: Its header, and the offset of its first word, bytes.
+    Raises ValueError: If its size is not stated or impossible, or it has an event before its first time.
     """
     return source_of_stream(lambda: _evt2_pieces(path, begin), _size(fields), _kept(fields))
 
@@ -155,22 +106,9 @@ def from_evt2(path: Path, fields: Mapping[str, str], begin: int) -> EventSource:
 def from_dat(path: Path, fields: Mapping[str, str], begin: int) -> EventSource:
     """Open a DAT file of CD events.
 
-    Parameters
-    ----------
-    path
-        The file.
-    fields, begin
-        Its header, and the offset of the byte after it.
-
-    Returns
-    -------
-    EventSource
-        The file; DAT files of events hold no trigger edges.
-
-    Raises
-    ------
-    ValueError
-        If it holds other events, or its size is not stated or impossible.
+    fields, begin: Its header, and the offset of the byte after it.
+    Returns: The file; DAT files of events hold no trigger edges.
+    Raises ValueError: If it holds other events, or its size is not stated or impossible.
     """
     with path.open("rb") as file:
         file.seek(begin)

@@ -55,17 +55,7 @@ _DEFINITIONS: Final = {
 def is_bag(path: Path, start: bytes) -> bool:
     """Return whether a path is a bag: a file of ROS 1, or a folder or file of ROS 2.
 
-    Parameters
-    ----------
-    path
-        The file or folder.
-    start
-        The file's first bytes; empty for a folder.
-
-    Returns
-    -------
-    bool
-        True for a bag.
+    start: The file's first bytes; empty for a folder.
     """
     if path.is_dir():
         return (path / "metadata.yaml").is_file()
@@ -77,22 +67,9 @@ def is_bag(path: Path, start: bytes) -> bool:
 def from_bag(path: Path) -> EventSource:
     """Open a bag with one topic of events.
 
-    Parameters
-    ----------
-    path
-        ``.bag`` of ROS 1; folder of ROS 2, or a file of such a folder.
-
-    Returns
-    -------
-    EventSource
-        Its events.
-
-    Raises
-    ------
-    ValueError
-        If it cannot be read, or has no topic of events or several.
-    CameraSoftwareMissing
-        If the package ``rosbags`` is not installed.
+    path: ``.bag`` of ROS 1; folder of ROS 2, or a file of such a folder.
+    Raises ValueError: If it cannot be read, or has no topic of events or several.
+    Raises CameraSoftwareMissing: If the package ``rosbags`` is not installed.
     """
     if path.suffix.lower() in {".db3", ".mcap"} and (path.parent / "metadata.yaml").is_file():
         path = path.parent

@@ -19,27 +19,15 @@ Piece = tuple[Events, Triggers]
 
 @dataclass(frozen=True)
 class EventSource:
-    """An open file of events.
-
-    Attributes
-    ----------
-    count
-        Number of events, as the file states it.
-    triggers
-        All trigger edges, in the order of the file.
-    width, height
-        Size of the sensor, px.
-    header
-        Other keys and texts that the file holds about the recording.
-    pieces
-        Reads the events in the order of the file. It raises as `open_events` does.
-    """
+    """An open file of events."""
 
     count: int
-    triggers: Triggers
+    triggers: Triggers  # All trigger edges, in the order of the file
+    # width, height: Size of the sensor, px.
     width: int
     height: int
     header: Mapping[str, str]
+    # Reads the events in the order of the file. It raises as `open_events` does.
     pieces: Callable[[], Iterator[Events]]
 
 
@@ -48,24 +36,9 @@ def source_of_stream(
 ) -> EventSource:
     """Read a stream once, and return it as a source of events.
 
-    Parameters
-    ----------
-    stream
-        Begins to read the file anew; yields events and edges, in the order of the file.
-    size
-        Width and height of the sensor, px.
-    header
-        Other keys and texts that the file holds about the recording.
-
-    Returns
-    -------
-    EventSource
-        The file.
-
-    Raises
-    ------
-    ValueError
-        If it has too many edges.
+    stream: Begins to read the file anew; yields events and edges, in the order of the file.
+    size: Width and height of the sensor, px.
+    Raises ValueError: If it has too many edges.
     """
     count, edges, found = 0, 0, []
     for events, triggers in stream():

@@ -13,15 +13,8 @@ _SECOND_US: Final = 1_000_000
 def origin_us(pieces: Iterator[Piece]) -> int:
     """Return the beginning of the second before the first event or edge.
 
-    Parameters
-    ----------
-    pieces
-        Events and edges with the file's own times; only the first of them are read.
-
-    Returns
-    -------
-    int
-        Time, us; 0 for a file without events.
+    pieces: Events and edges with the file's own times; only the first of them are read.
+    Returns: Time, us; 0 for a file without events.
     """
     for events, triggers in pieces:
         times = [int(column.t.min()) for column in (events, triggers) if len(column.t)]

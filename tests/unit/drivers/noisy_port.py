@@ -8,17 +8,7 @@ import numpy as np
 
 
 class NoisyPort:
-    """Stands between a driver and a peer in memory.
-
-    Parameters
-    ----------
-    peer
-        What really answers.
-    rng
-        Decides what is spoiled, and how.
-    rate
-        Share of the lines that are spoiled, each way.
-    """
+    """Stands between a driver and a peer in memory."""
 
     def __init__(self, peer, rng: np.random.Generator, rate: float) -> None:
         self.name = "noisy"
