@@ -62,7 +62,10 @@ class Lateness:
 
     @contextmanager
     def interpreter_held(self) -> Iterator[None]:
-        """Count no delay during the block: software of a maker runs in it that lets no other thread of Python run."""
+        """Count no delay during the block: software of a maker runs in it that lets no other thread of Python run.
+
+        Yields: During the block.
+        """
         with self._noting:
             self._held += 1
         try:

@@ -40,6 +40,7 @@ T = TypeVar("T")
 class ReplyReader:
     """Reads the reply to one request, up to its deadline. A ``read_reply`` function gets it from the link.
 
+    link: The line, held by this thread.
     deadline_s: Longest time for the whole reply, in seconds from now.
     """
 

@@ -28,7 +28,10 @@ except ImportError:  # Windows opens every serial port exclusively by itself.
 else:
 
     def lock_exclusively(descriptor: int) -> None:
-        """Lock an open port. Locking the same descriptor again does no harm."""
+        """Lock an open port. Locking the same descriptor again does no harm.
+
+        Raises BlockingIOError: Another program has locked the port.
+        """
         file_lock.lock(descriptor)
         # A device that is no terminal has no TIOCEXCL; the flock still holds.
         with contextlib.suppress(OSError):

@@ -18,6 +18,7 @@ T = TypeVar("T")
 def read_until_agreed(read: Callable[[], T], *, what: str, where: str) -> T:
     """Read until two consecutive readings are equal, at most five times.
 
+    read: Reads once.
     Raises ReplyGarbled: No two consecutive readings are equal. Exceptions of ``read`` pass through.
 
     Examples
@@ -51,6 +52,7 @@ def read_position_until_agreed(
     Of an axis at rest, two equal readings agree, or three within the tolerance (a servo trembles): the median counts.
     Of a moving axis, two readings agree when the axis can have moved from one to the other in the time between them.
 
+    read: Reads once.
     tolerance_deg: Largest tremble of an axis at rest, in degrees.
     speed_deg_s: Highest speed of the axis, in degrees per second.
     Returns: Position, in degrees.

@@ -31,6 +31,7 @@ def repeat(
 
     attempt: Sends one request and returns what it reads. Another call is made only after a ReplyError.
     tries: How often ``attempt`` is called in all, at least once; more often where the computer was too busy.
+    before_next: Called between a failure and the next attempt.
     Returns: What ``attempt`` returned.
     Raises ReplyError: The one of the last attempt. Any other exception of ``attempt`` ends the loop at once.
 
@@ -85,6 +86,7 @@ def resynchronise(
     The proof is a marker: a request whose answer cannot be the answer to an older request. The line is in step when
     the marker is answered and, for a protocol without message ids, nothing follows its answer. Two attempts are made.
 
+    link: The line, held by this thread.
     exchange_marker: Sends the marker and returns whether its answer is the expected one; raises ReplyError
       for no valid answer.
     quiet_s: How long nothing may arrive before the line counts as silent, in seconds.

@@ -69,6 +69,7 @@ class SerialPort:
 
     address: A device file, preferably below ``/dev/serial/by-id/``, a port name of the system,
       ``socket://host:port`` or ``rfc2217://host:port``. Other URLs of pyserial are refused.
+    baudrate: Bits per second.
     stopbits: Number of stop bits, 1 or 2.
     rtscts: Whether the device uses the lines RTS and CTS to hold the sender; only devices that need it have
       it.

@@ -71,7 +71,10 @@ def flatten(document: Located[Sequence]) -> tuple[Step, ...]:
 
 
 def unfold(document: Located[Sequence]) -> tuple[tuple[Step, ...], list[Fault]]:
-    """Unfold a sequence as far as possible, for a caller that adds its own faults."""
+    """Unfold a sequence as far as possible, for a caller that adds its own faults.
+
+    Returns: The valid steps, and every fault once.
+    """
     unfolding = _Unfolding(document)
     try:
         unfolding.add_all(document.value.steps, ("steps",), here=None)

@@ -28,7 +28,7 @@ class Flicker:
     waveform: Waveform  # Shape of the light's level over time
     frequency_hz: float  # Periods in a second
     duty_percent: float  # Part of a period in which the light is bright
-    level_percent: float
+    level_percent: float  # Bright level, in percent of the brightest level that the station allows
 
 
 @dataclass(frozen=True)
@@ -54,7 +54,7 @@ class Gates:
     """Conditions that a recording must meet to be accepted."""
 
     min_stars: int  # Stars that must be found, at least
-    max_event_rate_mev_s: float
+    max_event_rate_mev_s: float  # Highest event rate allowed, million events per second
     require_triggers: bool  # Whether every flicker period must have its sync edge
     # Lower (``min_...``) and upper (``max_...``) limits of the recording's other numbers, by name.
     limits: Mapping[str, float] = field(

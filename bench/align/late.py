@@ -16,7 +16,10 @@ _ALL_OPEN = "All devices are open. Nothing was moved, and the light was not swit
 
 
 def follow(bench: Bench, say: Callable[[str], None]) -> None:
-    """Say when stage and light are open too, or why they could not be opened."""
+    """Say when stage and light are open too, or why they could not be opened.
+
+    say: Called with a sentence for the person, by any thread.
+    """
     if not bench.devices.late:
         say(_ALL_OPEN)
     for name, device in bench.devices.late.items():

@@ -29,7 +29,7 @@ class CountedSlice(NamedTuple):
     counts: NDArray[np.uint16]
     periods: int  # Number of whole periods from the start of the slice on; 0 if it is shorter than one
     triggers: Triggers  # Sync edges of the whole slice, with times from its first time word on
-    statistics: StreamStatistics
+    statistics: StreamStatistics  # Counts and times of the whole slice
     data_bytes: int  # Length of the file without its header
 
 
@@ -37,6 +37,7 @@ def count_slice(raw: RawFile, period_us: float) -> CountedSlice:
     """Count the events of a slice.
 
     period_us: Period of the flicker, us.
+    Returns: The counts.
     Raises drivers.errors.RecordingFileError: If the file cannot be read, or a word is malformed.
     """
     pieces = list(raw.words())

@@ -38,7 +38,7 @@ class LiveImage(NamedTuple):
     values: NDArray[np.float32]  # (H, W) float32, brighter where the target is brighter
     # Kind of image: ``fired-per-edge``, ``events-per-edge``, ``lock-in``, ``count`` or ``picture``.
     kind: str
-    least: float
+    least: float  # Brightness of white print below which nothing counts as light, in the unit of the values
     signal: SignalFigures | None  # The signal; None for a frame camera
     hot_pixels: int | None  # Number of hot pixels; None if unknown
     saturation: float | None  # Share of the pixels at the highest grey value; None for an event camera
@@ -47,6 +47,7 @@ class LiveImage(NamedTuple):
 def read_image(path: Path, setting: LiveSetting, *, compare: bool = True) -> LiveImage:
     """Read a slice and make its image.
 
+    path: RAW file, or file of frames.
     compare: Whether the frequency is measured by the events also if the sync edges give it.
     Returns: Also of a slice without any light.
     Raises drivers.errors.RecordingFileError: If the file cannot be read.

@@ -115,7 +115,10 @@ class LiveLoop:
             thread.start()
 
     def on_camera(self, task: Callable[[], T]) -> Future[T]:
-        """Do something with the camera between two slices. The present slice ends early."""
+        """Do something with the camera between two slices. The present slice ends early.
+
+        task: What to do; called by the recording thread.
+        """
         future: Future[T] = Future()
         with self._wake:
             if self._closing:

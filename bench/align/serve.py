@@ -136,6 +136,7 @@ def make_session(station: str, settings: Sequence[str] = (), *, seed: int = 1) -
 def leave(session: Session) -> int:
     """Leave the bench safe, and print what each device confirmed.
 
+    session: The session; it is closed.
     Returns: Exit status: 0 if every device confirmed, 1 if not.
     """
     with _ignored_signals():

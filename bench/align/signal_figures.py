@@ -84,6 +84,7 @@ def signal_of_counts(
 ) -> SignalFigures | None:
     """Return the signal of a slice whose events were only counted.
 
+    statistics: Counts and times of the slice.
     data_bytes: Length of the file without its header.
     expected_hz: Frequency to which the light is set, Hz.
     Returns: Without figures that need the times of events; None if only these can show the flicker.
@@ -100,7 +101,11 @@ def signal_of_counts(
 
 
 def shows_flicker(signal: SignalFigures | None) -> bool:
-    """Return whether a slice is long enough for its events to show their frequency."""
+    """Return whether a slice is long enough for its events to show their frequency.
+
+    Returns: False for a slice of one period: its ON and its OFF burst could be two periods of twice the
+      frequency.
+    """
     if signal is None or signal.flicker is None or not signal.events_per_s:
         return False
     return signal.events / signal.events_per_s * signal.flicker.frequency_hz >= _SHORT_PERIODS

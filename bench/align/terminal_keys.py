@@ -154,6 +154,7 @@ class TerminalKeys:
 def keys_of_terminal(keys: TerminalKeys) -> Iterator[bool]:
     """Read keys from the terminal while the block runs.
 
+    keys: What they do; it is closed at the end.
     Yields: Whether there are keys: standard input is a terminal that can send single keys.
     """
     closing = threading.Event()

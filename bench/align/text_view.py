@@ -43,6 +43,7 @@ def show_in_terminal(
 ) -> None:
     """Show the figures of an open session until it shall end.
 
+    ended: Set by another thread, or by a signal, to end.
     stream: Where to write; None for standard output.
     notice: Returns what stands in the place of the advice for the moment; empty for the advice.
     tail: Last line of the block.

@@ -109,6 +109,7 @@ def propose_values(
 ) -> Proposal:
     """Propose to set values of a file.
 
+    values: YAML text by path. Missing keys are added at the end of their mapping.
     target: New file to write instead; needed where the source must not be changed.
     Returns: The change, not written.
     Raises ControlRefused: If the file must not be changed and no new name is given, or cannot be edited.

@@ -107,7 +107,10 @@ class BenchClock:
         return now_s
 
     def utc_now(self) -> datetime:
-        """Return the system's time."""
+        """Return the system's time.
+
+        Returns: With time zone UTC.
+        """
         return datetime.now(UTC)
 
     def sleep(self, seconds: float) -> None:
@@ -242,7 +245,10 @@ class VirtualClock(BenchClock):
         return self._now_s
 
     def utc_now(self) -> datetime:
-        """Return the virtual time."""
+        """Return the virtual time.
+
+        Returns: With time zone UTC.
+        """
         return self._begin + timedelta(seconds=self._now_s)
 
     def sleep(self, seconds: float) -> None:

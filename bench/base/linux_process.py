@@ -32,6 +32,7 @@ def start_ticks(pid: int, proc: Path = PROC) -> int:
 def thread_waits_for_disk(pid: int, thread: int, proc: Path = PROC) -> bool:
     """Return whether a thread is in state D, an uninterruptible wait, which is usually a wait for the disk.
 
+    thread: Number of the thread; that of the main thread is the number of the process.
     Returns: False also if there is no such thread.
     """
     return _is_waiting(proc / str(pid) / "task" / str(thread) / "stat")
@@ -48,6 +49,7 @@ def waits_for_disk(pid: int, proc: Path = PROC) -> bool:
 def processor_times_s(pid: int, thread: int, proc: Path = PROC) -> tuple[float, float] | None:
     """Return how long a thread has computed, and how long it was ready to compute while others had the processors.
 
+    thread: Number of the thread; that of the main thread is the number of the process.
     Returns: Time computed and time waited since the thread began, s. A wait counts when it has ended. None if
       there is no such thread, or the kernel does not count (``schedstat``).
     """
@@ -63,6 +65,7 @@ def processor_times_s(pid: int, thread: int, proc: Path = PROC) -> tuple[float, 
 def thread_is_ready(pid: int, thread: int, proc: Path = PROC) -> bool:
     """Return whether a thread computes, or waits for nothing but a processor (kernel state R).
 
+    thread: Number of the thread.
     Returns: False also if there is no such thread.
     """
     with suppress(OSError, IndexError):
@@ -73,6 +76,7 @@ def thread_is_ready(pid: int, thread: int, proc: Path = PROC) -> bool:
 def out_of_memory_kills(path: Path = PROC / "vmstat") -> int:
     """Return how many processes the kernel has killed for lack of memory since it booted.
 
+    path: Statistics of the virtual memory.
     Returns: The count; 0 if the kernel does not report it.
     """
     with suppress(OSError):

@@ -152,7 +152,7 @@ class BatchPlan:
 
     queue: Queue
     begun: datetime
-    bounds: Bounds
+    bounds: Bounds  # Times between which it works
     slots: tuple[Slot, ...]  # Expected times of each run; runs without time are last
     plans: dict[str, Plan]
 
@@ -208,6 +208,7 @@ class BatchPlan:
 def plan_batch(queue: Queue, begun: datetime) -> BatchPlan:
     """Predict when each run of a queue begins and ends, if the batch begins at a given time.
 
+    begun: Begin of the batch, with its time zone.
     Raises ScriptError: When a file that the queue names cannot be read.
     """
     bounds = bounds_of(queue, begun)

@@ -136,6 +136,7 @@ class BatchRecord:
     def seconds(self, moment: datetime) -> float:
         """Convert a time to seconds after the begin of the batch.
 
+        moment: A time with its time zone.
         Returns: Seconds after the begin.
         """
         assert self.begun is not None

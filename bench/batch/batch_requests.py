@@ -79,6 +79,7 @@ def refusal(request: Request, record: BatchRecord) -> str:
 class RequestInbox:
     """Answers the requests to a batch.
 
+    folder: Folder of the batch, locked by this process.
     answer: Decides on a request and writes the decision to the journal. It is called with None for a file
       that is not a request, and with the name of the file.
     clock: Is asked to stop when answers cannot be written to the journal any more.

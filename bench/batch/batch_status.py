@@ -43,6 +43,7 @@ class UpcomingRun:
 class BatchStatus:
     """Status of a batch."""
 
+    # folder, queue, zone: Folder of the batch, name of its queue, and time zone of the printed times.
     folder: str
     queue: str
     zone: tzinfo | None

@@ -40,6 +40,7 @@ class EndlessComputing:
     def look(self, pid: int, number: int, now_s: float) -> None:
         """Look at a process.
 
+        pid: Number of the process; its main thread does the work.
         number: Where it writes the moment (`bench.base.work_moment.WorkMoment.number`).
         now_s: Time of this look, s.
         """

@@ -35,6 +35,7 @@ def rehearse_batch(
     """Rehearse a batch from begin to end.
 
     folder: A new or empty folder.
+    begin: Virtual time at which the batch begins, with its time zone.
     seed: Random seed of the runs to which the queue gives none. The same seed and begin give the same
       journals, byte for byte.
     Returns: The summary, as in ``summary.json``.

@@ -68,6 +68,7 @@ def next_time(at: str, after: datetime, zone: str | None) -> datetime:
     """Find the next moment, strictly after another, at which clocks show a time of day.
 
     at: Hours and minutes, as ``22:30``.
+    after: Aware of its zone.
     zone: Whose clocks; None for those of this machine.
     Returns: UTC. Where clocks are put forward over it, as much later as they are put forward.
 
@@ -142,6 +143,7 @@ def choose_next(
 
     pending: Runs that are not done.
     at_s: The time, s after the begin of the batch.
+    bounds: Times between which the batch works.
     duration_of: Returns the expected duration of a run, s.
     Returns: The run to begin now; the time to wait before the next decision, s; None if no more run can
       begin.
@@ -181,6 +183,7 @@ def look_ahead(pending: Sequence[Item], at_s: float, bounds: Bounds, duration_of
 
     pending: Runs that are not done.
     at_s: Time from which to predict, s after the begin of the batch.
+    bounds: Times between which the batch works.
     duration_of: Returns the expected duration of a run, s.
     Returns: Runs in the order in which they will begin; runs without time are last.
 

@@ -128,6 +128,7 @@ def supervise(
     log: File to which the worker's output is appended.
     clock: If a stop is requested from it, the worker is ended safely and the stop is raised again.
     say: Receives what the operator must know.
+    environ: Environment of the worker; the process id of its supervisor is added.
     Raises Aborted: When a stop was requested; the worker has ended by then.
     """
     killed_for_memory = out_of_memory_kills()

@@ -117,7 +117,7 @@ class Amends:
     number: str
     sha256: str
     reason: str
-    changes: tuple[Change, ...]
+    changes: tuple[Change, ...]  # What changed, field by field
 
 
 @dataclass(frozen=True)

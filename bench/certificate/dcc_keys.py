@@ -130,6 +130,7 @@ def _issued(certificate: x509.Certificate, issuer: x509.Certificate) -> bool:
 def refuse_unfit(certificate: x509.Certificate, when: datetime, where: str = "") -> None:
     """Refuse a signer's certificate that is not valid at a time or not meant for signatures (RFC 5280, 4.2.1.3).
 
+    when: The time, with its time zone.
     Raises EvidenceError: When it is one of these.
     """
     name = name_of(certificate.subject)

@@ -79,6 +79,7 @@ def sign_dcc(
     data: The DCC as `bench.certificate.dcc.render_dcc` wrote it.
     key: The laboratory's key.
     chain: Its certificate, and those that lead to a certificate that readers trust, in any order.
+    signed_utc: Time of signing, with its time zone.
     Returns: The signed DCC; `without_signature` of it gives ``data`` again.
     Raises EvidenceError: When the DCC is signed already or not written by Starbench, no certificate of the
       chain belongs to the key, or that certificate is not valid at the time or not meant for signatures.

@@ -43,7 +43,7 @@ class Laboratory:
     ledger: Ledger
     # Returns the bench's key; called only when nothing speaks against the certificate.
     key: Callable[[], BenchKey]
-    utc_now: Callable[[], datetime]
+    utc_now: Callable[[], datetime]  # Returns the present time, with its time zone
     verify: Verify
     # Signs a DCC with the laboratory's key, given the time of signing; None for DCCs without a signature.
     sign_dcc: Callable[[bytes, datetime], bytes] | None = None

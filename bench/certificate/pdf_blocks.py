@@ -27,12 +27,16 @@ def paragraph(text: str, tone: Literal["plain", "note", "lead"] = "plain", *, st
 
     tone: ``note`` for small print, ``lead`` for the first line of the certificate.
     sticky: Whether it stays on one page with the block after it.
+    Returns: The block.
     """
     return {"kind": "paragraph", "text": text, "tone": tone, "sticky": sticky}
 
 
 def heading(text: str) -> Block:
-    """Return a heading of second rank."""
+    """Return a heading of second rank.
+
+    Returns: The block.
+    """
     return {"kind": "heading", "text": text}
 
 
@@ -40,6 +44,7 @@ def notice(title: str, lines: Sequence[str], *, warning: bool = False) -> Block:
     """Return a box that a reader must not overlook.
 
     warning: Whether it is a warning: red.
+    Returns: The block.
     """
     return {"kind": "notice", "title": title, "lines": list(lines), "tone": "warning" if warning else "plain"}
 
@@ -49,6 +54,7 @@ def pairs(rows: Iterable[tuple[Cell, Cell]], label_mm: float = 42.0, **layout: A
 
     label_mm: Width of the names, mm.
     layout: ``columns`` and ``size`` (points).
+    Returns: The block.
     """
     return {"kind": "pairs", "rows": filled(rows), "label_mm": label_mm, **layout}
 
@@ -74,6 +80,7 @@ def table(
     align: Alignment of each column; None for left everywhere.
     layout: ``size`` (points), ``gap`` and ``pad`` (space beside and above the text, mm), ``break`` (a word of
       this length may break anywhere) and ``foot`` (text of a last row over all columns).
+    Returns: The block.
     """
     assert all(len(row) == len(head) == len(widths) for row in rows)
     return {
@@ -87,12 +94,19 @@ def table(
 
 
 def bullets(items: Sequence[Cell]) -> Block:
-    """Return a list."""
+    """Return a list.
+
+    Returns: The block.
+    """
     return {"kind": "list", "items": list(items)}
 
 
 def together(*blocks: Block) -> Block:
-    """Return blocks that stay on one page."""
+    """Return blocks that stay on one page.
+
+    blocks: The blocks; together they are shorter than a page.
+    Returns: The block.
+    """
     return {"kind": "together", "blocks": list(blocks)}
 
 
@@ -145,6 +159,7 @@ def compact(value: float | None, digits: int = 3) -> str:
     """Print a computed number with a number of significant digits, as a power of ten where it is very small or large.
 
     value: The number; None is printed as a dash.
+    Returns: The number with a true minus sign.
 
     Examples
     --------
@@ -163,6 +178,7 @@ def stated(value: float | None, digits: int = 9) -> str:
     """Print a number that somebody stated, with all its digits.
 
     value: The number; None is printed as a dash.
+    Returns: The number with a true minus sign.
 
     Examples
     --------

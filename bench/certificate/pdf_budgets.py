@@ -31,7 +31,10 @@ _ONE_PAGE = 30
 
 
 def budgets(certificate: Certificate) -> list[Block]:
-    """Return one table for each result, and the list of the sources that they refer to."""
+    """Return one table for each result, and the list of the sources that they refer to.
+
+    Returns: The blocks.
+    """
     sources = _sources(certificate.budgets)
     blocks: list[Block] = []
     common = _common(certificate.budgets)

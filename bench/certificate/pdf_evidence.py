@@ -24,7 +24,10 @@ def state(certificate: Certificate) -> str:
 
 
 def authorisation(certificate: Certificate) -> list[Block]:
-    """Return who authorises the certificate, and where the signature is (ISO/IEC 17025, 7.8.2.1 o)."""
+    """Return who authorises the certificate, and where the signature is (ISO/IEC 17025, 7.8.2.1 o).
+
+    Returns: The blocks.
+    """
     person = certificate.authorised_by
     rows: list[tuple[Cell, Cell]] = [
         ("Authorised by", {"text": person.name, "bold": True}),
@@ -41,7 +44,10 @@ def authorisation(certificate: Certificate) -> list[Block]:
 
 
 def verification(certificate: Certificate, attachments: Mapping[str, bytes]) -> list[Block]:
-    """Return the commands that verify the certificate, the sealed run, and the attached files."""
+    """Return the commands that verify the certificate, the sealed run, and the attached files.
+
+    Returns: The blocks.
+    """
     run, person = certificate.run, certificate.authorised_by
     steps = [
         {

@@ -11,7 +11,10 @@ from bench.report.text import moment
 
 
 def opening(certificate: Certificate) -> list[Block]:
-    """Return what stands above the first section: item, state, parties, dates."""
+    """Return what stands above the first section: item, state, parties, dates.
+
+    Returns: The blocks.
+    """
     blocks = [paragraph(subject(certificate), "lead")]
     if certificate.simulated:
         text = certificate.statement("simulated") or "The devices of this run were simulated."

@@ -52,7 +52,10 @@ _POWER = re.compile(r"\^(\d+)")
 
 
 def results(certificate: Certificate) -> list[Block]:
-    """Return the table of the results."""
+    """Return the table of the results.
+
+    Returns: The blocks.
+    """
     found = certificate.results
     values = at_the_point([printed(one.printed_value) for one in found])
     expanded = at_the_point([printed(one.printed_uncertainty) for one in found])
@@ -92,7 +95,10 @@ def results(certificate: Certificate) -> list[Block]:
 
 
 def conformity(certificate: Certificate) -> list[Block]:
-    """Return the statements of conformity, each with its limits and its rule."""
+    """Return the statements of conformity, each with its limits and its rule.
+
+    Returns: The blocks.
+    """
     found = certificate.conformity
     if not found:
         return [paragraph("No statement of conformity was asked for.")]
@@ -158,7 +164,10 @@ def projection(certificate: Certificate) -> list[Block]:
 
 
 def covariance(certificate: Certificate) -> list[Block]:
-    """Return covariance and correlation of the results; a large matrix in several parts."""
+    """Return covariance and correlation of the results; a large matrix in several parts.
+
+    Returns: The blocks.
+    """
     found = certificate.covariance
     units = ", ".join(
         f"{name} in {unit}" for name, unit in zip(found.names, found.units, strict=True) if unit != "1"

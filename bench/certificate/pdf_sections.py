@@ -60,7 +60,10 @@ _SYMBOLS: tuple[tuple[Cell, Cell], ...] = (
 def sections(
     certificate: Certificate, pictures: Sequence[Picture], attachments: Mapping[str, bytes]
 ) -> list[Section]:
-    """Return the sections of the certificate, in their order; a section without content is left out."""
+    """Return the sections of the certificate, in their order; a section without content is left out.
+
+    Returns: Title and blocks of each.
+    """
     maps = [one for one in pictures if one.name in ("uncertainty", "direction", "coverage")]
     others = [one for one in pictures if one not in maps]
     if sum(not one.wide for one in others) % 2:  # they stand in pairs

@@ -15,6 +15,7 @@ class Result:
     # symbol, name: Symbol as in results.json (``fx``), and name in words.
     symbol: str
     name: str
+    # value, u: Value and standard uncertainty, unrounded.
     value: float
     unit: str  # ``px``, ``mm`` or ``1``
     u: float

@@ -102,6 +102,7 @@ def convert_one(
     """Convert one file on a worker, unless it is done already.
 
     known: The row of an earlier conversion to the same name; None if there is none.
+    program: Hash of the program that hands out the work.
     Returns: The row, and whether the file was made before.
     Raises BenchError: If this worker runs another program, or the name of the new file is taken by something
       else.

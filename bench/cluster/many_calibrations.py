@@ -61,6 +61,7 @@ def run_blocks(
 def calibrate_block(planned: PlannedStudy, runs: range, program: str) -> list[Repetition]:
     """Do one block of a study.
 
+    program: Hash of the program that hands out the work.
     Raises BenchError: If this worker runs another program.
     """
     require_program_of(program)

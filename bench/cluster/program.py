@@ -9,6 +9,7 @@ from bench.results.forms import forms
 def require_program_of(program: str) -> None:
     """Refuse work of another program, because its results would differ.
 
+    program: Hash of the program that hands out the work.
     Raises BenchError: If this worker runs another program.
     """
     if (here := forms()["program"]) != program:

@@ -68,6 +68,7 @@ class Counts:
 class Recalculation:
     """Calibrates many runs again.
 
+    places: The runs, each once.
     output: The folder for results; None to write nothing.
     ended: Called with the row of each run when it ends.
     progress: Called with the counts, and the seconds left if known, when anything ends or time passes.

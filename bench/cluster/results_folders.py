@@ -72,6 +72,7 @@ class ResultsFolders:
     def done(self, place: str, key: str) -> dict[str, Any] | None:
         """Return the row of a calibration that is done already.
 
+        key: Hash of all that decides the calibration.
         Returns: None if it is to be done: it was not, or its results are not there as they were written.
         """
         row = self._rows.get(place)
@@ -92,6 +93,7 @@ class ResultsFolders:
         """Return a free name for a folder of results, which is not given out again.
 
         place_name: Last part of the name of the calibrated folder.
+        key: Hash of all that decides the calibration.
         Returns: The name: that of the calibrated folder, and the first digits of the key.
         """
         name = f"{place_name}-{key[:_KEY_SHOWN]}"

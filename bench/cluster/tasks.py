@@ -68,7 +68,7 @@ class Listed:
     """The recordings of a place."""
 
     captures: Sequence[str]  # Their names within the folder, in the order of the views
-    key: str
+    key: str  # Hash of all that decides the calibration: the recordings, the program, the options
 
 
 @dataclass(frozen=True)
@@ -76,6 +76,7 @@ class FoundView:
     """What a recording showed."""
 
     view: View | None  # The stars; None if it is left out
+    # size_bytes, sha256: Size and hash of the recording.
     size_bytes: int
     sha256: str
     why: tuple[str, str, str] = ("", "", "")  # What is wrong, where, and the remedy, if it is left out

@@ -32,7 +32,7 @@ class Check:
     at: datetime | None  # Moment for which the keys must have been valid; None: when the folder was sealed
     camera_serial: str | None  # Serial number that the calibrated camera must have; None for any
     again: bool  # Whether to calibrate again from the recordings too
-    program: str
+    program: str  # Hash of the program that hands out the work
 
 
 @dataclass(frozen=True)

@@ -69,6 +69,7 @@ def _do_tasks(workers: Workers, tasks: Sequence[Task]) -> Iterator[dict[str, Row
 def do_task(task: Task, program: str) -> dict[str, Row]:
     """Do one task of a comparison, on a worker.
 
+    program: Hash of the program that hands out the work.
     Raises BenchError: If this worker runs another program.
     """
     require_program_of(program)

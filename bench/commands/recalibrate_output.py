@@ -53,6 +53,7 @@ def change_text(row: Mapping[str, Any]) -> str:
     """Return the largest change of a value against the run's own results.
 
     row: Row of a run that is done.
+    Returns: In units of the standard uncertainty that the run stated.
     """
     before = row["before"]
     if before is None:
@@ -86,7 +87,10 @@ class CountedProgress(LiveLine):
 
 
 def sum_text(counts: Counts) -> str:
-    """Return how a recalculation ended."""
+    """Return how a recalculation ended.
+
+    counts: Its counts.
+    """
     parts = [f"{counts.done} of {counts.runs} runs calibrated"]
     if counts.skipped:
         parts.append(f"{counts.skipped} were done before")

@@ -80,6 +80,7 @@ def compare_with_truth(
     A camera that is rotated a little is the same camera: the best common rotation is removed before directions are
     compared.
 
+    found, true: Calibrated and true camera.
     calibration: The calibration, if it states a covariance.
     Returns: ``error``s by parameter; ``direction_rms_urad``, ``direction_worst_urad``, ``centre_urad``,
       ``corner_urad`` (largest); whether fx and the worst corner are ``covered`` by k sigma.

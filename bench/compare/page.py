@@ -25,6 +25,7 @@ def render_page(
     """Render the page of a comparison.
 
     summary: From `bench.compare.summary.summarise`.
+    true: True values of the camera.
     """
     simulated = [column for column in summary["columns"] if not column["settings"]["data"]]
     methods = {column["settings"]["name"]: column["settings"]["method"] for column in simulated}

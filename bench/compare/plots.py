@@ -39,7 +39,10 @@ _COLOUR_OF = dict(
 
 
 def direction_plot(columns: Mapping[str, str], rows: Sequence[Row]) -> str:
-    """Draw the error of direction of each repetition, on a logarithmic scale."""
+    """Draw the error of direction of each repetition, on a logarithmic scale.
+
+    columns: Method by name of the column, from top to bottom.
+    """
     values = [[row["direction_rms_urad"] for row in _solved(rows, name)] for name in columns]
     return _dots(
         columns,
@@ -52,7 +55,10 @@ def direction_plot(columns: Mapping[str, str], rows: Sequence[Row]) -> str:
 
 
 def focal_plot(columns: Mapping[str, str], rows: Sequence[Row]) -> str:
-    """Draw the error of fx of each repetition, with the mean expanded uncertainty that the method states."""
+    """Draw the error of fx of each repetition, with the mean expanded uncertainty that the method states.
+
+    columns: Method by name of the column, from top to bottom.
+    """
     chosen = [_solved(rows, name) for name in columns]
     values = [[row["errors"]["fx"] for row in some] for some in chosen]
     stated = [

@@ -49,7 +49,7 @@ class Images:
     # For each view the readings of the gimbal, degrees; empty for a board.
     readings_deg: tuple[Mapping[str, float], ...]
     camera: CameraModel  # The true camera, focused as before the collimator
-    truth: Mapping[str, Any]
+    truth: Mapping[str, Any]  # True parameters by part
     missed: tuple[str, ...]  # For each image without a view, the reason
     # Views of another camera before the same collimator, for its passport; None if they were not asked for.
     reference: Images | None = None

@@ -111,6 +111,7 @@ def share(number: float | None) -> str:
     """Return a share as per cent; a dash for none.
 
     number: 0 to 1.
+    Returns: Per cent.
     """
     return "-" if number is None else f"{100 * number:.0f} %"
 

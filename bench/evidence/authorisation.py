@@ -85,6 +85,7 @@ def authorise(folder: Path, key: SigningKey, trust: Trust, now: datetime, seal: 
 
     key: The person's key.
     trust: Whom the bench trusts; the person's key must be among them.
+    now: The present time, with its time zone.
     seal: The bytes of ``SHA256SUMS.sig`` that were verified and shown; None if nobody can have changed them
       since.
     Raises EvidenceError: When the folder is not sealed, is authorised already, or the key may not authorise
@@ -115,6 +116,7 @@ def require_authorisable(folder: Path, public_key: bytes, trust: Trust, now: dat
     """Refuse a folder that this key may not authorise.
 
     public_key: The person's key, as SSH encodes it.
+    now: The present time, with its time zone.
     Raises EvidenceError: When the folder is not sealed, is authorised already, or the key may not authorise
       it.
     Raises StorageError: When a file cannot be read.

@@ -115,6 +115,7 @@ def ensure_key(
 def locked_folder(folder: Path) -> Iterator[None]:
     """Lock the configuration folder while a key is made or replaced; waits for other processes.
 
+    Yields: For the block.
     Raises StorageError: When it cannot be locked.
     """
     with storage_errors(folder):
@@ -171,6 +172,7 @@ def require_usable(folder: Path, key: BenchKey, when: datetime) -> None:
     """Refuse a key whose seals nobody would accept: before a run begins, not after it.
 
     key: The bench's key.
+    when: The present time, with its time zone.
     Raises EvidenceError: When ``allowed_signers`` trusts the key at another time only or for another purpose,
       when it is revoked, or when other users can change these lists.
     """
@@ -197,6 +199,7 @@ def usable_key(
 ) -> BenchKey:
     """Load the bench's key, or make one at first use, and check that its seals will be accepted.
 
+    when: The present time, with its time zone.
     ask_passphrase: As for `ensure_key`.
     Raises EvidenceError, StorageError: As `ensure_key` and `require_usable`.
     """
@@ -211,6 +214,7 @@ def key_to_seal(
     """Return the key to seal with at the end of a run: another one if it was replaced during the run.
 
     key: The key that was loaded when the run began.
+    when: The present time, with its time zone.
     ask_passphrase: As for `ensure_key`; called only if the key was replaced.
     Raises EvidenceError, StorageError: As `load_key` and `require_usable`; the run can be sealed later with
       ``starbench resume``.

@@ -42,6 +42,7 @@ _LINE = re.compile(r"([0-9a-f]{64})  ([^\\\x00-\x1f\x7f]+)")
 def seal(folder: RunFolder, key: BenchKey, *, secrets_revoked: bool = False) -> str:
     """Seal a run folder. Nothing is written to it afterwards, except the reserved files.
 
+    folder: The folder, locked by the caller; its journal is closed and its report is written.
     key: The bench's key.
     secrets_revoked: Whether a person says that the secrets in it are worthless by now.
     Raises EvidenceError: When the folder has no journal, or has something that cannot be listed: a link, a

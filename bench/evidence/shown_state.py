@@ -35,6 +35,7 @@ def shown_state(folder: Path, trust: Trust, now: datetime, known: Known = NOTHIN
     """Return the state of a folder as one line.
 
     folder: A run folder, a certificate folder, or a folder of results.
+    now: The present time, with its time zone.
     known: Authorisations that the ledger names, from
       `bench.evidence.ledger_authorisation.known_authorisations`.
     """

@@ -259,6 +259,7 @@ def parse_time(text: str) -> datetime:
 def time_text(moment: datetime) -> str:
     """Write a time as ssh-keygen(1) reads it.
 
+    moment: The moment, with its time zone.
     Returns: ``YYYYMMDDHHMMSSZ``.
     """
     return f"{moment.astimezone(UTC):%Y%m%d%H%M%SZ}"

@@ -152,7 +152,10 @@ def encode_ecdsa_signature(key_type: bytes, der: bytes) -> bytes:
 
 
 def curve_hash(key_type: bytes) -> hashes.HashAlgorithm:
-    """Return the hash of ECDSA signatures of a type of key (RFC 5656, section 6.2.1)."""
+    """Return the hash of ECDSA signatures of a type of key (RFC 5656, section 6.2.1).
+
+    Returns: The hash.
+    """
     return _CURVES[key_type][2]
 
 

@@ -76,6 +76,7 @@ def state_of(folder: Path, signers: Iterable[Signer], when: datetime) -> State:
 
     folder: A run folder, a certificate folder, or a folder of results.
     signers: Trusted keys, from `bench.evidence.signers.read_signers`.
+    when: The present time, with its time zone.
     Raises StorageError: When a file cannot be read.
     """
     return standing_of(folder, Trust(tuple(signers)), when).state
@@ -86,6 +87,7 @@ def standing_of(folder: Path, trust: Trust, now: datetime, *, at: datetime | Non
 
     folder: A run folder, a certificate folder, or a folder of results.
     trust: Whom the reader trusts, from `bench.evidence.key_trust.read_trust`.
+    now: The present time, with its time zone.
     at: Moment for which the reader asks whether the keys were valid (``verify --at``). A trusted time stamp
       goes before it. None: the bench's own clock states the moment of the seal.
     Raises StorageError: When a file cannot be read.

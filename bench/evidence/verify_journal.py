@@ -42,6 +42,7 @@ def check_journal(folder: Path, manifest: Mapping[str, str], found: Findings) ->
     """Check the journal of a run, and the files of the folder against it.
 
     manifest: SHA-256 by file name, as the seal lists them.
+    found: Findings; faults are added.
     Raises OSError: When a file cannot be read.
     """
     path = folder / JOURNAL

@@ -31,6 +31,7 @@ def check_listed(folder: Path, found: Findings) -> dict[str, str] | None:
 
     The signature of the list is checked by `bench.evidence.states.standing_of`.
 
+    found: Findings; faults are added.
     Returns: SHA-256 by file name, as the seal lists them; None if there is no list that can be read.
     Raises OSError: When a file cannot be read.
     """

@@ -194,5 +194,8 @@ def drifts(chart: Mapping[str, Any]) -> bool:
 
 
 def needs_attention(group: Mapping[str, Any]) -> bool:
-    """Return whether a group is out of control, or one of its parameters drifts."""
+    """Return whether a group is out of control, or one of its parameters drifts.
+
+    Returns: False also with too few runs.
+    """
     return group["state"] == "out of control" or any(drifts(chart) for chart in group["parameters"])

@@ -43,7 +43,7 @@ class ChartRun:
     begun: datetime
     temperature_c: float | None  # Temperature of the camera, degrees Celsius; None if it is not known
     k: float
-    parameters: Mapping[str, tuple[float, float]]
+    parameters: Mapping[str, tuple[float, float]]  # Value and standard uncertainty by name
 
 
 @dataclass

@@ -36,7 +36,7 @@ class Individuals:
     sigma: float
     lower: float
     upper: float
-    beyond: tuple[int, ...]
+    beyond: tuple[int, ...]  # Places of the values beyond the limits
     ranges: Array  # |x_i - x_(i-1)|, (N - 1,) float64
     range_mean: float
     range_upper: float
@@ -49,13 +49,15 @@ class Individuals:
 class Ewma:
     """Chart of the exponentially weighted moving average."""
 
+    # weight, limit: Weight of the newest value (lambda), and distance of the limits in standard deviations of
+    # the average (L).
     weight: float
     limit: float
     # averages, lower, upper: The average and its control limits at each value, (N,) float64.
     averages: Array
     lower: Array
     upper: Array
-    beyond: tuple[int, ...]
+    beyond: tuple[int, ...]  # Places at which the average is beyond its limits
 
 
 def individuals(values: Sequence[float], baseline: int | None = None) -> Individuals:

@@ -55,7 +55,7 @@ class MergedLedgers:
     """Several ledgers as one."""
 
     sources: Sequence[LedgerSource]
-    entered: Mapping[str, EnteredRun]
+    entered: Mapping[str, EnteredRun]  # Each run once, by the hash of its line
     # faults, notes: As in `LedgerSource`, of all ledgers and of what they say about each other.
     faults: list[str] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
@@ -106,7 +106,10 @@ def _bench_name(home: Path) -> str:
 
 
 def merge_ledgers(sources: Iterable[LedgerSource]) -> MergedLedgers:
-    """Merge ledgers. A run that several of them enter with the same line is one run."""
+    """Merge ledgers. A run that several of them enter with the same line is one run.
+
+    Returns: All runs, and every contradiction between two ledgers.
+    """
     kept: dict[Path, LedgerSource] = {}
     notes: list[str] = []
     for source in sources:

@@ -132,6 +132,8 @@ def _unit_suffix(parameter: str) -> str:
 def parameter_columns(parameter: str) -> tuple[str, str, str]:
     """Return the names of the columns of a parameter.
 
+    Returns: Names of the value, of its standard uncertainty, and of its expanded uncertainty.
+
     Examples
     --------
     >>> parameter_columns("fx"), parameter_columns("k1")

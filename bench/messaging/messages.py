@@ -175,6 +175,7 @@ class Courier:
         """Put a message into the outbox if the station file asks for messages on this occasion. Returns at once.
 
         occasion: ``failure``, ``hold`` or ``end``.
+        key: Identifies the message permanently: the hash of the journal line that caused it.
         place: Number of the run in the bench's ledger and hash of its line there; None if there is none.
         """
         if not self.is_wanted(occasion):

@@ -139,6 +139,7 @@ class Outbox:
         """Try the deliveries that are due, all channels side by side.
 
         send: Delivers one message; is given up after ``DEADLINE_S``.
+        now: The present time, with its time zone.
         all_waiting: Whether to try deliveries that are not due yet, too.
         Raises StorageError: When the outbox cannot be read or written.
         """

@@ -27,7 +27,10 @@ class Leave:
 
 
 def may_leave(model: RunModel, process: ProcessState, now: datetime) -> Leave:
-    """Return whether a run can be left alone."""
+    """Return whether a run can be left alone.
+
+    now: The present time, with its time zone.
+    """
     history = model.history
     state = history.states[-1]["state"] if history.states else "idle"
     if not process.running:

@@ -42,7 +42,10 @@ def verdict_of(model: RunModel, process: ProcessState) -> tuple[str, str]:
 
 
 def head_of(model: RunModel, process: ProcessState, now: datetime) -> Json:
-    """Return the upper part of a run's page."""
+    """Return the upper part of a run's page.
+
+    now: The present time, with its time zone.
+    """
     history, plan = model.history, model.plan
     started = history.started
     verdict, tone = verdict_of(model, process)

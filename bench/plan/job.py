@@ -216,6 +216,7 @@ class Job:
 
         before_deg: Angle by axis before the recording, degrees.
         after_deg: Angle by axis after the recording, degrees.
+        Returns: One gate per axis, as judged.
         """
         return [
             at_most(f"{axis} moved", abs(after_deg[axis] - before_deg[axis]), MAX_MOTION_DEG, "deg")

@@ -74,7 +74,11 @@ class PassportInUse:
         return float(found) if isinstance(found, int | float) and not isinstance(found, bool) else None
 
     def to_dict(self) -> dict[str, Any]:
-        """Return what results.json states about the passport."""
+        """Return what results.json states about the passport.
+
+        Returns: Origin, identity and validity of the passport, its values and standard uncertainties by name,
+          and the hash of its file.
+        """
         stated, passport = self.passport.conditions, self.passport
         sigma = {name: float(passport.covariance[i, i] ** 0.5) for i, name in enumerate(passport.names)}
         return {

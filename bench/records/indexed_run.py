@@ -24,6 +24,8 @@ class IndexedRun:
     begun_utc: str  # Time of the start, ISO 8601
     how: str  # ``finished``, ``aborted``, ``failed``, ``running``, or ``cut off``
     sealed: bool  # Whether it is sealed
+    # accepted, recordings, deviations: Number of recorded poses, of recordings made for them (also lost
+    # ones), and of deviations from the sequence.
     accepted: int
     recordings: int
     deviations: int
@@ -34,6 +36,7 @@ class IndexedRun:
     # calibration.
     model: str | None
     rms_px: float | None
+    # Value and standard uncertainty of each parameter, by name.
     parameters: Mapping[str, tuple[float, float]]
     # The k of its expanded uncertainties; None without a calibration, or if an earlier version made it.
     coverage_factor: float | None = None

@@ -46,6 +46,7 @@ def encode_line(
     """Write a line.
 
     seq: Number of the line, from 0.
+    now: System time, with its time zone.
     mono_s: Monotonic time, s.
     prev: Hash of the line before.
     Returns: The line, without a line feed.

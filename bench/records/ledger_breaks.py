@@ -28,6 +28,7 @@ class KnownRun:
 
     folder: str
     run_id: str
+    # number, head: Its number, and the hash of its line, as its journal states them.
     number: int
     head: str
 

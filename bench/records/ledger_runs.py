@@ -26,7 +26,7 @@ class LedgerRun:
     begun_utc: str  # Time of the start, ISO 8601
     how: str = STILL_OPEN  # State of the run: ``finished``, ``aborted``, ``failed`` or ``open``
     seal: str | None = None  # SHA-256 of its list of files; None when it was not sealed
-    head: str = ""
+    head: str = ""  # Hash of the line that enters it
 
 
 def runs_of(entries: Iterable[Entry]) -> list[LedgerRun]:

@@ -41,6 +41,7 @@ def recover(folder: RunFolder, journal: Journal) -> RecoveryNotes:
     No recording is deleted. Recordings that are incomplete, changed, or not named in the journal are moved to
     ``quarantine/``. Temporary files of reports and similar files, which can be written again, are deleted.
 
+    folder: The folder, locked by this process.
     Raises StorageError: When a file cannot be read or moved.
     """
     stored = stored_captures(journal.entries)

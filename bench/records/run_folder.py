@@ -144,6 +144,7 @@ class RunFolder:
 
         name: Path of the final file within the folder, with ``/``.
         goes_on: As for `sha256_of`: a recording may have many gigabytes.
+        Returns: Name, size and hash of the file.
         Raises RunFolderError: When a file of that name exists: a recording is never overwritten.
         Raises StorageError: When the file does not exist, or cannot be synced or renamed.
         """
@@ -181,6 +182,7 @@ class RunFolder:
         pose_index, attempt: Numbers of the pose and of the attempt, from 1.
         ending: Ending of the file's name.
         goes_on: As for ``commit``.
+        Returns: Name, size and hash of the recording.
         Raises RunFolderError, StorageError: As ``commit``.
         """
         return self.commit(capture_name(pose_index, attempt, ending), goes_on)

@@ -36,6 +36,8 @@ def storage_errors(where: Path) -> Iterator[None]:
     """Turn an OSError of the block into a StorageError with a remedy.
 
     where: The file or folder in use; the message names it unless the error names another one.
+    Yields: For the block.
+    Raises StorageError: For any OSError in the block.
     """
     try:
         yield

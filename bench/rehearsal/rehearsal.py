@@ -99,7 +99,10 @@ class RehearsedJob(Job):
 
 
 class RehearsedResults(ResultWriter):
-    """Calculates the calibration of a rehearsed run and writes it; no comparison and no report."""
+    """Calculates the calibration of a rehearsed run and writes it; no comparison and no report.
+
+    folder: Run folder, locked by this process.
+    """
 
     def __init__(self, job: RehearsedJob, folder: RunFolder) -> None:
         super().__init__(job, folder)

@@ -35,6 +35,7 @@ class PrintedBudgetRow:
     name: str
     type: str
     source: str
+    # value, distribution: Stated value with its unit; distribution with its divisor.
     value: str
     distribution: str
     sensitivity: str

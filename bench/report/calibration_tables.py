@@ -187,6 +187,8 @@ def comparison(rows: Sequence[Json], k: float) -> list[tuple[str, str, str, str,
     """Compare the values with the simulated truth.
 
     rows: ``comparison`` of results.json.
+    Returns: Name, value, U, truth, value minus truth, and this difference divided by the standard
+      uncertainty.
     """
     printed = []
     for row in rows:

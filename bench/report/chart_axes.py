@@ -96,7 +96,10 @@ class ChartAxes:
     def dots(
         self, xs: Sequence[float], values: Sequence[float], texts: Sequence[str], beyond: Iterable[int]
     ) -> None:
-        """Draw dots; those beyond the limits are red and larger."""
+        """Draw dots; those beyond the limits are red and larger.
+
+        beyond: Places of the dots beyond the limits.
+        """
         red = set(beyond)
         points = [(self.x(x), self.y(v)) for x, v in zip(xs, values, strict=True)]
         plain = [place for place in range(len(points)) if place not in red]

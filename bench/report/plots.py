@@ -152,7 +152,10 @@ def regions(views: Sequence[ViewPicture], image_size: tuple[int, int], words: Ta
 
 
 def deviations_from_truth(names: Sequence[str], error_sigmas: Sequence[float]) -> str:
-    """Draw the deviation of each value from the truth, in units of its standard uncertainty."""
+    """Draw the deviation of each value from the truth, in units of its standard uncertainty.
+
+    error_sigmas: For each parameter: value minus truth, divided by the standard uncertainty.
+    """
     reach = max(3.2, 1.15 * float(np.abs(error_sigmas).max()))
     rows = Scale(len(names) - 0.4, -0.6, ticks=[(row, name) for row, name in enumerate(names)])
     words = Words((), "(value \N{MINUS SIGN} truth) / u; shaded: within 1 and 2")

@@ -105,6 +105,8 @@ def log_ticks(low: float, high: float, most: int = 5) -> list[float]:
 def tick_label(value: float, span: float) -> str:
     """Return the label of a tick.
 
+    Returns: The number with a true minus sign.
+
     Examples
     --------
     >>> tick_label(3345.0, 4.0), tick_label(-0.05, 0.2)
@@ -117,6 +119,7 @@ def tick_labels(values: Sequence[float]) -> list[str]:
     """Return the labels of evenly spaced ticks, all with the decimals that their distance needs.
 
     values: Positions of the ticks, in rising order.
+    Returns: The numbers with a true minus sign.
 
     Examples
     --------

@@ -25,6 +25,7 @@ def study_plot(names: Sequence[str], z: Array, rms: Mapping[str, float]) -> str:
 
     z: (N, K) float64: error of each calibration over its stated standard uncertainty.
     rms: Root mean square of each column of ``z``.
+    Returns: SVG. Errors beyond four standard uncertainties count in the outermost bins.
     """
     rows = -(-len(names) // _ACROSS)
     about = "; ".join(f"{name}: rms {rms[name]:.2f}" for name in names) + "."

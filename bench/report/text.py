@@ -122,6 +122,8 @@ def number(value: Any, digits: int = 4) -> str:
 def exact(value: float) -> str:
     """Print a number that is known exactly, in its shortest form, with nine significant digits at most.
 
+    Returns: The number with a true minus sign.
+
     Examples
     --------
     >>> exact(3345.06), exact(-0.9), exact(255.0)

@@ -57,6 +57,7 @@ class Series(NamedTuple):
     # values, sigmas: Value of each run and its standard uncertainty, in the parameter's unit.
     values: Sequence[float]
     sigmas: Sequence[float]
+    # mean, sigma: Weighted mean of the values and its standard uncertainty.
     mean: float
     sigma: float
     # Change per hour or per degree Celsius, and whether it is significant; None if there is no slope.
@@ -95,6 +96,7 @@ def over_time(
 ) -> str:
     """Draw each parameter over time, with U = 2 u.
 
+    series: One series for each parameter; slopes are per hour.
     zone: Time zone of the axis; None for this computer's.
     identifier: Prefix of the ids in the SVG, unique on the page.
     """
@@ -106,6 +108,7 @@ def against_temperature(degrees_c: Sequence[float], series: Sequence[Series], id
     """Draw each parameter against the camera's temperature, with U = 2 u.
 
     degrees_c: Temperature of the camera in each run, degrees Celsius.
+    series: One series for each parameter; slopes are per degree Celsius.
     identifier: Prefix of the ids in the SVG, unique on the page.
     """
     return _panels(np.asarray(degrees_c), series, identifier, begin=None, label="camera, °C")

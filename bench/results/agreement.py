@@ -86,6 +86,7 @@ def agreement(name: str, values: Sequence[tuple[float, float]]) -> Agreement:
     procedure A.
 
     values: At least two values, each with its standard uncertainty greater than 0.
+    Returns: Mean, its uncertainty, Birge ratio and normalised deviations.
 
     Examples
     --------

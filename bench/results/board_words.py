@@ -11,7 +11,10 @@ from calib.errors import CalibrationError
 
 @contextmanager
 def errors_in(words: TargetWords) -> Iterator[None]:
-    """Raise the engine's errors in the words of the target."""
+    """Raise the engine's errors in the words of the target.
+
+    Raises calib.errors.CalibrationError: The error of the block, of the same class and with the same place.
+    """
     try:
         yield
     except CalibrationError as error:

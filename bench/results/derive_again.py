@@ -107,6 +107,7 @@ def check_run(folder: Path) -> Findings:
 def read_evidence(folder: Path, found: Findings) -> RunEvidence | None:
     """Read journal, documents and results of a run.
 
+    found: Findings; faults are added.
     Returns: None if a part cannot be read; the fault is then in ``found``.
     """
     entries, _ = read_journal(folder / JOURNAL)
@@ -277,6 +278,7 @@ def add_differences(
 ) -> None:
     """Add differences of a file to the findings.
 
+    found: Findings; they are added.
     other: How the program that made the file differs from this one. Another program may state more or less;
       what only one of them states is then not compared. A value that both state must be the same.
     """

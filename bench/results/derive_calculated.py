@@ -43,6 +43,7 @@ def check_calculated(
     """Compare gates, projection, passport, readings, comparison and change with what the calibration gives.
 
     history: History of the run when its results were made.
+    found: Findings; they are added.
     """
     readings = [attempt.stored["measured_deg"] for _, attempt in sorted(history.accepted().items())]
     options = solve_options(job, step, readings)

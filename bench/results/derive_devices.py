@@ -34,6 +34,8 @@ def check_wire_log(folder: Path, entries: Sequence[Entry], job: Job, found: Find
 
     Every stage is moved over a wire, so each move of the journal has bytes in the log at its time. The log keeps about
     the last 32 MB; earlier moves are not checked.
+
+    found: Findings; faults are added.
     """
     moves = list(_moves(entries))
     try:
@@ -106,7 +108,10 @@ def _check_serials(entries: Sequence[Entry], job: Job, replies: str, found: Find
 
 
 def check_recorded_with(folder: Path, history: History, found: Findings) -> None:
-    """Compare the camera that each recording names in its head with the one that the journal states."""
+    """Compare the camera that each recording names in its head with the one that the journal states.
+
+    found: Findings; faults are added.
+    """
     camera = history.devices.get("camera", {})
     for attempt in history.attempts:
         name, facts = str(attempt.stored["capture"]), attempt.stored["facts"]

@@ -20,7 +20,10 @@ _PRINCIPAL = re.compile(r" -I (\S+) -n ")
 
 
 def check_instructions(folder: Path, used: Mapping[str, Any], found: Findings) -> None:
-    """Compare VERIFY.txt with the instructions for the key that sealed the folder."""
+    """Compare VERIFY.txt with the instructions for the key that sealed the folder.
+
+    found: Findings; they are added.
+    """
     try:
         had = (folder / INSTRUCTIONS).read_text(encoding="utf-8", errors="replace")
         signature = read_signature((folder / SIGNATURE).read_bytes())

@@ -36,6 +36,7 @@ _SOURCES = "sources.json"
 def check_offline(folder: Path, found: Findings) -> None:
     """Compare sources.json, results.json, exports, report and passport with each other.
 
+    found: Findings; they are added.
     Raises KeyError, TypeError, ValueError: When a file is not of the expected form.
     """
     results = read_json(folder / RESULTS)

@@ -45,6 +45,7 @@ def check_report(
     If there is a fault already, plots and images are not drawn again, and only the words are compared.
 
     head: Hash of the journal's line that the report must print; empty for a report without one.
+    found: Findings; they are added.
     """
     try:
         due = render_report(ReportData(results, views, head), draw=not found.faults)
@@ -129,6 +130,7 @@ def check_exports(
 
     names: Names of the files in ``exports/``, as the seal lists them.
     target: The printed target or the board; None if the views show several.
+    found: Findings; they are added.
     """
     due = exports(calibration, camera_name=camera_name, target=target)
     other = other_software(results, _EXPORTS_BY)

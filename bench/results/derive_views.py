@@ -97,6 +97,7 @@ def check_views(
 ) -> RunViews | None:
     """Compare views.h5 of a run or of recalculated results with results.json.
 
+    found: Findings; faults are added.
     all_stars: Whether the calibration used all stars; with a guard band it leaves some out.
     Returns: What the file holds; None if it cannot be read.
     """

@@ -168,6 +168,7 @@ def offline_results(
 ) -> dict[str, Any]:
     """Return the content of results.json of an offline calibration.
 
+    sources: Path, size and hash of each input file.
     key: Who will seal the folder; None if it stays a draft.
     Returns: The schema of a run's results; ``run.offline`` is true, and there are no devices, gates and
       states.
@@ -257,6 +258,7 @@ def _started(source: ViewSource) -> dict[str, Any]:
 def source_data(source: ViewSource, view: str) -> dict[str, Any]:
     """Return what sources.json states about the file of a view.
 
+    Returns: Name of the view, path, size and hash.
     Raises StorageError: If the file cannot be read.
     """
     with storage_errors(source.path):

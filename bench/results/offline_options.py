@@ -35,7 +35,7 @@ class StationFile:
 
     name: str  # As it was given: a path, or the name of a station that is included
     path: str
-    sha256: str
+    sha256: str  # Hash of its bytes
 
 
 @dataclass(frozen=True)
@@ -54,8 +54,8 @@ class OfflineOptions:
     readings: Readings | None = None
     image_size: tuple[int, int] | None = None  # Width and height for point files, px
     view_numbers: tuple[int, ...] | None = None  # Numbers of the views to use, from 1; None for all
-    image: str = "auto"
-    origin: Origin = "corner"
+    image: str = "auto"  # Kind of event image for RAW captures
+    origin: Origin = "corner"  # Pixel origin of point files
     target: StarTarget = field(default_factory=StarTarget)
     # The board at finite distance that the views show in place of the star target; None for the star target.
     board: Board | None = None

@@ -42,6 +42,7 @@ _SMALL_PX = 0.01
 def is_excused(one: Difference, sigma: Mapping[str, float]) -> bool:
     """Return whether a difference may come from another program.
 
+    one: A difference between stored results and those of this program, beyond rounding.
     Returns: True if it is within the limits of this module.
     """
     if one.kind != "value" or ".notes[" in one.where or one.where.startswith((*_TABLES, *_TABLES_OF_PLANAR)):

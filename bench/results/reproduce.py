@@ -140,7 +140,10 @@ def _judged(kind: CameraKind, evidence: RunEvidence, attempt: Attempt, again: Me
 
 
 def check_numbers(stored: Mapping[str, Any], again: Mapping[str, Any], found: Findings) -> None:
-    """Compare all of results.json, except the comparison with an earlier run, whose folder may be gone."""
+    """Compare all of results.json, except the comparison with an earlier run, whose folder may be gone.
+
+    found: Findings; they are added.
+    """
     had = {name: value for name, value in stored.items() if name != "previous"}
     rounded = list(differences(had, again))
     if not rounded:
@@ -219,6 +222,7 @@ def tell_views(views: Sequence[SeenView], source: str, found: Findings) -> None:
     """Tell how the stored views of recordings differ from those found again.
 
     source: What the views come from: ``recordings``.
+    found: Findings; they are added.
     """
     excused = [view for view in views if view.seen and view.excused]
     if excused:

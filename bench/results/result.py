@@ -43,7 +43,10 @@ class Outcome:
 
 
 class ResultWriter:
-    """Calculates and writes the results of one run."""
+    """Calculates and writes the results of one run.
+
+    folder: Run folder, locked by this process.
+    """
 
     def __init__(self, job: Job, folder: RunFolder) -> None:
         self.outcome: Outcome | None = None

@@ -21,7 +21,11 @@ from sequences.script import PromptStep, RecordStep
 
 
 class Attempts:
-    """The attempts of one run."""
+    """The attempts of one run.
+
+    machine, steps, safe_points: State machine of the run, what takes steps through it, and the safe points
+      between attempts.
+    """
 
     def __init__(
         self,

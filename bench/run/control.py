@@ -104,6 +104,7 @@ def _skip_refusal(pose: int | None, history: History, poses: Mapping[int, str]) 
 class CommandInbox:
     """Commands to the run of this process, answered from ``open`` to ``close`` by a separate thread.
 
+    folder: Run folder, locked by this process.
     log: Where decisions are written; runner and status act on them.
     clock: Asked to stop by ``abort``; asked to fail if a decision cannot be journaled.
     """

@@ -24,6 +24,7 @@ CRASH_LOG = "crash.txt"
 def crash_log(folder: Path) -> Iterator[None]:
     """Write a crash of this process inside the block to ``crash.txt``; remove the empty file at the end.
 
+    Yields: Nothing; the block runs with fault handling on.
     Raises StorageError: If the file cannot be created or removed.
     """
     path = folder / CRASH_LOG
@@ -67,6 +68,7 @@ def read_crash(folder: Path) -> str | None:
 def archive_crash(folder: RunFolder) -> None:
     """Move the crash log to ``quarantine/`` for later inspection, or remove it if it is empty.
 
+    folder: Run folder, locked by this process.
     Raises StorageError: If it cannot be moved.
     """
     path = folder.path / CRASH_LOG

@@ -29,6 +29,7 @@ def follow(
 ) -> Iterator[Status]:
     """Read the status of a run after every change, as long as a process works on the run.
 
+    sleep: Waits between two reads of the journal.
     ticks: Whether to yield also when nothing has changed, with the remaining time counted down.
     monotonic: Returns the time since an arbitrary moment, s.
     Yields: One per change; the last one shows how the run ended.

@@ -44,7 +44,7 @@ class Heartbeat:
     pid: int
     started: int
     moment_ns: int  # Time at which its work last made progress, ns; comparable within one process only
-    thread: int = 0
+    thread: int = 0  # Number of the thread that wrote it
     # Where the process shares the moment at which its work last used the clock (`bench.base.work_moment`).
     work: int = NOT_SHARED
 

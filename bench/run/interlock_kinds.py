@@ -41,13 +41,17 @@ class Sensors(Protocol):
         ...
 
     def last_mev_s(self) -> float:
-        """Return the event rate of the last recording."""
+        """Return the event rate of the last recording.
+
+        Returns: Millions of events per second.
+        """
         ...
 
     def dark_mev_s(self, duration_s: float) -> float:
         """Measure the event rate in the dark.
 
         duration_s: Length of the measurement, s.
+        Returns: Millions of events per second.
         """
         ...
 

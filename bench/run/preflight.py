@@ -26,6 +26,7 @@ def preflight(devices: Devices, job: Job) -> dict[str, Any]:
     devices: Open devices; their serial numbers were compared with the station file when they were opened.
     Returns: ``camera``, ``stage`` (a list) and ``light``: identities; ``camera_settings``: settings as read
       back; ``connections``, of an event camera: see `connections`.
+    Raises PreflightFailed: With every reason at once.
     Raises drivers.errors.DriverError: If a device does not answer, or is not the one that the station file
       names.
     """

@@ -78,6 +78,7 @@ class RunEnd:
 class Runner:
     """Work of one process on one run.
 
+    folder, journal: Run folder and journal, locked by this process.
     open_devices: Opens the station's devices; called when a step first needs them.
     clock: Clock of the run; a requested stop ends the run safely.
     notify: Called with the occasion (``hold``, ``failure``), a short text and the hash of the journal's line,

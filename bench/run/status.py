@@ -68,6 +68,7 @@ class Status:
     left_s: float | None  # Expected time until the end, s; None if no process works on the run
     held_by: str  # Operator or interlock that holds the run, and why; empty while none does
     question: str  # Question to the operator; empty while there is none
+    # resumed, deviations: How often the run was resumed; deviations from the sequence.
     resumed: int
     deviations: Sequence[str]
     # last, advice: Last journal lines as text, the newest last; and what to do next.

@@ -66,6 +66,7 @@ class TimeLeft:
     def left_s(self, now: datetime, *, held: bool) -> float:
         """Return the time left.
 
+        now: The present time, with its time zone.
         held: Whether the run is held; time does not pass for it then.
         Returns: Time, s. From the third step on, the planned times are scaled by what the steps so far took.
         """

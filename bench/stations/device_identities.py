@@ -52,6 +52,7 @@ def serial_devices(station: Station) -> tuple[str, ...]:
 def hold_serial_devices(station: Station) -> Iterator[None]:
     """Lock the serial devices of a station against other processes of this computer, for the duration of the block.
 
+    Yields: While the devices are locked.
     Raises drivers.errors.PortBusy: When another process uses one of the devices, through any port.
     """
     with hold_devices(serial_devices(station)):
@@ -63,6 +64,7 @@ def hold_devices(devices: Iterable[str]) -> Iterator[None]:
     """Lock devices against other processes of this computer, for the duration of the block.
 
     devices: Family and serial number of each, from `serial_devices`.
+    Yields: While the devices are locked.
     Raises drivers.errors.PortBusy: When another process uses one of the devices, through any port.
     """
     with ExitStack() as holds:

@@ -31,6 +31,7 @@ class LateDevice:
     """A device that is opened on its own thread.
 
     name: ``stage`` or ``light``.
+    opener: Opens the device, and leaves on the stack how it is closed.
     """
 
     def __init__(self, name: str, opener: Callable[[ExitStack], Any]) -> None:

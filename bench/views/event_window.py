@@ -45,6 +45,7 @@ class WholeImage(NamedTuple):
 def read_events(path: Path) -> EventData:
     """Read a recording.
 
+    path: RAW file.
     Raises drivers.errors.RecordingFileError: If the file cannot be read.
     """
     raw = RawFile.open(path)
@@ -68,6 +69,7 @@ def whole_image(
     image: Kind of event image, or ``auto``.
     periods: Number of whole flicker periods to use; None for all that the recording holds.
     expected_hz: Nominal frequency of the flicker, Hz; None if unknown.
+    facts: Changed in place: numbers about flicker and image are added.
     one_phase: Whether the light of all pixels changes at the same moment, as that of a lamp does.
     compare_flicker: Whether to add what the events alone tell about the flicker to the facts.
     Raises calib.errors.CalibrationError: If the events show no flicker, or are too few.
@@ -88,6 +90,7 @@ def whole_image(
 def recorded_image(path: Path, image: str = "auto") -> ChosenImage:
     """Return the event image in which a board is searched, of all whole flicker periods of a recording.
 
+    path: RAW file.
     image: Kind of event image, or ``auto``.
     Returns: The image that `bench.views.measure_board` would use.
     Raises calib.errors.CalibrationError: If the events show no flicker, or are too few.

@@ -89,6 +89,7 @@ def measure(
 ) -> Measurement:
     """Read a recording and find the stars in it.
 
+    path: RAW file.
     image: Kind of event image, or ``auto``.
     periods: Number of whole flicker periods to use; None for all that the recording holds.
     expected_hz: Nominal frequency of the flicker, Hz; None if unknown.

@@ -48,6 +48,7 @@ def measure_board(
 ) -> Measurement:
     """Read a recording of events and find a board in it.
 
+    path: RAW file.
     image: Kind of event image, or ``auto``; blinking dots have their own.
     periods: Number of whole flicker periods to use; None for all that the recording holds.
     expected_hz: Nominal frequency of the flicker, Hz; None if unknown.

@@ -24,6 +24,7 @@ _LEAST_APART_S = 0.1
 class MovingRecording:
     """Pictures of one recording.
 
+    path: RAW file.
     cutoff_hz: Cutoff frequency of the filter, Hz.
     at_s: Times of the pictures after the first event, s, ascending; None for at most 40 times, spread evenly.
     Raises UsageError: If a time lies after the end of the recording.

@@ -106,6 +106,7 @@ def read_views(path: Path) -> list[StoredView]:
 def has_pictures(path: Path) -> bool:
     """Return whether a `views.h5` holds the images of the poses.
 
+    Returns: False for the views of recalculated results.
     Raises RunFolderError: If the file cannot be read, or does not have this layout.
     """
     with _opened(path) as file:

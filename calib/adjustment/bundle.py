@@ -113,7 +113,11 @@ class Bundle:
         )
 
     def thinned(self, stars: int) -> Bundle:
-        """Return a bundle with fewer stars, evenly spread over each view's list."""
+        """Return a bundle with fewer stars, evenly spread over each view's list.
+
+        Returns: Bundle with the same free parameters and priors. Views that have fewer than twice as many
+          stars keep all of them.
+        """
         obs = self.observations
         steps = [max(1, (rows.stop - rows.start) // stars) for rows in obs.slices]
         kept = [np.arange(rows.start, rows.stop, step) for rows, step in zip(obs.slices, steps, strict=True)]

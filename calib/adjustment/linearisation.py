@@ -49,7 +49,7 @@ class Block:
 
     views: range
     rows: slice
-    own: Sequence[slice]
+    own: Sequence[slice]  # For each view, its rows within the block
     # (G + L, 2, N) derivatives of the block's N image points, px per unit, by the G free shared and the L
     # local parameters (rotation in rad, then centre in mm).
     jacobian: Array

@@ -20,6 +20,7 @@ class Loss:
     Huber (1964) is the loss of arXiv:2512.16092, eq. 7, divided by two.
 
     name: ``l2``: e^2 / 2. ``huber``: linear above the limit. ``cauchy``: logarithmic above it.
+    limit: Length at which the loss leaves the parabola, in standard deviations.
     Raises InputMismatch: If the name is unknown.
     """
 

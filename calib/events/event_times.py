@@ -31,6 +31,7 @@ def event_times(t: NDArray[np.int64], p: NDArray[np.integer]) -> EventTimes:
 
     t: (N,) int64, times of the events, us, in ascending order; N >= 1.
     p: (N,) int, polarities: 1 is ON, 0 is OFF.
+    Returns: Each time once.
     """
     is_on = p if p.dtype == np.uint8 else (p > 0).astype(np.uint8)
     return EventTimes(*_gathered(np.ascontiguousarray(t, np.int64), np.ascontiguousarray(is_on)))

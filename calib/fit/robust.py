@@ -29,6 +29,7 @@ def refine_robustly(
     normal components.
 
     options: Loss, its limit if given, and the largest number of steps.
+    Returns: The bundle with its final noise variance, the optimum, and the loss with its final limit.
     """
     given = None if options.huber_px is None else options.huber_px * bundle.observations.sigmas_per_px
     loss = Loss("l2") if given is None else Loss(options.loss, given)

@@ -32,6 +32,7 @@ class BudgetRow:
     sensitivity: Mapping[str, float] = field(default_factory=dict)
     # For each quantity the standard uncertainty that the source contributes, px.
     contribution: Mapping[str, float] = field(default_factory=dict)
+    # For each quantity the share of the source in the combined variance.
     share: Mapping[str, float] = field(default_factory=dict)
 
     def to_dict(self) -> dict[str, Any]:

@@ -42,7 +42,7 @@ class Gimbal:
     camera_from_head: Array = field(default_factory=lambda: np.eye(3))
     # (3, 3) float64 standing B, gimbal's base <- target.
     base_from_target: Array = field(default_factory=lambda: np.eye(3))
-    scales: tuple[float, float, float] = (1.0, 1.0, 1.0)
+    scales: tuple[float, float, float] = (1.0, 1.0, 1.0)  # True angle over reading of pan, tilt and roll
     non_orthogonality: float = 0.0  # Angle between the axes of pan and tilt minus a right angle, rad
 
     def heads(self, angles_deg: Array) -> Array:

@@ -178,6 +178,7 @@ def bright_sites(bright: Array, sites: Sites, mean: Array, covariance: Array, ab
     bright: (L, 2) float64 bright points of a view, mm.
     mean, covariance: (P,) and (P, P) float64, mm and mm^2, unknowns of the view with these sites.
     about: (P,) float64, mm, unknowns about which the distances are linearised.
+    Returns: Sites that match mean and variance of the factors, damped.
     """
     design, distance = _linearised(bright, about)
     gap = design @ mean - distance

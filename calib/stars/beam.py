@@ -56,6 +56,7 @@ def find_beam(image: NDArray[np.generic], *, least: float = 0.0, radius_px: floa
     squares of the distances (Gander, Golub & Strebel, 1994).
 
     image: (H, W), any numeric dtype; light is bright.
+    least: Brightness of white print below which nothing counts as light, in the unit of the image.
     radius_px: Radius of the disc, px; None if it is not known.
     Returns: With a share of 0 if there is no light.
     """

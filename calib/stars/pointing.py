@@ -58,7 +58,7 @@ class PredictedGrid(NamedTuple):
     """Predicted grid of stars in the image."""
 
     grid: Array  # (3, 3) float64, homography from [column row 1] of the target's grid to [u v 1] px
-    sigma_pitches: float
+    sigma_pitches: float  # Standard uncertainty of its points, pitches, the largest over the image
 
 
 class _Observations(NamedTuple):

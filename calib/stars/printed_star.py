@@ -37,7 +37,7 @@ class EdgeMap(NamedTuple):
     tau: NDArray[np.float32]  # (S, S) float32, px, signed distance from the nearest edge; positive on white
     edge: NDArray[np.uint8]  # (S, S) uint8, number of the nearest edge, 0 to the number of segments - 1
     half: int
-    samples_per_pitch: float
+    samples_per_pitch: float  # Number of samples per pitch
     limit_px: float  # Largest distance that is used, px
 
 

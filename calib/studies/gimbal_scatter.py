@@ -29,7 +29,7 @@ class Explanation:
 
     kept: NDArray[np.int64]  # (k,) int64 increasing indices of the poses used
     fit: GimbalFit
-    metric: Metric
+    metric: Metric  # Covariance of the kept rotations with the additional variance
     criterion: float  # Bayesian information criterion (Schwarz, 1978); smaller is better
 
     @property
@@ -72,6 +72,7 @@ class SeenRotations:
 
         kept: (k,) int64 increasing indices of the poses used.
         values: (p,) start of the values.
+        Returns: The fit with the additional variance.
         """
         seen, stated = self.rotations[kept], self.metric(kept)
         start = replace(stated, excess=1.0)
@@ -106,6 +107,7 @@ class SeenRotations:
         """Return the chi-square of an explanation with another additional variance.
 
         excess: Additional variance, rad^2.
+        Returns: Chi-square of its fit, refined with this variance.
         """
         fit = known.fit
         return refine(

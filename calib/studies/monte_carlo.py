@@ -101,6 +101,7 @@ def run_monte_carlo(
 
     Repeated draws from the stated distributions: JCGM 101:2008.
 
+    bench: True camera, collimator, beam and star noise.
     poses_deg: For each pose ``pan_deg``, ``tilt_deg``, ``roll_deg``, degrees; missing angles are zero.
     seed: Random seed of the study; with the number of a run it gives the seed of that run.
     drift_mm: 1-sigma per axis of each view's centre about the shared one, mm.
@@ -152,6 +153,7 @@ def calibrate_once(
 def study_of(bench: ExpectedBench, outcomes: Sequence[Repetition]) -> MonteCarloStudy:
     """Put the runs of a study together.
 
+    bench: True camera and collimator.
     outcomes: The runs, in their order.
     Raises NotConverged: If no calibration has a result.
     """

@@ -41,6 +41,8 @@ class Parallax:
 
     bound: ParallaxBound
     defocus_source: str  # Where the defocus comes from
+    # share, share_sigma: Displacement of the pattern per unit tangent of the turn, as a share of r, and its
+    # standard uncertainty.
     share: float
     share_sigma: float
     # fx_px, fx_sigma_px: Error of fx, px, that the readings of the gimbal would cause if the parallax were
@@ -119,6 +121,7 @@ class PupilWalk:
         Product of two independent quantities: `ParallaxBound.mean_and_sigma`. To first order, the error of fx is the
         opposite share of fx.
 
+        defocus, defocus_sigma: Defocus of the collimator and its standard uncertainty, dimensionless.
         source: Where the defocus comes from.
         r_mm: Radius of the collimator, mm.
         fx_px: Focal length of the camera, px.

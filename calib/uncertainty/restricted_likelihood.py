@@ -36,6 +36,7 @@ class PoseForms:
     core: (R, R) float64 S.
     group: (P F,) int64 variance component of each coefficient; -1 for a coefficient that a pose does not
       have.
+    noise: Variance v.
     """
 
     def __init__(

@@ -209,7 +209,10 @@ class Evt3Decoder:
         return self.clock_us - first if first >= 0 else 0
 
     def statistics(self) -> StreamStatistics:
-        """Sum up the stream as decoded so far."""
+        """Sum up the stream as decoded so far.
+
+        Returns: Counts, times and losses.
+        """
         state = {place: int(self._state[place]) for place in S}
         reported = state[S.EVENTS_AT_REPORT] >= 0
         kept = self._gaps[: min(state[S.GAPS], GAPS_KEPT)]

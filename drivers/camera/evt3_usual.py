@@ -35,6 +35,7 @@ class Mode(IntEnum):
     """What is done with an event.
 
     TALLY: It is counted for the statistics only.
+    COUNT: It is added to an image.
     """
 
     TALLY = 0

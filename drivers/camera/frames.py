@@ -173,6 +173,7 @@ def capture_frames(
     path: The file to make; it must not exist.
     camera: The camera, with the expected size of a frame.
     clock: Its ``sleep`` is called before each frame.
+    stop_asked: Set by another thread to end the capture early.
     Raises RecordingFailed: If there is no frame, sizes or bit depths differ, or the file cannot be written.
     """
     check_new(path)

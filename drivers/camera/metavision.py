@@ -54,6 +54,7 @@ _LARGEST_STEP_US: Final = 1_000_000
 class MetavisionEvk4:
     """An ``EventCamera`` behind ``metavision_hal``.
 
+    device: An open HAL device: a camera, or a RAW file opened as one.
     hal: The module ``metavision_hal``.
     serial: The serial number that the camera must have; None accepts any.
     lock: The lock that reserves the camera for this process; ``close`` releases it.

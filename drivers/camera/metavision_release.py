@@ -22,6 +22,7 @@ def lets_go(*, holds: bool = False) -> Iterator[None]:
     """Empty the variables of the functions that an error has passed on its way out of the block.
 
     holds: Whether the block may keep other threads from running, so that their delay does not count.
+    Yields: During the block.
     """
     outside = sys.exception()
     try:

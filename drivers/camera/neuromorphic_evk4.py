@@ -68,6 +68,7 @@ def discover() -> tuple[FoundCamera, ...]:
 class NeuromorphicEvk4:
     """An ``EventCamera`` behind ``neuromorphic_drivers``.
 
+    device: An open device that provides raw bytes.
     package: The module ``neuromorphic_drivers``.
     serial: The serial number that the camera must have; None accepts any.
     utc_now: Returns the time for the header of a recording.

@@ -224,6 +224,7 @@ class RawFile:
 
         goes_on: Called after each piece, so that a supervisor sees a long scan go on
           (`drivers.clock.Clock.monotonic`).
+        Returns: Counts, times and losses.
         Raises RecordingCorrupt, RecordingFileError: As ``pieces``.
         """
         decoder = self._decoder()

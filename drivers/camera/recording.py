@@ -53,7 +53,7 @@ class StopConditions:
     """What may end a recording before its time."""
 
     clock: Clock  # Its ``sleep`` is called in every round of the recording, and may interrupt it
-    stop_asked: threading.Event
+    stop_asked: threading.Event  # Set by another thread to end the recording early
     silence_s: float  # How long the sensor's clock may stand still before the camera counts as lost, s
     where: str
 
@@ -62,7 +62,7 @@ class StopConditions:
 class RecordingOutcome:
     """The result of a recording."""
 
-    statistics: StreamStatistics
+    statistics: StreamStatistics  # Counts, times and losses of its words
     bytes: int
     complete: bool  # Whether the recording covers its whole duration
 

@@ -89,6 +89,7 @@ class AxisSetting:
     set: Exchange
     query: Exchange
     constant: float = 0.0  # Value of a setting that does not depend on the station file
+    # Largest difference between the value that was written and the one that is read, in percent.
     tolerance_percent: float = 0.0
 
 
@@ -135,6 +136,7 @@ class LightSetting:
     constant: float = 0.0  # Value of a setting that does not depend on the sequence
     lowest: float = float("-inf")
     highest: float = float("inf")
+    # Largest difference between the value that was written and the one that is read, in percent.
     tolerance_percent: float = 0.0
 
 

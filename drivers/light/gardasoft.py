@@ -34,6 +34,7 @@ class GardasoftLight:
       number.
     sync_channel: Channel that is wired to the camera's trigger input; None when there is none.
     full_percent: Brightness at ``high_v`` = 5 V, in percent of the lamp's rating in the controller.
+    sync_percent: Brightness of the sync channel, in percent of its rating.
     clock, wire_log: See ``drivers.link.Link``.
     Raises ReplyError, PortLost: The controller does not answer.
     """
@@ -81,6 +82,7 @@ class GardasoftLight:
         """Open the port and check the model. Sets and switches nothing.
 
         port: Address of the port; see ``drivers.serial_port.SerialPort``, which raises the errors of opening.
+        baudrate: Bits per second.
         """
         return cls(
             SerialPort(port, baudrate=baudrate),

@@ -36,7 +36,7 @@ REFUSALS = {
 class Quantity(NamedTuple):
     """A number as the controller prints it."""
 
-    value: float
+    value: float  # The number, in milliseconds or percent
     half_digit: float  # Half of its last digit, in the same unit
 
     def agrees_with(self, wanted: float) -> bool:
@@ -88,6 +88,7 @@ class RtLine(TextLine):
     def parse_quantity(self, fields: dict[str, str], name: str) -> Quantity:
         """Parse a field as a time or a brightness.
 
+        Returns: The value, in milliseconds or percent.
         Raises ReplyGarbled: There is no such field, or it is no quantity.
         """
         match = _QUANTITY.fullmatch(fields.get(name, "").split(",")[0])

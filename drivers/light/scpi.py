@@ -79,6 +79,7 @@ class ScpiLight:
         """Open the port and check the serial number. Sets and switches nothing.
 
         port: Address of the port; see ``drivers.serial_port.SerialPort``, which raises the errors of opening.
+        baudrate: Bits per second.
         """
         opened = SerialPort(port, baudrate=baudrate)
         return cls(opened, serial=serial, clock=clock, wire_log=wire_log, load=load, dialect=dialect)

@@ -49,6 +49,7 @@ class DynamixelStage(WatchedStage[DynamixelAxis]):
     Open it with ``DynamixelStage.open``; the constructor takes a port that is open already.
 
     axes: The axes, in the order of the station file.
+    clock: Every wait between two requests goes through it.
     wire_log: Records every byte; None for no record.
     Raises OutsideLimits: Limits, speed or acceleration in the station file do not fit the servo.
     Raises DeviceRefused: The torque is on in a mode that this driver cannot use, or the servo refuses a
@@ -86,6 +87,7 @@ class DynamixelStage(WatchedStage[DynamixelAxis]):
         """Open the port, check the models, and set modes and speeds. Moves nothing, and switches no torque.
 
         port: Address of the port; see ``drivers.serial_port.SerialPort``, which raises the errors of opening.
+        baudrate: Bits per second.
         """
         return cls(SerialPort(port, baudrate=baudrate), axes, clock=clock, wire_log=wire_log)
 

@@ -118,6 +118,7 @@ class DynamixelBus:
     def move(self, servo: int, goal: int) -> None:
         """Write a goal, once.
 
+        goal: Target, in counts.
         Raises ReplyError: No valid status packet came: the axis may be moving.
         """
         self._write(servo, protocol.GOAL, struct.pack("<i", goal))

@@ -194,6 +194,7 @@ class State:
     errors: int
     ramp: int
     speed: int
+    # goal, position: In counts.
     goal: int
     moving: bool  # Whether the servo moves, or carries a profile out
     velocity: int  # Present velocity, in units of `SPEED_UNIT_RPM`

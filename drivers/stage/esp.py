@@ -71,6 +71,7 @@ class EspStage(WatchedStage[EspAxis]):
     Open it with ``EspStage.open``; the constructor takes a port that is open already.
 
     axes: The axes, in the order of the station file.
+    clock: Every wait between two requests goes through it.
     wire_log: Records every byte; None for no record.
     Raises OutsideLimits: The limits in the station file lie beyond the controller's, or an axis does not
       count in degrees.
@@ -116,6 +117,7 @@ class EspStage(WatchedStage[EspAxis]):
         """Open the port, check the serial numbers, and set limits, speed and acceleration. Moves nothing.
 
         port: Address of the port; see ``drivers.serial_port.SerialPort``, which raises the errors of opening.
+        baudrate: Bits per second.
         """
         return cls(SerialPort(port, baudrate=baudrate), axes, clock=clock, wire_log=wire_log)
 

@@ -52,6 +52,7 @@ class GrblStage(WatchedStage[GrblAxis]):
 
     axes: The axes, in the order of the station file.
     serial: The name that was given to the board with ``$I=...``; empty when it is not checked.
+    clock: Every wait between two requests goes through it.
     wire_log: Records every byte; None for no record.
     Raises OutsideLimits: Scale or travel in the station file do not fit the board's.
     Raises ReplyError, PortLost: The board does not answer.
@@ -94,6 +95,7 @@ class GrblStage(WatchedStage[GrblAxis]):
         """Open the port, check the board's name, and set limits, speed and acceleration. Moves nothing.
 
         port: Address of the port; see ``drivers.serial_port.SerialPort``, which raises the errors of opening.
+        baudrate: Bits per second.
         """
         opened = SerialPort(port, baudrate=baudrate)
         return cls(opened, axes, serial=serial, clock=clock, wire_log=wire_log)

@@ -24,6 +24,8 @@ def travel_time_s(distance: float, speed: float, acceleration: float) -> float:
     With d the distance, v the speed and a the acceleration: ``d/v + v/a`` when the speed is reached
     (d >= v^2/a), ``2 sqrt(d/a)`` when it is not.
 
+    speed: Highest speed, in that unit per second.
+    acceleration: Acceleration and deceleration, in that unit per second squared.
     Returns: Time, in seconds.
 
     Examples

@@ -37,6 +37,7 @@ class TextStage(WatchedStage[TextAxis]):
 
     axes: The axes, in the order of the station file.
     serial: Serial number of the controller; empty when it is not checked.
+    clock: Every wait between two requests goes through it.
     wire_log: Records every byte; None for no record.
     Raises OutsideLimits: The limits or the scale of the station file contradict the controller's.
     Raises ReplyError, PortLost: The controller does not answer as described.

@@ -30,6 +30,7 @@ class TextAxis:
     def to_angle_deg(self, counts: float) -> float:
         """Return the angle at a counter.
 
+        counts: Counts.
         Returns: Angle, in degrees.
         """
         return self.zero_deg + counts / self.counts_per_deg

@@ -59,6 +59,7 @@ class ThorlabsStage(WatchedStage[ThorlabsAxis]):
 
     ports: The open port of each axis's controller, in the order of ``axes``.
     axes: The axes, in the order of the station file.
+    clock: Every wait between two requests goes through it.
     wire_log: Records every byte; None for no record.
     Raises OutsideLimits: Speed, acceleration or scale in the station file do not fit the controller.
     Raises ReplyError, PortLost: A controller does not answer.

@@ -100,7 +100,10 @@ class ThorlabsController:
         )
 
     def read_position(self) -> int:
-        """Ask once for the position; who needs it sure asks again."""
+        """Ask once for the position; who needs it sure asks again.
+
+        Returns: Position, in counts.
+        """
         return int(
             apt.POSITION_LAYOUT.unpack(self._query(apt.REQUEST_POSITION, apt.POSITION_LAYOUT))[1],
         )
@@ -147,7 +150,10 @@ class ThorlabsController:
         )
 
     def move(self, count: int) -> None:
-        """Start a move. The command is sent once, and has no reply."""
+        """Start a move. The command is sent once, and has no reply.
+
+        count: Target, in counts.
+        """
         self._command(apt.long(apt.MOVE_TO, apt.POSITION_LAYOUT.pack(apt.CHANNEL, count)))
 
     def home(self) -> None:

@@ -78,8 +78,8 @@ _USED: Final = _MOVING | _HOMING | _HOMED | sum(LIMITS) | sum(FAULTS)
 class Family:
     """What differs between families of controllers."""
 
-    speed_factor: float
-    acceleration_factor: float
+    speed_factor: float  # Units of speed for one count per second
+    acceleration_factor: float  # Units of acceleration for one count per second squared
     sign_of_life: bool  # Whether the controller needs signs of life
     # Scale of a stage with a built-in controller; 0 where the stage is a separate one.
     counts_per_deg: float = 0.0

@@ -47,6 +47,7 @@ class XimcStage(WatchedStage[XimcAxis]):
 
     ports: The open port of each axis's controller, in the order of ``axes``.
     axes: The axes, in the order of the station file.
+    clock: Every wait between two requests goes through it.
     wire_log: Records every byte; None for no record.
     Raises OutsideLimits: Limits, speed or acceleration in the station file lie beyond the controller's.
     Raises DeviceRefused: The controller refuses a setting, or does not count the steps of a stepper motor.

@@ -28,6 +28,7 @@ class XimcController:
 
     port: The open port; the protocol needs 115200 baud and two stop bits.
     clock, wire_log: See ``drivers.link.Link``.
+    division: Microsteps per full step.
     Raises DeviceRefused: The controller drives no stepper motor, or counts by an encoder.
     Raises ReplyError, PortLost: The controller does not answer.
     """
@@ -121,11 +122,17 @@ class XimcController:
             )
 
     def to_microsteps(self, steps: int, microsteps: int) -> int:
-        """Return a position in microsteps."""
+        """Return a position in microsteps.
+
+        microsteps: Microsteps beyond the full steps.
+        """
         return steps * self.division + microsteps
 
     def to_steps(self, count: int) -> tuple[int, int]:
-        """Split a position into full steps and microsteps of the same sign."""
+        """Split a position into full steps and microsteps of the same sign.
+
+        Returns: Full steps, and microsteps beyond them.
+        """
         steps, microsteps = divmod(abs(count), self.division)
         return (steps, microsteps) if count >= 0 else (-steps, -microsteps)
 

@@ -133,9 +133,10 @@ class Status:
 
     command_state: int  # Latest motion command, and whether it runs or has failed
     encoder_state: int
+    # steps, microsteps: Position, in full steps and microsteps beyond them.
     steps: int
     microsteps: int
-    encoder: int
+    encoder: int  # Position, in encoder counts
     flags: int  # State flags; see ``IS_HOMED`` and ``STATE_FLAGS``
 
     @classmethod
@@ -179,8 +180,10 @@ class MoveSettings:
 
     LAYOUT: ClassVar[struct.Struct] = struct.Struct("<IBHHIBB9s")
 
+    # speed, speed_microsteps: Speed, in full steps per second and microsteps per second beyond them.
     speed: int
     speed_microsteps: int
+    # acceleration, deceleration: Acceleration and deceleration, in full steps per second squared.
     acceleration: int
     deceleration: int
     # antiplay_speed, antiplay_microsteps: Speed of the backlash compensation, in the units of ``speed``.
@@ -213,6 +216,8 @@ class EdgeSettings:
 
     border_flags: int
     switch_flags: int
+    # left_steps, left_microsteps, right_steps, right_microsteps: The borders, in full steps and microsteps
+    # beyond them.
     left_steps: int
     left_microsteps: int
     right_steps: int
@@ -255,6 +260,7 @@ _RESERVED = b"\xcc" * 6
 def move_data(steps: int, microsteps: int) -> bytes:
     """Return the data of ``move``.
 
+    microsteps: Microsteps beyond the full steps, of the same sign.
     Returns: The data, without CRC.
     """
     return _MOVE_LAYOUT.pack(steps, microsteps, _RESERVED)

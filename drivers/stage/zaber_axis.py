@@ -52,7 +52,11 @@ class ZaberAxis:
 
 
 def check_scale(chain: ZaberChain, axis: ZaberAxis) -> None:
-    """Check that scale and limits agree with the controller's turn and travel."""
+    """Check that scale and limits agree with the controller's turn and travel.
+
+    Raises OutsideLimits: The scale gives another number of microsteps a turn, or the limits lie beyond the
+      travel.
+    """
     turn = _setting(chain, axis, "limit.cycle.dist")
     expected = abs(axis.microsteps_per_deg) * 360.0
     if turn and abs(turn - expected) > max(1.0, _SCALE_AGREES * expected):

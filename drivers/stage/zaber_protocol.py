@@ -206,12 +206,17 @@ def parse_flags(data: str, where: str = "") -> tuple[str, ...]:
 
 
 def is_fault(flag: str) -> bool:
-    """Return whether an axis with this flag must not be moved, and its last move has failed."""
+    """Return whether an axis with this flag must not be moved, and its last move has failed.
+
+    Returns: True for faults, an unexpected limit and a displacement at rest.
+    """
     return flag.startswith("F") or flag in _STOPPING_WARNINGS
 
 
 def is_informational(flag: str) -> bool:
     """Return whether a flag reports a past event: a note, except manual control.
+
+    Returns: False for a flag that reports a present state.
 
     Examples
     --------

@@ -41,7 +41,10 @@ class KeepAlive:
 
     @contextmanager
     def computing(self) -> Iterator[None]:
-        """Mark the ``with`` block as one computation of this thread."""
+        """Mark the ``with`` block as one computation of this thread.
+
+        Yields: Nothing; the computation ends with the block.
+        """
         thread = threading.get_ident()
         with self._lock:
             self._started_s[thread] = time.monotonic()

@@ -38,6 +38,7 @@ class CameraHands:
         """Return the call that carries out an order.
 
         order: Order for one of `HAND_DEVICES`.
+        Returns: Changes the setup at once.
         Raises ConfigError: If a parameter is invalid, or there is no board.
         """
         start = self._world.truth

@@ -42,6 +42,7 @@ class AxisController(Protocol):
         """Press or release the emergency stop.
 
         t_s: Time, s.
+        released: True releases the button.
         """
         ...
 
@@ -118,6 +119,7 @@ def fault_action(order: FaultOrder, parts: BenchParts) -> Callable[[], None]:
     """Return the call that injects a fault.
 
     order: The order; its delay is not applied here.
+    Returns: Injects the fault at once.
     Raises ConfigError: If this bench has no such device, or a parameter is invalid.
     """
     if order.device in parts.ports:
@@ -186,6 +188,7 @@ def line_fault_action(order: FaultOrder, port: SerialDevice, line: FaultLine) ->
     """Return the call that injects a fault of a line.
 
     order: The order.
+    Returns: Injects the fault at once.
     Raises ConfigError: If a parameter is invalid.
     """
     if order.fault in {"unplug", "replug"}:

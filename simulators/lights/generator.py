@@ -42,7 +42,7 @@ class Settings:
 
     shape: Shape = "sine"
     frequency_hz: float = 1000.0  # Frequency, Hz
-    duty_percent: float = 50.0
+    duty_percent: float = 50.0  # Duty cycle of the square wave, percent
     # low_v, high_v: Levels at the load that is set, V.
     low_v: float = -0.05
     high_v: float = 0.05
@@ -115,6 +115,7 @@ class Generator:
     def set(self, name: Setting, value: float) -> ClipReason:
         """Set a value, clipped to its range.
 
+        value: New value: Hz, percent or V.
         Returns: Why the value was clipped; empty if it was not.
         """
         lowest, highest = self.bounds(name)
@@ -131,7 +132,10 @@ class Generator:
         return held
 
     def bounds(self, name: Setting) -> tuple[float, float]:
-        """Return the range of a setting, which depends on the other settings."""
+        """Return the range of a setting, which depends on the other settings.
+
+        Returns: Lowest and highest value: Hz, percent or V.
+        """
         share = _voltage_share(self.settings.load_ohm)
         most, least = self.most_v * share, _MIN_AMPLITUDE_V * share
         half = self.settings.amplitude_v / 2.0

@@ -42,7 +42,10 @@ class ImageOfLight(NamedTuple):
 
 
 def has_many_lights(truth: Truth) -> bool:
-    """Return whether the board is more than one light."""
+    """Return whether the board is more than one light.
+
+    Returns: True for blinking dots, and for a screen that is drawn line by line.
+    """
     return truth.board.blinks or (truth.board.own_clock and truth.board.scan > 0.0)
 
 

@@ -238,6 +238,7 @@ def displacement(x_mm: float, y_mm: float, e: Aberrations) -> tuple[float, float
 
     Third-order terms: Born and Wolf, Principles of Optics, section 5.3.
 
+    x_mm, y_mm: True position on the target plane.
     Returns: dx and dy, mm.
     """
     larger_x, larger_y = e.print_scale * (x_mm - e.x), e.print_scale * (y_mm - e.y)

@@ -43,7 +43,10 @@ class Lens(NamedTuple):
 
 
 def lens_of(camera: CameraTruth) -> Lens:
-    """Return the lens of a camera."""
+    """Return the lens of a camera.
+
+    camera: True parameters of the camera.
+    """
     c = camera
     return Lens(c.fx, c.fy, c.cx, c.cy, c.k1, c.k2, c.k3, c.k4, c.p1, c.p2, camera.projection == "fisheye")
 
@@ -55,6 +58,9 @@ def distort(xn: float, yn: float, lens: Lens) -> tuple[float, float]:
     Pinhole: radial k1, k2, k3 and tangential p1, p2 (Brown 1966, 1971; sign and order as in OpenCV). Fisheye (Kannala
     and Brandt 2006, radial part, as in OpenCV): with theta = atan r, the point lies at
     theta (1 + k1 theta^2 + k2 theta^4 + k3 theta^6 + k4 theta^8).
+
+    xn, yn: Undistorted normalised coordinates x/z and y/z.
+    Returns: Distorted normalised coordinates.
     """
     r2 = xn * xn + yn * yn
     if lens.fisheye:
@@ -93,6 +99,9 @@ def undistort(xd: FloatArray, yd: FloatArray, camera: CameraTruth) -> tuple[Floa
     The pinhole model is inverted by fixed-point iteration, the fisheye by Newton's method. Own derivation: x <- x +
     (x_d - distort(x)) for the pinhole model.
 
+    xd, yd: Distorted normalised coordinates, two arrays of one shape (...,).
+    camera: True parameters of the camera.
+    Returns: Undistorted normalised coordinates x/z and y/z.
     Raises ConfigError: If the distortion cannot be inverted there: the radial polynomial decreases inside the
       image.
     """
@@ -114,7 +123,11 @@ def undistort(xd: FloatArray, yd: FloatArray, camera: CameraTruth) -> tuple[Floa
 
 
 def distort_arrays(xn: FloatArray, yn: FloatArray, lens: Lens) -> tuple[FloatArray, FloatArray]:
-    """Return ``distort`` for arrays."""
+    """Return ``distort`` for arrays.
+
+    xn, yn: Undistorted normalised coordinates, two arrays of one shape (...,).
+    Returns: Distorted normalised coordinates.
+    """
     flat = _distort(np.column_stack([np.ravel(xn), np.ravel(yn)]), lens)
     return flat[:, 0].reshape(xn.shape), flat[:, 1].reshape(xn.shape)
 
@@ -162,6 +175,7 @@ def ray_grid(camera: CameraTruth, margin_px: int = 0) -> FloatArray:
 
     Own derivation: the inverse of `image_point`, ((u - cx) / fx, (v - cy) / fy) without distortion.
 
+    camera: True parameters of the camera.
     margin_px: How far the grid extends beyond the image's border.
     Returns: Undistorted normalised coordinates. The grid divides the image evenly, from the outer edges of
       its outermost pixels (or of the margin's).

@@ -60,6 +60,7 @@ def pose_rotation(
     angles_deg: "pan" about the camera's y axis, "tilt" about its x axis, "roll" about its z axis; missing =
       0.
     optics: Holds the mounting rotation R0.
+    gimbal: Errors between these angles and the direction in which the camera points.
     """
     return gimbal_rotation(angles_deg, gimbal) @ rotation_matrix(np.radians(optics.mounting_deg))
 

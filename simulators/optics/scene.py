@@ -88,7 +88,10 @@ def _screen_of(truth: Truth) -> ScreenTruth:
 
 
 def board_of(screen: ScreenTruth) -> Checkerboard:
-    """Return the board on a screen."""
+    """Return the board on a screen.
+
+    screen: True size and pose of the board.
+    """
     return Checkerboard(screen.columns, screen.rows, screen.square_mm)
 
 
@@ -97,6 +100,7 @@ def board_pose(screen: ScreenTruth, rotation: FloatArray) -> tuple[FloatArray, F
 
     Own derivation: with the board's own rotation R0, position p and middle m, R = R_pose R0 and t = R_pose (p - R0 m).
 
+    screen: True pose of the board at zero angles.
     rotation: (3, 3) of the camera's pose, from the axes at zero angles.
     Returns: Rotation R, (3, 3), and position t, (3,) mm.
     """

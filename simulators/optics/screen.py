@@ -53,6 +53,7 @@ def project_board(
 
     Projection: Hartley and Zisserman (2004), section 6.1.
 
+    camera: True parameters of the camera.
     rotation, position: R, (3, 3), and t, (3,) mm: X_cam = R P + t.
     Returns: Image points, px, row by row; pixel centres at integers.
     Raises SimulationMisuse: If the board is not wholly in front of the camera.
@@ -67,6 +68,7 @@ def project_outline(
 
     Projection: Hartley and Zisserman (2004), section 6.1.
 
+    camera: True parameters of the camera.
     rotation, position: R, (3, 3), and t, (3,) mm: X_cam = R P + t.
     Returns: Image points, px.
     Raises SimulationMisuse: If the board is not wholly in front of the camera.
@@ -101,6 +103,7 @@ def render_board(
 
     Areas: Levien (2016). Own model of the point spread: see `coverage.spread_kernel`.
 
+    camera: True parameters of the camera.
     rotation, position: R, (3, 3), and t, (3,) mm: X_cam = R P + t.
     subsamples: Cells along each side of a pixel.
     Returns: 0 to 1.

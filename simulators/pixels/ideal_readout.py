@@ -64,6 +64,7 @@ def ideal_slices(
     Each array is a view of one buffer, which the next slice overwrites: copy what you keep.
 
     picture: (height, width) float32, share of the light's drive that reaches each pixel.
+    duration_us: End of the stream, exclusive.
     phase: Phase of the light at time 0, in periods.
     settings: Thresholds and time constant; the dead time is not used.
     thresholds: ON and OFF thresholds of each pixel, two (height, width) arrays in units of log intensity, as
@@ -120,6 +121,7 @@ def ideal_events(
     """Return all events of ``ideal_slices`` in one array.
 
     picture: (height, width) float32, share of the light's drive that reaches each pixel.
+    duration_us: End of the stream, exclusive.
     options: Further arguments of ``ideal_slices``.
     Returns: Events sorted by time, a structured array.
     """

@@ -102,6 +102,7 @@ class ManyLightsSensor:
         """Apply a new picture or light now; see `Sensor.change`.
 
         picture: (height, width) float32, share of the light that reaches each pixel; None: unchanged.
+        step_us: Pixels that the change itself carries beyond a threshold fire within this time.
         """
         self._for_each(picture, light, phase, lambda sensor, *seen: sensor.change(*seen, step_us))
 

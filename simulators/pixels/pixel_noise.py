@@ -119,6 +119,7 @@ def draw_arrivals(
     Exponential waiting times for the sensor as a whole; the pixel by Walker's alias method (Walker 1977).
 
     alias: (pixels,) uint64, Walker's alias table of the pixels' rates, from ``fill_alias``.
+    rate_us: Rate of all pixels together, events per us.
     after: Time of the last event drawn, us.
     random: (2,) uint64, generator; its counter advances.
     times: (N,) float64, filled in: times, us.

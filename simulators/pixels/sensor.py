@@ -152,6 +152,7 @@ class Sensor:
         """Apply a new picture or light now.
 
         picture: (height, width) float32, share of the light's drive that reaches each pixel; None: unchanged.
+        step_us: Pixels that the change itself carries beyond a threshold fire within this time.
         Raises SimulationMisuse: If the picture's shape is not that of the sensor.
         """
         self._drive = make_drive(light, self._now_us - phase * light.period_us, self.settings)
@@ -271,6 +272,7 @@ def simulate(
     """Return the events of a still picture under a flickering light, from time 0 to ``duration_us``.
 
     picture: (height, width) float32, share of the light's drive that reaches each pixel (``optics.render``).
+    duration_us: End, exclusive.
     phase: Phase of the light at time 0, in periods.
     noise, settings, camera_seed, seed, link: As ``Sensor`` takes them.
     Returns: In the order in which they are read.

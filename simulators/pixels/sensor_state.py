@@ -75,9 +75,9 @@ class Readout(NamedTuple):
     reset_noise: float  # Standard deviation of the reference after a reset, in units of log intensity
     row_us: float
     event_us: float
-    link_words_us: float
+    link_words_us: float  # Words that the link carries per us
     fifo_words: float
-    noise_rate_us: float
+    noise_rate_us: float  # Rate of background and hot-pixel events of all pixels together, events per us
     # (pixels,) uint64, Walker's alias table of the pixels' noise rates; see ``pixel_noise``.
     alias: NDArray[np.uint64]
     normals: NDArray[np.float32]  # (4096,) float32, normal deviates

@@ -32,6 +32,8 @@ class Axis:
 
     now_s: Time of power-up, s.
     publish: Called with each new trajectory of the load; this is how the world learns where the axis points.
+    commanded: Trajectory that the controller commands, motor counts from the true zero of the load.
+    motor: Trajectory of the shaft, in the same counts.
     stuck_busy: Whether the controller keeps reporting busy.
     """
 
@@ -61,6 +63,7 @@ class Axis:
         """Return the controller's counter.
 
         t_s: Time, s.
+        Returns: Counts.
         """
         self._finish_homing(t_s)
         return self.commanded.position(t_s) - self._origin
@@ -69,6 +72,7 @@ class Axis:
         """Return the count of an encoder on the shaft; it is set to 0 together with the counter.
 
         t_s: Time, s.
+        Returns: Counts.
         """
         self._finish_homing(t_s)
         return self.motor.position(t_s) - self._encoder_origin
@@ -77,6 +81,7 @@ class Axis:
         """Return the counter at which the present command ends.
 
         t_s: Time, s.
+        Returns: Counts.
         """
         self._finish_homing(t_s)
         return self.commanded.rest - self._origin
@@ -85,6 +90,7 @@ class Axis:
         """Return the commanded velocity.
 
         t_s: Time, s.
+        Returns: Velocity, counts/s.
         """
         return self.commanded.velocity(t_s)
 
@@ -133,6 +139,7 @@ class Axis:
     def move_to(self, target: float, t_s: float, speed: float, acceleration: float) -> None:
         """Ramp to a counter value from the present position and velocity.
 
+        target: Target, counts.
         t_s: Time of the command, s.
         speed, acceleration: Limits of the ramp, counts/s and counts/s^2.
         """
@@ -198,6 +205,7 @@ class Axis:
     def set_counter(self, value: float, t_s: float) -> None:
         """Assign another counter value to the present position.
 
+        value: New counter value, counts.
         t_s: Time of the command, s.
         """
         self._finish_homing(t_s)
@@ -206,6 +214,7 @@ class Axis:
     def set_encoder(self, value: float, t_s: float) -> None:
         """Assign another encoder value to the present position.
 
+        value: New encoder value, counts.
         t_s: Time of the command, s.
         """
         self._finish_homing(t_s)
@@ -220,12 +229,16 @@ class Axis:
         self._armed = fault
 
     def report_false_idle(self, times: int) -> None:
-        """Let the controller report idle although the axis moves."""
+        """Let the controller report idle although the axis moves.
+
+        times: Number of false reports.
+        """
         self._false_idle_replies = times
 
     def push(self, counts: float, t_s: float) -> None:
         """Turn the shaft from outside; the counter does not notice.
 
+        counts: Rotation of the shaft, counts.
         t_s: Time, s.
         """
         load, offset = self._load(t_s)

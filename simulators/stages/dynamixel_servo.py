@@ -263,6 +263,7 @@ class DynamixelServo:
         """See `AxisController.emergency_stop`. The button cuts the power of the servo.
 
         t_s: Time, s.
+        released: True restores it.
         """
         self.power(t_s, on=released)
 

@@ -349,6 +349,7 @@ class EspController:
         """Press the emergency stop, which switches all motors off, or release it; the motors then stay off.
 
         t_s: Time, s.
+        released: True releases the button.
         """
         self._stop_pressed = not released
         if released:

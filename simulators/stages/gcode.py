@@ -41,9 +41,9 @@ class Block:
     motion: str | None = None  # "G0" or "G1"; the last one remains in force
     distance: str | None = None  # "G90" (absolute) or "G91" (relative); the last one remains in force
     dwell_s: float | None = None  # Dwell time of G4, s
-    feed: float | None = None
+    feed: float | None = None  # Feed, units/min
     machine_coordinates: bool = False  # Whether the block contains G53
-    targets: dict[str, float] = field(default_factory=dict)
+    targets: dict[str, float] = field(default_factory=dict)  # Coordinates by axis letter, units
 
 
 def strip_line(line: str) -> str:
@@ -61,6 +61,7 @@ def parse_block(line: str, axes: str = "XYZ") -> Block:
     """Parse a block.
 
     line: The block, with or without comments and blanks.
+    Returns: Content of the block.
     Raises GcodeError: 1 letter expected, 2 bad number, 4 negative value, 20 unsupported code, 21 two codes of
       one group, 23 code is not a whole number, 24 two codes need the axes, 25 repeated letter, 28 dwell time
       missing.

@@ -330,6 +330,7 @@ class GrblController(SystemCommands):
         """Hold the board in reset, as a stop button on its reset pin does, or release it.
 
         t_s: Time, s.
+        released: True releases the button.
         """
         self._in_reset = not released
         if released:

@@ -47,7 +47,7 @@ class GrblAxisModel:
 class Motion(NamedTuple):
     """A queued motion."""
 
-    targets: dict[str, float]
+    targets: dict[str, float]  # Machine coordinates by axis letter, units
     feed: float | None  # Feed, units/min; None for a rapid motion
 
 
@@ -99,6 +99,7 @@ class Planner:
         """Return whether nothing moves and the queue is empty.
 
         now: Time, s.
+        Returns: False during a hold too.
         """
         return not self._queue and not self.held and not self.moving(now)
 
@@ -115,6 +116,7 @@ class Planner:
         """Return the present speed along the path.
 
         now: Time, s.
+        Returns: Speed, units/min.
         """
         speeds = [axis.velocity(now) / self._steps(letter) for letter, axis in self.axes.items()]
         return 60.0 * math.sqrt(sum(speed * speed for speed in speeds))
@@ -123,12 +125,14 @@ class Planner:
         """Return where all queued motions end.
 
         now: Time, s.
+        Returns: Machine coordinates by axis letter, units.
         """
         return dict(self._queue[-1].targets) if self._queue else self._rest_targets(now)
 
     def inside(self, targets: Mapping[str, float]) -> bool:
         """Return whether targets lie within the travel of all axes.
 
+        targets: Machine coordinates by axis letter, units.
         Returns: Whether all do.
         """
         return all(-self._setting(MAX_TRAVEL, one) <= target <= 0.0 for one, target in targets.items())

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 class Mechanics:
     """Mechanical properties of an axis.
 
+    counts_per_deg: Motor counts (microsteps or encoder counts) per degree of the load.
     lowest_deg, highest_deg: End stops of the load, degrees.
     home_deg: Angle of the reference sensor, degrees; homing sets the counter to 0 there.
     start_deg: Angle at power-up, degrees. The controller does not know it: its counter starts at 0.

@@ -281,6 +281,7 @@ class AptController:
         """Cut the power of the controller, or restore it; nothing happens if it was never cut.
 
         t_s: Time, s.
+        released: True restores it.
         """
         if released and not self._powered:
             self._powered = True

@@ -279,6 +279,7 @@ class XimcController:
         """Press the emergency input, which halts the axis and raises the alarm, or release it; the alarm stays.
 
         t_s: Time, s.
+        released: True releases the input.
         """
         self._stop_pressed = not released
         if not released:

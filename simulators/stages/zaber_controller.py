@@ -266,6 +266,7 @@ class ZaberController:
         """Press the emergency stop, which halts and holds the axis, or release it.
 
         t_s: Time, s.
+        released: True releases the button.
         """
         if released:
             self._state.flags.discard("FH")

@@ -26,8 +26,10 @@ class LoadTrajectory:
     """
 
     motor: MotorTrajectory
+    # Load minus motor at rest, counts, for each piece: half the play of the gear, with the sign of the side
+    # that the load came from.
     offsets: tuple[float, ...]
-    loads: tuple[float, ...]
+    loads: tuple[float, ...]  # Position of the load at the start of each piece, counts
     counts_per_deg: float
     settle_s: float
 
@@ -43,6 +45,10 @@ class LoadTrajectory:
     ) -> Self:
         """Return the trajectory of a load on a motor.
 
+        load: Position of the load at the start, counts.
+        offset: Load minus motor at the start, counts, from the play of the gear.
+        backlash: Play of the gear, counts.
+        counts_per_deg: Scale, motor counts per degree of the load.
         settle_s: Time constant of the lag; 0 for none.
         """
         offsets: list[float] = []
@@ -72,7 +78,10 @@ class LoadTrajectory:
         return self.motor.end_s + self.settle_s * math.log(residual / SETTLED_DEG)
 
     def load(self, t_s: float) -> float:
-        """Return the position of the load at a time."""
+        """Return the position of the load at a time.
+
+        Returns: Position, counts.
+        """
         index = self.motor.index(t_s)
         return _follow(self.motor.pieces[index], self.offsets[index], self.loads[index], t_s, self.settle_s)
 

@@ -21,6 +21,7 @@ STEP_ARCSEC: Final = 0.05
 def has_motion(mount: MountTruth) -> bool:
     """Return whether the mount moves at all.
 
+    mount: True motion of the mount.
     Returns: True if it vibrates or drifts.
     """
     return vibrates(mount) or mount.drift_arcsec_per_min != (0.0, 0.0)
@@ -29,13 +30,17 @@ def has_motion(mount: MountTruth) -> bool:
 def vibrates(mount: MountTruth) -> bool:
     """Return whether the mount vibrates.
 
+    mount: True motion of the mount.
     Returns: True if amplitude and frequency are positive.
     """
     return mount.vibration_arcsec > 0.0 and mount.vibration_hz > 0.0
 
 
 def drift_since_on_arcsec(mount: MountTruth, on_s: float) -> tuple[float, float]:
-    """Return the drift since the bench was switched on, in whole steps of `STEP_ARCSEC`."""
+    """Return the drift since the bench was switched on, in whole steps of `STEP_ARCSEC`.
+
+    mount: True motion of the mount.
+    """
     pan, tilt = (
         round(round(rate * on_s / 60.0 / STEP_ARCSEC) * STEP_ARCSEC, 2) for rate in mount.drift_arcsec_per_min
     )
@@ -51,6 +56,7 @@ def true_angles_deg(
 ) -> dict[AxisName, float]:
     """Return the angles at which the camera really points.
 
+    mount: True motion of the mount.
     start_drift_arcsec: Drift of pan and tilt at the recording's start, arc seconds, from
       ``drift_since_on_arcsec``.
     phases: Phases of the vibration about pan and tilt at the recording's start, in periods.

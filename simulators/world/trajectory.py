@@ -26,6 +26,8 @@ def ramp(
 
     An axis that runs the wrong way, or too fast to stop in time, brakes to a halt first.
 
+    position, velocity: State of the axis at the start, counts and counts/s.
+    target: Position at which it comes to rest, counts.
     speed, acceleration: Limits of the ramp, positive, counts/s and counts/s^2.
     Returns: At most four; empty if the axis already rests at the target.
 
@@ -63,6 +65,7 @@ class Piece(NamedTuple):
     """An interval of constant acceleration; the last one of a trajectory lasts until the next command."""
 
     start_s: float
+    # position, velocity: Those of the motor at that time, counts and counts/s.
     position: float
     velocity: float
     acceleration: float  # Constant acceleration, counts/s^2
@@ -71,6 +74,7 @@ class Piece(NamedTuple):
         """Return the position at a time.
 
         t_s: Time; before the start, the position is that of the start.
+        Returns: Position, counts.
         """
         s = max(0.0, t_s - self.start_s)
         return self.position + self.velocity * s + self.acceleration * s * s / 2.0
@@ -79,6 +83,7 @@ class Piece(NamedTuple):
         """Return the velocity at a time.
 
         t_s: Time; before the start, the velocity is that of the start.
+        Returns: Velocity, counts/s.
         """
         return self.velocity + self.acceleration * max(0.0, t_s - self.start_s)
 
@@ -109,6 +114,8 @@ class MotorTrajectory:
     ) -> Self:
         """Plan ramps through several positions, with a stop at each.
 
+        position, velocity: State of the motor at that time, counts and counts/s.
+        stations: Positions in counts, each with the speed limit of the ramp to it, counts/s.
         acceleration: Acceleration of all ramps, counts/s^2.
         """
         pieces: list[Piece] = []
@@ -151,11 +158,17 @@ class MotorTrajectory:
         return self.pieces[self.index(t_s)]
 
     def position(self, t_s: float) -> float:
-        """Return the motor's position at a time."""
+        """Return the motor's position at a time.
+
+        Returns: Position, counts.
+        """
         return self.at(t_s).position_at(t_s)
 
     def velocity(self, t_s: float) -> float:
-        """Return the motor's velocity at a time."""
+        """Return the motor's velocity at a time.
+
+        Returns: Velocity, counts/s.
+        """
         return self.at(t_s).velocity_at(t_s)
 
     def until(self, t_s: float, creep: float = 0.0) -> Self:
@@ -171,6 +184,7 @@ class MotorTrajectory:
     def first_beyond(self, lowest: float, highest: float) -> float | None:
         """Return the time at which the trajectory first leaves a range.
 
+        lowest, highest: Limits of the range, counts.
         Returns: Time; None if the trajectory stays inside.
         """
         for index, piece in enumerate(self.pieces):

@@ -275,7 +275,7 @@ class Truth:
     mount: MountTruth = field(default_factory=MountTruth)
     screen: ScreenTruth = field(default_factory=ScreenTruth)
     reticle: ReticleTruth = field(default_factory=ReticleTruth)
-    gimbal: GimbalTruth = field(default_factory=GimbalTruth)
+    gimbal: GimbalTruth = field(default_factory=GimbalTruth)  # Errors between readings and pointing
     target: StarTarget = field(default_factory=StarTarget)
     lens: LensTruth = field(default_factory=LensTruth)  # Focus and aperture of the camera's lens
     board: BoardTruth = field(default_factory=BoardTruth)

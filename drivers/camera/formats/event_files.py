@@ -69,6 +69,7 @@ class ExportSummary:
 def export_metavision(recording: RawFile, path: Path) -> ExportSummary:
     """Write a Metavision HDF5 file, with bounded memory.
 
+    recording: The RAW file to export.
     path: The file to make; it must not exist.
     Raises RecordingFileError: If the file exists or cannot be written, or the recording cannot be read.
     """
@@ -95,6 +96,7 @@ def export_metavision(recording: RawFile, path: Path) -> ExportSummary:
 def export_hdf5(recording: RawFile, path: Path) -> ExportSummary:
     """Write a plain HDF5 file, with bounded memory.
 
+    recording: The RAW file to export.
     path: The file to make; it must not exist.
     Raises RecordingFileError: If the file exists or cannot be written, or the recording cannot be read.
     """
@@ -129,6 +131,7 @@ def export_hdf5(recording: RawFile, path: Path) -> ExportSummary:
 def export_numpy(recording: RawFile, path: Path) -> ExportSummary:
     """Write an ``.npz`` file. All events are in memory meanwhile.
 
+    recording: The RAW file to export.
     path: The file to make; it must not exist.
     Raises RecordingFileError: If the file exists or cannot be written, or the recording cannot be read.
     """

@@ -37,6 +37,7 @@ def has_member(group: Any, name: str) -> bool:
     """Return whether a group has a member of this name. The member need not be readable.
 
     name: Name without slashes.
+    Returns: Also True for a link.
     """
     return group.get(name, getlink=True) is not None
 
@@ -44,6 +45,7 @@ def has_member(group: Any, name: str) -> bool:
 def member(group: Any, path: str) -> Any:
     """Return a part of a file that lies in the file itself.
 
+    path: Names with slashes between them.
     Raises ValueError: If it is missing, or a name on the way is a link to another place.
     """
     here = group
@@ -61,6 +63,7 @@ def member(group: Any, path: str) -> Any:
 def dataset(group: Any, path: str) -> Any:
     """Return an array of a file, after a check that the file itself holds it.
 
+    path: Names with slashes between them.
     Raises ValueError: If it is missing, no array, kept in another file, compressed by an unknown filter, or
       larger than the file can hold.
     """
@@ -138,6 +141,7 @@ def whole(found: Any, most_bytes: int) -> NDArray[Any]:
     """Read an array at once.
 
     found: What `dataset` returned.
+    Returns: The array, in its own shape and type.
     Raises ValueError: If it is larger, or cannot be read.
     """
     if found.nbytes > most_bytes:
