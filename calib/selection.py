@@ -82,21 +82,17 @@ def choose(views: Sequence[View], options: CalibrationOptions, wrong: Sequence[G
         raise next(iter(errors.values()))
     candidates = tuple(as_candidate(one) for one in fits)
     few = not enough_poses(fits[0])
-    eligible, notes, choice = _eligible(fits), [*_not_fitted(errors)], None
-    while eligible:
-        place = _by_criterion(candidates, eligible) if few else _by_prediction(candidates, eligible)
-        best = place
-        if candidates[best].model == "spherical" and options.radial_sigma is None:
-            place = next(iter(_first(candidates, "radial")), best)
-        reason = _reason(best, candidates, eligible, few=few, used=place == best)
-        chosen = with_uncertainty(fits[place], options)
-        choice = choice or Choice(chosen, candidates, (*notes, reason))
-        if _is_constrained(chosen):
-            return Choice(chosen, candidates, (*notes, reason))
+    eligible, notes = _eligible(fits), _not_fitted(errors)
+    best = _by_criterion(candidates, eligible) if few else _by_prediction(candidates, eligible)
+    place = best
+    if candidates[best].model == "spherical" and options.radial_sigma is None:
+        place = next(iter(_first(candidates, "radial")), best)
+    reason = _reason(best, candidates, eligible, few=few, used=place == best)
+    chosen = with_uncertainty(fits[place], options)
+    if not _is_constrained(chosen):
+        # No other model takes its place: one that predicts worse and states a smaller uncertainty is biased.
         notes.append(f"The {candidates[place].model} model explains the views, but does not determine fx.")
-        eligible = [i for i in eligible if i not in (place, *_first(candidates, "spherical"))]
-    assert choice is not None
-    return choice
+    return Choice(chosen, candidates, (*notes, reason))
 
 
 def _is_constrained(fitted: Fit) -> bool:

@@ -119,14 +119,21 @@ class PoseWeigher:
         self._taken = tuple(taken_deg)
         self._refused = tuple(refused_deg)
         self._min_stars = min_stars
-        self._known: Array | None = None
+        views = [self._view(pose) for pose in self._taken]
+        self._shown = [
+            (pose, view) for pose, view in zip(self._taken, views, strict=True) if view is not None
+        ]
+        self._news = np.array(
+            [
+                share_of_news(self._taken[i], self._taken[:i])
+                for i, view in enumerate(views)
+                if view is not None
+            ]
+        )
         self.before = Sigmas(np.inf, np.inf, 1.0)
-        shown = [(i, view) for i, pose in enumerate(self._taken) if (view := self._view(pose)) is not None]
-        if shown:
-            fit = self._fit([view for _, view in shown], [self._taken[i] for i, _ in shown])
-            news = (share_of_news(self._taken[i], self._taken[:i]) for i, _ in shown)
-            self._known = np.sum([share * own for share, own in zip(news, _sums(fit), strict=True)], axis=0)
-            self.before = PoseJudge(fit).sigmas(*self._known)
+        if self._shown:
+            fit = self._fit(self._shown)
+            self.before = PoseJudge(fit).sigmas(*self._known(_sums(fit)))
 
     def possible(self, candidates_deg: Iterable[Angles]) -> list[Angles]:
         """Return the poses that show enough of the target and repeat no recorded or failed pose.
@@ -145,17 +152,22 @@ class PoseWeigher:
         shown = [(pose, view) for pose in candidates_deg if (view := self._possible_view(pose)) is not None]
         if not shown:
             return []
-        fit = self._fit([view for _, view in shown], [pose for pose, _ in shown])
-        judge = PoseJudge(fit)
-        known = 0.0 if self._known is None else self._known
+        # Recorded poses are part of the fit: the axes that all of these poses turn decide which parameters are free.
+        fit = self._fit([*self._shown, *shown])
+        judge, sums = PoseJudge(fit), _sums(fit)
+        known = self._known(sums[: len(self._shown)])
         return [
             WeighedPose(
                 pose,
                 judge.sigmas(*(known + share_of_news(pose, self._taken) * own)),
                 rim_share(self._bench, self._gimbal.rotation(pose)),
             )
-            for (pose, _), own in zip(shown, _sums(fit), strict=True)
+            for (pose, _), own in zip(shown, sums[len(self._shown) :], strict=True)
         ]
+
+    def _known(self, sums: Array) -> Array:
+        """Return (2, G, G) what the recorded poses give together; (n, 2, G, G) `sums` are what each gives."""
+        return np.einsum("n,nkij->kij", self._news, sums)
 
     def _possible_view(self, pose: Angles) -> View | None:
         if any(distance_deg(pose, other) < SAME_POSE_DEG for other in (*self._taken, *self._refused)):
@@ -171,10 +183,11 @@ class PoseWeigher:
         except TooFewStars:
             return None
 
-    def _fit(self, views: Sequence[View], poses: Sequence[Angles]) -> ExpectedFit:
-        """Return the expected adjustment of some views."""
+    def _fit(self, shown: Sequence[tuple[Angles, View]]) -> ExpectedFit:
+        """Return the expected adjustment of the views of some poses."""
+        poses = [pose for pose, _ in shown]
         rotations = np.array([self._gimbal.rotation(pose) for pose in poses])
-        return ExpectedFit(self._bench, views, rotations, poses, candidates=True)
+        return ExpectedFit(self._bench, [view for _, view in shown], rotations, poses, candidates=True)
 
 
 def _sums(fit: ExpectedFit) -> Array:

@@ -1,10 +1,14 @@
 """The model is chosen by views it has not seen."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from calib.engine import CalibrationOptions, calibrate
 from calib.errors import DegenerateViews
+from simulators.world.truth import COLLIMATORS
+from tests.support.drawn_benches import NINE, draw_bench
 
 AUTO = CalibrationOptions(model="auto", loss="l2")
 POSES = ((-5, 2), (0.5, -2.5, 10), (5, 2.5, -20), (-3, -2, 60), (3, 0, 130), (0, 1, 75))
@@ -114,6 +118,15 @@ def test_few_views_without_a_rim_let_the_centre_drift_where_it_does(make_bench):
     moving = calibrate(bench.views(rng, 0.05, centres=centres), AUTO)
     assert moving.model == "drift"
     assert "the next best is the " in moving.notes[-1]
+
+
+def test_a_model_that_predicts_worse_never_replaces_one_that_leaves_the_focal_length_open():
+    glass = COLLIMATORS["like-bench"]
+    drawn = draw_bench(replace(glass, rim_roll_mm=-glass.rim_roll_mm), NINE, 200)
+    result = calibrate(drawn.views, CalibrationOptions(model="auto"))
+    assert result.model == min(result.candidates, key=lambda one: one.left_out_rms_px).model == "radial"
+    assert abs(result.camera.fx - drawn.truth.camera.fx) < result.coverage_factor * result.sigma["fx"]
+    assert any("radial model explains the views, but does not determine fx" in note for note in result.notes)
 
 
 def test_when_no_model_fits_the_first_reason_is_given(bench):

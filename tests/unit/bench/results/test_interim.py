@@ -288,3 +288,14 @@ def test_more_poses_leave_less_and_a_neighbour_brings_less_than_a_far_pose():
     assert isinstance(few.before, Sigmas)
     assert few.before.missing >= 1
     assert few.weigh([far])[0].after.missing < few.before.missing
+
+
+def test_poses_that_turn_an_axis_by_little_are_weighed_with_the_readings_of_the_recorded_ones():
+    station = load_station("simulated")
+    bench = replace(expected_bench(station), readings=gimbal_readings(station.value, []))
+    weigher = PoseWeigher(bench, GimbalModel(np.eye(3), np.eye(3)), TAKEN)
+    wide = [{"pan_deg": pan, "tilt_deg": 3.0} for pan in (-4.0, 1.0, 4.0)]
+    close = [{"pan_deg": 1.0 + off, "tilt_deg": 3.0} for off in (0.0, 0.1)]
+    alone, beside = weigher.weigh(close)[0], weigher.weigh(wide)[1]
+    assert alone.after.fx_px == pytest.approx(beside.after.fx_px, rel=1e-6)
+    assert alone.after.fx_px < weigher.before.fx_px
