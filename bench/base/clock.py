@@ -19,7 +19,6 @@ from contextlib import contextmanager, suppress
 from datetime import UTC, datetime, timedelta
 from typing import Any
 
-from bench.base.work_moment import WorkMoment
 from drivers.lateness import own_lateness
 
 
@@ -94,7 +93,6 @@ class BenchClock:
         self._shields = 0
         self._asleep = False
         self._asked_s = time.monotonic()
-        self._shared: WorkMoment | None = None
         self._worker = threading.get_ident()
 
     def monotonic(self) -> float:
@@ -103,7 +101,7 @@ class BenchClock:
         if (
             threading.get_ident() == self._worker
         ):  # other threads watch the work; their calls are no sign of life
-            self._used(now_s)
+            self._asked_s = now_s
         return now_s
 
     def utc_now(self) -> datetime:
@@ -128,7 +126,7 @@ class BenchClock:
             elif self._requested.wait(max(0.0, seconds)):
                 self._raise_request()
         finally:
-            self._used(time.monotonic())
+            self._asked_s = time.monotonic()
             self._asleep = False
 
     def check(self) -> None:
@@ -136,7 +134,7 @@ class BenchClock:
 
         Raises Aborted, Interrupted, Exception: As ``sleep``.
         """
-        self._used(time.monotonic())
+        self._asked_s = time.monotonic()
         if self._requested.is_set() and not self._shields:
             self._raise_request()
 
@@ -146,11 +144,6 @@ class BenchClock:
         Returns: Seconds; 0 while the work waits.
         """
         return 0.0 if self._asleep else max(0.0, time.monotonic() - self._asked_s)
-
-    def share(self, moment: WorkMoment) -> None:
-        """Write each use of the clock also to memory that another process can read."""
-        self._shared = moment
-        self._used(self._asked_s)
 
     def lateness(self) -> Mapping[str, Any]:
         """Return how late a busy computer woke this process; the first call begins to measure.
@@ -192,11 +185,6 @@ class BenchClock:
         self._requested.clear()
         if self._stop is not None:  # requested before, or between the lines above
             self._requested.set()
-
-    def _used(self, now_s: float) -> None:
-        self._asked_s = now_s
-        if self._shared is not None:
-            self._shared.used(now_s)
 
     def _raise_request(self) -> None:
         if self._failure is not None:

@@ -1,6 +1,6 @@
-"""Processes as the Linux kernel reports them below ``/proc``: start time, waits for disk and processor, lack of memory.
+"""Processes as the Linux kernel reports them below ``/proc``: start time, waits for the disk, lack of memory.
 
-Source: the manual pages proc(5), proc_pid_stat(5) and proc_vmstat(5), and Linux, Documentation/scheduler/sched-stats.
+Source: the manual pages proc(5), proc_pid_stat(5) and proc_vmstat(5).
 On a system without ``/proc`` every function returns its neutral value. `docs/decisions/0002-dependencies.md` says why
 psutil does not do this.
 """
@@ -14,7 +14,6 @@ PROC = Path("/proc")
 _STATE, _START_TIME = 0, 19
 """Positions in ``/proc/PID/stat`` after the name of the program: fields 3 and 22 of proc_pid_stat(5)."""
 _WAITS_FOR_DISK = "D"
-_RUNS_OR_WAITS = "R"
 
 
 def start_ticks(pid: int, proc: Path = PROC) -> int:
@@ -44,33 +43,6 @@ def waits_for_disk(pid: int, proc: Path = PROC) -> bool:
     Returns: False also if there is no such process.
     """
     return any(_is_waiting(path) for path in proc.glob(f"{pid}/task/*/stat"))
-
-
-def processor_times_s(pid: int, thread: int, proc: Path = PROC) -> tuple[float, float] | None:
-    """Return how long a thread has computed, and how long it was ready to compute while others had the processors.
-
-    thread: Number of the thread; that of the main thread is the number of the process.
-    Returns: Time computed and time waited since the thread began, s. A wait counts when it has ended. None if
-      there is no such thread, or the kernel does not count (``schedstat``).
-    """
-    try:
-        computed_ns, waited_ns = (
-            (proc / str(pid) / "task" / str(thread) / "schedstat").read_text().split()[:2]
-        )
-        return int(computed_ns) * 1e-9, int(waited_ns) * 1e-9
-    except (OSError, ValueError):
-        return None
-
-
-def thread_is_ready(pid: int, thread: int, proc: Path = PROC) -> bool:
-    """Return whether a thread computes, or waits for nothing but a processor (kernel state R).
-
-    thread: Number of the thread.
-    Returns: False also if there is no such thread.
-    """
-    with suppress(OSError, IndexError):
-        return _stat(proc / str(pid) / "task" / str(thread) / "stat")[_STATE] == _RUNS_OR_WAITS
-    return False
 
 
 def out_of_memory_kills(path: Path = PROC / "vmstat") -> int:

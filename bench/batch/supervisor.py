@@ -1,15 +1,13 @@
 """Supervises one worker process, and makes the bench safe if the worker cannot do so any more.
 
 A worker gives signs of life (`bench.run.heartbeat`). The supervisor notices at once that a worker has ended, and within
-``SILENCE_S`` that it hangs: it is stopped, deadlocked, or in a driver that never returns. A hanging worker is ended by
-SIGABRT, at which it writes its position in the program to a file, or else by SIGKILL. Then its devices are opened again
-and made safe. A worker whose supervisor was killed is supervised by the next one in the same way.
+``SILENCE_S`` that it hangs: it is stopped, deadlocked, or in a driver that computes without end or never returns. A
+hanging worker is ended by SIGABRT, at which it writes its position in the program to a file, or else by SIGKILL. Then
+its devices are opened again and made safe. A worker whose supervisor was killed is supervised by the next one in the
+same way.
 
-A worker that is ready to compute while other programs have the processors does not hang. This time is not counted as
-silence; after ``MOST_STARVED_S`` of it the worker is ended all the same, told as a computer that is too busy.
-
-A driver that computes without end uses the processors, if only little on a busy computer. It is known by its processor
-time (`bench.batch.endless_computing`).
+There is one limit, whatever the cause (docs/decisions/0041-one-time-out.md): a lamp that burns and a stage that moves
+are to be safe in bounded time, also where a busy computer and not the worker is to blame.
 """
 
 from __future__ import annotations
@@ -27,22 +25,17 @@ from typing import Any, Protocol
 from bench.base.clock import Aborted, BenchClock
 from bench.base.device_ends import DeviceEnd, all_ends, lost_ends, unsafe_devices
 from bench.base.linux_process import out_of_memory_kills, waits_for_disk
-from bench.batch.endless_computing import EndlessComputing
-from bench.batch.starvation import Starvation
 from bench.records.folder_lock import is_locked
 from bench.records.run_folder import STATION_COPY
 from bench.run.crash_log import write_crash_log
-from bench.run.heartbeat import MOST_STARVED_S, SUPERVISOR, Heartbeat, open_process, read_heartbeat
+from bench.run.heartbeat import SUPERVISOR, Heartbeat, open_process, read_heartbeat
 from bench.stations.orphans import make_orphans_safe
 from bench.stations.station import load_station
-from drivers.lateness import REMEDY
 from sequences.errors import DocumentFaults
 
-SILENCE_S = 3.5
-"""A worker hangs if it gives no sign of life for this time, s."""
-LATE_S = 0.8
-"""Where the kernel does not count how long a worker waited for a processor, the limit grows by at most this time with
-the lateness of this process, s. With the period ``POLL_S``, 5 s are not exceeded."""
+SILENCE_S = 9.0
+"""A worker hangs if it gives no sign of life for this time, s. The bench is safe some 4 s later: 2 s for the worker's
+last words, and what its devices take to be opened and stopped."""
 QUIET_S = 600.0
 """Time without a sign of life that is allowed at the start, at the end and while sealing, s. The devices' own deadlines
 apply there."""
@@ -50,43 +43,11 @@ POLL_S = 0.2
 OUT_OF_MEMORY = "ended by the system because memory ran out"
 _LAST_WORDS_S = 2.0
 _SAFE_END_S = 60.0
+_HIGH_LOAD = 4.0
+"""A load of more than this for each processor is told as a possible cause of a silence."""
 _ENDS = {0: "finished", 3: "aborted"}
 _FROM_OUTSIDE = frozenset({"SIGKILL", "SIGTERM", "SIGHUP", "SIGINT", "SIGQUIT", "SIGPWR"})
 """Signals that a process does not get by its own error; a lack of memory also sends SIGKILL, and is told apart."""
-
-
-@dataclass(frozen=True)
-class Silence:
-    """How long a worker had been silent when it was ended."""
-
-    silent_s: float = 0.0  # Time without a sign of life, s; 0 if the worker ended by itself
-    starved_s: float = 0.0  # Part of it in which the worker waited for nothing but a processor, s
-    # Processor time that its work used without using its clock, s; 0 unless it was ended for this.
-    computed_s: float = 0.0
-
-    @property
-    def is_starved(self) -> bool:
-        """Whether the computer was too busy for the worker, rather than the worker hung."""
-        return self.starved_s >= MOST_STARVED_S
-
-    @property
-    def text(self) -> str:
-        """Why the worker was ended, as a sentence without a full stop."""
-        if self.is_starved:
-            return (
-                f"this computer is too busy: the process had no processor for {self.starved_s:.0f} of"
-                f" {self.silent_s:.0f} s. {REMEDY.split(';', maxsplit=1)[0]}"
-            )
-        if self.computed_s:
-            return f"computed without progress for {self.silent_s:.1f} s"
-        return f"gave no sign of life for {self.silent_s:.1f} s"
-
-    def end(self, devices: Sequence[DeviceEnd] = ()) -> WorkerEnd:
-        """Return the end of the worker.
-
-        devices: What its devices answered after its end.
-        """
-        return WorkerEnd("hung", self.text, self.silent_s, devices, self.is_starved)
 
 
 @dataclass(frozen=True)
@@ -98,8 +59,8 @@ class WorkerEnd:
     noticed_s: float = 0.0  # How long the worker had been silent when it was ended as hung, s; otherwise 0
     # What the devices of a dead worker answered after its end; empty if none was asked.
     devices: Sequence[DeviceEnd] = ()
-    # Whether something else than the worker ended it: a signal of another process, or a computer that was too
-    # busy. It is no failure of the run.
+    # Whether something else than the worker may have ended it: a signal of another process, or a computer that
+    # is very busy. It is no failure of the run.
     outside: bool = False
 
     @property
@@ -146,9 +107,9 @@ def supervise(
             )
     except OSError as error:  # no memory, no room, too many processes: the next one may begin
         return WorkerEnd("failed", f"its process could not be started: {error}")
-    silence, devices = _supervise_worker(worker, folder, clock, say)
-    if silence.silent_s:
-        return silence.end(devices)
+    silent_s, devices = _supervise_worker(worker, folder, clock, say)
+    if silent_s:
+        return _hung(silent_s, devices)
     status = worker.process.returncode
     if status < 0:
         name = signal.Signals(-status).name
@@ -172,8 +133,8 @@ def adopt(folder: Path, clock: BenchClock, say: Callable[[str], None]) -> Worker
     """
     if not is_locked(folder):
         return None
-    silence, devices = _supervise_worker(_Orphan(folder), folder, clock, say)
-    return silence.end(devices) if silence.silent_s else None
+    silent_s, devices = _supervise_worker(_Orphan(folder), folder, clock, say)
+    return _hung(silent_s, devices) if silent_s else None
 
 
 def make_safe_after(folder: Path, clock: BenchClock) -> list[DeviceEnd]:
@@ -266,11 +227,11 @@ class _Orphan:
 
 def _supervise_worker(
     worker: _Worker, folder: Path, clock: BenchClock, say: Callable[[str], None]
-) -> tuple[Silence, list[DeviceEnd]]:
-    """Supervise a worker to its end; return its silence if it hung, and what its devices answered if it was killed."""
-    silence, devices = Silence(), []
+) -> tuple[float, list[DeviceEnd]]:
+    """Supervise a worker to its end; return its silence, s, if it hung, and what the devices of a dead one say."""
+    silent_s, devices = 0.0, []
     try:
-        silence = _watch(worker, folder, clock)
+        silent_s = _watch(worker, folder, clock)
     except Aborted:
         worker.send(signal.SIGTERM)
         worker.wait(_SAFE_END_S)
@@ -282,41 +243,34 @@ def _supervise_worker(
             devices = make_safe_after(folder, clock) if worker.killed() else []
             for fault in unsafe_devices(devices):
                 say(f"CHECK THE BENCH: {fault}")
-    return silence, devices
+    return silent_s, devices
 
 
-def _watch(worker: _Worker, folder: Path, clock: BenchClock) -> Silence:
+def _watch(worker: _Worker, folder: Path, clock: BenchClock) -> float:
     """Wait for the worker's end; return how long it has been silent if it hangs, otherwise 0 s."""
     left_over = last = read_heartbeat(folder)
     if isinstance(worker, _Orphan):
         left_over = None
-    since_s, lost_before_s, starvation = clock.monotonic(), _lost_s(clock), Starvation()
-    computing = EndlessComputing()
+    since_s = clock.monotonic()
     while not worker.gone():
         clock.sleep(POLL_S)
         sign, now_s = read_heartbeat(folder), clock.monotonic()
         if sign != last:
-            last, since_s, lost_before_s, starvation = sign, now_s, _lost_s(clock), Starvation()
-        if not _is_due(sign, left_over):
-            computing.forget()
-            if now_s - since_s > QUIET_S:
-                return Silence(now_s - since_s)
-            continue
-        assert sign is not None
-        computing.look(sign.pid, sign.work, now_s)
-        if computing.is_endless(SILENCE_S):
-            return Silence(computing.passed_s, computed_s=computing.computed_s)
-        starved_s = starvation.look(sign.pid, (sign.pid, sign.thread), now_s)
-        silence = Silence(now_s - since_s, starved_s)
-        late_s = 0.0 if starvation.is_counted else min(LATE_S, _lost_s(clock) - lost_before_s)
-        if silence.is_starved or silence.silent_s - starved_s > SILENCE_S + late_s:
-            return silence
-    return Silence()
+            last, since_s = sign, now_s
+        silent_s = now_s - since_s
+        if silent_s > (SILENCE_S if _is_due(sign, left_over) else QUIET_S):
+            return silent_s
+    return 0.0
 
 
-def _lost_s(clock: BenchClock) -> float:
-    """Return the time that a busy computer has not let this process use, s."""
-    return float(clock.lateness().get("lost_s", 0.0))
+def _hung(silent_s: float, devices: Sequence[DeviceEnd]) -> WorkerEnd:
+    """Return the end of a worker that was silent for so long, with the load of the computer as a possible cause."""
+    load = os.getloadavg()[0]
+    is_busy = load > _HIGH_LOAD * (os.cpu_count() or 1)
+    why = f"gave no sign of life for {silent_s:.1f} s"
+    if is_busy:
+        why += f"; this computer is very busy (load {load:.0f}), which may be the cause"
+    return WorkerEnd("hung", why, silent_s, devices, outside=is_busy)
 
 
 def _is_due(sign: Heartbeat | None, left_over: Heartbeat | None) -> bool:

@@ -7,17 +7,14 @@ heartbeat, so that a live thread cannot hide stalled work. This module uses no d
 
 from __future__ import annotations
 
-import math
 import os
-import threading
 import time
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
 from bench.base.clock import BenchClock
-from bench.base.linux_process import processor_times_s, start_ticks, thread_waits_for_disk
-from bench.base.work_moment import NOT_SHARED, WorkMoment
+from bench.base.linux_process import start_ticks, thread_waits_for_disk
 from bench.records.storage import storage_errors
 
 CONTROL = "control"
@@ -25,10 +22,7 @@ HEARTBEAT = ".heartbeat"
 SUPERVISOR = "STARBENCH_SUPERVISOR"
 """Environment variable: process id of the supervisor of this process."""
 STALL_LIMIT_S = 0.5
-"""Work that used its clock longer ago than this has stalled, s. Drivers use the clock 20 times a second. Time in which
-it was ready to compute, while other programs had the processors, does not count."""
-MOST_STARVED_S = 30.0
-"""So much of that time is left out at most, s."""
+"""Work that used its clock longer ago than this has stalled, s. Drivers use the clock 20 times a second."""
 SLOW_STALL_LIMIT_S = 600.0
 """The same limit in states in which nothing moves, and while the process waits for the disk, s."""
 SLOW_STATES = frozenset(
@@ -44,9 +38,6 @@ class Heartbeat:
     pid: int
     started: int
     moment_ns: int  # Time at which its work last made progress, ns; comparable within one process only
-    thread: int = 0  # Number of the thread that wrote it
-    # Where the process shares the moment at which its work last used the clock (`bench.base.work_moment`).
-    work: int = NOT_SHARED
 
 
 class HeartbeatWriter:
@@ -57,30 +48,21 @@ class HeartbeatWriter:
         self._clock = clock
         self._state = "idle"
         self._since_s = time.monotonic()
-        self._work = WorkMoment()
-        clock.share(self._work)
         self._own = os.getpid(), start_ticks(os.getpid())
         self._supervisor = _supervisor()
-        self._looks = [(-math.inf, 0.0)] * 2
-        """The last two looks after the work had made progress: moment, and how long its thread had waited by then for a
-        processor, s."""
 
     def entering(self, state: str) -> None:
         """Take note of the state that the work enters."""
         self._state, self._since_s = state, time.monotonic()
-        self._work.used(self._since_s)
-        self._work.entering(with_devices=state not in SLOW_STATES)
 
     def beat(self) -> None:
         """Write a heartbeat, unless the work has stalled.
 
         Raises StorageError: If it cannot be written.
         """
-        stalled_s = self.stalled_s()
-        starved_s = self._starved_s(stalled_s)
-        if stalled_s - starved_s > (SLOW_STALL_LIMIT_S if self._may_take_long() else STALL_LIMIT_S):
+        if self.stalled_s() > (SLOW_STALL_LIMIT_S if self._may_take_long() else STALL_LIMIT_S):
             return
-        text = f"{self._own[0]} {self._own[1]} {time.monotonic_ns()} {threading.get_native_id()} {self._work.number}"
+        text = f"{self._own[0]} {self._own[1]} {time.monotonic_ns()}"
         with storage_errors(self._path), suppress(FileNotFoundError):
             self._path.write_bytes(text.encode())
 
@@ -98,23 +80,6 @@ class HeartbeatWriter:
             self._supervisor = None
         return gone
 
-    def _starved_s(self, stalled_s: float) -> float:
-        """Return for how much of the time without progress the work only waited for a processor, s."""
-        times = processor_times_s(self._own[0], self._own[0])
-        if times is None:
-            return 0.0
-        now_s, waited_s = time.monotonic(), times[1]
-        progress_s = now_s - stalled_s
-        if progress_s > self._looks[-1][0]:
-            self._looks = [self._looks[-1], (now_s, waited_s)]
-        # The time of the progress is known to some milliseconds only, so that it may lie before both looks.
-        looked_s, waited_before_s = max(
-            (look for look in self._looks if look[0] <= progress_s), default=self._looks[0]
-        )
-        if math.isinf(looked_s):
-            return 0.0
-        return min(stalled_s, waited_s - waited_before_s, MOST_STARVED_S)
-
     def _may_take_long(self) -> bool:
         """Return whether nothing moves, or the process waits for the disk (kernel state D)."""
         pid = self._own[0]
@@ -130,7 +95,7 @@ def read_heartbeat(folder: Path) -> Heartbeat | None:
         numbers = [int(number) for number in (folder / CONTROL / HEARTBEAT).read_bytes().split()]
     except (OSError, ValueError):
         return None
-    return Heartbeat(*numbers) if 4 <= len(numbers) <= 5 else None  # four: of an earlier version
+    return Heartbeat(*numbers[:3]) if 3 <= len(numbers) <= 5 else None  # more: of an earlier version
 
 
 def open_process(heartbeat: Heartbeat) -> int | None:

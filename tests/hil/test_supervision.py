@@ -80,13 +80,13 @@ def test_a_worker_that_is_killed_and_one_that_hangs_are_noticed_told_and_the_run
     ends = [line for line in journal(folder) if line["event"] == "item_ended"]
     assert [end["how"] for end in ends] == ["died", "hung", "finished"]
     assert "SIGKILL" in ends[0]["why"]
-    assert SILENCE_S < ends[1]["noticed_s"] < 5.0
+    assert SILENCE_S < ends[1]["noticed_s"] < 11.0
     assert results(run)["run"]["resumed"] == 2
     crashes = [line.get("crash") for line in journal(run) if line["event"] == "run_resumed"]
     assert crashes == [None, "Fatal Python error: Aborted"]
     told = subjects(server)
     assert told[0] == "Starbench: run cam-001 died: by SIGKILL"
-    assert re.fullmatch(r"Starbench: run cam-001 hung: gave no sign of life for [34]\.\d s", told[1])
+    assert re.fullmatch(r"Starbench: run cam-001 hung: gave no sign of life for (9|10)\.\d s.*", told[1])
     assert sorted(told[2:]) == [
         "Starbench: batch Night finished",
         "Starbench: run cam-001 (SIMULATED) finished",
@@ -146,13 +146,13 @@ BLOCKS = "os.read(os.pipe()[0], 1)"
     ],
     ids=["blocks", "computes", "keeps the interpreter's lock"],
 )
-def test_a_driver_that_never_returns_is_noticed_within_five_seconds(tmp_path, hang):
+def test_a_driver_that_never_returns_is_noticed_within_ten_seconds(tmp_path, hang):
     folder = tmp_path / "run"
     end = supervise(
         [sys.executable, "-c", WORKER, str(folder), hang], folder, tmp_path / "log", BenchClock(), print
     )
     assert end.how == "hung", (tmp_path / "log").read_text()
-    assert SILENCE_S < end.noticed_s < 5.0
+    assert SILENCE_S < end.noticed_s < 11.0
     assert journal(folder)[-1]["what"] == "hangs now"
 
 
@@ -164,7 +164,7 @@ def test_a_driver_that_never_returns_is_noticed_though_its_supervisor_was_killed
             assert worker.poll() is None
         end = adopt(folder, BenchClock(), print)
         assert end is not None
-        assert SILENCE_S < end.noticed_s < 5.0
+        assert SILENCE_S < end.noticed_s < 11.0
         assert [one.state for one in end.devices] == ["never opened"] * 3
         assert worker.wait(10) == -signal.SIGABRT
     assert adopt(folder, BenchClock(), print) is None
