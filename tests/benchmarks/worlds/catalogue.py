@@ -1,0 +1,41 @@
+"""The worlds by name, and one result of the table."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from functools import partial
+from typing import Any
+
+from . import polynomial
+from .bench import POSES, Bench
+from .judge import judged
+
+#: A world draws a bench from a seed, a number of poses, how often each is recorded, and which camera stands before the glass.
+Draw = Callable[[int, int, int, int], Bench]
+
+
+def _polynomial(kind: str, seed: int, poses: int, times: int = 1, camera: int = 0) -> Bench:
+    return polynomial.record(polynomial.draw_world(seed, kind, camera), seed, POSES[poses], times, camera)
+
+
+WORLDS: Mapping[str, Draw] = {
+    "polynomial": partial(_polynomial, "real"),
+    "ideal": partial(_polynomial, "ideal"),
+    "S1": partial(_polynomial, "S1"),
+    "S2": partial(_polynomial, "S2"),
+}
+
+
+def result(world: str, poses: int, seed: int, known: str, lens: str = "shipped") -> dict[str, Any]:
+    """Calibrate one bench of a world, and compare it with its truth.
+
+    known: One of `knowledge.KNOWN`; ``passport`` is nine poses with a certificate, then another camera before the same
+      glass; a number behind ``x`` records each pose so often.
+    """
+    draw, what = WORLDS[world], known
+    line = {"world": world, "poses_asked": poses, "seed": seed}
+    if known == "passport":
+        before = draw(seed, 9, 1, 0), "cr"
+        return {**line, **judged(draw(seed, poses, 1, 1), known, lens, before)}
+    what, _, times = known.partition("x")
+    return {**line, **judged(draw(seed, poses, int(times or 1), 0), what, lens), "known": known}
