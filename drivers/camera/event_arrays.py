@@ -47,11 +47,6 @@ def empty_events(n: int) -> Events:
     )
 
 
-def copy_events(source: Events, target: Events) -> None:
-    """Copy events into other arrays, which may overlap."""
-    target.t[:], target.x[:], target.y[:], target.p[:] = source
-
-
 def empty_triggers(n: int) -> Triggers:
     """Allocate arrays for trigger edges.
 

@@ -8,19 +8,15 @@ byte offset. This module opens no files and no devices. ``evt3_kernel`` lists th
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.camera.event_arrays import Events, Triggers, copy_events, empty_events, join_triggers
-from drivers.camera.evt3_kernel import max_event_count, run
-from drivers.camera.evt3_place import Place, place_of, set_place
-from drivers.camera.evt3_state import S, StopReason, new_state
-from drivers.camera.evt3_statistics import StreamStatistics as StreamStatistics  # noqa: PLC0414 - exported
-from drivers.camera.evt3_usual import Mode
-from drivers.camera.evt3_vectors import MARGIN, add_events
-from drivers.camera.word_vectors import BLOCK_WORDS
+from drivers.camera.event_arrays import Events, Triggers, empty_events, join_triggers
+from drivers.camera.evt3_control_words import S, StopReason, new_state
+from drivers.camera.evt3_kernel import MARGIN, add_events, max_event_count, run
 from drivers.errors import RecordingCorrupt
 
 Words = NDArray[np.uint16]
@@ -30,8 +26,67 @@ GAPS_KEPT: Final = 64
 """Number of gaps whose times are kept; further gaps are only counted."""
 
 _TRIGGERS_AT_ONCE: Final = 4096
-_WORDS_AT_ONCE: Final = 1 << 20
-"""Largest number of words whose events are counted to give arrays their size."""
+_COUNTED_AT_ONCE: Final = 1 << 14
+"""Number of events that are decoded at once where they are only counted: these stay in the processor's caches."""
+
+
+@dataclass(frozen=True)
+class StreamStatistics:
+    """Counts, times and losses of a stream up to its last word."""
+
+    events: int
+    on_events: int
+    triggers: int
+    # first_t_us, last_t_us: The sensor's clock at its first and its last time word, us; both -1 before any
+    # time word.
+    first_t_us: int
+    last_t_us: int
+    # rate_controller_in, rate_controller_out: Number of events into and out of the rate controller, summed
+    # over its windows of 200 us; None if the sensor sent no report.
+    rate_controller_in: int | None
+    rate_controller_out: int | None
+    # Number of events that the sensor counted in its windows and that did not arrive; 0 without reports.
+    lost_events: int
+    # Number of windows in which the sensor's count differs from the number of events that arrived; 0 without
+    # reports.
+    mismatched_windows: int
+    # Number of windows whose report did not arrive. It is not known how many events the sensor sent in them,
+    # so ``lost_events`` is then a lower bound.
+    missing_windows: int
+    # The clock before and after each step of TIME_HIGH by more than one, us: words are missing there. The
+    # first 64.
+    gaps: tuple[tuple[int, int], ...]
+    gap_count: int
+    # Number of events before the first time, row or vector base: the stream began in the middle of another
+    # one.
+    unplaced_events: int
+    back_steps: int
+
+    @property
+    def duration_s(self) -> float:
+        """Time on the sensor's clock from the first time word to the last, s; 0 without time words."""
+        return (self.last_t_us - self.first_t_us) * 1e-6 if self.first_t_us >= 0 else 0.0
+
+    def loss_messages(self) -> tuple[str, ...]:
+        """Describe each gap, and the losses that the sensor's own counts show.
+
+        Returns: Sentences for the operator; none if nothing was lost.
+        """
+        messages = [f"Words are missing from {a} to {b} us of the sensor's clock." for a, b in self.gaps]
+        if self.gap_count > len(self.gaps):
+            messages.append(f"{self.gap_count - len(self.gaps)} more gaps follow.")
+        if self.missing_windows:
+            messages.append(
+                f"{self.missing_windows} event count reports of the sensor are missing (it sends one every 200 us): "
+                f"at least {self.lost_events} events are lost, and all events sent in these "
+                f"{self.missing_windows * 0.2:.1f} ms."
+            )
+        elif self.mismatched_windows:
+            messages.append(
+                f"In {self.mismatched_windows} windows of 200 us the number of events that arrived differs from the "
+                f"sensor's count: {self.lost_events} events are missing."
+            )
+        return tuple(messages)
 
 
 class Evt3Decoder:
@@ -53,10 +108,8 @@ class Evt3Decoder:
         self._gaps = np.zeros((GAPS_KEPT, 2), np.int64)
         self._next_byte = first_byte
         self._where = where
-        self._no_events = empty_events(0)
-        self._no_image = np.zeros((2, 0, 0), np.uint16)
         self._edges = np.empty((_TRIGGERS_AT_ONCE, 3), np.int64)
-        self._scratch = np.empty(BLOCK_WORDS, np.uint16), np.empty(BLOCK_WORDS, np.uint16)
+        self._passing = empty_events(0)
 
     def decode(self, words: Words, *, max_events: int = 1_000_000) -> Iterator[tuple[Events, Triggers]]:
         """Decode words to events and triggers, in pieces.
@@ -65,12 +118,11 @@ class Evt3Decoder:
         max_events: Largest number of events in a piece; 32 if it is smaller.
         Raises RecordingCorrupt: At a malformed word, after the pieces before it.
         """
-        start, words = 0, _in_a_row(words)
+        start = 0
         while start < len(words):
-            rest = len(words) - start
-            most = 12 * rest if rest > _WORDS_AT_ONCE else max_event_count(words[start:])
-            out = empty_events(min(max(max_events, MARGIN), most + MARGIN))
-            stop = self._store(words, start, out)
+            most = min(max_events, max_event_count(words[start : start + max_events]) + MARGIN)
+            out = empty_events(max(most, MARGIN))
+            stop = self._run(words, start, out)
             yield out.part(0, int(self._state[S.TAKEN])), self._copied_triggers()
             start = self._advance(words, start, stop)
 
@@ -78,26 +130,19 @@ class Evt3Decoder:
         """Decode words into arrays that the caller provides.
 
         words: (N,) uint16, the next words of the stream.
-        events: Arrays to fill. Up to 32 places after the last event may be touched, but none outside the
-          arrays.
+        events: Arrays to fill. 32 places after the last event may be touched.
         at: Index of the first event to write.
         Returns: Index after the last event written, and the triggers.
-        Raises ValueError: If the arrays have no room for more events.
+        Raises ValueError: If the arrays have no room for more events, and 32 places.
         """
         found = []
-        start, words = 0, _in_a_row(words)
+        start = 0
         while start < len(words):
-            room = len(events.t) - at
-            few = room < 2 * MARGIN
-            out = empty_events(2 * MARGIN) if few else events.part(at, len(events.t))
-            stop = self._store(words, start, out)
-            found.append(self._copied_triggers())
-            taken = int(self._state[S.TAKEN])
-            if taken > room:
+            if len(events.t) - at < MARGIN:
                 raise ValueError(f"arrays for {len(events.t)} events have no room for more events")
-            if few:
-                copy_events(out.part(0, taken), events.part(at, at + taken))
-            at += taken
+            stop = self._run(words, start, events.part(at, len(events.t)))
+            found.append(self._copied_triggers())
+            at += int(self._state[S.TAKEN])
             start = self._advance(words, start, stop)
         return at, join_triggers(found)
 
@@ -113,33 +158,33 @@ class Evt3Decoder:
                 f"a count image of shape {image.shape} does not fit the sensor of "
                 f"{self._state[S.WIDTH]} x {self._state[S.HEIGHT]} px"
             )
-        return self._count_or_tally(words, Mode.COUNT, image)
+        return self._pass(words, image)
 
     def tally(self, words: Words) -> Triggers:
-        """Count the events of words for ``statistics``, without storing them.
+        """Count the events of words for ``statistics``, and drop them.
 
         words: (N,) uint16, the next words of the stream.
         """
-        return self._count_or_tally(words, Mode.TALLY, self._no_image)
+        return self._pass(words, None)
 
-    def _count_or_tally(self, words: Words, mode: Mode, image: NDArray[np.uint16]) -> Triggers:
+    def _pass(self, words: Words, image: NDArray[np.uint16] | None) -> Triggers:
+        """Decode words to events that are not kept, but added to an image if there is one."""
+        if not len(self._passing.t):
+            self._passing = empty_events(_COUNTED_AT_ONCE)
         found = []
-        start, words = 0, _in_a_row(words)
+        start = 0
         while start < len(words):
-            stop = self._run(words, start, mode, self._no_events, image)
+            stop = self._run(words, start, self._passing)
+            if image is not None:
+                add_events(tuple(self._passing), int(self._state[S.TAKEN]), image)
             found.append(self._copied_triggers())
             start = self._advance(words, start, stop)
         return join_triggers(found)
 
-    def _store(self, words: Words, start: int, out: Events) -> int:
-        """Decode words into ``out`` until they end or it is full; return the index of the next word."""
-        return self._run(words, start, Mode.STORE, out, self._no_image)
-
-    def _run(self, words: Words, start: int, mode: Mode, out: Events, image: NDArray[np.uint16]) -> int:
+    def _run(self, words: Words, start: int, out: Events) -> int:
         """Take words, see ``evt3_kernel.run``; return the index of the next word."""
-        state, gaps, edges, scratch = self._state, self._gaps, self._edges, self._scratch
         # Numbers and plain tuples: other types cost Numba 17 us a call.
-        return int(run(words, start, int(mode), state, gaps, tuple(out), image, edges, scratch))
+        return int(run(words, start, self._state, self._gaps, tuple(out), self._edges))
 
     def _copied_triggers(self) -> Triggers:
         """Return a copy of the trigger edges of the last run."""
@@ -175,22 +220,6 @@ class Evt3Decoder:
                 f"The sensor's clock steps back from {state[S.T]} us: its {part} part reads {word & 0xFFF}."
             )
         return f"The type of word 0x{word:04X} does not exist in EVT3."
-
-    @property
-    def place(self) -> Place:
-        """Clock, row and vector base after the last word."""
-        return place_of(self._state)
-
-    def at(self, place: Place, first_byte: int) -> Evt3Decoder:
-        """Return a decoder of the same stream that continues elsewhere. Its statistics begin anew.
-
-        place: Clock, row and vector base before its first word.
-        first_byte: Offset of that word in the file, bytes.
-        """
-        size = int(self._state[S.WIDTH]), int(self._state[S.HEIGHT])
-        decoder = Evt3Decoder(*size, first_byte=first_byte, where=self._where)
-        set_place(decoder._state, place)
-        return decoder
 
     @property
     def next_byte(self) -> int:
@@ -232,28 +261,6 @@ class Evt3Decoder:
             unplaced_events=state[S.UNPLACED],
             back_steps=state[S.BACK_STEPS],
         )
-
-
-def _in_a_row(words: Words) -> Words:
-    """Return words as one piece of memory, in which the compiled code reads many at a time."""
-    return np.ascontiguousarray(words, np.uint16)
-
-
-def count_events(events: Events, image: NDArray[np.uint16]) -> None:
-    """Add events to an image of counts, as ``Evt3Decoder.count`` does with words.
-
-    image: (2, height, width) uint16, OFF counts, then ON counts; counts wrap above 65535.
-    Raises ValueError: If an event lies outside the image; the image is then unchanged.
-
-    Examples
-    --------
-    >>> image = np.zeros((2, 4, 4), np.uint16)
-    >>> count_events(Events(np.array([7]), *np.array([[3], [2], [1]], np.uint16)), image)
-    >>> int(image[1, 2, 3]), int(image.sum())
-    (1, 1)
-    """
-    if len(events.t) and not add_events(events.x, events.y, events.p, image):
-        raise ValueError(f"an event lies outside the image of shape {image.shape}")
 
 
 def first_time_high(words: Words) -> int | None:

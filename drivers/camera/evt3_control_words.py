@@ -1,27 +1,115 @@
-"""Take EVT3 control words in the compiled loop: rows, the sensor's clock, triggers, the rate controller's reports.
+"""The state of the EVT3 decoder, and the words that change nothing else: rows, clock, triggers, the rate controller.
 
-A control word holds no event. Each is checked completely, and changes only the state. ``evt3_kernel`` lists the words.
+The state is one int64 array, whose places are named here. A stream may be cut between any two words. A control word
+holds no event; each is checked completely. ``evt3_kernel`` lists the words.
 """
 
 from __future__ import annotations
 
+from enum import IntEnum
 from typing import Any, Final
 
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
-from drivers.camera.evt3_state import S, StopReason
-from drivers.camera.word_vectors import JIT
+JIT: Final[dict[str, Any]] = {"cache": True, "nogil": True, "_nrt": False}
+"""How the decoder's loops are compiled: without reference counts of arrays (``_nrt``). The loops allocate no arrays,
+and counting references took most of the time of the rarer words.
+"""
 
 MAX_BACK_STEP_US: Final = 64
 """TIME_LOW of a busy sensor steps back by some microseconds (11 were seen); a much larger step means missing words."""
 _RATE_IN: Final = 0x014
-RATE_OUT: Final = 0x016
+_RATE_OUT: Final = 0x016
 _WINDOW_US: Final = 200
 """Time between two reports of the rate controller."""
 _TICK_US: Final = 16
 """Time between two TIME_HIGH words; the sensor sends them also when it sends nothing else."""
 _MAX_TICKS: Final = 1024
+
+
+class StopReason(IntEnum):
+    """Why the loop over the words stopped.
+
+    VECTOR: A vector holds an event beyond the last column.
+    CLOCK: The sensor's clock steps back too far.
+    RESERVED: The type of the word does not exist.
+    """
+
+    NONE = 0
+    ROOM = 1
+    ROW = 2
+    COLUMN = 3
+    VECTOR = 4
+    CLOCK = 5
+    RESERVED = 6
+
+
+class S(IntEnum):
+    """Index in the state array."""
+
+    HIGH = 0
+    """Last TIME_HIGH; -1 before the first."""
+    WRAPS_US = 1
+    """Full turns of the 24-bit clock, us."""
+    T = 2
+    """Clock, us, unwrapped; -1 before the first TIME_HIGH."""
+    Y = 3
+    """Row; -1 before the first, and in rows of other events."""
+    BASE = 4
+    """Column of the next vector; -1 before the first vector base."""
+    POLARITY = 5
+    SUBTYPE = 6
+    """Subtype of the OTHERS word whose payload is being read."""
+    PARTS = 7
+    """Number of 12-bit parts of that payload that have arrived."""
+    FIRST_T = 8
+    """Clock at the first TIME_LOW after a TIME_HIGH, us; -1 before it."""
+    EVENTS = 9
+    ON_EVENTS = 10
+    TRIGGERS = 11
+    RATE_IN = 12
+    RATE_OUT = 13
+    GAPS = 14
+    UNPLACED = 15
+    """Number of events without a time, a row or a vector base: the stream was joined in its middle."""
+    BACK_STEPS = 16
+    STOP_REASON = 17
+    TAKEN = 18
+    """Number of events taken in this call."""
+    TAKEN_EDGES = 19
+    """Number of trigger edges taken in this call."""
+    WIDTH = 20
+    HEIGHT = 21
+    EVENTS_AT_REPORT = 22
+    """Number of events of the stream at the last report of the rate controller; -1 before the first report."""
+    ARRIVED = 23
+    """Number of events between the report that is being read and the one before it; -1 for the first report."""
+    REPORTED = 24
+    """Number of events that the report being read states for its window."""
+    LOST = 25
+    """Number of events that the sensor counted in its windows and that did not arrive."""
+    MISMATCHED_WINDOWS = 26
+    """Number of windows in which the sensor's count differs from the number of events that arrived."""
+    REPORT_T = 27
+    """Clock at the last report, us; -1 if it is not known."""
+    MISSING_WINDOWS = 28
+    """Number of windows whose report has not arrived, computed from the time between two reports that have."""
+    IDLE_US = 29
+    """Time for which only TIME_HIGH words have come, us; -1 if it is not known."""
+
+
+def new_state(width: int, height: int) -> NDArray[np.int64]:
+    """Return the state before the first word of a stream.
+
+    width, height: Size of the sensor, px.
+    Returns: (30,) int64, indexed by ``S``.
+    """
+    state = np.zeros(len(S), np.int64)
+    state[[S.HIGH, S.T, S.Y, S.BASE, S.FIRST_T, S.EVENTS_AT_REPORT, S.REPORT_T, S.IDLE_US]] = -1
+    state[S.WIDTH], state[S.HEIGHT] = width, height
+    return state
 
 
 @njit(**JIT)
@@ -30,6 +118,7 @@ def _time_high(state: Any, high: int, gaps: Any) -> StopReason:
     old = state[S.HIGH]
     before = state[S.T]
     if high == old:
+        state[S.IDLE_US] = one_tick_later(state[S.IDLE_US])
         return StopReason.NONE
     if high < old:
         if high > old - 2048:
@@ -37,6 +126,7 @@ def _time_high(state: Any, high: int, gaps: Any) -> StopReason:
         state[S.WRAPS_US] += 1 << 24
     state[S.HIGH] = high
     state[S.T] = state[S.WRAPS_US] + (high << 12)
+    state[S.IDLE_US] = 0
     if old >= 0 and (state[S.T] >> 12) - (before >> 12) > 1:
         if state[S.GAPS] < len(gaps):
             gaps[state[S.GAPS], 0] = before
@@ -58,38 +148,19 @@ def _time_low(state: Any, low: int) -> StopReason:
         state[S.BACK_STEPS] += 1
     elif state[S.FIRST_T] < 0:
         state[S.FIRST_T] = t
-    state[S.T] = t
+    state[S.T], state[S.IDLE_US] = t, 0
     return StopReason.NONE
 
 
-@njit(**JIT)
-def idle_us(words: Any, start: int, i: int, state: Any, high_before: int) -> int:
-    """Return for how long only TIME_HIGH words have come before word i.
+@njit(**JIT, forceinline=True)
+def one_tick_later(idle_us: int) -> int:
+    """Return for how long only TIME_HIGH words have come, after one more.
 
     In a stream without events the time stands still until the next TIME_LOW; TIME_HIGH comes every 16 us all the same.
-    The state holds the value from before ``start``, so the result does not depend on how a stream is cut.
 
-    words: (N,) uint16, EVT3 words.
-    start: Index of the first word of this call.
-    state: (30,) int64 as of ``new_state``; not changed.
-    high_before: TIME_HIGH in force at ``start``.
-    Returns: Time, us; -1 if it is not known.
+    idle_us: The time before it, us; -1 if it is not known.
     """
-    ticks = 0
-    for j in range(i - 1, start - 1, -1):
-        word: Any = np.int64(words[j])
-        if word >> 12 == 0x6:
-            return _TICK_US * ticks
-        if word >> 12 == 0x8:
-            if word & 0xFFF != state[S.HIGH]:  # the TIME_HIGH after it set the time
-                return _TICK_US * max(ticks - 1, 0)
-            ticks += 1
-            if ticks > _MAX_TICKS:
-                return -1
-    if state[S.HIGH] != high_before:
-        return _TICK_US * max(ticks - 1, 0)
-    silent = state[S.IDLE_US]
-    return -1 if silent < 0 or silent > _TICK_US * (_MAX_TICKS - ticks) else silent + _TICK_US * ticks
+    return idle_us + _TICK_US if 0 <= idle_us < _TICK_US * _MAX_TICKS else -1
 
 
 @njit(**JIT)
@@ -104,7 +175,7 @@ def _rate_controller(state: Any, kind: int, payload: int) -> None:
     if kind == 0xE:
         state[S.SUBTYPE] = payload
         state[S.PARTS] = 0
-        if payload == RATE_OUT:
+        if payload == _RATE_OUT:
             sent = state[S.EVENTS] + state[S.TAKEN]
             state[S.ARRIVED] = sent - state[S.EVENTS_AT_REPORT] if state[S.EVENTS_AT_REPORT] >= 0 else -1
             now = state[S.T] + state[S.IDLE_US] if min(state[S.T], state[S.IDLE_US]) >= 0 else -1
@@ -122,7 +193,7 @@ def _rate_controller(state: Any, kind: int, payload: int) -> None:
     value = (payload & 0xF if kind == 0x7 else payload) << (12 * parts)
     if state[S.SUBTYPE] == _RATE_IN:
         state[S.RATE_IN] += value
-    elif state[S.SUBTYPE] == RATE_OUT:
+    elif state[S.SUBTYPE] == _RATE_OUT:
         state[S.RATE_OUT] += value
         state[S.REPORTED] += value
         if parts == 1 and state[S.ARRIVED] >= 0 and state[S.REPORTED] != state[S.ARRIVED]:

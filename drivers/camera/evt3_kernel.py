@@ -1,8 +1,8 @@
 """Decode EVT3 words in one compiled loop.
 
-An EVT3 word has 16 bits; its upper four are the type. ``evt3_usual`` decodes nearly all words, many at a time. Here the
-others are taken one by one, with every check: ``evt3_vectors`` reads those that hold events, ``evt3_control_words`` all
-others. ``evt3_state`` holds what is carried from word to word, and between calls.
+An EVT3 word has 16 bits; its upper four are the type. ``_take_usual`` takes the words that nearly all streams consist
+of, as long as they are as expected. It leaves every other word to ``_take_rare``, which says what is wrong with it, and
+to ``evt3_control_words``.
 
 ==== =============== =====================================================================
 type name            payload
@@ -35,16 +35,23 @@ from typing import Any, Final
 import numpy as np
 from numba import njit
 
-from drivers.camera.evt3_control_words import RATE_OUT, idle_us, take_control_word
-from drivers.camera.evt3_state import S, StopReason
-from drivers.camera.evt3_usual import Mode, take_usual_words
-from drivers.camera.evt3_vectors import MARGIN, count_bits, popcount, read_event_word, store_bits
-from drivers.camera.word_vectors import JIT, count_ones
+from drivers.camera.evt3_control_words import JIT, S, StopReason, one_tick_later, take_control_word
 
-_USUAL: Final = np.isin(np.arange(16), (0x0, 0x2, 0x3, 0x4, 0x6, 0x8))
-"""The types of words that ``take_usual_words`` may take."""
-_COUNTED_TOGETHER: Final = 4096
-"""Number of words whose events are counted in 16 bits; each holds at most 12."""
+MARGIN: Final = 32
+"""Room that the arrays need beyond the last event: three vectors are written at once."""
+
+_BYTES: Final = np.arange(256, dtype=np.uint8)[:, None] >> np.arange(8, dtype=np.uint8) & 1
+_ONES: Final = _BYTES.sum(axis=1).astype(np.uint64)
+"""Number of bits that are set in each byte."""
+_COLUMNS: Final = np.argsort(1 - _BYTES, axis=1, kind="stable").astype(np.uint8)
+"""Places of the bits that are set in each byte, lowest first; then of the others."""
+_WORDS: Final = np.arange(1 << 16)
+_BITS: Final = np.choose(_WORDS >> 12, [0, 0, 1, 0, _WORDS & 0xFFF, _WORDS & 0xFF, *[0] * 10])
+_MOST_EVENTS: Final = (_ONES[_BITS & 0xFF] + _ONES[_BITS >> 8]).astype(np.uint8)
+"""Number of events that each word may hold."""
+
+_ONE, _TWO, _THREE = np.uint64(1), np.uint64(2), np.uint64(3)  # array indices without a sign are quicker
+_BYTE, _EIGHT, _TWELVE = np.uint64(0xFF), np.uint64(8), np.uint64(12)
 
 
 @njit(**JIT)
@@ -55,116 +62,163 @@ def max_event_count(words: Any) -> int:
     Returns: The number of events if all have a time and a place; never too small.
     """
     n = 0
-    for begin in range(0, len(words), _COUNTED_TOGETHER):
-        part = words[begin : begin + _COUNTED_TOGETHER]
-        found = np.uint16(0)  # the loop compiles to vector instructions for this type only
-        for k in range(len(part)):
-            kind = np.uint16(part[k] >> np.uint16(12))
-            mask = np.uint16(0xFFF if kind == 0x4 else 0xFF if kind == 0x5 else 0)
-            bits = np.uint16(1 if kind == 0x2 else part[k] & mask)
-            found = np.uint16(found + count_ones(bits))
-        n += int(found)
+    for k in range(len(words)):
+        n += _MOST_EVENTS[words[k]]
+    return n
+
+
+@njit(**JIT)
+def add_events(events: Any, n: int, image: Any) -> None:
+    """Add the first n events to an image of counts; none lies outside it.
+
+    image: (2, height, width) of any integer type.
+    """
+    _, x, y, p = events
+    for k in range(n):
+        image[p[k], y[k], x[k]] += 1
+
+
+@njit(**JIT, forceinline=True)
+def _write_times_and_rows(events: Any, begin: Any, end: Any, t: int, y: int) -> Any:
+    """Write what the events from ``begin`` to ``end`` have in common; return ``end``."""
+    t_out, _, y_out, _ = events
+    for k in range(begin, end):
+        t_out[k] = t
+    for k in range(begin, end):
+        y_out[k] = y
+    return end
+
+
+@njit(**JIT, forceinline=True)
+def _write_columns(events: Any, n: Any, x: int, p: int, bits: Any, bytes_: int) -> Any:
+    """Write an event for each bit set, lowest first; return the index after the last. 8 places a byte are touched."""
+    _, x_out, _, p_out = events
+    for k in range(8 * bytes_):
+        p_out[n + np.uint64(k)] = p
+    for byte in range(bytes_):
+        here = bits >> np.uint64(8 * byte) & _BYTE
+        for k in range(8):
+            x_out[n + np.uint64(k)] = x + 8 * byte + _COLUMNS[here, k]
+        n += _ONES[here]
     return n
 
 
 @njit(**JIT, forceinline=True)
-def _take_events(
-    words: Any, i: int, mode: int, state: Any, room: int, n: int, events: Any, image: Any
-) -> tuple[StopReason, int, int, int]:
-    """Take the single event or the vector at word i; return stop reason, words taken, events, and how many are ON."""
-    if n > room:
-        return StopReason.ROOM, 0, 0, 0
-    word: Any = np.int64(words[i])
-    second: Any = np.int64(words[i + 1]) if i + 2 < len(words) else 0
-    third: Any = np.int64(words[i + 2]) if i + 2 < len(words) else 0
-    reason, taken, x, p, bits = read_event_word(state, word, second, third)
-    if reason != StopReason.NONE:
-        return reason, 0, 0, 0
-    t, y = state[S.T], state[S.Y]
-    found = popcount(bits)
-    if (t | y | x) < 0:
-        state[S.UNPLACED] += found
-        return reason, taken, 0, 0
-    if mode == Mode.STORE:
-        store_bits(events, n, t, y, x, p, bits)
-    elif mode == Mode.COUNT and bits:
-        count_bits(image, y, x, p, bits)
-    return reason, taken, found, p * found
+def _vector(words: Any, i: Any, base: int, width: int) -> tuple[Any, int, Any]:
+    """Return the bits of the vectors at word i, the number of their columns, and of their words.
 
-
-@njit(**JIT, forceinline=True)
-def _take_control(
-    words: Any, start: int, i: int, state: Any, n: int, gaps: Any, edges: Any, high_before: int
-) -> StopReason:
-    """Take word i, which holds no event."""
-    word: Any = np.int64(words[i])
-    state[S.TAKEN] = n
-    carried = state[S.IDLE_US]
-    if word == 0xE000 | RATE_OUT:
-        state[S.IDLE_US] = idle_us(words, start, i, state, high_before)
-    reason = take_control_word(state, word >> 12, word & 0xFFF, gaps, edges)
-    state[S.IDLE_US] = carried
-    return reason
+    Sensors send triples of 12 + 12 + 8 columns, which are taken at once.
+    """
+    bits = np.uint64(words[i] & 0xFFF)
+    if words[i] >> 12 == 0x5:
+        return bits & _BYTE, 8, _ONE
+    if base + 32 <= width and i + _TWO < np.uint64(len(words)):
+        second, third = words[i + _ONE], words[i + _TWO]
+        if second >> 12 == 0x4 and third >> 12 == 0x5:
+            upper = np.uint64(second & 0xFFF) << _TWELVE | np.uint64(third & 0xFF) << np.uint64(24)
+            return bits | upper, 32, _THREE
+    return bits, 12, _ONE
 
 
 @njit(**JIT)
-def run(
-    words: Any,
-    start: int,
-    mode: int,
-    state: Any,
-    gaps: Any,
-    events: Any,
-    image: Any,
-    edges: Any,
-    scratch: Any,
-) -> int:
-    """Take words from ``start`` on; return where it stopped. ``state[S.STOP_REASON]`` holds the reason.
+def _take_usual(words: Any, start: int, state: Any, room: int, events: Any) -> int:
+    """Take usual words from ``start`` on; return the index of the first that is none, or for which there is no room.
 
-    ``evt3_usual`` takes nearly all words. The others are taken one by one, with every check.
+    Time and row of events are written when one of them changes.
+    """
+    _, x_out, _, p_out = events
+    high, width, height = state[S.HIGH], state[S.WIDTH], state[S.HEIGHT]
+    t, y, base, polarity = state[S.T], state[S.Y], state[S.BASE], state[S.POLARITY]
+    idle_us, on, begun = state[S.IDLE_US], np.uint64(state[S.ON_EVENTS]), state[S.FIRST_T] >= 0
+    i, n = np.uint64(start), np.uint64(state[S.TAKEN])
+    written = n
+    while i < np.uint64(len(words)) and n <= np.uint64(room):
+        word: Any = np.int64(words[i])
+        kind, payload, address = word >> 12, word & 0xFFF, word & 0x7FF
+        if kind == 0x2:
+            if address >= width:
+                break
+            x_out[n], p_out[n] = address, word >> 11 & 1
+            on += np.uint64(word >> 11 & 1)
+            n += _ONE
+        elif kind == 0x0:
+            if address >= height:
+                break
+            written, y = _write_times_and_rows(events, written, n, t, y), address
+        elif kind == 0x6:
+            if payload < t & 0xFFF or not begun:
+                break
+            written, t, idle_us = _write_times_and_rows(events, written, n, t, y), t & -4096 | payload, 0
+        elif kind == 0x3:
+            base, polarity = address, word >> 11 & 1
+        elif kind in (0x4, 0x5):
+            bits, columns, taken = _vector(words, i, base, width)
+            beyond = bits >> np.uint64(min(max(width - base, 0), 32))
+            if base < 0 or beyond != np.uint64(0):
+                break
+            before = n
+            n = _write_columns(events, n, base, polarity, bits, 4 if columns == 32 else 2)
+            base, on = base + columns, on + (n - before) * np.uint64(polarity)
+            i += taken
+            continue
+        elif word == 0x8000 | high:
+            idle_us = one_tick_later(idle_us)
+        else:
+            break
+        i += _ONE
+    _write_times_and_rows(events, written, n, t, y)
+    state[S.T], state[S.Y], state[S.BASE], state[S.POLARITY] = t, y, base, polarity
+    state[S.IDLE_US], state[S.TAKEN], state[S.ON_EVENTS] = idle_us, n, on
+    result: Any = np.int64(i)
+    return result
+
+
+@njit(**JIT)
+def _take_rare(word: int, state: Any, gaps: Any, edges: Any) -> StopReason:
+    """Take a word that is none of the usual ones, or not as expected."""
+    kind, payload = word >> 12, word & 0xFFF
+    if kind == 0x2:
+        if payload & 0x7FF >= state[S.WIDTH]:
+            return StopReason.COLUMN
+        state[S.UNPLACED] += 1
+    elif kind == 0x3:
+        state[S.BASE], state[S.POLARITY] = payload & 0x7FF, payload >> 11
+    elif kind in (0x4, 0x5):
+        columns = 12 if kind == 0x4 else 8
+        bits, base = payload & (1 << columns) - 1, state[S.BASE]
+        if bits >> min(max(state[S.WIDTH] - base, 0), 12):
+            return StopReason.VECTOR
+        state[S.BASE] = base + columns if base >= 0 else -1
+        state[S.UNPLACED] += _MOST_EVENTS[word]
+    else:
+        return take_control_word(state, kind, payload, gaps, edges)
+    return StopReason.NONE
+
+
+@njit(**JIT)
+def run(words: Any, start: int, state: Any, gaps: Any, events: Any, edges: Any) -> int:
+    """Take words from ``start`` on; return where it stopped. ``state[S.STOP_REASON]`` holds the reason.
 
     words: (N,) uint16, EVT3 words.
     start: Index of the first word to take.
-    mode: A ``Mode``: events are only tallied, stored in ``events``, or counted in ``image``.
     state: (30,) int64 as of ``new_state``; changed.
     gaps: (G, 2) int64 to fill, us: clock before and after each of the first G gaps.
-    events: ``Events`` of arrays to fill.
-    image: (2, height, width) of any integer type, to add counts to.
+    events: ``Events`` of arrays to fill; MARGIN places after the last event may be touched.
     edges: (E, 3) int64 to fill: time (us), value and channel of trigger edges.
-    scratch: Two arrays, (BLOCK_WORDS,) uint16.
     Returns: Index of the first word not taken.
     """
-    room = len(events[0]) - MARGIN if mode == Mode.STORE else 1 << 62
-    n = on = state[S.TAKEN_EDGES] = 0
+    room = len(events[0]) - MARGIN
+    state[S.TAKEN] = state[S.TAKEN_EDGES] = 0
     reason = StopReason.NONE
-    high_before = state[S.HIGH]
     i = start
     while i < len(words) and reason == StopReason.NONE:
-        t, y = state[S.T], state[S.Y]
-        if (y | state[S.FIRST_T]) >= 0 and _USUAL[words[i] >> 12]:
-            columns, rows = min(state[S.WIDTH], 1 << 11), min(state[S.HEIGHT], 1 << 11)
-            limits = (0x8000 | state[S.HIGH], columns, rows, room)
-            place = (t, y, state[S.BASE], state[S.POLARITY])
-            i, here, on_here, t, y, base, p = take_usual_words(
-                words, i, mode, limits, place, n, events, image, scratch
-            )
-            state[S.T], state[S.Y], state[S.BASE], state[S.POLARITY] = t, y, base, p
-            n, on = n + here, on + on_here
-            if i == len(words):
-                break
-        kind = words[i] >> 12
-        if kind == 0x3:
-            state[S.BASE], state[S.POLARITY] = words[i] & 0x7FF, (words[i] >> 11) & 1
-            i += 1
-        elif kind in (0x2, 0x4, 0x5):
-            reason, taken, here, on_here = _take_events(words, i, mode, state, room, n, events, image)
-            i, n, on = i + taken, n + here, on + on_here
-        else:
-            reason = _take_control(words, start, i, state, n, gaps, edges, high_before)
+        if min(state[S.T], state[S.Y]) >= 0:
+            i = _take_usual(words, i, state, room, events)
+        if i < len(words):
+            word: Any = np.int64(words[i])
+            full = state[S.TAKEN] > room
+            reason = StopReason.ROOM if full else _take_rare(word, state, gaps, edges)
             i += reason == StopReason.NONE
-    state[S.IDLE_US] = idle_us(words, start, i, state, high_before)
-    state[S.TAKEN] = n
-    state[S.EVENTS] += n
-    state[S.ON_EVENTS] += on
+    state[S.EVENTS] += state[S.TAKEN]
     state[S.STOP_REASON] = reason
     return i

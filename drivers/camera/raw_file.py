@@ -8,30 +8,17 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
-from io import RawIOBase
 from pathlib import Path
-from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.camera.event_arrays import Events, Triggers, join_triggers
+from drivers.camera.event_arrays import Events, Triggers, empty_events, join_triggers
 from drivers.camera.evt3 import Evt3Decoder, StreamStatistics, Words
-from drivers.camera.evt3_kernel import max_event_count
-from drivers.camera.evt3_threads import decode_in_threads, threads_for
-from drivers.camera.evt3_vectors import MARGIN
-from drivers.camera.growing_events import GrowingEvents
+from drivers.camera.evt3_kernel import MARGIN, max_event_count
 from drivers.camera.raw_header import MAX_HEADER_BYTES, RawHeader, parse_header
 from drivers.camera.whole_file import require_regular, require_whole
 from drivers.errors import NotARecording, RecordingFileError
-
-SAMPLES: Final = 16
-SAMPLE_WORDS: Final = 1 << 15
-"""Number of parts of a file, and of words of each, from which the number of its events is estimated."""
-BLOCK_WORDS: Final = 1 << 19
-"""Number of words that are decoded into common arrays at once."""
-SPARE: Final = 1 << 12
-"""Events for which arrays have room beyond the estimate."""
 
 
 @dataclass(frozen=True)
@@ -148,55 +135,17 @@ class RawFile:
                 yield events
 
     def read(self) -> tuple[Events, Triggers]:
-        """Decode all events and triggers, which takes 13 bytes of memory an event; large files in several threads.
+        """Decode all events and triggers, which takes 13 bytes of memory an event.
 
         Returns: In the order of the file.
         Raises RecordingCorrupt, RecordingFileError: As ``pieces``.
         """
-        size = self._size()
-        threads, events = threads_for(size), GrowingEvents(self._expected_events(size))
-        edges = self._read_in_threads(events, threads, size) if threads > 1 else self._read_in_one(events)
-        return events.finished(), join_triggers(edges)
-
-    def _read_in_one(self, events: GrowingEvents) -> list[Triggers]:
-        """Decode all events in one thread."""
-        decoder, triggers = self._decoder(), []
-        for words in self.words(piece_words=BLOCK_WORDS):
-            room = events.room(max_event_count(words) + 2 * MARGIN)
-            n, edges = decoder.decode_into(words, room, 0)
-            events.add(room.part(0, n))
-            events.close_gap()
+        decoder, triggers, n = self._decoder(), [], 0
+        events = empty_events(MARGIN + sum(max_event_count(words) for words in self.words()))
+        for words in self.words():
+            n, edges = decoder.decode_into(words, events, n)
             triggers.append(edges)
-        return triggers
-
-    def _read_in_threads(self, events: GrowingEvents, threads: int, size_bytes: int) -> list[Triggers]:
-        """Decode all events in several threads."""
-        try:
-            with self.path.open("rb", buffering=0) as file:
-
-                def read(words: Words, first_byte: int) -> int:
-                    file.seek(first_byte)
-                    return _read_words(file, words)
-
-                return decode_in_threads(self._decoder(), read, events, threads, size_bytes // 2)
-        except OSError as error:
-            raise _unreadable(self.path, error) from error
-
-    def _expected_events(self, size_bytes: int) -> int:
-        """Estimate the number of events from parts of the file; somewhat more, so that arrays seldom grow."""
-        first, words = self.raw_header.size_bytes, (size_bytes - self.raw_header.size_bytes) // 2
-        parts = range(0, words, max(words // SAMPLES, SAMPLE_WORDS))
-        counted = looked_at = 0
-        try:
-            with self.path.open("rb", buffering=0) as file:
-                for begin in parts:
-                    file.seek(first + 2 * begin)
-                    some = file.read(2 * SAMPLE_WORDS)
-                    counted += max_event_count(np.frombuffer(some, "<u2", count=len(some) // 2))
-                    looked_at += len(some) // 2
-        except OSError as error:
-            raise _unreadable(self.path, error) from error
-        return SPARE + int(1.02 * counted * words / max(looked_at, 1))
+        return events.part(0, n), join_triggers(triggers)
 
     def triggers(self) -> Triggers:
         """Decode all trigger edges.
@@ -259,11 +208,3 @@ def _unreadable(path: Path, error: OSError) -> RecordingFileError:
         where=str(path),
         remedy="Check the disk, or copy the file again.",
     )
-
-
-def _read_words(file: RawIOBase, words: Words) -> int:
-    """Read words until the array is full or the file ends; return their number."""
-    room, done = words.data.cast("B"), 0
-    while done < len(room) and (count := file.readinto(room[done:])):
-        done += count
-    return done // 2

@@ -20,15 +20,13 @@ import os
 import subprocess
 import sys
 import tempfile
-import threading
 import time
 from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 
-from drivers.camera import raw_file
-from drivers.camera.evt3 import Evt3Decoder, count_events
+from drivers.camera.evt3 import Evt3Decoder
 from drivers.camera.raw_file import RawFile
 from simulators.pixels.evt3_writer import Evt3Writer
 
@@ -82,7 +80,6 @@ def works(path: Path) -> dict[str, Callable[[], object]]:
     recording = RawFile.open(path)
     words = np.fromfile(path, "<u2", offset=recording.raw_header.size_bytes)
     image = np.zeros((2, 720, 1280), np.uint16)
-    events, _ = recording.read()
 
     def decode() -> None:
         for _ in Evt3Decoder(1280, 720).decode(words):
@@ -91,7 +88,6 @@ def works(path: Path) -> dict[str, Callable[[], object]]:
     found: dict[str, Callable[[], object]] = {
         "words in memory -> events, in chunks": decode,
         "words in memory -> ON/OFF counts": lambda: Evt3Decoder(1280, 720).count(words, image),
-        "events in memory -> ON/OFF counts": lambda: count_events(events, image),
         "words in memory -> tally only": lambda: Evt3Decoder(1280, 720).tally(words),
         "file -> events, in chunks": lambda: [len(c.t) for c in recording.chunks()],
         "file -> all events": recording.read,
@@ -106,75 +102,19 @@ def works(path: Path) -> dict[str, Callable[[], object]]:
     return found
 
 
-COPIED, COPY = np.ones(1 << 27, np.uint8), np.zeros(1 << 27, np.uint8)
-
-
-def one_thread(_size_bytes: int) -> int:
-    return 1
-
-
-def two_threads(_size_bytes: int) -> int:
-    return 2
-
-
-def copy_in(threads: int) -> None:
-    """Copy memory in so many threads."""
-    size = len(COPIED) // threads
-    parts = [
-        threading.Thread(target=np.copyto, args=(COPY[k * size :][:size], COPIED[k * size :][:size]))
-        for k in range(threads)
-    ]
-    for part in parts:
-        part.start()
-    for part in parts:
-        part.join()
-
-
-def measure_threads(folder: Path) -> None:
-    """Print how long a recording ten times as long takes with one thread and with two, and a copy of memory."""
-    print("\nall events of recordings ten times as long, and a plain copy: one thread and two, ms")
-    print("            by the clock             CPU time")
-    found: dict[str, Callable[[], object]] = {}
-    for name in SCENES:
-        path = folder / f"{name}-long.raw"
-        with path.open("wb") as file:
-            file.write(HEADER)
-            words = np.fromfile(folder / f"{name}.raw", "<u2", offset=len(HEADER))
-            high = words >> 12 == 0x8
-            ticks = words[high] & 0xFFF
-            for k in range(10):
-                words[high] = 0x8000 | (ticks + k * (int(ticks.max()) + 1)) & 0xFFF  # the clock runs on
-                words.tofile(file)
-        found[name] = RawFile.open(path).read
-    for name in (*found, "a copy"):
-        taken: dict[int, list[tuple[float, float]]] = {1: [], 2: []}
-        for _ in range(ROUNDS + 1):
-            for threads, of_size in ((1, one_thread), (2, two_threads)):
-                raw_file.threads_for = of_size
-                began, cpu = time.perf_counter(), time.process_time()
-                found[name]() if name in found else copy_in(threads)
-                taken[threads].append((time.perf_counter() - began, time.process_time() - cpu))
-        (one, one_cpu), (two, two_cpu) = (
-            [1000 * min(t[1:]) for t in zip(*taken[k], strict=True)] for k in (1, 2)
-        )
-        print(f"  {name:8s} {one:6.0f} {two:6.0f} {one / two:6.2f} times {one_cpu:7.0f} {two_cpu:6.0f}")
-
-
 def main() -> None:
     """Print a table a scene."""
     parser = argparse.ArgumentParser()
     parser.add_argument("--old", type=Path, help="checkout of an earlier version")
-    parser.add_argument("--alone", action="store_true", help="one thread only, no comparison")
     options = parser.parse_args()
     if options.old:
         for name, folder in (("OLD", options.old), ("NEW", Path(__file__).parents[2])):
             print(f"\n===== {name}", flush=True)
-            command = [sys.executable, __file__, *(["--alone"] if name == "OLD" else [])]
-            subprocess.run(command, check=True, env={**os.environ, "PYTHONPATH": str(folder)})
+            subprocess.run(
+                [sys.executable, __file__], check=True, env={**os.environ, "PYTHONPATH": str(folder)}
+            )
         return
     with tempfile.TemporaryDirectory() as folder:
-        if hasattr(raw_file, "threads_for"):
-            raw_file.threads_for = one_thread
         for name, (density, rate) in SCENES.items():
             path = Path(folder) / f"{name}.raw"
             write_scene(path, density, rate)
@@ -189,8 +129,6 @@ def main() -> None:
             for ours, theirs in PEERS.items():
                 if theirs in times:
                     print(f"  {ours}: {times[theirs] / times[ours]:.1f} times evt3")
-        if not options.alone:
-            measure_threads(Path(folder))
 
 
 if __name__ == "__main__":

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from drivers.camera.event_arrays import Events, Triggers, empty_events
-from drivers.camera.evt3 import Evt3Decoder, count_events
+from drivers.camera.evt3 import Evt3Decoder
 from drivers.camera.evt3_kernel import max_event_count
 from drivers.errors import RecordingCorrupt
 from tests.unit.drivers.evt3_words import (
@@ -181,17 +181,6 @@ def test_counting_without_a_list_gives_the_same_image(stream):
         expected[p, y, x] += 1
     assert np.array_equal(image, expected)
     assert rows(edges) == stream[2]
-
-
-@settings(max_examples=30)
-@given(streams())
-def test_events_of_a_list_count_to_the_image_that_their_words_do(stream):
-    words = np.array(stream[0], np.uint16)
-    expected, image = np.zeros((2, 2, HEIGHT, WIDTH), np.uint16)
-    Evt3Decoder(WIDTH, HEIGHT).count(words, expected)
-    for events, _ in Evt3Decoder(WIDTH, HEIGHT).decode(words, max_events=40):
-        count_events(events, image)
-    assert np.array_equal(image, expected)
 
 
 @given(streams())
