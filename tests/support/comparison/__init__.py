@@ -1,0 +1,1 @@
+"""What `compare_checkouts.py` is made of: two sides, scenarios, rules for what varies, and the comparison."""
