@@ -7,11 +7,11 @@ from datetime import datetime, timedelta
 
 from bench.panel.process_state import ProcessState
 from bench.panel.run_model import RunModel
-from bench.run.interlock_text import interlock_text
+from bench.run.interlocks import interlock_text
 from bench.run.machine import END_STATES
 
 MAX_HOLD_H = 8
-"""As `bench.run.holding.MAX_HOLD_S`, in hours; that module opens devices, which this one must not."""
+"""As `bench.run.states.MAX_HOLD_S`, in hours; that module opens devices, which this one must not."""
 _GIGABYTE = 1e9
 _POSES_OF_A_SERIES = 3
 

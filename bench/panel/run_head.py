@@ -13,7 +13,7 @@ from bench.evidence.shown_state import home_trust, shown_state
 from bench.panel.leave import may_leave
 from bench.panel.process_state import ProcessState
 from bench.panel.run_model import RunModel
-from bench.run.interlock_text import interlock_text
+from bench.run.interlocks import interlock_text
 from bench.run.machine import END_STATES
 
 Json = dict[str, Any]

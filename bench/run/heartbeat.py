@@ -2,7 +2,8 @@
 
 The heartbeat is one small file in ``control/`` of the run folder: which process works there, and when its work last
 made progress. A thread writes it. If the work itself stalls (a driver that never returns), the thread writes no
-heartbeat, so that a live thread cannot hide stalled work. This module uses no device and no command.
+heartbeat, so that a live thread cannot hide stalled work. `BusyWatch` notes in the journal when the computer is too
+busy. This module uses no device and no command.
 """
 
 from __future__ import annotations
@@ -15,6 +16,8 @@ from pathlib import Path
 
 from bench.base.clock import BenchClock
 from bench.base.linux_process import start_ticks, thread_waits_for_disk
+from bench.records.events import Event
+from bench.records.run_log import RunLog
 from bench.records.storage import storage_errors
 
 CONTROL = "control"
@@ -29,6 +32,13 @@ SLOW_STATES = frozenset(
     {"idle", "preflight", "holding", "checking", "choosing", "solving", "reporting", "recovering", "finished"}
 )
 """States in which nothing moves: calculations do not use the clock, and devices may take long to start."""
+
+WINDOW_S = 10.0
+"""The lateness of this time is looked at, s."""
+BUSY_S = 3.0
+"""A computer is too busy if it was late by this time in a window, s."""
+REPEAT_S = 60.0
+"""The journal says so at most once in this time, s."""
 
 
 @dataclass(frozen=True)
@@ -117,3 +127,32 @@ def _supervisor() -> int | None:
     """Return the process id of the supervisor, if the environment names it and it is the parent process."""
     text = os.environ.get(SUPERVISOR, "")
     return int(text) if text.isdecimal() and int(text) == os.getppid() else None
+
+
+class BusyWatch:
+    """Writes ``computer_busy`` when the computer is too busy.
+
+    log: Where it is written.
+    """
+
+    def __init__(self, log: RunLog, clock: BenchClock) -> None:
+        self._log = log
+        self._clock = clock
+        self._began_s = clock.monotonic()
+        self._lost_s = float(clock.lateness().get("lost_s", 0.0))
+        self._noted_s = -REPEAT_S
+
+    def look(self) -> None:
+        """Look whether a window is over, and whether the computer was too busy in it."""
+        now_s = self._clock.monotonic()
+        window_s = now_s - self._began_s
+        if window_s < WINDOW_S:
+            return
+        lateness = self._clock.lateness()
+        lost_s = float(lateness.get("lost_s", 0.0))
+        late_s, self._lost_s, self._began_s = lost_s - self._lost_s, lost_s, now_s
+        if late_s >= BUSY_S * window_s / WINDOW_S and now_s - self._noted_s >= REPEAT_S:
+            self._noted_s = now_s
+            self._log.write(
+                Event.COMPUTER_BUSY, late_s=round(late_s, 3), window_s=round(window_s, 3), lateness=lateness
+            )

@@ -3,7 +3,7 @@
 Each interlock returns why it holds, or an empty text. It has a second limit for continuing, so that it does not
 switch on and off. The thread that also accepts commands checks the door ten times a second; an open door interrupts a
 move or a recording. The other interlocks are checked between two pieces of work; a lost device is noticed when a
-driver fails. The total time that each may hold a run is limited. `bench.run.holding` does the holding.
+driver fails. The total time that each may hold a run is limited. `bench.run.states` does the holding.
 """
 
 from __future__ import annotations
@@ -15,8 +15,8 @@ from typing import Protocol
 
 from bench.base.clock import BenchClock, Interrupted
 from bench.base.errors import InterlockHeld
-from bench.run.interlock_text import interlock_text
 from bench.stations.station_interlocks import InterlockName
+from drivers.errors import DriverError
 
 DOOR: InterlockName = "door"
 DEVICE_LOST: InterlockName = "device_lost"
@@ -149,3 +149,30 @@ class Interlocks:
                     remedy="Remove the cause, then continue with `starbench resume`.",
                 )
             self._clock.sleep(interlock.poll_s)
+
+
+def loss_text(error: DriverError) -> str:
+    """Return how a device was lost, for a run that holds: it continues by itself, so nobody has to resume it.
+
+    Returns: Place, what is wrong, and remedy, without the last full stop: whoever quotes it ends the
+      sentence.
+
+    Examples
+    --------
+    >>> loss_text(DriverError("It is gone.", where="camera 7", remedy="Check the cable, then resume the run."))
+    'camera 7: It is gone. Check its cable and power'
+    """
+    place = f"{error.where}: " if error.where else ""
+    remedy = "Check its cable and power." if "resume" in error.remedy.lower() else error.remedy
+    return f"{place}{error.what} {remedy}".strip().removesuffix(".")
+
+
+def interlock_text(name: str) -> str:
+    """Return the name of an interlock as text.
+
+    Examples
+    --------
+    >>> interlock_text("camera_temperature")
+    'camera temperature'
+    """
+    return name.replace("_", " ")

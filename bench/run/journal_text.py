@@ -21,7 +21,7 @@ from bench.records.events import (
 )
 from bench.records.journal_entry import Entry
 from bench.report.until_text import decision_text
-from bench.run.interlock_text import interlock_text
+from bench.run.interlocks import interlock_text
 from bench.run.machine import END_STATES
 
 

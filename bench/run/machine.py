@@ -1,4 +1,4 @@
-"""States of a run and the edges between them; the work of each state is in `bench.run.state_work`.
+"""States of a run and the edges between them; the work of each state is in `bench.run.states`.
 
 One `transitions` machine without automatic transitions: only the edges in ``EDGES`` exist. The work of a state runs
 in ``on_enter``. If it raises, the machine stays in that state, so the state always names the work that failed; only

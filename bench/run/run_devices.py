@@ -16,7 +16,7 @@ from bench.records.events import Event
 from bench.records.run_folder import RunFolder
 from bench.records.run_log import RunLog
 from bench.records.storage import storage_errors
-from bench.run.interlock_text import loss_text
+from bench.run.interlocks import loss_text
 from bench.stations.devices import Devices, left_devices
 from drivers.camera import EventCamera
 from drivers.errors import DriverError, WrongDevice

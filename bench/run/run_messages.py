@@ -8,10 +8,16 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
+from bench.base.clock import BenchClock
 from bench.base.errors import BenchError
 from bench.messaging.messages import Courier
+from bench.records.events import Entering
+from bench.run.interlocks import interlock_text
 from bench.run.status import read_status
 from bench.run.status_text import status_text
+
+HOLD_NOTIFY_INTERVAL_S = 600.0
+"""Shortest time between two notifications about holds by the same interlock, s."""
 
 
 class RunMessages:
@@ -49,3 +55,33 @@ class RunMessages:
             key=key,
             place=status.place,
         )
+
+
+class HoldNotifier:
+    """Notifies absent people that a run holds; about the same interlock not too often.
+
+    notify: Called with the occasion (``hold``), a short text and the hash of the journal's line.
+    """
+
+    def __init__(self, clock: BenchClock, notify: Callable[[str, str, str], None]) -> None:
+        self._clock = clock
+        self._notify = notify
+        self._notified_s: dict[str, float] = {}
+
+    def entering(self, facts: Entering, line: str) -> None:
+        """Notify that the run holds. A door that opens again and again does not cause a hundred messages.
+
+        line: Hash of that line.
+        """
+        rule, now_s = str(facts.get("rule", "")), self._clock.monotonic()
+        if rule and now_s - self._notified_s.get(rule, -HOLD_NOTIFY_INTERVAL_S) < HOLD_NOTIFY_INTERVAL_S:
+            return
+        self._notified_s[rule] = now_s
+        self._notify("hold", _waits_for(facts), line)
+
+
+def _waits_for(facts: Entering) -> str:
+    """Return what a run that holds waits for."""
+    if "rule" in facts:
+        return f"is held by the {interlock_text(facts['rule'])} interlock: {facts['why']}"
+    return f"is held by {facts['by']}" if "by" in facts else "asks the operator a question"

@@ -1,7 +1,7 @@
 """Run a script: choose the next step, react to failures, and leave the bench safe at every end.
 
 The runner takes the remaining steps through the state machine and journals each of them. The work of each state is in
-`bench.run.state_work`. However a run ends, the stage is stopped, the light is off and the camera is stopped.
+`bench.run.states`. However a run ends, the stage is stopped, the light is off and the camera is stopped.
 """
 
 from __future__ import annotations
@@ -25,19 +25,16 @@ from bench.records.run_log import RunLog
 from bench.report.until_text import decision_text
 from bench.results.interim import Decisions
 from bench.results.result import Outcome, ResultWriter
-from bench.run.attempts import Attempts
-from bench.run.busy import BusyWatch
+from bench.run.context import RunContext
 from bench.run.control import CommandInbox
-from bench.run.heartbeat import HeartbeatWriter
-from bench.run.holding import Holding, HoldNotifier
+from bench.run.heartbeat import BusyWatch, HeartbeatWriter
 from bench.run.interlock_kinds import interlocks_of
-from bench.run.interlock_text import loss_text
-from bench.run.interlocks import Interlocks, Trip
+from bench.run.interlocks import Interlocks, Trip, loss_text
 from bench.run.machine import RunMachine
 from bench.run.resumption import pose_names, poses_crashed_too_often, steps_to_do
 from bench.run.run_devices import RunDevices
-from bench.run.safe_points import SafePoints
-from bench.run.state_work import StateWork
+from bench.run.run_messages import HoldNotifier
+from bench.run.states import StateWork
 from bench.run.steps import Steps
 from bench.stations.devices import Devices
 from bench.terminal.progress import Progress
@@ -78,6 +75,8 @@ class RunEnd:
 class Runner:
     """Work of one process on one run.
 
+    context: What the parts of the run share.
+    inbox: Decides about commands from elsewhere.
     folder, journal: Run folder and journal, locked by this process.
     open_devices: Opens the station's devices; called when a step first needs them.
     clock: Clock of the run; a requested stop ends the run safely.
@@ -99,38 +98,38 @@ class Runner:
         results: ResultWriter | None = None,
         decisions: Decisions | None = None,
     ) -> None:
-        self._job = job
-        self._folder = folder
-        self._clock = clock
         self._progress = progress
         self._notify = notify
         self._hold_notifier = HoldNotifier(clock, notify)
-        self._results = results or ResultWriter(job, folder)
-        self._log = log = RunLog(journal)
-        self._devices = RunDevices(job, folder, log, open_devices, progress.say)
-        self._interlocks = Interlocks(
-            interlocks_of(job.station.interlocks, folder.path, self._devices), clock
+        log = RunLog(journal)
+        devices = RunDevices(job, folder, log, open_devices, progress.say)
+        self.context = RunContext(
+            job,
+            folder,
+            log,
+            clock,
+            devices,
+            Interlocks(interlocks_of(job.station.interlocks, folder.path, devices), clock),
+            results or ResultWriter(job, folder),
+            decisions or Decisions(job, folder.path),
+            progress.say,
         )
-        holding = Holding(self._devices, log, self._interlocks, clock, progress.say)
-        decisions = decisions or Decisions(job, folder.path)
-        work = StateWork(job, folder, log, self._devices, holding, self._results, decisions, clock)
-        self._machine = RunMachine(work.table(), self)
-        self._steps = Steps(job, log, self._machine)
-        self._safe_points = SafePoints(
-            job, log, self._machine, self._steps, self._interlocks, clock, progress.say
-        )
-        self._attempts = Attempts(
-            self._machine, self._steps, self._safe_points, folder, log, job.camera_kind.ending, progress.say
-        )
+        self._machine = RunMachine(StateWork(self.context).table(), self)
+        self._steps = Steps(self.context, self._machine)
         self._heartbeat = HeartbeatWriter(folder.path, clock)
         self._names = pose_names(job, log.history)
         round_tasks = (
             self._heartbeat.beat,
             self._report_lost_supervisor,
             BusyWatch(log, clock).look,
-            self._interlocks.check_door,
+            self.context.interlocks.check_door,
         )
-        self._inbox = CommandInbox(folder.path, log, self._names, clock, round_tasks)
+        self.inbox = CommandInbox(folder.path, log, self._names, clock, round_tasks)
+
+    @property
+    def state(self) -> str:
+        """Present state of the run."""
+        return self._machine.state
 
     def run(self) -> RunEnd:
         """Do every step that is not done yet.
@@ -139,11 +138,11 @@ class Runner:
         Raises Exception: Only for a defect of the program; the bench is safe even then.
         """
         try:
-            with self._inbox:
+            with self.inbox:
                 self._do_remaining_steps()
-            with self._clock.shielded():
-                self._devices.make_safe()
-            self._log.write(Event.RUN_ENDED, how="finished", why="", **self._end_data())
+            with self.context.clock.shielded():
+                self.context.devices.make_safe()
+            self.context.log.write(Event.RUN_ENDED, how="finished", why="", **self._end_data())
         except Aborted as stop:
             return self._end_early("aborted", stop.reason)
         except FORESEEN as error:
@@ -153,19 +152,19 @@ class Runner:
             self._end_early("failed", why, Failure.of(error), crashed=True)
             raise
         finally:
-            with self._clock.shielded():
-                self._devices.make_safe()
-                self._devices.close()
-        return self._end("finished", "", outcome=self._results.outcome)
+            with self.context.clock.shielded():
+                self.context.devices.make_safe()
+                self.context.devices.close()
+        return self._end("finished", "", outcome=self.context.results.outcome)
 
     def _do_remaining_steps(self) -> None:
-        history = self._log.history
+        history = self.context.log.history
         if history.resumed:
             self._machine.fire("recover")
             self._check_unchecked()
             for pose_index, why in poses_crashed_too_often(history).items():
-                self._safe_points.skip(pose_index, why)
-        steps = steps_to_do(self._job, history)
+                self._steps.skip(pose_index, why)
+        steps = steps_to_do(self.context.job, history)
         if any(isinstance(step, DEVICE_STEPS) for step in steps):
             self._with_interlocks(None, partial(self._machine.fire, "preflight"))
             self._with_interlocks(None, partial(self._prepare_bench, steps))
@@ -183,47 +182,54 @@ class Runner:
 
     def _leave_devices(self) -> None:
         """Journal how the devices are left, once, when the remaining steps need none; the report states it."""
-        history = self._log.history
+        history = self.context.log.history
         if history.devices and not history.devices_left:
-            with self._clock.shielded():
-                self._devices.leave()
+            with self.context.clock.shielded():
+                self.context.devices.leave()
 
     def _end_early(
         self, how: End, why: str, failure: Failure | None = None, *, crashed: bool = False
     ) -> RunEnd:
         """Make the bench safe and journal the end, even if it is the journal that failed."""
-        with self._clock.shielded():
+        with self.context.clock.shielded():
             try:
-                self._folder.release_reserve()
+                self.context.folder.release_reserve()
                 if self._machine.can("abort"):  # not if the run had finished and only its journal line failed
                     self._machine.fire("abort")
                     self._machine.fire("abort_done" if how == "aborted" else "fail")
-                self._devices.make_safe()
+                self.context.devices.make_safe()
                 self._write_end(how, why, failure, crashed=crashed)
             except StorageError as error:
                 why = f"{why} In addition, the journal could not be written: {error}"
             finally:
-                self._devices.make_safe()
+                self.context.devices.make_safe()
         return self._end(how, why, failure=failure)
 
     def _end(
         self, how: End, why: str, *, outcome: Outcome | None = None, failure: Failure | None = None
     ) -> RunEnd:
-        devices = self._devices
+        devices = self.context.devices
         return RunEnd(
-            how, why, self._folder.path, outcome, devices.unsafe, failure, devices.was_opened, devices.ends()
+            how,
+            why,
+            self.context.folder.path,
+            outcome,
+            devices.unsafe,
+            failure,
+            devices.was_opened,
+            devices.ends(),
         )
 
     def _end_data(self) -> _EndData:
         """Return how the run leaves each device, and how late the computer was, as the journal holds it."""
-        data: _EndData = {"devices": [end.to_dict() for end in self._devices.ends()]}
-        if lateness := self._clock.lateness():
+        data: _EndData = {"devices": [end.to_dict() for end in self.context.devices.ends()]}
+        if lateness := self.context.clock.lateness():
             data["lateness"] = lateness
         return data
 
     def _write_end(self, how: End, why: str, failure: Failure | None, *, crashed: bool) -> None:
         if failure is None:
-            self._log.write(Event.RUN_ENDED, how=how, why=why, **self._end_data())
+            self.context.log.write(Event.RUN_ENDED, how=how, why=why, **self._end_data())
             return
         error: FailureData = {
             "kind": failure.kind,
@@ -233,15 +239,15 @@ class Runner:
         }
         data = self._end_data()
         if crashed:
-            self._log.write(Event.RUN_ENDED, how=how, why=why, error=error, crashed=True, **data)
+            self.context.log.write(Event.RUN_ENDED, how=how, why=why, error=error, crashed=True, **data)
         else:
-            self._log.write(Event.RUN_ENDED, how=how, why=why, error=error, **data)
+            self.context.log.write(Event.RUN_ENDED, how=how, why=why, error=error, **data)
 
     # ------------------------------------------------------------------ which steps
 
     def _prepare_bench(self, steps: list[ScriptStep]) -> None:
         """Home the stage, and set the light as the script last set it."""
-        self._interlocks.require_clear()
+        self.context.interlocks.require_clear()
         if self._machine.state != "preflight":  # an interlock held the run in between
             self._machine.fire("preflight")
         self._machine.fire("home")
@@ -249,44 +255,44 @@ class Runner:
 
     def _set_light_of_resumed(self, steps: list[ScriptStep]) -> None:
         """Set the light as the script last set it, if a resumed run continues with recordings."""
-        if self._log.history.resumed and steps:
+        if self.context.log.history.resumed and steps:
             first = next((step for step in steps if isinstance(step, RecordStep)), None)
-            light = self._job.light_before(first)
+            light = self.context.job.light_before(first)
             if light is not None and light not in steps:
                 self._steps.set_light(light)
 
     def _check_unchecked(self) -> None:
         """Measure recordings that were stored, but not yet measured when the process died."""
-        history = self._log.history
-        for step in self._job.steps:
+        history = self.context.log.history
+        for step in self.context.job.steps:
             if isinstance(step, RecordStep) and (attempt := history.unchecked(step.pose.index)) is not None:
                 self._steps.fire_at("check", step, attempt=attempt.attempt)
                 if step.pose.index in history.accepted():
-                    self._log.write(Event.STEP_DONE, step=step.number)
+                    self.context.log.write(Event.STEP_DONE, step=step.number)
 
     def _do_step(self, step: ScriptStep) -> None:
         """Do a step, unless its pose is skipped."""
-        self._safe_points.reach(step)
-        done = self._log.history.done_steps
-        if self._safe_points.is_skipped(step):
+        self._steps.reach(step)
+        done = self.context.log.history.done_steps
+        if self._steps.is_skipped(step):
             if step.number not in done:
-                self._log.write(Event.STEP_DONE, step=step.number, skipped=True)
+                self.context.log.write(Event.STEP_DONE, step=step.number, skipped=True)
             return
         if isinstance(step, RecordStep):
-            self._attempts.record(step)
+            self._steps.record(step)
         else:
             self._steps.take(step)
         if isinstance(step, ChooseStep):
             self._show_decision(step)
         if step.number not in done:
-            self._log.write(Event.STEP_DONE, step=step.number)
-        done_s = self._job.done_after_s(step)
+            self.context.log.write(Event.STEP_DONE, step=step.number)
+        done_s = self.context.job.done_after_s(step)
         if done_s is not None:
             self._progress.done(done_s)
 
     def _show_decision(self, step: ChooseStep) -> None:
         """Show what an ``until`` decided; its chosen pose can be skipped by command from now on."""
-        decided = self._log.history.decisions[-1]
+        decided = self.context.log.history.decisions[-1]
         self._progress.say(decision_text(decided))
         if step.pose is not None and "chosen" in decided:
             self._names[step.pose.index] = step.pose.name
@@ -299,13 +305,13 @@ class Runner:
         while True:
             try:
                 if again and step is not None:
-                    self._interlocks.require_clear()
+                    self.context.interlocks.require_clear()
                     self._steps.prepare_again(step)
                 work()
             except Interrupted:
-                self._hold_for(self._interlocks.take_interruption(), step)
+                self._hold_for(self.context.interlocks.take_interruption(), step)
             except LOST_DEVICE_ERRORS as error:
-                trip = self._interlocks.device_lost(loss_text(error))
+                trip = self.context.interlocks.device_lost(loss_text(error))
                 losses += 1
                 if trip is None or losses > MOST_LOSSES:
                     raise
@@ -318,7 +324,7 @@ class Runner:
 
     def _hold_for(self, trip: Trip, step: ScriptStep | None) -> None:
         if self._machine.state == "recording" and isinstance(step, RecordStep):
-            self._attempts.keep_lost_recording(step, trip.text)
+            self._steps.keep_lost_recording(step, trip.text)
         self._progress.say(f"Held by {trip.text}. The run continues by itself when this is over.")
         self._machine.fire("hold", step, trip, rule=trip.interlock.name, why=trip.why)
 
@@ -326,28 +332,28 @@ class Runner:
 
     def entering(self, data: Entering) -> None:
         """Journal a change of state before it is made; then update heartbeat, interlocks and progress."""
-        self._log.write_entering(data)
+        self.context.log.write_entering(data)
         state = data["state"]
         self._heartbeat.entering(state)
-        self._interlocks.entering(state)
+        self.context.interlocks.entering(state)
         self._progress.show(state, pose=data.get("pose"), detail=data.get("pose_name", ""))
         if state == "holding":
-            self._hold_notifier.entering(data, self._log.journal.head)
+            self._hold_notifier.entering(data, self.context.log.journal.head)
 
     def left_off(self, data: LeftOff) -> None:
         """Journal that the work of a state has ended; nothing interrupts the time between two states.
 
         data: The state, and the error if the work failed.
         """
-        self._log.write_left_off(data)
-        self._interlocks.left_off()
+        self.context.log.write_left_off(data)
+        self.context.interlocks.left_off()
 
     def _report_lost_supervisor(self) -> None:
         """Journal that the supervisor of this process has ended; the run continues."""
         if self._heartbeat.supervisor_is_gone():
-            self._log.write(Event.SUPERVISOR_LOST)
+            self.context.log.write(Event.SUPERVISOR_LOST)
             self._notify(
                 "failure",
                 "continues, but its supervisor has ended: no further run follows",
-                self._log.journal.head,
+                self.context.log.journal.head,
             )

@@ -25,7 +25,7 @@ from bench.records.reading import read_json
 from bench.records.run_folder import JOURNAL, PLAN, is_sealed
 from bench.report.text import with_uncertainty
 from bench.report.until_text import reached_text
-from bench.run.interlock_text import interlock_text
+from bench.run.interlocks import interlock_text
 from bench.run.journal_text import line_text
 from bench.run.machine import END_STATES
 from bench.run.time_left import TimeLeft

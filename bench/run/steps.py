@@ -1,6 +1,8 @@
-"""Take single steps of a script through the state machine, and set up light and stage again after a hold.
+"""Take the steps of a script through the state machine: single steps, attempts at a recording, safe points.
 
-The runner decides which step comes next; `bench.run.attempts` decides how often a recording is tried.
+The runner decides which step comes next; the work of each state is in `bench.run.states`. At a safe point a run stops,
+holds or skips poses, as the operator asked (`bench.run.control` receives the commands). Every attempt at a recording is
+kept as evidence; the sequence step decides what follows the last one.
 """
 
 from __future__ import annotations
@@ -8,12 +10,14 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Unpack
 
-from bench.plan.job import Job
+from bench.base.errors import PoseFailed
 from bench.plan.script_steps import ParkStep, ScriptStep
-from bench.records.events import Circumstances
-from bench.records.run_log import RunLog
+from bench.records.events import Circumstances, Event
+from bench.run.context import RunContext
 from bench.run.machine import RunMachine
-from bench.run.resumption import steps_to_repeat
+from bench.run.resumption import steps_of_pose, steps_to_repeat
+from bench.terminal.wording import counted
+from drivers.errors import RecordingFailed
 from sequences.script import (
     ChooseStep,
     LightStep,
@@ -41,21 +45,17 @@ _TRIGGERS: Mapping[type, str] = {
 
 
 class Steps:
-    """Steps of one run's script.
+    """Steps of one run's script."""
 
-    log: The run's journal, which holds the poses that the run has chosen.
-    machine: The run's state machine.
-    """
-
-    def __init__(self, job: Job, log: RunLog, machine: RunMachine) -> None:
-        self._job = job
-        self._log = log
+    def __init__(self, run: RunContext, machine: RunMachine) -> None:
+        self._run = run
         self._machine = machine
+        self._steps_skipped: dict[int, set[int]] = {}
 
     def take(self, step: ScriptStep) -> None:
         """Take the one edge of a step that records nothing."""
         if isinstance(step, MoveStep):
-            step = self._job.at_its_pose(step, self._log.history.chosen)
+            step = self._run.job.at_its_pose(step, self._run.log.history.chosen)
             self.fire_at("slew", step, target_deg=dict(step.pose.angles_deg))
         else:
             self._machine.fire(_TRIGGERS[type(step)], step)
@@ -65,7 +65,7 @@ class Steps:
     ) -> None:
         """Take an edge for a step at its pose."""
         at_pose: Circumstances = {"pose": step.pose.index, "pose_name": step.pose.name, **circumstances}
-        self._machine.fire(trigger, self._job.at_its_pose(step, self._log.history.chosen), **at_pose)
+        self._machine.fire(trigger, self._run.job.at_its_pose(step, self._run.log.history.chosen), **at_pose)
 
     def set_light(self, light: LightStep) -> None:
         """Set the light as a light step specifies, whether or not the script has reached that step."""
@@ -73,13 +73,130 @@ class Steps:
 
     def prepare_again(self, step: ScriptStep) -> None:
         """Set up the bench again after a hold: the light, and the move and settling that the next recording needs."""
-        here = self._job.index_of(step)
-        left_out = self._log.history.is_left_out
-        coming = (later for later in self._job.steps[here:] if not left_out(later.number))
+        here = self._run.job.index_of(step)
+        left_out = self._run.log.history.is_left_out
+        coming = (later for later in self._run.job.steps[here:] if not left_out(later.number))
         if not any(isinstance(later, RecordStep) for later in coming):
             return
-        light = self._job.light_before(step)
+        light = self._run.job.light_before(step)
         if light is not None and not isinstance(step, LightStep):
             self.set_light(light)
-        for needed in steps_to_repeat(self._job.steps, step):
+        for needed in steps_to_repeat(self._run.job.steps, step):
             self.take(needed)
+
+    # ------------------------------------------------------------------ safe points
+
+    def reach(self, step: ScriptStep) -> None:
+        """Stop, hold or skip poses, as asked, before a step.
+
+        Raises Aborted: When a stop was asked for.
+        Raises Interrupted: When an interlock holds.
+        """
+        self._run.clock.check()
+        self._run.interlocks.require_clear()
+        history = self._run.log.history
+        holder = history.holder
+        if holder and self._machine.can("hold"):
+            self._hold(step, holder)
+        accepted = history.accepted()
+        for pose_index, by in list(history.to_skip.items()):
+            if pose_index not in history.skipped and pose_index not in accepted:
+                self.skip(pose_index, f"{by} asked for it")
+        if holder and not self.is_skipped(step):
+            self.prepare_again(step)
+
+    def skip(self, pose_index: int, why: str) -> None:
+        """Skip a pose: its steps will not be done.
+
+        pose_index: Number of the pose, from 1.
+        """
+        name = self._run.job.record_step(pose_index).pose.name
+        what = f"Pose {pose_index} ({name}) was skipped: {why}."
+        self._run.log.write(Event.POSE_SKIPPED, pose=pose_index, pose_name=name, what=what)
+        self._run.say(what)
+
+    def is_skipped(self, step: ScriptStep) -> bool:
+        """Return whether a step belongs to a skipped pose alone, or is not needed because its ``until`` ended.
+
+        Returns: True where the step must not be done.
+        """
+        for pose in self._run.log.history.skipped.keys() - self._steps_skipped.keys():
+            self._steps_skipped[pose] = {s.number for s in steps_of_pose(self._run.job.steps, pose)}
+        if self._run.log.history.is_left_out(step.number):
+            return True
+        return any(step.number in numbers for numbers in self._steps_skipped.values())
+
+    def _hold(self, step: ScriptStep, by: str) -> None:
+        begin_s = self._run.clock.monotonic()
+        self._run.say(f"Held by {by}. To continue: `starbench release`.")
+        self._machine.fire("hold", step, by=by)
+        held_s = self._run.clock.monotonic() - begin_s
+        before = "parking" if isinstance(step, ParkStep) else f"step {step.number}"
+        self._run.log.write(Event.DEVIATION, what=f"Held by {by} for {held_s:.0f} s before {before}.")
+
+    # ------------------------------------------------------------------ attempts at a recording
+
+    def record(self, step: RecordStep) -> None:
+        """Record until a recording is accepted; after the last allowed attempt, do what the sequence specifies.
+
+        Raises PoseFailed: If all attempts failed and the step says ``fail``.
+        Raises Aborted: If an operator, or the default answer, decides not to try again.
+        """
+        while (reasons := self._try_attempts(step)) is not None:
+            pose = step.pose
+            what = f"Pose {pose.index} ({pose.name}) failed {counted(step.attempts, 'attempt')}: {'; '.join(reasons)}."
+            if step.on_failure == "fail":
+                raise PoseFailed(
+                    what,
+                    where=step.where,
+                    remedy="Remove the cause, then continue with `starbench resume`; all attempts are kept.",
+                )
+            if step.on_failure == "skip":
+                self._run.log.write(
+                    Event.DEVIATION, what=f"{what} It was skipped, as the sequence specifies."
+                )
+                self._run.say(f"{what} Skipped.")
+                return
+            question = f"{what} Try it again?"
+            self._machine.fire(
+                "hold", PromptStep(step.number, step.where, step.path, question, "abort", step.hold_s)
+            )
+
+    def keep_lost_recording(self, step: RecordStep, why: str) -> None:
+        """Move what exists of an incomplete recording to quarantine, and journal it."""
+        pose, attempt = step.pose, self._run.log.history.next_attempt(step.pose.index)
+        kept = self._run.folder.quarantine_part(pose.index, attempt, self._run.job.camera_kind.ending)
+        self._run.log.write(
+            Event.ATTEMPT_LOST, pose=pose.index, pose_name=pose.name, attempt=attempt, why=why, kept=kept
+        )
+
+    def _try_attempts(self, step: RecordStep) -> list[str] | None:
+        """Make up to the allowed number of attempts; return why the last one was rejected.
+
+        None means that a recording was accepted, or that the pose is skipped.
+        """
+        history, pose = self._run.log.history, step.pose
+        reasons: list[str] = []
+        if pose.index in history.accepted():  # the process died between accepting it and journaling that
+            return None
+        for i in range(step.attempts):
+            if i:
+                self.fire_at("back_off", step, wait_s=step.backoff_s * 2 ** (i - 1))
+                self.reach(step)
+                if pose.index in history.skipped:
+                    return None
+            attempt = history.next_attempt(pose.index)
+            try:
+                self.fire_at("record", step, attempt=attempt)
+                self.fire_at("check", step, attempt=attempt)
+            except RecordingFailed as error:
+                reasons = [str(error)]
+                self.keep_lost_recording(step, str(error))
+                continue
+            if pose.index in history.accepted():
+                return None
+            reasons = list(history.attempts_at(pose.index)[-1].reasons)
+            self._run.say(f"Pose {pose.index} ({pose.name}), attempt {attempt}: {'; '.join(reasons)}")
+        self.fire_at("back_off", step, wait_s=0.0)
+        self.reach(step)
+        return None if pose.index in history.skipped else reasons

@@ -202,7 +202,7 @@ def test_worker_and_supervisor_killed_together_leave_a_bench_that_the_next_call_
 
 RAISING = """
 import sys
-from bench.run.state_work import StateWork
+from bench.run.states import StateWork
 def broken(self, *_, **facts):
     raise RuntimeError("a mistake of ours")
 setattr(StateWork, sys.argv[1], broken)

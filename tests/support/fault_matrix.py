@@ -88,7 +88,7 @@ def strike(fault: Fault, state: str, folder: Path, patch: pytest.MonkeyPatch) ->
     def happens(name):
         if scene.dead:
             raise Died
-        here = scene.runner is not None and scene.runner._machine.state == state
+        here = scene.runner is not None and scene.runner.state == state
         here |= state == "preflight" and name == "open" and scene.runner is not None and not struck[0]
         due = (here and (not struck[0])) or (fault.lasts and struck[0])
         if due and any(name.startswith(call) for call in fault.of):
@@ -131,13 +131,13 @@ def _with_a_hold(scene, happens, patch, *, stop_there):
     def passing(clock, seconds):
         runner = scene.runner
         if runner is not None and not scene.dead:
-            if not told and runner._machine.state == "settling":
+            if not told and runner.state == "settling":
                 told.append("hold")
                 if stop_there:
                     clock.request_stop("SIGTERM received")
                 else:
                     command(scene, "hold")
-            elif len(told) == 1 and runner._machine.state == "holding":
+            elif len(told) == 1 and runner.state == "holding":
                 told.append("release")
                 command(scene, "release")
         happens("tick")

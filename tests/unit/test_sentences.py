@@ -8,7 +8,7 @@ import pytest
 
 from bench.base.errors import BenchError
 from bench.commands.output import _failure_of
-from bench.run.interlock_text import loss_text
+from bench.run.interlocks import loss_text
 from calib.errors import CalibrationError
 from drivers.errors import DriverError, RecordingCorrupt
 from sequences.errors import SequencesError

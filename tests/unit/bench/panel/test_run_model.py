@@ -14,7 +14,7 @@ from bench.panel.process_state import ProcessState, look_at_process
 from bench.panel.run_head import head_of
 from bench.panel.run_model import RunModel
 from bench.panel.run_plan import read_final
-from bench.run.holding import MAX_HOLD_S
+from bench.run.states import MAX_HOLD_S
 
 RUNNING = ProcessState(running=True, takes_commands=True, free_bytes=10**12)
 

@@ -34,7 +34,7 @@ def opened_for(scene, sensor, when, seconds):
             if len(seen) == 1:
                 sensor.write_text("0")
                 scene.shut_at_s = scene.clock.monotonic() + seconds
-        scene.runner._interlocks.check_door()
+        scene.runner.context.interlocks.check_door()
 
     asked = scene.clock.__class__.sleep
 
@@ -110,7 +110,7 @@ def test_holds_are_added_up(tmp_path, monkeypatch):
             sensor.write_text("0")
         if sensor.read_text() == "0" and name == "light.off":
             flapping.append(scene.clock.monotonic())
-        scene.runner._interlocks.check_door()
+        scene.runner.context.interlocks.check_door()
 
     wait = Interlocks.wait_until_clear
 
@@ -141,7 +141,7 @@ def test_a_door_that_opens_repeatedly_is_notified_once_in_ten_minutes(tmp_path, 
 
     def closing(clock, seconds):
         sleep(clock, seconds)
-        if scene.runner._machine.state == "holding":
+        if scene.runner.state == "holding":
             sensor.write_text("1")
             if len(scene.told(Event.INTERLOCK_RELEASED)) == 3:
                 sleep(clock, 601)
@@ -150,7 +150,7 @@ def test_a_door_that_opens_repeatedly_is_notified_once_in_ten_minutes(tmp_path, 
         scene.runner._hold_notifier._notify = lambda *words: told.append(words)
         if name == "stage.move_to" and len(scene.told(Event.INTERLOCK_RELEASED)) < 6:
             sensor.write_text("0")
-        scene.runner._interlocks.check_door()
+        scene.runner.context.interlocks.check_door()
 
     scene.hook = hook
     monkeypatch.setattr(VirtualClock, "sleep", closing)
@@ -165,7 +165,7 @@ def test_the_status_states_what_holds_the_run(tmp_path, monkeypatch):
     texts = []
 
     def hook(name):
-        if scene.runner is not None and scene.runner._machine.state == "holding":
+        if scene.runner is not None and scene.runner.state == "holding":
             texts.append(status_text(read_status(scene.folder)))
             sensor.write_text("1")
 

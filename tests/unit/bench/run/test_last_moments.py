@@ -17,7 +17,7 @@ def scene(tmp_path, monkeypatch):
 
 
 def commanded(scene, word, **more):
-    scene.runner._log.write(Event.COMMANDED, id="x", word=word, by="ada", taken=True, why="", **more)
+    scene.runner.context.log.write(Event.COMMANDED, id="x", word=word, by="ada", taken=True, why="", **more)
 
 
 def test_an_answer_accepted_at_the_last_moment_counts(scene, monkeypatch):
@@ -27,7 +27,7 @@ def test_an_answer_accepted_at_the_last_moment_counts(scene, monkeypatch):
         commanded(one, "answer", answer="continue")
         return Reply("abort", "time-out")
 
-    monkeypatch.setattr("bench.run.holding.ask", asked_in_vain)
+    monkeypatch.setattr("bench.run.states.ask", asked_in_vain)
     assert one.run().how == "finished"
     assert [(d["answer"], d["by"]) for d in one.told(Event.ANSWERED)] == [("continue", "ada")]
 

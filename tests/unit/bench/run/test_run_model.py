@@ -143,7 +143,7 @@ class Life(RuleBasedStateMachine):
                 if (place, nth) == (name, counts[name]):
                     self._befall(kind, what, name)
             if self.scene.runner is not None:
-                self.scene.runner._interlocks.check_door()
+                self.scene.runner.context.interlocks.check_door()
 
         self.scene.hook, self.scene.runner = hook, None
         self.processes += 1
@@ -198,7 +198,7 @@ class Life(RuleBasedStateMachine):
                 life.door.write_text("1")
                 life.shut_at_s = None
             runner = life.scene.runner
-            if runner is not None and runner._log.history.holder and runner._machine.state == "holding":
+            if runner is not None and runner.context.log.history.holder and runner.state == "holding":
                 life._command("release")
             sleep(clock, seconds)
 

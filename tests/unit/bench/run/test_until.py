@@ -213,7 +213,7 @@ def test_a_chosen_pose_can_be_skipped_by_command_and_a_later_one_not_yet(tmp_pat
 
     def skip_fourth(name):
         if name == "stage.move_to" and scene.calls.count(name) == 4:
-            inbox = scene.runner._inbox
+            inbox = scene.runner.inbox
             inbox.decide(Command(word="skip", by="ada", pose=9), "one")
             inbox.decide(Command(word="skip", by="ada", pose=4), "two")
             refused.extend(scene.told(Event.COMMANDED))
@@ -231,9 +231,9 @@ def test_a_hold_between_choice_and_move_goes_on_at_the_chosen_pose(tmp_path, mon
 
     def hold_and_release(name):
         if name == "stage.move_to" and scene.calls.count(name) == 4 and not held:
-            held.append(scene.runner._inbox.decide(Command(word="hold", by="ada"), "one"))
+            held.append(scene.runner.inbox.decide(Command(word="hold", by="ada"), "one"))
         elif name == "light.off" and len(held) == 1:
-            held.append(scene.runner._inbox.decide(Command(word="release", by="ada"), "two"))
+            held.append(scene.runner.inbox.decide(Command(word="release", by="ada"), "two"))
 
     scene.hook = hold_and_release
     assert scene.run().how == "finished"
