@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping
 from functools import partial
 from typing import Any
 
-from . import polynomial
+from . import polynomial, product, ray_traced
 from .bench import POSES, Bench
 from .judge import judged
 
@@ -18,11 +18,23 @@ def _polynomial(kind: str, seed: int, poses: int, times: int = 1, camera: int = 
     return polynomial.record(polynomial.draw_world(seed, kind, camera), seed, POSES[poses], times, camera)
 
 
+def _ray_traced(seed: int, poses: int, times: int = 1, camera: int = 0) -> Bench:
+    return ray_traced.record(ray_traced.draw_world(seed, camera), seed, POSES[poses], times, camera)
+
+
+def _product(profile: str, seed: int, poses: int, times: int = 1, camera: int = 0) -> Bench:
+    return product.draw(seed, POSES[poses], times, camera, profile)
+
+
 WORLDS: Mapping[str, Draw] = {
     "polynomial": partial(_polynomial, "real"),
+    "raytraced": _ray_traced,
+    "product": partial(_product, "like-bench"),
     "ideal": partial(_polynomial, "ideal"),
     "S1": partial(_polynomial, "S1"),
     "S2": partial(_polynomial, "S2"),
+    "product-S1": partial(_product, "S1"),
+    "product-S2": partial(_product, "S2"),
 }
 
 

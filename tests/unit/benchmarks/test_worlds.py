@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import calib
-from tests.benchmarks.worlds import geometry, judge, polynomial
+from tests.benchmarks.worlds import catalogue, geometry, judge, lens_system, polynomial, product, ray_traced
 from tests.benchmarks.worlds.bench import NINE, THREE
 from tests.benchmarks.worlds.knowledge import Answer
 
@@ -92,3 +92,70 @@ def test_the_judges_corner_is_that_of_the_projection_map(family):
     assert error == pytest.approx(0.0, abs=1e-6)
     turned = replace(camera, image_of=lambda rays: camera.project(rays @ geometry.turn([1e-4, 2e-4, 3e-4]).T))
     assert judge.corner(answer, turned)[0] == pytest.approx(0.0, abs=1e-3)
+
+
+def thin_lens(focal, behind):
+    """A lens of focal length `focal`, next to nothing thick, with the print so far behind it, and no bumps."""
+    radius = 2 * focal * 0.5
+    surfaces = (
+        lens_system.Surface(-behind, radius, np.zeros(2), 1.0, 1.5),
+        lens_system.Surface(-behind, -radius, np.zeros(2), 1.5, 1.0),
+    )
+    return lens_system.LensSystem(
+        surfaces, lens_system.Bumps(np.zeros((1, 2)), np.ones(1), np.zeros(1)), np.zeros(2)
+    )
+
+
+def test_rays_through_a_thin_lens_meet_the_print_at_f_times_the_tangent():
+    lens = thin_lens(255.0, 255.0)
+    h = 1e-3 * np.array([[1.0, 0.0], [0.0, -1.0], [0.6, 0.8]])
+    from_mm = np.tile([0.0, 0.0, -255.0 - 255.0], (3, 1))
+    assert lens_system.focal_and_back_mm(lens.surfaces) == pytest.approx((255.0, 255.0))
+    assert lens.print_mm(from_mm, h) == pytest.approx(255.0 * h, rel=1e-5)
+    assert lens.tangents(from_mm, 255.0 * h, 255.0) == pytest.approx(h, rel=1e-5)
+
+
+def test_a_print_behind_the_focus_looks_near_and_its_pattern_moves_as_a_point_at_that_distance():
+    lens = thin_lens(255.0, 255.0 * 1.04)
+    r, defocus = ray_traced.measured(lens, np.array([0.0, 0.0, -255.0 * 2.04]), half_angle_deg=0.2)
+    assert r == pytest.approx(255.0, rel=1e-4)  # the pupil is in the front focus
+    assert defocus == pytest.approx(-0.04, rel=1e-3)
+
+
+def test_drawn_collimators_have_little_distortion_of_either_sign():
+    distortions = []
+    for seed in range(30):
+        world = ray_traced.draw_world(seed)
+        edge = np.array([[0.2, 0.0], [-0.2, 0.0]])
+        at = world.lens.print_mm(np.tile(world.pupil_mm, (2, 1)), edge)
+        distortions.append((at[0, 0] - at[1, 0]) / 0.4 / world.r - 1)
+    assert max(map(abs, distortions)) < 0.012
+    assert min(distortions) < -0.001 < 0.001 < max(distortions)
+
+
+@pytest.mark.parametrize("family", ["k1k2", "p1p2k3", "fisheye"])
+def test_a_lens_of_its_own_form_is_known_by_its_coefficients_to_a_hundredth_of_a_pixel(family):
+    for seed in range(20):
+        camera = ray_traced.draw_camera(np.random.default_rng(seed), family)
+        px, _ = judge.sensor_points()
+        rays = camera.rays(px)
+        assert np.abs(camera.project(rays) - px).max() < 1e-6
+        assert np.abs(geometry.by_names(camera.values, rays) - px).max() < 0.01
+
+
+def test_the_products_world_draws_both_signs_of_each_error():
+    glasses = [
+        product._glass(np.random.default_rng(seed), product.COLLIMATORS["like-bench"], 1.0)
+        for seed in range(20)
+    ]
+    for name in product.ERRORS:
+        values = [getattr(glass, name) for glass in glasses]
+        assert min(values) < 0 < max(values)
+
+
+@pytest.mark.parametrize("world", ["raytraced", "product", "S1"])
+def test_the_same_seed_gives_the_same_bench(world):
+    one, other = (catalogue.WORLDS[world](3, 3, 1, 0) for _ in range(2))
+    assert [v.px.tolist() for v in one.views] == [v.px.tolist() for v in other.views]
+    assert one.stated == other.stated
+    assert min(len(v.ids) for v in one.views) > 40
