@@ -342,4 +342,6 @@ def _busy_share(ends: list) -> float:
 
 
 if __name__ == "__main__":
-    main()
+    import measured
+
+    measured.run(main, "costs", "Many runs while workers are killed")

@@ -197,4 +197,6 @@ def _time(seconds: float) -> str:
 
 
 if __name__ == "__main__":
-    main()
+    import measured
+
+    measured.run(main, "costs", "A pose, a run, a night")

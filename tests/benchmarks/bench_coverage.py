@@ -364,4 +364,6 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    import measured
+
+    measured.run(main, "truth", "Coverage over drawn benches")

@@ -132,4 +132,6 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    import measured
+
+    measured.run(main, "costs", "Decoding")

@@ -196,4 +196,6 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    import measured
+
+    measured.run(main, "faults", "From a fault to a message")

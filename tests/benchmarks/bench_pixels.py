@@ -206,4 +206,6 @@ def report() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    import measured
+
+    measured.run(main, "simulated-bench", "The simulated sensor")

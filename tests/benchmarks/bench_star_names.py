@@ -175,4 +175,6 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    import measured
+
+    measured.run(main, "stars", "Stars that are named wrongly")

@@ -285,4 +285,6 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    import measured
+
+    measured.run(main, "stars", "Accuracy of star centres")

@@ -106,4 +106,6 @@ def main() -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    import measured
+
+    measured.run(main, "faults", "Twenty runs at once")

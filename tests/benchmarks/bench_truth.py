@@ -95,4 +95,6 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    import measured
+
+    measured.run(main, "truth", "Drawn benches against their truth")

@@ -217,4 +217,6 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    import measured
+
+    measured.run(main, "faults", "Controllers with one permanent fault")

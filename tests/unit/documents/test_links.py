@@ -38,14 +38,15 @@ def test_every_link_leads_somewhere(path):
 def test_the_index_lists_every_document():
     listed = set(LINK.findall((ROOT / "docs" / "README.md").read_text(encoding="utf-8")))
     documents = {str(path.relative_to(ROOT / "docs")) for path in DOCUMENTS[2:]}
-    records = {name for name in documents if re.match(r"decisions/\d", name)}
-    assert documents - records - {"README.md"} <= listed
+    with_their_own_index = {name for name in documents if re.match(r"decisions/\d|measured/[a-z]", name)}
+    assert documents - with_their_own_index - {"README.md"} <= listed
 
 
-def test_the_index_of_decisions_lists_every_record():
-    folder = ROOT / "docs" / "decisions"
-    listed = set(LINK.findall((folder / "README.md").read_text(encoding="utf-8")))
-    assert {path.name for path in folder.glob("0*.md")} <= listed
+@pytest.mark.parametrize("folder", ["decisions", "measured"])
+def test_the_index_of_a_folder_lists_every_page_of_it(folder):
+    index = ROOT / "docs" / folder / "README.md"
+    listed = set(LINK.findall(index.read_text(encoding="utf-8")))
+    assert {path.name for path in index.parent.glob("*.md")} - {"README.md"} <= listed
 
 
 def test_the_readme_names_every_step_and_every_folder():

@@ -58,8 +58,20 @@ def table(request, tmp_path_factory, rows):
 
 def test_the_document_shows_the_schema():
     text = DOCUMENT.read_text()
-    stated = re.findall(r"^\| `(\w+)` \| ([\w ,]+) \| ([^|]*) \| (.*) \|$", text, re.MULTILINE)
-    assert [(n, KINDS[k], u.strip(), m) for n, k, u, m in stated] == [tuple(column) for column in COLUMNS]
+    of_a_run, of_a_parameter = text.partition("### Parameters")[::2]
+    parameters, of_the_record = of_a_parameter.partition("### Record")[::2]
+    column = re.compile(r"^\| `(\w+)` \| ([\w ,]+) \| (.*) \|$", re.MULTILINE)
+    stated = [(n, KINDS[k], m) for n, k, m in column.findall(of_a_run)]
+    for name, unit, meaning in re.findall(r"^\| `(\w+)` \| (\w*) +\| (.*) \|$", parameters, re.MULTILINE):
+        end = f"_{unit}" if unit else ""
+        expanded = f"expanded uncertainty of {name}, `coverage_factor` times the standard uncertainty"
+        stated += [
+            (f"{name}{end}", "number", meaning),
+            (f"{name}_sigma{end}", "number", f"standard uncertainty of {name}"),
+            (f"{name}_expanded{end}", "number", expanded),
+        ]
+    stated += [(n, KINDS[k], m) for n, k, m in column.findall(of_the_record)]
+    assert stated == [(one.name, one.kind, one.meaning) for one in COLUMNS]
     assert f"`{SCHEMA}`" in text
 
 

@@ -1,0 +1,44 @@
+"""The page of all commands, made from the commands themselves.
+
+    python tests/support/commands_page.py > docs/commands.md
+
+`tests/unit/documents/test_commands_page.py` checks that the page is the one that this program prints.
+"""
+
+from __future__ import annotations
+
+import click
+
+from bench.commands.cli import cli
+from bench.commands.help_text import EXAMPLES, SECTIONS
+
+HEAD = """# All commands
+
+<!-- This page is made by a program. Do not edit it: python tests/support/commands_page.py > docs/commands.md -->
+
+`starbench COMMAND --help` shows the options of a command, more examples and its exit statuses.
+[README](../README.md#commands) has the ten commands of an operator, and the exit statuses."""
+
+
+def lines_of(name: str, command: click.Command) -> list[str]:
+    """Return a line with example and purpose; of a group, a line for each of its commands.
+
+    A hidden command is what its group does without a further word (`batch QUEUE`), so its line is that of the group.
+    """
+    if isinstance(command, click.Group):
+        return [line for inner, one in command.commands.items() for line in lines_of(f"{name} {inner}", one)]
+    purpose = (command.help or "").partition("\n\n")[0].replace("\n", " ")
+    return [f"* `{EXAMPLES[name][0]}`: {purpose}"]
+
+
+def page() -> str:
+    """Return the page, with the sections of `starbench --help` in their order."""
+    lines = [HEAD]
+    for title, names in SECTIONS.items():
+        lines += ["", f"## {title}", ""]
+        lines += [line for name in names for line in lines_of(name, cli.commands[name])]
+    return "\n".join(lines) + "\n"
+
+
+if __name__ == "__main__":
+    print(page(), end="")
