@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from typing import Any, Literal, get_args
 
 import numpy as np
@@ -17,9 +17,11 @@ from calib.model.gimbal_estimate import GimbalEstimate
 from calib.model.gimbal_readings import GimbalReadings
 from calib.model.passport import Passport
 from calib.model.type_b_terms import TypeBTerm
+from calib.model.witness import Amplitude, Witness
 
 Array = NDArray[np.float64]
 ModelName = Literal["spherical", "radial", "pupil", "rim", "field", "coma", "drift", "planar", "auto"]
+EngineModel = ModelName | Literal["joint"]
 LossName = Literal["l2", "huber", "cauchy"]
 
 
@@ -35,6 +37,7 @@ class CalibrationOptions:
         (`calib.model.aberrations.LADDER`); they need the rim of the beam. ``drift``: the centre of each view may differ
         from the shared one by about `drift_mm`. ``planar``: each view has its own centre (Zhang's model, for
         comparison).
+        ``joint``: every effect is a parameter with a prior (`calib.joint`).
         ``auto``: the data choose (`calib.selection`).
     distortion
         Names of the coefficients to estimate, or the name of a set in `calib.model.camera.DISTORTION_SETS`. ``auto``:
@@ -78,7 +81,7 @@ class CalibrationOptions:
         If an option is unknown or out of range.
     """
 
-    model: ModelName = "spherical"
+    model: EngineModel = "spherical"
     distortion: str | Sequence[str] = ("k1", "k2")
     loss: LossName = "huber"
     huber_px: float | None = None
@@ -98,7 +101,7 @@ class CalibrationOptions:
             object.__setattr__(self, "distortion", "k1k2")
             object.__setattr__(self, "compares_lenses", True)
         for what, value, known in (
-            ("model", self.model, get_args(ModelName)),
+            ("model", self.model, (*get_args(ModelName), "joint")),
             ("loss", self.loss, get_args(LossName)),
         ):
             if value not in known:
@@ -199,6 +202,14 @@ class Calibration:
         The uncertainty budget: a row for each source.
     not_included
         What nobody stated, with what it could do, in words.
+    witnesses
+        For each statement: what it says against what all others say. Of the joint adjustment; else empty.
+    amplitudes
+        The sizes of the errors that the joint adjustment estimated; else empty.
+    coverage_factors
+        The k of each parameter by name, if they differ; `coverage_factor` is that of fx.
+    glass
+        What the joint adjustment found out about the collimator, for `passport`; None from another engine.
     """
 
     model: str
@@ -229,6 +240,10 @@ class Calibration:
     poses: tuple[int, ...] = ()
     budget_rows: tuple[BudgetRow, ...] = ()
     not_included: tuple[str, ...] = ()
+    witnesses: tuple[Witness, ...] = ()
+    amplitudes: tuple[Amplitude, ...] = ()
+    coverage_factors: Mapping[str, float] = field(default_factory=dict)
+    glass: Passport | None = None
 
     @property
     def sigma(self) -> Mapping[str, float]:
@@ -270,6 +285,8 @@ class Calibration:
             raise InputMismatch(
                 "The planar model has no collimator parameters.", remedy="Calibrate with another model."
             )
+        if self.glass is not None:
+            return replace(self.glass, conditions={**self.glass.conditions, **(conditions or {})})
         at = [self.parameter_names.index(name) for name in self.collimator.parameter_names]
         return Passport(
             self.collimator.parameter_names,
@@ -323,4 +340,7 @@ class Calibration:
             **({"gimbal": self.gimbal.to_dict()} if self.gimbal else {}),
             "budget_rows": [row.to_dict() for row in self.budget_rows],
             "not_included": list(self.not_included),
+            "witnesses": [one.to_dict() for one in self.witnesses],
+            "amplitudes": [one.to_dict() for one in self.amplitudes],
+            "coverage_factors": dict(self.coverage_factors),
         }

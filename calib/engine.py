@@ -6,12 +6,17 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import replace
 
+from calib.adjustment.bundle import Bundle
+from calib.adjustment.observations import Observations
 from calib.calibration import Calibration, CalibrationOptions, Candidate, ViewSummary
-from calib.diagnosis.checks import check_views
+from calib.diagnosis.checks import check_adjustment, check_views
 from calib.diagnosis.gross_stars import GrossStars, find_gross_stars, without_gross_stars
 from calib.errors import DegenerateViews, InputMismatch
 from calib.fit import Fit, fit_model, model_to_fit, without_readings
+from calib.joint.result import calibrate_jointly
 from calib.lens_choice import choose_lens, compare_lenses, lens_name
+from calib.model.camera import PINHOLE
+from calib.model.collimator import Collimator
 from calib.model.type_b_terms import corrected_passport, corrected_views
 from calib.selection import Choice, choose, enough_poses
 from calib.summary import expanded_focal_px, summarize
@@ -56,6 +61,8 @@ def calibrate(views: Sequence[View], options: CalibrationOptions | None = None) 
     wrong = find_gross_stars(views)
     known_r = options.passport.values_by_name["r"] if options.passport else None
     doubts = check_views(without_gross_stars(views, wrong), known_r_mm=known_r)
+    if options.model == "joint":
+        return _jointly(views, options, wrong, doubts)
     choice = _choice(views, options, wrong)
     lens = ""
     if choice.fit.uncertainty.inconsistent and not options.compares_lenses:
@@ -66,6 +73,21 @@ def calibrate(views: Sequence[View], options: CalibrationOptions | None = None) 
     named = (one.sentence for one in wrong if one.sentence)
     notes = (*named, *doubts, *result.notes, *choice.notes)
     return replace(result, candidates=choice.candidates, notes=notes)
+
+
+def _jointly(
+    views: Sequence[View], options: CalibrationOptions, wrong: Sequence[GrossStars], doubts: Sequence[str]
+) -> Calibration:
+    """Return the result of the joint adjustment, with the checks of wrong data."""
+    result, parameters = calibrate_jointly(views, options, wrong)
+    named = tuple(one.sentence for one in wrong if one.sentence)
+    kept = without_gross_stars(views, wrong)
+    names = tuple(name for name in result.parameter_names if name in (*PINHOLE, "x", "y", "r"))
+    bundle = Bundle(Observations.from_views(kept), names)
+    ideal = Collimator(parameters.collimator.x, parameters.collimator.y, parameters.collimator.r)
+    shown = replace(parameters, collimator=ideal, gimbal=None)
+    found = check_adjustment(kept, bundle, shown, result.sigma)
+    return replace(result, notes=(*named, *doubts, *result.notes, *found))
 
 
 def _corrected(

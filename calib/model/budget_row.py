@@ -10,6 +10,14 @@ from typing import Any, Literal
 WORST_CORNER = "worst_corner"
 ROW_QUANTITIES = ("fx", "fy", "cx", "cy", WORST_CORNER)
 
+#: Names of the rows that an adjustment itself gives.
+STARS, READINGS = "stars", "readings of the gimbal"
+POSE_FIELDS, COMMON_FIELD = "disagreement of the views", "errors that all views share"
+TURN_FIELDS, AMPLITUDES = "errors that follow the turn", "sizes of the errors"
+PASSPORT, PRIORS, LENS = "passport of the collimator", "known beforehand", "expected lens"
+PARALLAX, UNBOUNDED_PARALLAX = "parallax", "parallax, not bounded"
+GIMBAL_SCALE, GIMBAL_AXES = "scale and eccentricity of the gimbal", "mounting and axes of the gimbal"
+
 
 @dataclass(frozen=True)
 class BudgetRow:

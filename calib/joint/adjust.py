@@ -1,0 +1,109 @@
+"""The door of the joint adjustment: from views and options to its optimum."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calib.adjustment.bundle import Bundle
+from calib.adjustment.initialization import best_start, passport_starts, spherical_starts
+from calib.adjustment.observations import Observations
+from calib.adjustment.parameters import AdjustmentParameters
+from calib.adjustment.poses import poses_of
+from calib.calibration import CalibrationOptions
+from calib.joint import amplitudes as amp
+from calib.joint.equations import Bench, State, ViewStars
+from calib.joint.fields import FIELD_RADIUS, FieldBasis, basis_of
+from calib.joint.knowledge import gather, term_shapes, wavefront
+from calib.joint.layout import POSE_PLACES, Layout
+from calib.joint.marginal import Problem
+from calib.joint.readings import Readings
+from calib.joint.solve import Optimum, approached, search
+from calib.model.camera import PINHOLE, SKEW
+from calib.model.collimator import CENTRE, Collimator
+from calib.model.homography import view_homography
+from calib.model.lens import BROWN, FISHEYE, is_fisheye
+from calib.view import View
+
+Array = NDArray[np.float64]
+
+ROUNDS = 25
+
+
+def lens_names(chosen: Sequence[str]) -> tuple[str, ...]:
+    """Return the coefficients that are estimated: the whole family, and those of the denominator only if asked for."""
+    if is_fisheye(dict.fromkeys(chosen, 0.0)):
+        return FISHEYE
+    wanted = {*BROWN[:5], *chosen}
+    return tuple(name for name in (*BROWN, SKEW) if name in wanted)
+
+
+def first_parameters(
+    views: Sequence[View], options: CalibrationOptions, lens: Sequence[str]
+) -> AdjustmentParameters:
+    """Return the best of the closed forms, refined on a share of the stars."""
+    size, passport = views[0].image_size, options.passport
+    held = passport.names if passport else ()
+    few = tuple(name for name in lens if name in ("k1", "k2", "kb1", "kb2"))
+    bundle = Bundle(
+        Observations.from_views(views), (*PINHOLE, *few, *(name for name in CENTRE if name not in held))
+    )
+    h = np.array([view_homography(view) for view in views])
+    starts = passport_starts(h, size, few, passport) if passport else spherical_starts(h, size, few)
+    return best_start(bundle, list(starts))
+
+
+def posed(
+    views: Sequence[View], options: CalibrationOptions, start: AdjustmentParameters, lens: Sequence[str]
+) -> tuple[Problem, State]:
+    """Return the problem and its first state."""
+    passport = options.passport
+    centre = start.collimator
+    reference = (centre.x, centre.y, centre.r)
+    if passport is not None and passport.reference is not None:
+        reference = passport.reference
+    radius = passport.conditions.get(FIELD_RADIUS) if passport is not None else None
+    basis = FieldBasis(reference, float(radius)) if radius else basis_of(views, reference)
+    readings = Readings.of(options.gimbal) if options.gimbal else None
+    names = (*PINHOLE, *lens)
+    layout = Layout(
+        names,
+        basis,
+        term_shapes(options.budget, basis),
+        readings.names if readings else (),
+        wavefront(options.budget),
+    )
+    values = {name: start.camera.to_dict().get(name, 0.0) for name in names}
+    values |= {"x": centre.x, "y": centre.y, "r": centre.r}
+    shared = np.zeros(len(layout.names))
+    for name, value in values.items():
+        shared[layout.index[name]] = value
+    for name in layout.gimbal:
+        shared[layout.index[name]] = float(name.startswith("scale_"))
+    knowledge = gather(options, layout, views[0].image_size, values)
+    hyper = amp.hyperprior(options.parallax_sigma)
+    blocks = layout.random_blocks(hyper, knowledge.in_passport, parallax_known=knowledge.parallax_known)
+    poses = np.array(poses_of(start.rotations), np.int64)
+    bench = Bench(
+        layout, views[0].image_size, tuple(ViewStars.of(view, layout) for view in views), poses, readings
+    )
+    gimbal = readings.start(start.rotations) if readings else None
+    state = State(shared, np.zeros((bench.n_poses, len(POSE_PLACES))), start.rotations, gimbal)
+    return Problem(bench, knowledge, blocks, hyper), state
+
+
+def adjust(views: Sequence[View], options: CalibrationOptions) -> Optimum:
+    """Return the optimum of the joint adjustment."""
+    lens = lens_names(options.distortion)
+    start = first_parameters(views, options, lens)
+    problem, state = posed(views, options, start, lens)
+    near = approached(problem, state, ROUNDS)
+    named = dict(zip(problem.bench.layout.names, near.shared.tolist(), strict=True))
+    camera = problem.bench.camera(near.shared)
+    start = AdjustmentParameters(
+        camera, Collimator(named["x"], named["y"], named["r"]), near.rotations, start.offsets
+    )
+    problem, state = posed(views, options, start, lens)
+    return search(problem, state, ROUNDS)

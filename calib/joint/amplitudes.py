@@ -1,0 +1,103 @@
+"""The amplitudes of the joint adjustment, and what is expected of them before the views are seen.
+
+An amplitude is the standard deviation of a family of unknowns: of the stars' noise over its stated value, of a field's
+coefficients of one degree, in units of r. Its logarithm is Gaussian. Amplitudes of one family are alike, so their
+logarithms are correlated: a level that all share, and a smaller scatter about it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+STAR, READING = "star noise", "readings"
+POSE = tuple(f"pose field, degree {d}" for d in range(1, 5))
+COMMON = tuple(f"common field, degree {d}" for d in range(1, 6))
+TURN = tuple(f"field by turn, degree {d}" for d in range(1, 3))
+TURN_2 = tuple(f"field by turn squared, degree {d}" for d in range(2))
+RADIAL, SHIFTED, SHIFTED_TURN = "radial", "shifted axis", "shifted axis by turn"
+PARALLAX, TANGENTIAL = "parallax", "tangential"
+#: A turn, as the tangent of its angle, at which the fields by turn have their amplitude.
+UNIT_TURN = 0.1
+
+
+@dataclass(frozen=True)
+class Family:
+    """Amplitudes that are alike."""
+
+    names: tuple[str, ...]
+    medians: tuple[float, ...]
+    level: float  # 1-sigma of the logarithm of their common level
+    scatter: float  # 1-sigma of each logarithm about that level
+
+
+#: Fields in units of r (at 3345 px, 1e-6 is .0033 px); stars and readings relative to what is stated. The medians are
+#: those of good collimators and gimbals; the widths leave a factor of 20 to 50 to both sides (2 sigma).
+FAMILIES = (
+    Family((STAR,), (1.0,), 0.3, 0.0),
+    Family((READING,), (1.0,), 0.4, 0.0),
+    Family(POSE, (2e-6,) * 4, 1.3, 0.8),
+    Family((*COMMON, *TURN, *TURN_2), (*(8e-6,) * 5, *(3e-6,) * 2, *(1e-6,) * 2), 1.7, 0.8),
+    Family((RADIAL, PARALLAX), (0.05, 0.5), 2.0, 0.7),
+    Family((SHIFTED,), (1e-3,), 2.0, 0.0),
+    Family((SHIFTED_TURN,), (1e-4,), 2.0, 0.0),
+    Family((TANGENTIAL,), (3e-4,), 1.0, 0.0),
+)
+#: Amplitudes are searched within this number of 1-sigma of the hyperprior.
+_REACH = 5.0
+
+
+@dataclass(frozen=True)
+class Hyperprior:
+    """Gaussian of the logarithms of the amplitudes."""
+
+    names: tuple[str, ...]
+    mean: Array  # (A,)
+    covariance: Array  # (A, A)
+
+    @cached_property
+    def information(self) -> Array:
+        """(A, A) inverse covariance."""
+        return np.asarray(np.linalg.inv(self.covariance))
+
+    @cached_property
+    def bounds(self) -> list[tuple[float, float]]:
+        """Smallest and largest logarithm of each amplitude in the search."""
+        reach = _REACH * np.sqrt(np.diag(self.covariance))
+        return list(zip((self.mean - reach).tolist(), (self.mean + reach).tolist(), strict=True))
+
+    def at(self, name: str) -> int:
+        """Return the place of an amplitude."""
+        return self.names.index(name)
+
+    def places(self, names: Sequence[str]) -> NDArray[np.int64]:
+        """Return the places of amplitudes."""
+        return np.array([self.names.index(name) for name in names], np.int64)
+
+
+def hyperprior(parallax_sigma: float, known: Mapping[str, tuple[float, float]] | None = None) -> Hyperprior:
+    """Return the hyperprior.
+
+    parallax_sigma: The parallax of a collimator with large radial terms, as a share of r; half of it is typical.
+    known: Medians and 1-sigma of the logarithm of amplitudes that a station states.
+    """
+    names = tuple(name for family in FAMILIES for name in family.names)
+    mean = np.log([median for family in FAMILIES for median in family.medians])
+    mean[names.index(PARALLAX)] += np.log(parallax_sigma)
+    covariance = np.zeros((len(names), len(names)))
+    begin = 0
+    for family in FAMILIES:
+        own = slice(begin, begin + len(family.names))
+        covariance[own, own] = family.level**2 + family.scatter**2 * np.eye(len(family.names))
+        begin = own.stop
+    for name, (median, width) in (known or {}).items():
+        at = names.index(name)
+        covariance[at], covariance[:, at] = 0.0, 0.0
+        mean[at], covariance[at, at] = np.log(median), width**2
+    return Hyperprior(names, mean, covariance)

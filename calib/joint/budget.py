@@ -1,0 +1,154 @@
+"""The uncertainty budget of the posterior: V = sum over groups V P_g V, exact at each sample of the amplitudes.
+
+P_g is the information of a group: stars, readings, a statement, a field. With x = V q for the gradient q of a
+quantity, x moves the own fields and rotations too; each group then contributes x^T P_g x, and the contributions add up
+to q^T V q. What the samples' means differ is a row of its own.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calib.joint import amplitudes as amp
+from calib.joint.knowledge import Statement
+from calib.joint.marginal import Marginal
+from calib.joint.posterior import Node, Posterior
+from calib.model import budget_row as names
+from calib.model.budget_row import ROW_QUANTITIES, WORST_CORNER, BudgetRow
+from calib.uncertainty.projection_uncertainty import projection_derivatives
+
+Array = NDArray[np.float64]
+
+#: Type and source of the rows that are not statements.
+_SOURCES = {
+    names.STARS: ("A", "residuals of the stars"),
+    names.READINGS: ("B", "station: reading_sigma_deg"),
+    names.POSE_FIELDS: ("A", "residuals that differ from pose to pose"),
+    names.COMMON_FIELD: ("A", "residuals that all poses share"),
+    names.TURN_FIELDS: ("A", "residuals that follow the turn"),
+    names.AMPLITUDES: ("A", "the sizes of these errors are known only so well"),
+    names.LENS: ("B", "expected sizes of lens coefficients"),
+    names.UNBOUNDED_PARALLAX: ("B", "not stated; its size follows from the collimator's errors"),
+    names.PRIORS: ("B", "square pixels, and limits of the unknowns"),
+    names.GIMBAL_AXES: ("B", "expected sizes"),
+}
+
+
+def variances(posterior: Posterior, gradients: Array) -> dict[str, Array]:
+    """Return by group the (p,) variances of p quantities; they add up to those of the posterior.
+
+    gradients: (p, S) of the quantities.
+    """
+    found: dict[str, Array] = {}
+    for node in posterior.nodes:
+        for group, own in _at_node(posterior.optimum.marginal, node, gradients).items():
+            found[group] = found.get(group, 0.0) + node.weight * own
+    away = (posterior.means - posterior.mean) @ gradients.T
+    found[names.AMPLITUDES] = posterior.weights @ away**2
+    return found
+
+
+def _at_node(marginal: Marginal, node: Node, gradients: Array) -> dict[str, Array]:
+    """Return the variances by group for given amplitudes."""
+    squares, hyper = np.exp(2.0 * node.eta), marginal.problem.hyper
+    x = node.solution.covariance @ gradients.T
+    fields = -node.solution.follow @ x
+    stars = (x * (marginal.shared @ x)).sum(axis=0)
+    stars = stars + 2.0 * (fields * (marginal.between @ x)).sum(axis=(0, 1))
+    stars = stars + (fields * (marginal.own @ fields)).sum(axis=(0, 1))
+    found = {names.STARS: stars / squares[hyper.at(amp.STAR)]}
+    own = marginal.own_information(squares)
+    found[names.POSE_FIELDS] = (own[None, :, None] * fields**2).sum(axis=(0, 1))
+    if marginal.uses_readings:
+        weights, _ = marginal.reading_weights(squares)
+        pulled = weights @ (marginal.rows @ x + marginal.own_rows @ fields[marginal.problem.bench.poses])
+        loose = squares[hyper.at(amp.STAR)] * marginal.loose
+        found[names.STARS] = found[names.STARS] + (pulled * (loose @ pulled)).sum(axis=(0, 1))
+        found[names.READINGS] = marginal.reading_variance(squares) * (pulled**2).sum(axis=(0, 1))
+    for one in marginal.problem.knowledge.statements:
+        seen = one.rows @ x
+        part = (seen * (one.information(dict(node.faults).get(one.name, "")) @ seen)).sum(axis=0)
+        found[one.group] = found.get(one.group, 0.0) + part
+    for block in marginal.problem.blocks:
+        seen = x[block.places]
+        part = (seen * np.linalg.solve(block.covariance(squares), seen)).sum(axis=0)
+        found[block.group] = found.get(block.group, 0.0) + part
+    return found
+
+
+def row_gradients(posterior: Posterior, camera_covariance: Array) -> Array:
+    """Return (5, S) the gradients of `ROW_QUANTITIES`.
+
+    The worst corner is the point of the sensor, and the direction, with the largest projection uncertainty.
+    """
+    bench = posterior.optimum.marginal.problem.bench
+    size = len(bench.layout.camera)
+    camera = bench.camera(posterior.mean)
+    derivatives = projection_derivatives(camera)[1]
+    spread = derivatives @ camera_covariance @ np.swapaxes(derivatives, 1, 2)
+    values, vectors = np.linalg.eigh(spread)
+    worst = int(np.argmax(values[:, 1]))
+    gradients = np.zeros((len(ROW_QUANTITIES), len(bench.layout.names)))
+    gradients[range(4), range(4)] = 1.0
+    gradients[4, :size] = vectors[worst, :, 1] @ derivatives[worst]
+    return gradients
+
+
+def budget_rows(posterior: Posterior, gradients: Array) -> tuple[BudgetRow, ...]:
+    """Return the rows of the budget; the squares of their contributions add up to the variances of the posterior.
+
+    gradients: (5, S) from `row_gradients`.
+    """
+    parts = variances(posterior, gradients)
+    whole = sum(parts.values())
+    statements = posterior.optimum.marginal.problem.knowledge.statements
+    stated: dict[str, list[Statement]] = {}
+    for one in statements:
+        stated.setdefault(one.group, []).append(one)
+    slopes = posterior.optimum.solution.covariance @ gradients.T
+    rows = []
+    for group, part in parts.items():
+        kind, source = _SOURCES.get(group, ("B", stated[group][0].source if group in stated else "station"))
+        row = BudgetRow(
+            group,
+            "A" if kind == "A" else "B",
+            source,
+            contribution=_named(np.sqrt(np.maximum(part, 0.0))),
+            share=_named(part / np.where(whole > 0, whole, 1.0)),
+        )
+        witness = [one for one in stated.get(group, ()) if one.unit and len(one.values) == 1]
+        rows.append(_with_value(row, witness[0], slopes) if len(witness) == 1 else row)
+    return tuple(rows)
+
+
+def _with_value(row: BudgetRow, one: Statement, slopes: Array) -> BudgetRow:
+    """Return the row of a single stated value, with its sensitivities."""
+    sigma = float(np.sqrt(one.covariance[0, 0]))
+    signs = np.sign((one.rows @ slopes)[0])
+    sensitivity = {
+        name: float(sign) * row.contribution[name] / sigma if sigma > 0 else 0.0
+        for name, sign in zip(ROW_QUANTITIES, signs, strict=True)
+    }
+    sensitivity[WORST_CORNER] = abs(sensitivity[WORST_CORNER])
+    if one.term is None:
+        return replace(row, value=sigma, unit=one.unit, divisor=1.0, sensitivity=sensitivity)
+    term = one.term
+    freedom = term.degrees_of_freedom
+    return replace(
+        row,
+        distribution=term.distribution,
+        value=term.value,
+        unit=f"mm at {term.radius_mm:g} mm" if term.kind == "print_bow" else term.unit,
+        divisor=term.divisor,
+        degrees_of_freedom=freedom if np.isfinite(freedom) else None,
+        sensitivity=sensitivity,
+    )
+
+
+def _named(values: Array | Sequence[float]) -> Mapping[str, float]:
+    """Return values by quantity."""
+    return dict(zip(ROW_QUANTITIES, map(float, values), strict=True))

@@ -1,0 +1,270 @@
+"""The linearised stars and readings of each view, compressed to small matrices.
+
+A star moves with the basis c of its pose (camera, radius, one field) and with the rotation w of its view. What a
+rotation does is projected out of all columns of a view (least squares in the metric of its stars), so that nothing
+cancels later: the stars say ``J' c = e'`` and, apart, ``w = w_e - G c``. A reading says where w lies, and therefore
+``G c + J_g g = y``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calib.joint.fields import field_columns
+from calib.joint.layout import Layout
+from calib.joint.readings import Readings
+from calib.model.camera import CameraModel
+from calib.model.gimbal import GIMBAL, Gimbal
+from calib.model.rotation import exp_map, skew
+from calib.view import View
+
+Array = NDArray[np.float64]
+
+#: Stars beyond this number of sigma lose their weight, with the sixth power of the distance.
+_LIMIT_SIGMAS = 3.5
+#: Median length of a residual of two components over their sigma.
+_RAYLEIGH_MEDIAN = 1.1774
+
+
+@dataclass(frozen=True)
+class State:
+    """A point of the search: all unknowns."""
+
+    shared: Array  # (S,)
+    fields: Array  # (n, F) own fields of the poses
+    rotations: Array  # (m, 3, 3) of the views, camera <- target
+    gimbal: Gimbal | None = None
+
+
+@dataclass(frozen=True)
+class ViewStars:
+    """What does not change of a view."""
+
+    target_mm: Array  # (N, 2)
+    points_px: Array  # (N, 2)
+    whitening: Array  # (N, 2, 2) W with W^T W the inverse covariance
+    polynomials: Array  # (N, K)
+
+    @classmethod
+    def of(cls, view: View, layout: Layout) -> ViewStars:
+        """Return the fixed part of a view."""
+        whitening = np.linalg.inv(np.linalg.cholesky(view.covariances_px2))
+        return cls(view.target_mm, view.points_px, whitening, layout.basis.polynomials(view.target_mm))
+
+
+@dataclass(frozen=True)
+class Equations:
+    """The linearised observations at a state, with unit amplitudes."""
+
+    squares: Array  # (n, B, B) star information of each pose's basis, rotations projected out
+    right: Array  # (n, B) its right-hand side
+    cost: float  # Weighted square sum of the stars' residuals, rotations at their best
+    observed: float  # Number of star coordinates, each with its robust weight
+    turns: Array  # (m, 3, 3) star information of each rotation
+    coupling: Array  # (m, 3, B) G of each view
+    turned: Array  # (m, 3) rotation vectors to the stars' best rotation
+    maps: Array  # (n, B, S) bases of the poses by the shared unknowns
+    off: Array  # (m, 3) readings to the stars' best rotation, rad; no rows without readings
+    gimbal: Array  # (m, 3, g) change of the predicted rotations
+    lengths: tuple[Array, ...]  # For each view (N,) whitened lengths of the residuals
+    weights: tuple[Array, ...]  # For each view (N,) robust weights
+
+
+@dataclass(frozen=True)
+class Bench:
+    """All that the search reads: stars, readings, layout, poses."""
+
+    layout: Layout
+    image_size: tuple[int, int]
+    stars: tuple[ViewStars, ...]
+    poses: NDArray[np.int64]  # (m,) pose of each view
+    readings: Readings | None
+
+    @cached_property
+    def n_poses(self) -> int:
+        """Number of poses."""
+        return int(self.poses.max()) + 1
+
+    @cached_property
+    def gimbal_places(self) -> NDArray[np.int64]:
+        """Places of the gimbal's unknowns."""
+        return self.layout.places(self.layout.gimbal)
+
+    def turns(self, rotations: Array) -> Array:
+        """Return (n, 2) the tangents of each pose's turn: those of its first view."""
+        first = np.unique(self.poses, return_index=True)[1]
+        axis = rotations[first][:, 2]
+        return np.asarray(axis[:, :2] / axis[:, 2:])
+
+    def camera(self, shared: Array) -> CameraModel:
+        """Return the camera of given shared unknowns."""
+        names = self.layout.camera
+        lens = dict(zip(names[4:], shared[4 : len(names)].tolist(), strict=True))
+        fx, fy, cx, cy = shared[:4].tolist()
+        return CameraModel(fx, fy, cx, cy, self.image_size, lens)
+
+    def named_gimbal(self, shared: Array) -> dict[str, float]:
+        """Return the gimbal's unknowns by name."""
+        return dict(zip(self.layout.gimbal, shared[self.gimbal_places].tolist(), strict=True))
+
+    def fields(self, state: State, maps: Array) -> Array:
+        """Return (n, 2, K) the coefficients of each pose's field; the shift by the centre is in it."""
+        whole = maps[:, len(self.layout.camera) + 1 :] @ state.shared
+        whole[:, self.layout.pose_places - len(self.layout.camera) - 1] += state.fields
+        return np.asarray(whole.reshape(len(maps), 2, -1))
+
+    def points(self, state: State) -> list[Array]:
+        """Return for each view (N, 3) its displaced stars, from the centre, in the target's axes, mm."""
+        fields = self.fields(state, self.layout.maps(self.turns(state.rotations)))
+        return [self._points(v, state, fields) for v in range(len(self.stars))]
+
+    def _points(self, v: int, state: State, fields: Array) -> Array:
+        """Return (N, 3) the displaced stars of a view, as `points`."""
+        one, depth = self.stars[v], state.shared[self.layout.index["r"]]
+        moved = self.layout.basis.reference[2] * one.polynomials @ fields[self.poses[v]].T
+        return np.column_stack([one.target_mm + moved, np.full(len(moved), depth)])
+
+    def view_residuals(self, state: State, v: int) -> Array:
+        """Return (N, 2) the residuals of one view, as `residuals`."""
+        fields = self.fields(state, self.layout.maps(self.turns(state.rotations)))
+        points = self._points(v, state, fields)
+        return self.stars[v].points_px - self.camera(state.shared).project(points @ state.rotations[v].T)
+
+    def residuals(self, state: State) -> list[Array]:
+        """Return for each view (N, 2) image points found minus predicted, px; NaN behind the camera."""
+        camera = self.camera(state.shared)
+        return [
+            one.points_px - camera.project(points @ rotation.T)
+            for one, points, rotation in zip(self.stars, self.points(state), state.rotations, strict=True)
+        ]
+
+    def whitened(self, state: State) -> list[Array]:
+        """Return for each view (N,) the lengths of the residuals over their sigma."""
+        return [
+            np.linalg.norm((one.whitening @ e[:, :, None])[:, :, 0], axis=1)
+            for one, e in zip(self.stars, self.residuals(state), strict=True)
+        ]
+
+    def readings_off(self, state: State) -> Array:
+        """Return (m, 3) rotation vectors from the gimbal's predictions to the rotations, rad."""
+        assert self.readings is not None
+        assert state.gimbal is not None
+        named = self.named_gimbal(state.shared)
+        return self.readings.off(state.gimbal, named, state.rotations)
+
+    def linearised(self, state: State, limit: float) -> Equations:
+        """Return the equations at a state.
+
+        limit: Sigma of the stars over the stated one, for the robust weights.
+        """
+        maps = self.layout.maps(self.turns(state.rotations))
+        camera = self.camera(state.shared)
+        found = [
+            self._view(v, points, state.rotations[v], camera, limit)
+            for v, points in enumerate(self.points(state))
+        ]
+        squares = np.zeros((self.n_poses, self.layout.size, self.layout.size))
+        right = np.zeros((self.n_poses, self.layout.size))
+        for pose, one in zip(self.poses, found, strict=True):
+            squares[pose] += one.squares
+            right[pose] += one.right
+        turned = np.array([one.turned for one in found])
+        off, jacobian = np.zeros((0, 3)), np.zeros((0, 3, 0))
+        if self.readings is not None and state.gimbal is not None:
+            off = self.readings_off(state) + turned
+            jacobian = self.readings.jacobian(state.gimbal, self.named_gimbal(state.shared))
+        return Equations(
+            squares,
+            right,
+            sum(one.cost for one in found),
+            sum(2.0 * float(one.weights.sum()) for one in found),
+            np.array([one.turn for one in found]),
+            np.array([one.coupling for one in found]),
+            turned,
+            maps,
+            off,
+            jacobian,
+            tuple(one.lengths for one in found),
+            tuple(one.weights for one in found),
+        )
+
+    def _view(
+        self, v: int, points: Array, rotation: Array, camera: CameraModel, limit: float
+    ) -> _ViewEquations:
+        """Linearise the stars of one view."""
+        one, r_mm = self.stars[v], self.layout.basis.reference[2]
+        in_camera = points @ rotation.T
+        predicted, by_point, by_camera = camera.project_with_jacobians(in_camera)
+        by_star = by_point @ rotation
+        fields = field_columns(one.polynomials, r_mm * by_star[:, :, 0], r_mm * by_star[:, :, 1])
+        turn = -by_point @ skew(in_camera)
+        residual = one.points_px - predicted
+        columns = np.concatenate([by_camera, by_star[:, :, 2:], fields, residual[:, :, None], turn], axis=2)
+        columns = one.whitening @ columns
+        size = self.layout.size
+        lengths = np.linalg.norm(columns[:, :, size], axis=1)
+        weights = robust_weights(lengths, limit)
+        rows = (np.sqrt(weights)[:, None, None] * columns).reshape(-1, size + 4)
+        own, turning = rows[:, : size + 1], rows[:, size + 1 :]
+        q, upper = np.linalg.qr(turning)
+        across = q.T @ own
+        own = own - q @ across
+        whole = own.T @ own
+        solved = np.linalg.solve(upper, across)
+        return _ViewEquations(
+            whole[:size, :size],
+            whole[:size, size],
+            float(whole[size, size]),
+            upper.T @ upper,
+            solved[:, :size],
+            solved[:, size],
+            lengths,
+            weights,
+        )
+
+    def moved(self, state: State, shared: Array, fields: Array, rotations: Array) -> State:
+        """Return the state after a step.
+
+        shared: (S,) steps. fields: (n, F) steps. rotations: (m, 3) rotation vectors on the camera's side, rad.
+        """
+        values = state.shared + shared
+        gimbal = state.gimbal
+        if gimbal is not None:
+            steps = dict(zip(self.layout.gimbal, shared[self.gimbal_places].tolist(), strict=True))
+            gimbal = gimbal.after_step({name: steps[name] for name in GIMBAL if name in steps})
+            turned = [
+                k
+                for k, name in zip(self.gimbal_places, self.layout.gimbal, strict=True)
+                if name.startswith(("mounting", "standing"))
+            ]
+            values[turned] = 0.0
+        return State(values, state.fields + fields, exp_map(rotations) @ state.rotations, gimbal)
+
+
+@dataclass(frozen=True)
+class _ViewEquations:
+    """The compressed stars of one view; see `Equations`."""
+
+    squares: Array
+    right: Array
+    cost: float
+    turn: Array
+    coupling: Array
+    turned: Array
+    lengths: Array
+    weights: Array
+
+
+def robust_weights(lengths: Array, limit: float) -> Array:
+    """Return the weights of stars: 1 for small residuals, falling smoothly beyond 3.5 sigma."""
+    return np.asarray(1.0 / (1.0 + (lengths / (_LIMIT_SIGMAS * limit)) ** 6))
+
+
+def robust_sigma(lengths: Sequence[Array]) -> float:
+    """Return the sigma of the stars over the stated one, from the median length of their residuals."""
+    return float(np.median(np.concatenate(list(lengths)))) / _RAYLEIGH_MEDIAN

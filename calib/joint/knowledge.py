@@ -1,0 +1,332 @@
+"""What is known beside the stars: statements, each a linear observation of shared unknowns with its source.
+
+A statement says ``rows b = values`` with a covariance. Each has a second, wider covariance: what would be known of the
+same quantity if nobody had stated it. The posterior weighs both (`calib.joint.posterior`), so a wrong statement loses
+its weight, and a note can name it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calib.calibration import CalibrationOptions
+from calib.joint import amplitudes as amp
+from calib.joint.fields import FieldBasis
+from calib.joint.layout import CENTRE, RADIAL, Layout
+from calib.model import budget_row as rows
+from calib.model.gimbal import MOUNTING, NON_ORTHOGONALITY, SCALES, STANDING
+from calib.model.gimbal_readings import GimbalReadings
+from calib.model.passport import Passport
+from calib.model.type_b_terms import RADII, TypeBTerm
+from calib.model.type_b_terms import SCALES as SCALE_TERMS
+
+Array = NDArray[np.float64]
+
+#: Faults of a statement: its uncertainty is several times larger than stated; or it is as if nobody had stated it.
+MISJUDGED, WRONG = "misjudged", "wrong"
+MISJUDGED_TIMES = 5.0
+#: Probability of each fault before the views are seen.
+FAULTS = {MISJUDGED: 0.02, WRONG: 0.005}
+#: Names of witnesses.
+CERTIFICATE, PASSPORT = "certificate of the collimator", "passport of the collimator"
+SCALE_OF, PARALLAX, ORTHOGONAL = "scale of {}", "pupil and defocus", "axes at a right angle"
+ASPECT, READINGS = "square pixels", "readings of the gimbal"
+
+#: 1-sigma of lens coefficients: the share of the distance from the axis by which they move a point at the corner of the
+#: sensor. p1 and p2 have an amplitude (`calib.joint.amplitudes`).
+_LENS_SHARE = {"k1": 0.3, "k2": 0.1, "k3": 0.01, "k4": 0.1, "k5": 0.05, "k6": 0.01}
+_FISHEYE_SHARE = {"kb1": 0.3, "kb2": 0.1, "kb3": 0.03, "kb4": 0.01}
+_SKEW_PX = 5.0
+#: Pixels are square to this share; if not, to the second.
+_ASPECT_SIGMA, _FREE_ASPECT = 3e-4, 0.1
+#: The principal point lies in the middle of the sensor to this share of its diagonal.
+_MIDDLE_SHARE = 0.1
+#: If nobody had stated it: a certificate's radius, a scale, a share of the field.
+_FREE_RADIUS, _FREE_SCALE, _FREE_PARALLAX = 0.05, 0.02, 0.02
+_SKEW_DEG = 0.1
+#: Standard uncertainty that stands for exact, as a share.
+_EXACT = 1e-7
+
+
+@dataclass(frozen=True)
+class Statement:
+    """A linear observation of shared unknowns."""
+
+    name: str  # Of the witness
+    group: str  # The row of the budget that it belongs to
+    source: str
+    rows: Array  # (k, S)
+    values: Array  # (k,)
+    covariance: Array  # (k, k)
+    # (k, k) covariance if nobody had stated it; None if this is no statement that could be wrong.
+    free: Array | None = None
+    unit: str = ""
+    term: TypeBTerm | None = None  # The type B term of the budget that it is
+
+    def information(self, fault: str = "") -> Array:
+        """Return the (k, k) inverse covariance.
+
+        fault: `MISJUDGED`, `WRONG`, or empty if the statement holds.
+        """
+        covariance = self.covariance
+        if self.free is not None and fault == MISJUDGED:
+            covariance = MISJUDGED_TIMES**2 * covariance
+        elif self.free is not None and fault == WRONG:
+            covariance = self.free
+        return np.asarray(np.linalg.inv(covariance))
+
+
+@dataclass(frozen=True)
+class Knowledge:
+    """All statements, and what bounds or states amplitudes."""
+
+    statements: tuple[Statement, ...]
+    in_passport: frozenset[str]  # Names of the unknowns that a passport states
+    parallax_known: bool
+
+    @property
+    def witnesses(self) -> dict[str, Statement]:
+        """The statements that could be wrong, by name."""
+        return {one.name: one for one in self.statements if one.free is not None}
+
+
+def _scalar(
+    layout: Layout,
+    name: str,
+    group: str,
+    source: str,
+    terms: Mapping[str, float],
+    stated: tuple[float, float],
+    free: float | None = None,
+    unit: str = "",
+    term: TypeBTerm | None = None,
+) -> Statement:
+    """Return a statement about a sum of unknowns.
+
+    terms: Factor of each unknown. stated: Value and 1-sigma. free: 1-sigma if nobody had stated it.
+    """
+    row = np.zeros((1, len(layout.names)))
+    for key, factor in terms.items():
+        row[0, layout.index[key]] = factor
+    wide = None if free is None else np.array([[max(free, stated[1]) ** 2]])
+    return Statement(
+        name, group, source, row, np.array([stated[0]]), np.array([[stated[1] ** 2]]), wide, unit, term
+    )
+
+
+def gather(
+    options: CalibrationOptions, layout: Layout, image_size: tuple[int, int], start: Mapping[str, float]
+) -> Knowledge:
+    """Return all that is known beside the stars.
+
+    start: Values of the camera and the centre near the solution; they scale the weak limits.
+    """
+    statements = [*_camera(layout, image_size, start), *_limits(layout, image_size, start)]
+    passport = options.passport
+    known = frozenset(passport.names if passport else ())
+    terms = [term for term in options.budget if term.name in layout.terms]
+    statements += [
+        _scalar(
+            layout,
+            term.name,
+            term.name,
+            term.source,
+            {term.name: 1.0},
+            (0.0, max(term.standard_uncertainty, 1e-12)),
+            None if term.kind == "effective_radius" else _FREE_SCALE if term.kind in SCALE_TERMS else None,
+            term.unit,
+            term,
+        )
+        for term in terms
+    ]
+    if passport is not None and passport.is_certificate:
+        statements.append(_certificate(layout, options, passport))
+    elif passport is not None:
+        statements.append(_passport(layout, options, passport))
+    bound = options.gimbal.parallax if options.gimbal else None
+    if bound is not None:
+        statements += _parallax(layout, bound.mean_and_sigma(start["r"]), options.parallax_sigma)
+    if layout.gimbal and options.gimbal:
+        statements += _gimbal(layout, options.gimbal)
+    if options.radial_sigma is not None and not known & set(RADIAL):
+        ratio = {"radial": 1.0, "radial_4": 20.0}
+        statements += [
+            _scalar(
+                layout,
+                "distortion of the target's map",
+                rows.PRIORS,
+                "station: bow and distortion",
+                {name: 1.0},
+                (0.0, options.radial_sigma * ratio[name]),
+            )
+            for name in RADIAL
+        ]
+    return Knowledge(tuple(statements), known, bound is not None)
+
+
+def _camera(layout: Layout, image_size: tuple[int, int], start: Mapping[str, float]) -> list[Statement]:
+    """Return what is known of every camera: square pixels, and a lens that is not absurd."""
+    f = float(np.sqrt(start["fx"] * start["fy"]))
+    aspect = _scalar(
+        layout,
+        ASPECT,
+        rows.PRIORS,
+        "pixels are square",
+        {"fx": 1.0 / f, "fy": -1.0 / f},
+        (0.0, _ASPECT_SIGMA),
+        _FREE_ASPECT,
+    )
+    corner = 0.5 * float(np.hypot(*image_size)) / f
+    found = [aspect]
+    for name in layout.camera[4:]:
+        if name == "skew":
+            sigma = _SKEW_PX
+        elif name in _LENS_SHARE:
+            sigma = _LENS_SHARE[name] * corner ** (-2.0 * ((int(name[1]) - 1) % 3 + 1))
+        elif name in _FISHEYE_SHARE:
+            sigma = _FISHEYE_SHARE[name] * np.arctan(corner) ** (-2.0 * int(name[2]))
+        else:
+            continue
+        found.append(
+            _scalar(layout, rows.LENS, rows.LENS, "expected sizes", {name: 1.0}, (0.0, float(sigma)))
+        )
+    return found
+
+
+def _limits(layout: Layout, image_size: tuple[int, int], start: Mapping[str, float]) -> list[Statement]:
+    """Return priors so wide that they matter only where nothing else is known."""
+    middle = 0.5 * (np.array(image_size) - 1.0)
+    wide = _MIDDLE_SHARE * float(np.hypot(*image_size))
+    limits = {"cx": (float(middle[0]), wide), "cy": (float(middle[1]), wide)}
+    limits |= {name: (start[name], start[name]) for name in ("fx", "fy")}
+    limits |= {name: (start[name], start["r"]) for name in CENTRE}
+    return [
+        _scalar(layout, rows.PRIORS, rows.PRIORS, "expected sizes", {name: 1.0}, stated)
+        for name, stated in limits.items()
+    ]
+
+
+def _certificate(layout: Layout, options: CalibrationOptions, passport: Passport) -> Statement:
+    """Return a certificate's radius on the axis; type B terms of the radius change it."""
+    r_mm = float(passport.values_by_name["r"])
+    terms = {term.name: r_mm for term in options.budget if term.kind in RADII and term.name in layout.terms}
+    sigma = max(float(np.sqrt(passport.covariance[0, 0])), _EXACT * r_mm)
+    source = options.passport_source or "certificate of the collimator"
+    return _scalar(
+        layout,
+        CERTIFICATE,
+        rows.PASSPORT,
+        source,
+        {"r": 1.0, **terms},
+        (r_mm, sigma),
+        _FREE_RADIUS * r_mm,
+        "mm",
+    )
+
+
+def _passport(layout: Layout, options: CalibrationOptions, passport: Passport) -> Statement:
+    """Return the joint statement of a passport; aberrations that this adjustment does not have are summed out."""
+    known = passport.subset([name for name in passport.names if name in layout.index])
+    at = layout.places(known.names)
+    matrix = np.zeros((len(at), len(layout.names)))
+    matrix[range(len(at)), at] = 1.0
+    floor = np.diag((_EXACT * np.maximum(np.abs(known.values), 1e-3)) ** 2)
+    free = known.covariance + np.diag(
+        [
+            (_FREE_RADIUS * known.values_by_name["r"]) ** 2 if name in CENTRE else 0.01**2
+            for name in known.names
+        ]
+    )
+    source = options.passport_source or "passport of the collimator"
+    return Statement(PASSPORT, rows.PASSPORT, source, matrix, known.values, known.covariance + floor, free)
+
+
+def _parallax(layout: Layout, stated: tuple[float, float], unbounded: float) -> list[Statement]:
+    """Return a bound of the parallax: its size, and that it is alike along both axes."""
+    names = [layout.names[k] for k in layout.parallax]
+    unit = amp.UNIT_TURN
+    value, sigma = stated[0], max(stated[1], 1e-9)
+    source = "station: pupil_off_pivot_mm and defocus"
+    free = max(2.0 * unbounded, _FREE_PARALLAX)
+    along = {names[0]: 0.5 / unit, names[3]: 0.5 / unit}
+    found = [_scalar(layout, PARALLAX, rows.PARALLAX, source, along, (value, sigma), free, "1")]
+    other = 0.2 * sigma + 2e-5
+    for terms in (
+        {names[0]: 0.5 / unit, names[3]: -0.5 / unit},
+        {names[1]: 1.0 / unit},
+        {names[2]: 1.0 / unit},
+    ):
+        found += [_scalar(layout, PARALLAX, rows.PARALLAX, source, terms, (0.0, other))]
+    return found
+
+
+def _gimbal(layout: Layout, readings: GimbalReadings) -> list[Statement]:
+    """Return what is known of the gimbal's axes."""
+    found = [
+        _scalar(layout, rows.GIMBAL_AXES, rows.GIMBAL_AXES, "expected sizes", {name: 1.0}, (0.0, 1.0))
+        for name in (*MOUNTING, *STANDING)
+    ]
+    found.append(
+        _scalar(
+            layout,
+            ORTHOGONAL,
+            rows.GIMBAL_AXES,
+            "expected sizes",
+            {NON_ORTHOGONALITY: 1.0},
+            (0.0, float(np.radians(_SKEW_DEG))),
+            0.1,
+        )
+    )
+    eccentric = max(float(np.radians(readings.eccentricity_deg)), 1e-9)
+    source = f"station: {readings.source}" if readings.source else "station"
+    for name in layout.gimbal:
+        if name in SCALES:
+            axis = name.removeprefix("scale_")
+            stated = (1.0, max(readings.scale_sigma, _EXACT))
+            found.append(
+                _scalar(
+                    layout,
+                    SCALE_OF.format(axis),
+                    rows.GIMBAL_SCALE,
+                    source,
+                    {name: 1.0},
+                    stated,
+                    _FREE_SCALE,
+                    "1",
+                )
+            )
+        elif name.startswith("eccentricity"):
+            found.append(
+                _scalar(layout, rows.GIMBAL_SCALE, rows.GIMBAL_SCALE, source, {name: 1.0}, (0.0, eccentric))
+            )
+    return found
+
+
+def term_shapes(terms: Sequence[TypeBTerm], basis: FieldBasis) -> dict[str, Array]:
+    """Return by name the field of a unit of each type B term; zero for those of a certificate's radius.
+
+    A scale moves a star along its position vector. A bow of height z at h moves it by -z h, seen from the centre.
+    """
+    x, y, r = basis.reference
+    shapes = {}
+    for term in terms:
+        if term.kind in SCALE_TERMS:
+            shapes[term.name] = basis.shape(partial(np.add, np.array([x, y]) / r))
+        elif term.kind == "print_bow":
+            assert term.radius_mm is not None
+            height = (r / term.radius_mm) ** 2 / r
+            shapes[term.name] = -height * basis.radial[:, 0]
+        elif term.kind in RADII:
+            shapes[term.name] = basis.shape(np.zeros_like)
+    return shapes
+
+
+def wavefront(terms: Sequence[TypeBTerm]) -> float:
+    """Return the RMS slope of the wavefront that a station states, rad; 0 if it states none."""
+    squares = [term.standard_uncertainty**2 for term in terms if term.kind == "wavefront"]
+    return 1e-6 * float(np.sqrt(sum(squares)))

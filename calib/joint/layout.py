@@ -1,0 +1,214 @@
+"""The shared unknowns: their names, what each does to a pose's image, and which of them have an amplitude.
+
+A pose sees the shared unknowns b through its own basis: camera, radius and the coefficients of one field,
+c_i = T_i b. The field of pose i is common + turn x field by turn + turn^2 x field by turn squared.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calib.joint import amplitudes as amp
+from calib.joint.fields import COEFFICIENTS, DEGREE, DEGREES, FieldBasis, both
+from calib.model import budget_row as rows
+from calib.model.gimbal import GIMBAL
+
+Array = NDArray[np.float64]
+Places = NDArray[np.int64]
+
+CENTRE = ("x", "y", "r")
+RADIAL = ("radial", "radial_4")
+#: radial_4 is typically so many times radial.
+_RADIAL_RATIO = 20.0
+#: Change of scale that comes with radial errors, as a share of what they do at the edge of the field.
+_RADIAL_SCALE = 0.06
+ECCENTRICITY = tuple(
+    f"eccentricity_{axis}_{part}" for axis in ("pan", "tilt", "roll") for part in ("sin", "cos")
+)
+GIMBAL_NAMES = (*GIMBAL, *ECCENTRICITY)
+#: Products of the turns along X and Y, with the highest degree of their fields.
+_TURNS = {"turn_x": (1, 0), "turn_y": (0, 1)}
+_TURNS_2 = {"turn_xx": (2, 0), "turn_xy": (1, 1), "turn_yy": (0, 2)}
+_TURN_DEGREE, _TURN_2_DEGREE = 2, 1
+#: The degrees of a pose's own field.
+POSE_DEGREES = (1, 4)
+POSE_PLACES = both((POSE_DEGREES[0] <= DEGREES) & (POSE_DEGREES[1] >= DEGREES))
+
+
+@dataclass(frozen=True)
+class RandomBlock:
+    """Unknowns with the prior covariance stated + sum_j a_j^2 U_j U_j^T."""
+
+    group: str  # The row of the budget that it belongs to
+    places: Places  # (K,) of the shared unknowns
+    parts: tuple[tuple[int, Array], ...]  # For each amplitude its place and (K, M) its U_j
+    stated: Array | float = 0.0  # (K, K) covariance that a station states
+
+    def covariance(self, squares: Array) -> Array:
+        """Return the (K, K) prior covariance for (A,) squares of the amplitudes."""
+        return np.asarray(self.stated + sum(squares[at] * shape @ shape.T for at, shape in self.parts))
+
+
+@dataclass(frozen=True)
+class Layout:
+    """Names and places of the S shared unknowns."""
+
+    camera: tuple[str, ...]
+    basis: FieldBasis
+    terms: Mapping[str, Array]  # Type B terms by name: (2 K,) field of a unit
+    gimbal: tuple[str, ...]  # Names of the gimbal's unknowns; empty without readings
+    wavefront: float = 0.0  # RMS slope of the collimator's wavefront that a station states, rad
+
+    @cached_property
+    def common(self) -> Places:
+        """Places in a field of the coefficients that all poses share: all but those of degree 0, a shift."""
+        return both(DEGREES > 0)
+
+    @cached_property
+    def names(self) -> tuple[str, ...]:
+        """Names of all shared unknowns."""
+        fields = [f"common_{k}" for k in self.common]
+        for turns, degree in ((_TURNS, _TURN_DEGREE), (_TURNS_2, _TURN_2_DEGREE)):
+            fields += [f"{name}_{k}" for name in turns for k in both(degree >= DEGREES)]
+        return (*self.camera, *CENTRE, *RADIAL, *fields, *self.terms, *self.gimbal)
+
+    @cached_property
+    def index(self) -> Mapping[str, int]:
+        """Place of each name."""
+        return {name: k for k, name in enumerate(self.names)}
+
+    def places(self, names: Sequence[str]) -> Places:
+        """Return the places of names."""
+        return np.array([self.index[name] for name in names], np.int64)
+
+    @property
+    def size(self) -> int:
+        """Number of entries of a pose's basis: camera, radius, one field."""
+        return len(self.camera) + 1 + COEFFICIENTS
+
+    @cached_property
+    def pose_places(self) -> Places:
+        """Places of the pose's own field in its basis."""
+        return POSE_PLACES + len(self.camera) + 1
+
+    def maps(self, turns: Array) -> Array:
+        """Return (n, B, S) what the shared unknowns do to the bases of n poses.
+
+        turns: (n, 2) tangents of the turns along X and Y.
+        """
+        k, r_mm = len(self.camera), self.basis.reference[2]
+        found = np.zeros((len(turns), self.size, len(self.names)))
+        found[:, range(k), range(k)] = 1.0
+        found[:, k, self.index["r"]] = 1.0
+        field, half = k + 1, COEFFICIENTS // 2
+        found[:, field, self.index["x"]] = found[:, field + half, self.index["y"]] = -1.0 / r_mm
+        found[:, field:, self.places(RADIAL)] = self.basis.radial
+        found[:, field + self.common, self.places([f"common_{j}" for j in self.common])] = 1.0
+        for name, powers in {**_TURNS, **_TURNS_2}.items():
+            places = both((_TURN_DEGREE if name in _TURNS else _TURN_2_DEGREE) >= DEGREES)
+            size = np.prod((turns / amp.UNIT_TURN) ** powers, axis=1)
+            found[:, field + places, self.places([f"{name}_{j}" for j in places])] = size[:, None]
+        for name, shape in self.terms.items():
+            found[:, field:, self.index[name]] = shape
+        return found
+
+    def random_blocks(
+        self, hyper: amp.Hyperprior, known: frozenset[str], *, parallax_known: bool
+    ) -> list[RandomBlock]:
+        """Return the unknowns that have an amplitude.
+
+        known: Names that a passport states. parallax_known: Whether something bounds the parallax.
+        """
+        tangential = [name for name in self.camera if name in ("p1", "p2")]
+        blocks = []
+        if tangential:
+            blocks.append(
+                RandomBlock(
+                    rows.LENS, self.places(tangential), ((hyper.at(amp.TANGENTIAL), np.eye(len(tangential))),)
+                )
+            )
+        if not known & set(RADIAL):
+            blocks.append(self._radial(hyper))
+        if not any(name.startswith("common_") for name in known):
+            blocks.append(self._common(hyper))
+        if not parallax_known:
+            blocks.append(self._parallax(hyper))
+        return [*blocks, self._turn(hyper), self._turn_2(hyper)]
+
+    def _radial(self, hyper: amp.Hyperprior) -> RandomBlock:
+        return RandomBlock(
+            rows.COMMON_FIELD, self.places(RADIAL), ((hyper.at(amp.RADIAL), np.diag([1.0, _RADIAL_RATIO])),)
+        )
+
+    def _common(self, hyper: amp.Hyperprior) -> RandomBlock:
+        """Return the common field: a random field of each degree, and radial terms about a shifted axis.
+
+        Radial errors that are no polynomials of the third and fifth order leave a change of scale.
+        """
+        degrees = np.tile(DEGREES, 2)[self.common]
+        shifted = np.column_stack([self.basis.shifted(e) for e in ((1.0, 0.0), (0.0, 1.0))])[self.common]
+        parts = [(hyper.at(name), _of_degree(degrees, d)) for d, name in enumerate(amp.COMMON, start=1)]
+        edge = (self.basis.radius_mm / self.basis.reference[2]) ** 2
+        scale = _RADIAL_SCALE * edge * self.basis.shape(np.asarray)[self.common, None]
+        names = [f"common_{k}" for k in self.common]
+        waves = np.diag(self.wavefront**2 / (DEGREE * (degrees + 1.0)))
+        return RandomBlock(
+            rows.COMMON_FIELD,
+            self.places(names),
+            (*parts, (hyper.at(amp.SHIFTED), shifted), (hyper.at(amp.RADIAL), scale)),
+            waves,
+        )
+
+    def _parallax(self, hyper: amp.Hyperprior) -> RandomBlock:
+        """Return the parallax: alike along X and Y but for a fifth."""
+        return RandomBlock(
+            rows.UNBOUNDED_PARALLAX,
+            self.parallax,
+            ((hyper.at(amp.PARALLAX), amp.UNIT_TURN * PARALLAX_SHAPES),),
+        )
+
+    @cached_property
+    def parallax(self) -> Places:
+        """Places of the shift by turn: X by turn_x, Y by turn_x, X by turn_y, Y by turn_y."""
+        half = COEFFICIENTS // 2
+        return self.places([f"{turn}_{k}" for turn in _TURNS for k in (0, half)])
+
+    def _turn(self, hyper: amp.Hyperprior) -> RandomBlock:
+        """Return the fields by turn of degree 1 and above: the axis of the radial terms moves along the turn too."""
+        places = both((DEGREES > 0) & (DEGREES <= _TURN_DEGREE))
+        degrees = np.tile(np.tile(DEGREES, 2)[places], 2)
+        shifted = np.concatenate([self.basis.shifted(e)[places] for e in ((1.0, 0.0), (0.0, 1.0))])
+        parts = [(hyper.at(name), _of_degree(degrees, d)) for d, name in enumerate(amp.TURN, start=1)]
+        names = [f"{turn}_{k}" for turn in _TURNS for k in places]
+        return RandomBlock(
+            rows.TURN_FIELDS, self.places(names), (*parts, (hyper.at(amp.SHIFTED_TURN), shifted))
+        )
+
+    def _turn_2(self, hyper: amp.Hyperprior) -> RandomBlock:
+        places = both(_TURN_2_DEGREE >= DEGREES)
+        degrees = np.tile(np.tile(DEGREES, 2)[places], len(_TURNS_2))
+        parts = [(hyper.at(name), _of_degree(degrees, d)) for d, name in enumerate(amp.TURN_2)]
+        names = [f"{turn}_{k}" for turn in _TURNS_2 for k in places]
+        return RandomBlock(rows.TURN_FIELDS, self.places(names), tuple(parts))
+
+
+#: Parallax by turn (`Layout.parallax`): one size, alike along both axes but for a fifth in all ways.
+PARALLAX_SHAPES = np.column_stack(
+    [
+        [1.0, 0.0, 0.0, 1.0],
+        0.2 * np.array([1.0, 0.0, 0.0, -1.0]),
+        0.2 * np.array([0.0, 1.0, 1.0, 0.0]),
+        0.2 * np.array([0.0, 1.0, -1.0, 0.0]),
+    ]
+)
+
+
+def _of_degree(degrees: Places, degree: int) -> Array:
+    """Return the unit vectors of the coefficients of one degree, scaled so that the field's mean square is 1."""
+    own = np.flatnonzero(degrees == degree)
+    return np.eye(len(degrees))[:, own] / np.sqrt(degree + 1.0)

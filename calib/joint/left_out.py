@@ -1,0 +1,104 @@
+"""Poses left out, and the covariance of the rotations: closed forms at the mode."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calib.joint import amplitudes as amp
+from calib.joint.equations import State
+from calib.joint.solve import Optimum
+
+Array = NDArray[np.float64]
+
+#: Fewest poses of which one can be left out.
+MIN_POSES = 3
+
+
+def left_out_rms(optimum: Optimum) -> float | None:
+    """Return the root mean square residual of poses left out, of which only the rotation is adjusted, px.
+
+    The other poses predict the shared unknowns (one step from the mode), and the left-out pose has no own field.
+    Returns: None with fewer than three poses.
+    """
+    marginal, solution = optimum.marginal, optimum.solution
+    bench, equations = marginal.problem.bench, marginal.equations
+    n = bench.n_poses
+    if n < MIN_POSES:
+        return None
+    squares = np.exp(2.0 * optimum.eta)
+    star = squares[marginal.problem.hyper.at(amp.STAR)]
+    information = np.linalg.inv(solution.covariance)
+    total, count = 0.0, 0.0
+    for pose in range(n):
+        own, right = _of_pose(optimum, pose, star, squares)
+        left = np.linalg.solve(information - own, information @ solution.step - right)
+        shared: Array = np.asarray(left, np.float64)
+        away = equations.maps[pose] @ shared
+        away[bench.layout.pose_places] -= optimum.state.fields[pose]
+        turned = equations.turned - np.einsum("mab,b->ma", equations.coupling, away)
+        fields = optimum.state.fields.copy()
+        fields[pose] = 0.0
+        moved = bench.moved(optimum.state, shared, fields - optimum.state.fields, turned)
+        state = State(moved.shared, fields, moved.rotations)
+        for v in np.flatnonzero(bench.poses == pose):
+            residual = bench.view_residuals(state, int(v))
+            seen = np.isfinite(residual).all(axis=1)
+            weights = equations.weights[v][seen]
+            total += float(weights @ (residual[seen] ** 2).sum(axis=1))
+            count += float(weights.sum())
+    return float(np.sqrt(total / count))
+
+
+def _of_pose(optimum: Optimum, pose: int, star: float, squares: Array) -> tuple[Array, Array]:
+    """Return what one pose adds to the information of the shared unknowns, and to its right-hand side."""
+    marginal = optimum.marginal
+    equations, maps = marginal.equations, marginal.equations.maps[pose]
+    information = maps.T @ equations.squares[pose] @ maps / star
+    right = maps.T @ equations.right[pose] / star
+    own, pull = marginal.own[pose] / star, marginal.own_pull[pose] / star
+    between = marginal.between[pose] / star
+    if marginal.uses_readings:
+        weights, _ = marginal.reading_weights(squares)
+        for v in np.flatnonzero(marginal.problem.bench.poses == pose):
+            rows, own_rows = weights[v] @ marginal.rows[v], weights[v] @ marginal.own_rows[v]
+            information = information + marginal.rows[v].T @ rows
+            right = right + rows.T @ equations.off[v]
+            own = own + marginal.own_rows[v].T @ own_rows
+            pull = pull + own_rows.T @ equations.off[v]
+            between = between + own_rows.T @ marginal.rows[v]
+    expected = marginal.own_information(squares)
+    own = own + np.diag(expected)
+    pull = pull - expected * optimum.state.fields[pose]
+    follow = np.linalg.solve(own, np.column_stack([between, pull]))
+    return information - between.T @ follow[:, :-1], right - between.T @ follow[:, -1]
+
+
+def rotation_covariance(optimum: Optimum) -> Array:
+    """Return the (3 m, 3 m) joint covariance of the rotation vectors on the camera's side, rad^2."""
+    marginal, solution = optimum.marginal, optimum.solution
+    bench, equations = marginal.problem.bench, marginal.equations
+    squares = np.exp(2.0 * optimum.eta)
+    loose = squares[marginal.problem.hyper.at(amp.STAR)] * np.linalg.inv(equations.turns)
+    places = bench.layout.pose_places
+    by_shared = -equations.coupling @ equations.maps[bench.poses]
+    by_field = -equations.coupling[:, :, places]
+    if marginal.uses_readings:
+        weights, _ = marginal.reading_weights(squares)
+        kept = marginal.reading_variance(squares) * weights
+        share = np.eye(3) - kept
+        by_shared, by_field = kept @ by_shared, kept @ by_field
+        by_shared[:, :, bench.gimbal_places] += share @ equations.gimbal
+        loose = kept @ loose
+    direct = by_shared - by_field @ solution.follow[bench.poses]
+    m = len(bench.poses)
+    flat = direct.reshape(3 * m, -1)
+    whole = (flat @ solution.covariance @ flat.T).reshape(m, 3, m, 3)
+    for pose in range(bench.n_poses):
+        views = np.flatnonzero(bench.poses == pose)
+        stacked = by_field[views].reshape(3 * len(views), -1)
+        local = (stacked @ solution.own[pose] @ stacked.T).reshape(len(views), 3, len(views), 3)
+        whole[views[:, None], :, views] += local.transpose(0, 2, 1, 3)
+    whole[range(m), :, range(m)] += loose
+    flat = whole.reshape(3 * m, 3 * m)
+    return np.asarray(0.5 * (flat + flat.T))

@@ -1,0 +1,88 @@
+"""The gimbal's readings as observations of the views' rotations.
+
+A reading predicts the rotation M = A Rz(roll) Rx(tilt) Rz(delta) Ry(pan) B (`calib.model.gimbal`). Each angle is its
+reading times the scale of its axis, plus the encoder's error of one period, e_s sin(a) + e_c (cos(a) - 1).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calib.joint.layout import ECCENTRICITY
+from calib.model.gimbal import MOUNTING, NON_ORTHOGONALITY, SCALES, STANDING, Gimbal, aligned_gimbal
+from calib.model.gimbal_readings import AXES, GimbalReadings
+from calib.model.rotation import log_map
+
+Array = NDArray[np.float64]
+
+_TURNS = (*MOUNTING, *STANDING)
+
+
+@dataclass(frozen=True)
+class Readings:
+    """Readings of all views."""
+
+    angles_deg: Array  # (m, 3) pan, tilt, roll
+    sigma_rad: float  # Standard uncertainty of each rotation component
+    moved: tuple[bool, bool, bool]  # Which axes have different readings
+
+    @classmethod
+    def of(cls, stated: GimbalReadings) -> Readings:
+        """Return the readings that a station states."""
+        angles = stated.angles
+        moved = np.ptp(angles, axis=0) > 0.0
+        return cls(angles, float(np.radians(stated.reading_sigma_deg)), tuple(moved.tolist()))
+
+    @cached_property
+    def names(self) -> tuple[str, ...]:
+        """Names of the gimbal's unknowns; an axis that stands still has none."""
+        axes = [axis for axis, moves in zip(("pan", "tilt", "roll"), self.moved, strict=True) if moves]
+        turned = [f"scale_{axis}" for axis in axes] + [
+            name for name in ECCENTRICITY if name.split("_")[1] in axes
+        ]
+        return (*_TURNS, *turned, NON_ORTHOGONALITY)
+
+    def start(self, rotations: Array) -> Gimbal:
+        """Return the gimbal that fits given rotations with unit scales."""
+        return aligned_gimbal(rotations, self.angles_deg)
+
+    def true_angles_deg(self, shared: Mapping[str, float]) -> Array:
+        """Return (m, 3) the readings with the encoders' errors of one period, before the scales."""
+        angles = np.radians(self.angles_deg)
+        errors = np.zeros_like(angles)
+        for k, axis in enumerate(("pan", "tilt", "roll")):
+            sine, cosine = (shared.get(f"eccentricity_{axis}_{part}", 0.0) for part in ("sin", "cos"))
+            errors[:, k] = sine * np.sin(angles[:, k]) + cosine * (np.cos(angles[:, k]) - 1.0)
+        return self.angles_deg + np.degrees(errors)
+
+    def off(self, gimbal: Gimbal, shared: Mapping[str, float], rotations: Array) -> Array:
+        """Return (m, 3) rotation vectors from the predictions to the views' rotations, rad."""
+        predicted = gimbal.rotations(self.true_angles_deg(shared))
+        return np.asarray(log_map(rotations @ np.swapaxes(predicted, 1, 2)))
+
+    def jacobian(self, gimbal: Gimbal, shared: Mapping[str, float]) -> Array:
+        """Return (m, 3, g) change of the predicted rotations by the unknowns of `names`, on the camera's side."""
+        turned, axes, leaning = gimbal.turned(self.true_angles_deg(shared))
+        angles = np.radians(self.angles_deg)
+        columns = []
+        for name in self.names:
+            if name in MOUNTING:
+                columns.append(np.broadcast_to(np.eye(3)[MOUNTING.index(name)], angles.shape))
+            elif name in STANDING:
+                columns.append(turned[:, :, STANDING.index(name)])
+            elif name in SCALES:
+                k = SCALES.index(name)
+                columns.append(axes[:, :, k] * angles[:, k : k + 1])
+            elif name == NON_ORTHOGONALITY:
+                columns.append(leaning)
+            else:
+                axis, part = name.split("_")[1:]
+                k = AXES.index(f"{axis}_deg")
+                wave = np.sin(angles[:, k]) if part == "sin" else np.cos(angles[:, k]) - 1.0
+                columns.append(axes[:, :, k] * wave[:, None])
+        return np.stack(columns, axis=2)

@@ -1,0 +1,283 @@
+"""The posterior as a `Calibration`."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calib.adjustment.parameters import AdjustmentParameters
+from calib.calibration import Calibration, CalibrationOptions, ViewSummary
+from calib.diagnosis.gross_stars import GrossStars, part_of
+from calib.joint import amplitudes as amp
+from calib.joint.adjust import adjust
+from calib.joint.budget import budget_rows, row_gradients, variances
+from calib.joint.equations import Bench, ViewStars, robust_weights
+from calib.joint.fields import FIELD_RADIUS
+from calib.joint.knowledge import READINGS
+from calib.joint.layout import CENTRE, RADIAL
+from calib.joint.left_out import left_out_rms, rotation_covariance
+from calib.joint.posterior import Posterior, posterior
+from calib.joint.words import notes, require_determined
+from calib.model.beam import inside_guard_band, visible_discs
+from calib.model.collimator import Collimator
+from calib.model.gimbal import SCALES
+from calib.model.gimbal_estimate import GimbalEstimate
+from calib.model.passport import Passport
+from calib.model.witness import Amplitude, Witness
+from calib.view import View
+
+Array = NDArray[np.float64]
+
+#: Amplitudes that are factors or coefficients, not directions.
+_PLAIN = (amp.STAR, amp.READING, amp.RADIAL, amp.SHIFTED, amp.SHIFTED_TURN, amp.PARALLAX, amp.TANGENTIAL)
+
+
+def calibrate_jointly(
+    views: Sequence[View], options: CalibrationOptions, wrong: Sequence[GrossStars]
+) -> tuple[Calibration, AdjustmentParameters]:
+    """Return the result of the joint adjustment without the checks of wrong data, and its parameters for these.
+
+    wrong: Stars with a gross error, for each view.
+    Raises DegenerateViews, NotConverged: As `calib.engine.calibrate`.
+    """
+    used = _used(views, options, wrong)
+    kept = [view if own.all() else part_of(view, own) for view, own in zip(views, used, strict=True)]
+    found = posterior(adjust(kept, options))
+    parameters = _parameters(found)
+    require_determined(found, kept, parameters, options)
+    return _calibration(found, views, used, parameters, options), parameters
+
+
+def _used(
+    views: Sequence[View], options: CalibrationOptions, wrong: Sequence[GrossStars]
+) -> list[NDArray[np.bool_]]:
+    """Return which stars are neither in a guard band nor a gross error."""
+    used = [~one.wrong for one in wrong]
+    if options.guard_band < 1.0:
+        inside = [
+            inside_guard_band(view, disc, options.guard_band)
+            for view, disc in zip(views, visible_discs(views), strict=True)
+        ]
+        used = [own & one for own, one in zip(used, inside, strict=True)]
+    return used
+
+
+def _parameters(found: Posterior) -> AdjustmentParameters:
+    """Return camera, collimator, rotations and gimbal of the posterior's mean."""
+    state, bench = found.optimum.state, found.optimum.marginal.problem.bench
+    named = dict(zip(bench.layout.names, found.mean.tolist(), strict=True))
+    radial = {name: named[name] for name in RADIAL}
+    centre = Collimator(named["x"], named["y"], named["r"], radial, bench.layout.basis.reference)
+    turns = found.optimum.marginal.rotation_steps(found.optimum.eta, found.optimum.solution)
+    last = bench.moved(state, found.optimum.solution.step, found.optimum.solution.fields, turns)
+    return AdjustmentParameters(
+        bench.camera(found.mean), centre, last.rotations, np.zeros((len(turns), 3)), last.gimbal
+    )
+
+
+def _calibration(
+    found: Posterior,
+    views: Sequence[View],
+    used: Sequence[NDArray[np.bool_]],
+    parameters: AdjustmentParameters,
+    options: CalibrationOptions,
+) -> Calibration:
+    marginal = found.optimum.marginal
+    bench, hyper = marginal.problem.bench, marginal.problem.hyper
+    names = (*bench.layout.camera, *CENTRE, *RADIAL)
+    at = bench.layout.places(names)
+    unit = np.eye(len(bench.layout.names))[at]
+    covariance = found.covariance[np.ix_(at, at)]
+    sigmas = np.sqrt(np.diag(covariance))
+    factors = [found.expanded(row) / sigma for row, sigma in zip(unit, sigmas, strict=True)]
+    star = float(np.exp(found.optimum.eta[hyper.at(amp.STAR)]))
+    residuals, weights = _residuals(found, views, used, parameters, star)
+    lengths = [np.linalg.norm(e[own], axis=1) for e, own in zip(residuals, used, strict=True)]
+    together = np.concatenate(lengths)
+    size = len(bench.layout.camera)
+    budget = {group: np.sqrt(np.maximum(part, 0.0)) for group, part in variances(found, unit).items()}
+    rows = budget_rows(found, row_gradients(found, found.covariance[:size, :size]))
+    result = Calibration(
+        model="joint",
+        camera=parameters.camera,
+        collimator=parameters.collimator,
+        rotations=parameters.rotations,
+        centres=parameters.centres,
+        parameter_names=names,
+        values=found.mean[at],
+        covariance=covariance,
+        residuals_px=residuals,
+        weights=weights,
+        rms_px=_rms(together),
+        mean_px=float(together.mean()),
+        variance_factor=star**2,
+        degrees_of_freedom=max(int(2 * len(together)) - 3 * len(views) - len(bench.layout.names), 1),
+        views=tuple(
+            ViewSummary(view.name, len(own), _rms(own), float(own.mean()))
+            for view, own in zip(views, lengths, strict=True)
+        ),
+        converged=found.optimum.converged,
+        iterations=found.optimum.iterations,
+        birge_ratio=_disagreement(found),
+        coverage_factor=factors[0],
+        left_out_rms_px=left_out_rms(found.optimum),
+        rotation_covariance=rotation_covariance(found.optimum),
+        budget={group: dict(zip(names, part.tolist(), strict=True)) for group, part in budget.items()},
+        gimbal=_gimbal(found, parameters, options),
+        poses=tuple(int(pose) for pose in bench.poses),
+        budget_rows=tuple(
+            replace(row, source=options.passport_source)
+            if row.name == "passport of the collimator" and options.passport_source
+            else row
+            for row in rows
+        ),
+        witnesses=_witnesses(found),
+        amplitudes=_amplitudes(found),
+        coverage_factors=dict(zip(names, factors, strict=True)),
+        glass=_glass(found, views),
+    )
+    return replace(result, notes=notes(result, found))
+
+
+def _residuals(
+    found: Posterior,
+    views: Sequence[View],
+    used: Sequence[NDArray[np.bool_]],
+    parameters: AdjustmentParameters,
+    star: float,
+) -> tuple[list[Array], list[Array]]:
+    """Return the residuals of all stars at the mean, and their weights; 0 for stars that were not used."""
+    optimum = found.optimum
+    bench, solution = optimum.marginal.problem.bench, optimum.solution
+    whole = Bench(
+        bench.layout,
+        bench.image_size,
+        tuple(ViewStars.of(view, bench.layout) for view in views),
+        bench.poses,
+        None,
+    )
+    state = replace(
+        optimum.state,
+        shared=optimum.state.shared + solution.step,
+        fields=optimum.state.fields + solution.fields,
+        rotations=parameters.rotations,
+    )
+    lengths = whole.whitened(state)
+    weights = [own * robust_weights(one, star) for one, own in zip(lengths, used, strict=True)]
+    return whole.residuals(state), weights
+
+
+def _disagreement(found: Posterior) -> float:
+    """Return how many times more than star noise the poses differ: 1 without own fields (Birge, 1932)."""
+    marginal = found.optimum.marginal
+    fields = found.optimum.state.fields + found.optimum.solution.fields
+    explained = float(np.einsum("nf,nfg,ng->", fields, marginal.own, fields))
+    star = float(np.exp(2.0 * found.optimum.eta[marginal.problem.hyper.at(amp.STAR)]))
+    return float(np.sqrt(1.0 + explained / (fields.size * star)))
+
+
+def _witnesses(found: Posterior) -> tuple[Witness, ...]:
+    """Return the statements against what all others say."""
+    witnesses = []
+    for one in found.innovations():
+        single = len(one.statement.values) == 1
+        witnesses.append(
+            Witness(
+                one.name,
+                one.statement.source,
+                one.statement.unit,
+                float(one.statement.values[0]) if single else None,
+                float(np.sqrt(one.statement.covariance[0, 0])) if single else None,
+                float(one.expected[0]) if single else None,
+                float(one.sigma[0]) if single else None,
+                one.normalised,
+                one.probability,
+            )
+        )
+    if not found.optimum.marginal.uses_readings:
+        return tuple(witnesses)
+    hyper = found.optimum.marginal.problem.hyper
+    at = hyper.at(amp.READING)
+    times, width = float(np.exp(found.optimum.eta[at])), float(np.sqrt(hyper.covariance[at, at]))
+    scatter = Witness(
+        READINGS,
+        "station: reading_sigma_deg",
+        "times stated",
+        1.0,
+        width,
+        times,
+        times * float(found.spread[at]),
+        float(-found.optimum.eta[at]) / width,
+        0.0,
+    )
+    return (*witnesses, scatter)
+
+
+def _amplitudes(found: Posterior) -> tuple[Amplitude, ...]:
+    """Return the amplitudes; fields as directions."""
+    hyper = found.optimum.marginal.problem.hyper
+    answer = []
+    for name, eta, spread, middle in zip(
+        hyper.names, found.optimum.eta, found.spread, hyper.mean, strict=True
+    ):
+        unit, times = ("1", 1.0) if name in _PLAIN else ("urad", 1e6)
+        answer.append(
+            Amplitude(name, times * float(np.exp(eta)), float(spread), unit, times * float(np.exp(middle)))
+        )
+    return tuple(answer)
+
+
+def _glass(found: Posterior, views: Sequence[View]) -> Passport:
+    """Return what was found out about the collimator: centre, radial terms, common field, jointly."""
+    layout = found.optimum.marginal.problem.bench.layout
+    names = (*CENTRE, *RADIAL, *(f"common_{k}" for k in layout.common))
+    at = layout.places(names)
+    return Passport(
+        names,
+        found.mean[at],
+        found.covariance[np.ix_(at, at)],
+        layout.basis.reference,
+        _disagreement(found),
+        tuple(view.name for view in views),
+        {FIELD_RADIUS: layout.basis.radius_mm},
+    )
+
+
+def _gimbal(
+    found: Posterior, parameters: AdjustmentParameters, options: CalibrationOptions
+) -> GimbalEstimate | None:
+    """Return the gimbal's parameters and how its readings agree; None without readings."""
+    marginal = found.optimum.marginal
+    bench = marginal.problem.bench
+    if bench.readings is None or parameters.gimbal is None or options.gimbal is None:
+        return None
+    names, at = bench.layout.gimbal, bench.gimbal_places
+    plain = [name in SCALES for name in names]
+    unit = np.where(plain, 1.0, np.rad2deg(1.0))
+    turns = parameters.gimbal.to_dict()
+    values = {
+        **dict(zip(names, found.mean[at].tolist(), strict=True)),
+        **{name: turns[name] for name in names if name in turns},
+    }
+    sigmas = np.sqrt(np.diag(found.covariance)[at])
+    off = bench.readings.off(parameters.gimbal, values, parameters.rotations)
+    times = float(np.exp(found.optimum.eta[marginal.problem.hyper.at(amp.READING)]))
+    return GimbalEstimate(
+        entered=True,
+        values={name: float(u * values[name]) for name, u in zip(names, unit, strict=True)},
+        sigma=dict(zip(names, (unit * sigmas).tolist(), strict=True)),
+        chi_square=float((off**2).sum()) / bench.readings.sigma_rad**2,
+        degrees_of_freedom=max(off.size - 6, 1),
+        rms_deg=float(np.rad2deg(np.sqrt((off**2).sum(axis=1).mean()))),
+        reading_sigma_deg=times * options.gimbal.reading_sigma_deg,
+        scatter=times,
+        source=options.gimbal.source,
+    )
+
+
+def _rms(lengths: Array) -> float:
+    """Return the root mean square."""
+    return float(np.sqrt(np.mean(lengths**2)))

@@ -1,0 +1,171 @@
+"""The search: from a start to the state and the amplitudes of the largest posterior.
+
+Steps of Gauss and Newton at given amplitudes, shortened while they do not lower the cost; between them the amplitudes
+are searched by L-BFGS-B with the exact gradient. A worse likelihood is never accepted.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calib.errors import NotConverged
+from calib.joint import amplitudes as amp
+from calib.joint.equations import Equations, State, robust_sigma
+from calib.joint.marginal import NO_FAULT, Faults, Marginal, Problem, Solution
+
+Array = NDArray[np.float64]
+
+#: Rounds with large robust limits, before the first search of amplitudes.
+_FIRST_ROUNDS = 1
+#: A step is small if it moves the camera by less than this, px, and less than this share of its sigma.
+_SMALL_PX, _SMALL_SHARE = 1e-3, 0.02
+#: A start is near if a step moves no focal length by more than this share.
+_NEAR = 0.003
+_HALVINGS = 6
+_QUICK, _LONG = 12, 60
+#: No step moves a focal length or the radius by more than this share.
+_LONGEST = 0.3
+
+
+@dataclass(frozen=True)
+class Optimum:
+    """The end of the search."""
+
+    marginal: Marginal
+    eta: Array  # (A,) logarithms of the amplitudes
+    solution: Solution
+    iterations: int
+    converged: bool
+
+    @property
+    def state(self) -> State:
+        """The state of the equations."""
+        return self.marginal.state
+
+
+def search(problem: Problem, start: State, rounds: int) -> Optimum:
+    """Return the optimum.
+
+    rounds: Largest number of linearisations.
+    Raises NotConverged: If the equations cannot be solved.
+    """
+    eta, state = problem.hyper.mean.copy(), start
+    bench = problem.bench
+    limit = 3.0 * robust_sigma(bench.whitened(state))
+    found, equations, size = None, None, np.inf
+    for k in range(rounds):
+        equations = bench.linearised(state, limit)
+        marginal = Marginal(problem, equations, state)
+        if k >= _FIRST_ROUNDS:
+            eta = best_amplitudes(marginal, eta, steps=_QUICK if size > _SMALL_PX else _LONG)
+        found = solved(marginal, eta)
+        if k > _FIRST_ROUNDS and small(marginal, found):
+            eta = best_amplitudes(marginal, eta, steps=_LONG)
+            return Optimum(marginal, eta, marginal.solve(eta), k + 1, converged=True)
+        before = state
+        state = shortened(marginal, eta, found)
+        size = float(np.abs(state.shared - before.shared)[:4].max())
+        spread = robust_sigma(bench.whitened(state))
+        limit = spread if k else 3.0 * spread
+        if k >= _FIRST_ROUNDS:
+            limit = max(limit, float(np.exp(eta[problem.hyper.at(amp.STAR)])))
+    assert found is not None
+    return Optimum(marginal, eta, marginal.solve(eta), rounds, converged=False)
+
+
+def approached(problem: Problem, start: State, rounds: int) -> State:
+    """Return a state near the optimum: steps at the expected amplitudes, with wide robust limits.
+
+    rounds: Largest number of linearisations.
+    Raises NotConverged: If the equations cannot be solved.
+    """
+    state, bench, eta = start, problem.bench, problem.hyper.mean
+    for _ in range(rounds):
+        limit = 3.0 * robust_sigma(bench.whitened(state))
+        marginal = Marginal(problem, bench.linearised(state, limit), state)
+        before, found = state, solved(marginal, eta)
+        state = shortened(marginal, eta, found)
+        if np.abs(state.shared / np.where(before.shared == 0.0, 1.0, before.shared) - 1.0)[:2].max() < _NEAR:
+            break
+    return state
+
+
+def solved(marginal: Marginal, eta: Array) -> Solution:
+    """Return the solution for given amplitudes.
+
+    Raises NotConverged: If the equations cannot be solved.
+    """
+    try:
+        return marginal.solve(eta, slope=False)
+    except np.linalg.LinAlgError as error:
+        raise NotConverged("The joint adjustment cannot be solved.") from error
+
+
+def small(marginal: Marginal, found: Solution) -> bool:
+    """Tell whether a step no longer matters."""
+    at = slice(0, len(marginal.problem.bench.layout.camera))
+    steps, sigmas = np.abs(found.step[at]), np.sqrt(np.diag(found.covariance)[at])
+    return bool((steps[:4] < _SMALL_PX).all() or (steps < _SMALL_SHARE * sigmas).all())
+
+
+def best_amplitudes(marginal: Marginal, eta: Array, steps: int, faults: Faults = NO_FAULT) -> Array:
+    """Return the logarithms of the amplitudes of the largest posterior, from a start."""
+    from scipy.optimize import minimize
+
+    scale = 1.0 / np.sqrt(marginal.curvature)
+
+    def target(at: Array) -> tuple[float, Array]:
+        try:
+            found = marginal.solve(scale * at, faults)
+        except np.linalg.LinAlgError:
+            return 1e12, np.zeros(len(at))
+        return found.value, scale * found.gradient
+
+    bounds = [
+        (low / s, high / s) for (low, high), s in zip(marginal.problem.hyper.bounds, scale, strict=True)
+    ]
+    ended = minimize(
+        target,
+        eta / scale,
+        jac=True,
+        method="L-BFGS-B",
+        bounds=bounds,
+        options={"maxiter": steps, "ftol": 1e-7, "gtol": 1e-2},
+    )
+    return np.asarray(scale * ended.x if ended.fun <= target(eta / scale)[0] else eta)
+
+
+def shortened(marginal: Marginal, eta: Array, found: Solution) -> State:
+    """Return the state after a step, which is halved while the cost rises."""
+    layout, bench = marginal.problem.bench.layout, marginal.problem.bench
+    turns = marginal.rotation_steps(eta, found)
+    at = layout.places(["fx", "fy", "r"])
+    share = float(np.abs(found.step[at] / marginal.state.shared[at]).max())
+    size = min(1.0, _LONGEST / share) if share > 0 else 1.0
+    before = cost(marginal, eta, marginal.state, marginal.equations)
+    for _ in range(_HALVINGS):
+        state = bench.moved(marginal.state, size * found.step, size * found.fields, size * turns)
+        after = cost(marginal, eta, state, marginal.equations)
+        if after <= before * (1.0 + 1e-9):
+            return state
+        size *= 0.5
+    return state
+
+
+def cost(marginal: Marginal, eta: Array, state: State, equations: Equations) -> float:
+    """Return the cost of a state: stars as the equations weigh them, readings, priors; infinite behind the camera."""
+    bench, hyper = marginal.problem.bench, marginal.problem.hyper
+    squares = np.exp(2.0 * eta)
+    lengths = bench.whitened(state)
+    if not all(np.isfinite(one).all() for one in lengths):
+        return float("inf")
+    stars = sum(float(w @ one**2) for w, one in zip(equations.weights, lengths, strict=True))
+    total = stars / squares[hyper.at(amp.STAR)]
+    total += marginal.prior_cost(squares, state)
+    if marginal.uses_readings and bench.readings is not None:
+        variance = squares[hyper.at(amp.READING)] * bench.readings.sigma_rad**2
+        total += float((bench.readings_off(state) ** 2).sum()) / variance
+    return total

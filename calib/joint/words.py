@@ -1,0 +1,150 @@
+"""Notes of the joint adjustment for its reader, and the refusal of views that do not determine the camera."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from calib.adjustment.degeneracy import MAX_FOCAL_SIGMA, explain_weak_geometry, require_distinct_poses
+from calib.adjustment.parameters import AdjustmentParameters
+from calib.calibration import Calibration, CalibrationOptions
+from calib.errors import DegenerateViews, NotConverged
+from calib.joint.knowledge import READINGS
+from calib.joint.posterior import Posterior
+from calib.model import budget_row as rows
+from calib.model.gimbal import MOUNTING
+from calib.model.rotation import exp_map
+from calib.model.witness import Witness
+from calib.view import View
+
+#: A statement is named if it is at fault with this probability, or contradicts the others by this many sigma.
+_DOUBTED, _CONTRADICTS = 0.3, 4.0
+#: Readings that scatter this many times more than stated are named.
+_SCATTER = 2.0
+_WEAK_FOCAL_SIGMA = 0.01
+_BACKWARDS = (
+    "The gimbal's readings fit the stars only if the camera looked backwards on the head: the sign of one axis (pan or "
+    "tilt) is probably wrong."
+)
+_BINDS = {
+    "r": "a certificate of the collimator, readings of the gimbal, or poses turned farther",
+    "x": "a passport of the collimator, or poses turned farther",
+    "y": "a passport of the collimator, or poses turned farther",
+    "cx": "poses turned to both sides along X, or rolled",
+    "cy": "poses turned to both sides along Y, or rolled",
+    "fx": "poses turned farther",
+    "fy": "poses turned farther",
+}
+
+
+def require_determined(
+    found: Posterior, views: Sequence[View], parameters: AdjustmentParameters, options: CalibrationOptions
+) -> None:
+    """Refuse a result with poorly determined focal lengths, or without an optimum.
+
+    Raises DegenerateViews: If the 1-sigma of a focal length is more than 5 % of it; names the free unknown.
+    Raises NotConverged: If the adjustment did not reach its optimum.
+    """
+    if options.passport is None:
+        require_distinct_poses(parameters)
+    sigmas = np.sqrt(np.diag(found.covariance))
+    why = explain_weak_geometry(views, parameters)
+    for k, name in enumerate(("fx", "fy")):
+        share = float(sigmas[k] / found.mean[k])
+        if not 0.0 <= share <= MAX_FOCAL_SIGMA:
+            free = _free_unknown(found, k)
+            raise DegenerateViews(
+                f"These views determine {name} only to ±{200.0 * share:.0f} % (k = 2). {why}".strip(),
+                remedy=f"Nothing binds {free}: {_BINDS.get(free, 'more poses')} would."
+                " Add views turned about other axes, with the stars elsewhere in the image.",
+            )
+    if not found.optimum.converged:
+        raise NotConverged(
+            f"The adjustment did not converge within {found.optimum.iterations} steps. {why}".strip(),
+            remedy="Add views from other angles.",
+        )
+
+
+def _free_unknown(found: Posterior, at: int) -> str:
+    """Return the unknown whose mere limit contributes most to the variance of another."""
+    marginal = found.optimum.marginal
+    layout, slope = marginal.problem.bench.layout, found.optimum.solution.covariance[:, at]
+    limits = [one for one in marginal.problem.knowledge.statements if one.name == rows.PRIORS]
+    parts = [float((one.rows @ slope)[0] ** 2 / one.covariance[0, 0]) for one in limits]
+    return layout.names[int(np.argmax(limits[int(np.argmax(parts))].rows[0]))]
+
+
+def notes(result: Calibration, found: Posterior) -> tuple[str, ...]:
+    """Return what a reader must know: weak geometry, statements that others contradict, readings that scatter."""
+    sentences = _weakness(result, found)
+    named = [one for one in result.witnesses if one.name != READINGS and _is_doubted(one)]
+    named.sort(key=lambda one: (-one.fault_probability, -abs(one.innovation)))
+    sentences += [_doubt(one) for one in named]
+    if len(named) > 1:
+        sentences.append(
+            "These statements contradict each other or the stars. What cannot be decided is in the uncertainties."
+        )
+    return (*sentences, *_readings(result), *_alone(result))
+
+
+def _is_doubted(one: Witness) -> bool:
+    return one.fault_probability >= _DOUBTED or abs(one.innovation) >= _CONTRADICTS
+
+
+def _doubt(one: Witness) -> str:
+    """Return the sentence that names a statement."""
+    what = f"The statement '{one.name}' ({one.source})"
+    probability = f"it is wrong, or its uncertainty too small, with probability {one.fault_probability:.0%}"
+    if one.stated is None:
+        return f"{what} differs by {abs(one.innovation):.1f} sigma from what all others say; {probability}."
+    unit = f" {one.unit}" if one.unit not in ("", "1") else ""
+    return (
+        f"{what} says {one.stated:.6g} +- {one.sigma:.2g}{unit}; all others say {one.expected:.6g} +- "
+        f"{one.expected_sigma:.2g}{unit}, {abs(one.innovation):.1f} sigma away; {probability}."
+    )
+
+
+def _weakness(result: Calibration, found: Posterior) -> list[str]:
+    """Return a note if a focal length is poorly determined."""
+    sigma = result.sigma
+    relative = {name: sigma[name] / getattr(result.camera, name) for name in ("fx", "fy")}
+    name = max(relative, key=lambda one: relative[one])
+    if relative[name] < _WEAK_FOCAL_SIGMA:
+        return []
+    k = result.coverage_factors[name]
+    free = _free_unknown(found, 0)
+    text = (
+        f"Weak geometry: {name} is known only to ±{100.0 * k * relative[name]:.1f} % (k = {k:.1f}). "
+        f"{_BINDS[free][0].upper()}{_BINDS[free][1:]} would bind it."
+    )
+    return [text]
+
+
+def _readings(result: Calibration) -> list[str]:
+    """Return what the reader must know about the gimbal's readings."""
+    gimbal = result.gimbal
+    if gimbal is None:
+        return []
+    mounting = exp_map(np.radians([gimbal.values[name] for name in MOUNTING]))
+    if mounting[2, 2] < 0:
+        return [_BACKWARDS]
+    if gimbal.scatter < _SCATTER:
+        return []
+    text = (
+        f"The gimbal's readings scatter {gimbal.scatter:.1f} times more than stated. They entered with "
+        f"{gimbal.reading_sigma_deg:.4f} degrees each."
+    )
+    return [text]
+
+
+def _alone(result: Calibration) -> list[str]:
+    """Return a note if the focal length rests on one statement alone."""
+    shares = {row.name: row.share.get("fx", 0.0) for row in result.budget_rows if row.type == "B"}
+    if shares.get(rows.UNBOUNDED_PARALLAX, 0.0) > 0.5:
+        text = (
+            "Neither a certificate nor bounded readings determine the focal length: it rests on how large a parallax "
+            "is expected of such a collimator, and the uncertainties include it."
+        )
+        return [text]
+    return []

@@ -1,0 +1,135 @@
+"""The closed forms of the joint adjustment against what they claim to be."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from calib import CalibrationOptions, Passport, calibrate
+from calib.joint.adjust import adjust
+from calib.joint.budget import variances
+from calib.joint.knowledge import CERTIFICATE, FAULTS, WRONG
+from calib.joint.posterior import posterior
+from calib.model.gimbal_readings import GimbalReadings, ParallaxBound
+
+POSES = ((-5.0, 2.0), (5.0, 2.5), (0.5, -2.5), (-5.0, 2.0))
+ANGLES = tuple({"pan_deg": pan, "tilt_deg": tilt} for pan, tilt in POSES)
+BOUND = ParallaxBound(0.0, 0.01, 0.0, 1.0)
+READINGS = GimbalReadings(ANGLES, 0.002, 2e-4, 0.001, BOUND, "drawn")
+KNOWN = CalibrationOptions("joint", passport=Passport.of_radius(255.03, 0.05), gimbal=READINGS)
+
+
+@pytest.fixture
+def views(bench):
+    """Four views, of which two show the same pose, with smooth errors that differ between them."""
+    rng = np.random.default_rng(5)
+    found = []
+    for view in bench.views(rng, 0.02, POSES):
+        x, y = ((view.points_px - [640, 360]) / 500.0).T
+        error = 0.02 * (rng.standard_normal(2) * x[:, None] ** 2 + rng.standard_normal(2) * (x * y)[:, None])
+        found.append(replace(view, points_px=view.points_px + error))
+    return found
+
+
+@pytest.fixture
+def optimum(views):
+    return adjust(views, KNOWN)
+
+
+def test_views_of_one_pose_share_its_field(optimum):
+    bench = optimum.marginal.problem.bench
+    assert list(bench.poses) == [0, 1, 2, 0]
+    assert len(optimum.state.fields) == 3
+
+
+def test_gradient_of_the_likelihood_is_that_of_finite_differences(optimum):
+    rng = np.random.default_rng(1)
+    eta = optimum.eta + 0.3 * rng.standard_normal(len(optimum.eta))
+    gradient = optimum.marginal.solve(eta).gradient
+    step = 1e-4
+    for k, own in enumerate(gradient):
+        ahead, behind = (optimum.marginal.solve(eta + s * np.eye(len(eta))[k]).value for s in (step, -step))
+        assert own == pytest.approx((ahead - behind) / (2 * step), rel=1e-4, abs=1e-3)
+
+
+def test_gradient_with_a_fault_is_that_of_finite_differences(optimum):
+    faults = ((CERTIFICATE, WRONG),)
+    gradient = optimum.marginal.solve(optimum.eta, faults).gradient
+    ahead, behind = (
+        optimum.marginal.solve(optimum.eta + s * np.eye(len(gradient))[1], faults).value
+        for s in (1e-4, -1e-4)
+    )
+    assert gradient[1] == pytest.approx((ahead - behind) / 2e-4, rel=1e-4, abs=1e-3)
+
+
+def test_amplitudes_of_the_optimum_have_no_slope(optimum):
+    scaled = optimum.solution.gradient / np.sqrt(optimum.marginal.curvature)
+    assert np.abs(scaled).max() < 0.1
+
+
+def test_parts_of_the_budget_add_up_to_the_variance(optimum):
+    found = posterior(optimum)
+    at = optimum.marginal.problem.bench.layout.places(["fx", "cx", "r"])
+    parts = variances(found, np.eye(len(found.mean))[at])
+    assert sum(parts.values()) == pytest.approx(np.diag(found.covariance)[at], rel=1e-6)
+    assert all((part >= 0).all() for part in parts.values())
+
+
+@pytest.mark.parametrize("name", [CERTIFICATE, "scale of pan", "pupil and defocus", "square pixels"])
+def test_innovation_is_what_an_adjustment_without_the_statement_says(optimum, name):
+    one = next(one for one in posterior(optimum).innovations() if one.name == name)
+    marginal = optimum.marginal
+    kept = tuple(
+        replace(s, covariance=1e8 * s.covariance) if s.name == name and s.free is not None else s
+        for s in marginal.problem.knowledge.statements
+    )
+    knowledge = replace(marginal.problem.knowledge, statements=kept)
+    without = type(marginal)(
+        replace(marginal.problem, knowledge=knowledge), marginal.equations, marginal.state
+    )
+    solution = without.solve(optimum.eta)
+    expected = one.statement.rows @ (optimum.state.shared + solution.step)
+    sigma = np.sqrt(one.statement.rows @ solution.covariance @ one.statement.rows.T)
+    assert one.expected == pytest.approx(expected, rel=1e-4, abs=1e-3 * sigma[0, 0])
+    assert one.sigma[0] == pytest.approx(sigma[0, 0], rel=1e-3)
+    away = (one.statement.values - expected) / np.sqrt(sigma[0, 0] ** 2 + one.statement.covariance[0, 0])
+    assert one.normalised == pytest.approx(away[0], rel=1e-2, abs=1e-3)
+
+
+def test_ideal_stars_give_the_truth(bench):
+    result = calibrate(bench.views(poses=POSES[:3]), CalibrationOptions("joint"))
+    for name in ("fx", "fy", "cx", "cy"):
+        error = abs(getattr(result.camera, name) - bench.truth[name])
+        assert error < 0.2 * result.coverage_factors[name] * result.sigma[name]
+        assert error < 0.5
+
+
+def test_statements_that_agree_are_not_doubted(views):
+    result = calibrate(views, KNOWN)
+    assert max(abs(one.innovation) for one in result.witnesses) < 3.0
+    assert not [note for note in result.notes if "statement" in note]
+
+
+def test_a_wrong_certificate_beside_right_readings_is_named(views):
+    result = calibrate(views, replace(KNOWN, passport=Passport.of_radius(255.0 * 1.01, 0.05)))
+    certificate = next(one for one in result.witnesses if one.name == CERTIFICATE)
+    assert certificate.innovation > 5.0
+    assert certificate.fault_probability > sum(FAULTS.values())
+    assert any(CERTIFICATE in note for note in result.notes)
+
+
+def test_result_has_amplitudes_witnesses_and_factors(views):
+    result = calibrate(views, KNOWN)
+    assert {one.name for one in result.amplitudes} >= {"star noise", "readings", "pose field, degree 2"}
+    assert set(result.coverage_factors) == set(result.parameter_names)
+    assert result.coverage_factor == result.coverage_factors["fx"]
+    shares = [row.share["fx"] for row in result.budget_rows]
+    assert sum(shares) == pytest.approx(1.0, rel=1e-6)
+
+
+def test_passport_of_a_result_calibrates_from_one_view(views, bench):
+    passport = calibrate(views, KNOWN).passport()
+    read = Passport.from_dict(passport.to_dict())
+    result = calibrate(views[:1], CalibrationOptions("joint", passport=read))
+    assert abs(result.camera.fx - bench.fx) < result.coverage_factor * result.sigma["fx"]
+    assert result.coverage_factor * result.sigma["fx"] < 10.0
