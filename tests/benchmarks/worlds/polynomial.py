@@ -6,7 +6,7 @@ with a random sign. Target frame in mm: a star at P is seen in the direction (P 
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -263,23 +263,35 @@ def _mount(rng: np.random.Generator, kind: str) -> Mount:
     return Mount(0.0 if kind == "ideal" else off, 0.0 * aside if kind == "ideal" else aside)
 
 
-def record(world: World, seed: int, poses: Sequence[Pose], times: int = 1, other_camera: int = 0) -> Bench:
-    """Record poses with a drawn bench; what a pose draws does not depend on the poses beside it."""
+def record(
+    world: World,
+    seed: int,
+    poses: Sequence[Pose],
+    times: int = 1,
+    other_camera: int = 0,
+    changed: Callable[[int, World], World] = lambda _, same: same,
+) -> Bench:
+    """Record poses with a drawn bench; what a pose draws does not depend on the poses beside it.
+
+    changed: The world at a recording, counted from 0, for what drifts or is moved.
+    """
+    stated, camera, facts = world.stated, world.camera, world.facts
     ids, nominal = printed_stars()
     views, readings = [], []
-    for name, pose, again in named_poses(poses, times):
+    for number, (name, pose, again) in enumerate(named_poses(poses, times)):
+        now = changed(number, world)
         lasting = np.random.default_rng((seed, 3, other_camera, *pose_key(pose)))
         fresh = np.random.default_rng((seed, 4, other_camera, *pose_key(pose), again))
-        rotation = world.gimbal.rotation(np.array(pose, float), 0.002 * lasting.normal(size=2))
+        rotation = now.gimbal.rotation(np.array(pose, float), 0.002 * lasting.normal(size=2))
         axis = rotation[2, :2] / rotation[2, 2]
-        wander = world.mount.wander_mm * lasting.normal(size=2)
-        pupil = (world.mount.aside_mm + wander - world.mount.off_pivot_mm * axis) / world.glass.r
-        seen, rho = world.glass.seen_mm(nominal, pupil)
-        h = (seen - world.glass.foot_mm) / world.glass.r
-        own = Waves.draw(lasting, 6, (0.2, 1.2)).at(h) * world.pose_field_px / world.camera.values["fx"]
+        wander = now.mount.wander_mm * lasting.normal(size=2)
+        pupil = (now.mount.aside_mm + wander - now.mount.off_pivot_mm * axis) / now.glass.r
+        seen, rho = now.glass.seen_mm(nominal, pupil)
+        h = (seen - now.glass.foot_mm) / now.glass.r
+        own = Waves.draw(lasting, 6, (0.2, 1.2)).at(h) * now.pose_field_px / now.camera.values["fx"]
         rays = np.column_stack([h + own, np.ones(len(h))]) @ rotation.T
         lit = (rho < 0.95) & (rays[:, 2] > 0.5)
-        stars = ids[lit], nominal[lit], world.camera.project(rays[lit])
-        views.append(noisy_view(name, stars, world.star_px, world.stated_px, world.bad_share, fresh))
+        stars = ids[lit], nominal[lit], now.camera.project(rays[lit])
+        views.append(noisy_view(name, stars, now.star_px, now.stated_px, now.bad_share, fresh))
         readings.append({"pan_deg": float(pose[0]), "tilt_deg": float(pose[1])})
-    return Bench("polynomial", views, readings, world.stated, world.camera, {**world.facts, "times": times})
+    return Bench("polynomial", views, readings, stated, camera, {**facts, "times": times})

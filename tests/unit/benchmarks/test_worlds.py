@@ -7,9 +7,19 @@ import numpy as np
 import pytest
 
 import calib
-from tests.benchmarks.worlds import catalogue, geometry, judge, lens_system, polynomial, product, ray_traced
+from tests.benchmarks.worlds import (
+    attacks,
+    bound,
+    catalogue,
+    geometry,
+    judge,
+    lens_system,
+    polynomial,
+    product,
+    ray_traced,
+)
 from tests.benchmarks.worlds.bench import NINE, THREE
-from tests.benchmarks.worlds.knowledge import Answer
+from tests.benchmarks.worlds.knowledge import Answer, views_of
 
 
 def without_noise(world):
@@ -159,3 +169,45 @@ def test_the_same_seed_gives_the_same_bench(world):
     assert [v.px.tolist() for v in one.views] == [v.px.tolist() for v in other.views]
     assert one.stated == other.stated
     assert min(len(v.ids) for v in one.views) > 40
+
+
+def test_the_bound_is_what_an_adjustment_of_the_same_model_states_and_knowledge_lowers_it():
+    world = polynomial.draw_world(5, "ideal")
+    bench = polynomial.record(world, 5, NINE)
+    found = calib.calibrate(views_of(bench), calib.CalibrationOptions(model="spherical", loss="l2"))
+    least = {known: bound.bound_px(world, bench, known) for known in ("0", "c", "r", "cr")}
+    for name in judge.CENTRE:
+        stated = 2 * found.sigma[name] / np.sqrt(found.variance_factor)
+        assert least["0"][name] == pytest.approx(stated, rel=0.03)
+    assert least["cr"]["fx"] < min(least["c"]["fx"], least["r"]["fx"]) < least["0"]["fx"]
+
+
+def test_every_attack_changes_what_the_engine_gets_and_nothing_else():
+    world = polynomial.draw_world(0)
+    for name, attack in attacks.ATTACKS.items():
+        honest = polynomial.record(world, 0, attack.poses, attack.times)
+        attacked = attack.bench(
+            polynomial.record(attack.world(world), 0, attack.poses, attack.times, changed=attack.each_pose)
+        )
+        same = (
+            attacked.stated == honest.stated
+            and attacked.readings_deg == honest.readings_deg
+            and attacked.facts == honest.facts
+            and all(
+                a.px.tolist() == b.px.tolist()
+                and a.mm.tolist() == b.mm.tolist()
+                and a.sigma_px[0] == b.sigma_px[0]
+                for a, b in zip(attacked.views, honest.views, strict=False)
+            )
+            and len(attacked.views) == len(honest.views)
+        )
+        assert same == (attack.named_by == ""), name
+        assert attacked.camera == honest.camera, name
+
+
+def test_shifted_ids_are_those_of_the_neighbours():
+    view = polynomial.record(polynomial.draw_world(0), 0, NINE).views[4]
+    moved = attacks._shifted(view)
+    kept = np.isin(view.px[:, 0], moved.px[:, 0])
+    assert moved.mm == pytest.approx(view.mm[kept] + [geometry.PITCH_MM, 0.0])
+    assert moved.mm == pytest.approx(calib.StarTarget().positions_mm(moved.ids))

@@ -1,0 +1,108 @@
+"""Does U follow data, poses and knowledge without steps?
+
+    python tests/benchmarks/bench_sweeps.py -o FILE [--seeds 3] [--known cr c r 0] [--only smooth poses knowledge bound]
+
+``smooth``: an ideal bench whose poses get a smooth error of 0 to .01 px in steps of .001 px: no step of U above 1.6.
+``poses``: 3 to 25 poses, each set within the next: U never grows by more than 10 %. ``knowledge``: nothing, then readings
+or a certificate, then both: U never grows by more than 10 %. ``bound``: U of the ideal bench over the bound of Cramér and
+Rao for the spherical model: at most 1.4. Each part prints U of fx along the way and the largest step of each number.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+# Before numpy is loaded: on small matrices, threads of the linear algebra cost more than they gain.
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+
+import numpy as np
+
+sys.path.append(str(Path(__file__).parents[2]))
+from worlds.bench import NINE, THREE
+from worlds.bound import bound_px
+from worlds.judge import judged
+from worlds.polynomial import draw_world, record
+from worlds.scores import WHAT
+from worlds.sweeps import CHAINS, more_knowledge, more_poses, smooth_errors, steps
+
+#: Seeds whose lens is k1k2.
+SEEDS = [seed for seed in range(100) if seed % 5 in (0, 2)]
+PARTS = ("smooth", "poses", "knowledge", "bound")
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("-o", "--output", type=Path, required=True)
+    parser.add_argument("--seeds", type=int, default=3, help="number of seeds")
+    parser.add_argument("--known", nargs="+", default=["cr", "c", "r", "0"])
+    parser.add_argument("--only", nargs="+", default=PARTS, choices=PARTS)
+    given = parser.parse_args()
+    with given.output.open("a") as file:
+        for part in given.only:
+            print(f"{part}: largest step of U of {' '.join(WHAT)}, then U(fx) on the way")
+            for seed in SEEDS[: given.seeds]:
+                for name, lines in ways(part, seed, given.known):
+                    show(f"{part} seed {seed} {name}", lines, part)
+                    for line in lines:
+                        file.write(
+                            json.dumps({"part": part, "seed": seed, "way": name, **line}, ensure_ascii=False)
+                            + "\n"
+                        )
+
+
+def ways(part: str, seed: int, knowns: Sequence[str]) -> list[tuple[str, list[dict[str, Any]]]]:
+    """The ways of a part with their results."""
+    if part == "smooth":
+        sets = (("3 poses", THREE), ("9 poses", NINE))
+        return [
+            (f"{label} {known}", smooth_errors(seed, known, poses))
+            for label, poses in sets
+            for known in knowns
+        ]
+    if part == "poses":
+        return [(known, more_poses(seed, known)) for known in knowns]
+    if part == "knowledge":
+        found = [
+            (label, more_knowledge(seed, poses)) for label, poses in (("3 poses", THREE), ("9 poses", NINE))
+        ]
+        return [
+            (f"{label} {' '.join(chain)}", [results[known] for known in chain])
+            for label, results in found
+            for chain in CHAINS
+        ]
+    return [(known, [_over_bound(seed, known)]) for known in knowns]
+
+
+def _over_bound(seed: int, known: str) -> dict[str, Any]:
+    world = draw_world(seed, "ideal")
+    bench = record(world, seed, NINE)
+    line, bound = judged(bench, known, "right"), bound_px(world, bench, known)
+    return {**line, "over_bound": {name: line["U"][name] / value for name, value in bound.items()}}
+
+
+def show(name: str, lines: Sequence[dict[str, Any]], part: str) -> None:
+    """Print one way."""
+    solved = [line for line in lines if "refused" not in line]
+    refused = f"  {len(lines) - len(solved)} refused" if len(solved) < len(lines) else ""
+    if part == "bound":
+        over = " ".join(f"{what} {ratio:.2f}" for what, ratio in solved[0]["over_bound"].items())
+        print(f"{name:34s} U over the bound: {over}; U(fx) {solved[0]['U']['fx']:.2f}", flush=True)
+        return
+    largest = []
+    for what in WHAT:
+        ratios = np.array(steps(solved, what) or [1.0])
+        largest.append(float(np.exp(np.abs(np.log(ratios)).max()) if part == "smooth" else ratios.max()))
+    way = " ".join(f"{line['U']['fx']:.3g}" for line in solved)
+    print(f"{name:34s} {' '.join(f'{ratio:5.2f}' for ratio in largest)} | {way}{refused}", flush=True)
+
+
+if __name__ == "__main__":
+    main()

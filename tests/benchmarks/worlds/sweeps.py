@@ -1,0 +1,55 @@
+"""U as one thing grows: a smooth error, the number of poses, what is known. A step of U is a ratio of neighbours."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+
+from .bench import GRID, THREE, Bench, Pose
+from .judge import judged
+from .polynomial import World, draw_world, record
+
+SMOOTH_PX = tuple(np.round(np.arange(0, 0.0105, 0.001), 3).tolist())
+COUNTS = (3, 4, 5, 6, 7, 9, 12, 16, 20, 25)
+CHAINS = (("0", "r", "cr"), ("0", "c", "cr"))
+
+
+def nested_poses(seed: int) -> Sequence[Pose]:
+    """25 poses: the three of a short sequence, then those of the grid in a drawn order."""
+    order = np.random.default_rng((seed, 41)).permutation(len(GRID))
+    return [*THREE, *(GRID[i] for i in order)][: max(COUNTS)]
+
+
+def smooth_errors(seed: int, known: str, poses: Sequence[Pose]) -> list[dict[str, Any]]:
+    """Results of an ideal bench whose poses have a smooth error that grows in steps of .001 px."""
+    world = draw_world(seed, "ideal")
+    return [
+        {"smooth_px": px, **judged(record(replace(world, pose_field_px=px), seed, poses), known, "right")}
+        for px in SMOOTH_PX
+    ]
+
+
+def more_poses(seed: int, known: str) -> list[dict[str, Any]]:
+    """Results of a real bench with more and more poses, each set within the next one."""
+    world, poses = draw_world(seed), nested_poses(seed)
+    return [{"count": n, **judged(record(world, seed, poses[:n]), known, "right")} for n in COUNTS]
+
+
+def more_knowledge(seed: int, poses: Sequence[Pose]) -> dict[str, dict[str, Any]]:
+    """Results of a real bench by what is known."""
+    bench = _bench(draw_world(seed), seed, poses)
+    return {known: judged(bench, known, "right") for known in ("0", "r", "c", "cr")}
+
+
+def _bench(world: World, seed: int, poses: Sequence[Pose]) -> Bench:
+    return record(world, seed, poses)
+
+
+def steps(lines: Sequence[dict[str, Any]], what: str) -> list[float]:
+    """U of each result over U of the one before; refusals are left out."""
+    u = [line["U"][what] for line in lines if "refused" not in line]
+    return [after / before for before, after in pairwise(u)]
