@@ -11,19 +11,18 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Any, Literal
+from typing import Literal
 
 from bench.base.errors import EvidenceError
 from bench.certificate.result_data import Budget, BudgetRow
 from bench.certificate.rounding import with_unit
+from bench.records.results import BudgetRowData, CalibrationData
 from bench.report.budget_tables import overlap
 from bench.report.target_words import STARS as STAR_WORDS
 from bench.report.target_words import TargetWords
 from calib.uncertainty.budget_parts import PASSPORT, PRIORS, READINGS, STARS
 from calib.uncertainty.common_errors import COMMON_ERRORS
 from calib.uncertainty.covariance import INCONSISTENCY, coverage_factor
-
-Json = Mapping[str, Any]
 
 _CERTAIN = (PASSPORT, PRIORS)
 """Sources of the adjustment whose variance is known: their degrees of freedom are infinite."""
@@ -68,7 +67,7 @@ class Expanded:
         return self.k * self.u
 
 
-def row_names(calibration: Json) -> list[str]:
+def row_names(calibration: CalibrationData) -> list[str]:
     """Return the names of the rows, to which certificates can be assigned.
 
     calibration: ``calibration`` of results.json.
@@ -76,7 +75,7 @@ def row_names(calibration: Json) -> list[str]:
     return [str(row["name"]) for row in calibration.get("budget_rows") or []]
 
 
-def expanded(calibration: Json, symbol: str) -> Expanded:
+def expanded(calibration: CalibrationData, symbol: str) -> Expanded:
     """Return the uncertainty of a result with its own degrees of freedom.
 
     Formula of Welch and Satterthwaite (JCGM 100, G.4.1). The engine evaluates all sources of the adjustment that are
@@ -96,7 +95,7 @@ def expanded(calibration: Json, symbol: str) -> Expanded:
 
 
 def budget_of(
-    calibration: Json,
+    calibration: CalibrationData,
     symbol: str,
     unit: str,
     sources: Mapping[str, RowSource],
@@ -152,7 +151,7 @@ def budget_of(
 
 
 def _rows_of(
-    calibration: Json,
+    calibration: CalibrationData,
     group: str,
     symbol: str,
     unit: str,
@@ -176,7 +175,7 @@ def _rows_of(
 
 
 def _row(
-    row: Json,
+    row: BudgetRowData,
     name: str,
     group: str,
     symbol: str,
@@ -221,7 +220,7 @@ def _in_words(row: BudgetRow, words: TargetWords) -> BudgetRow:
     return replace(row, name=words.fitting(row.name), source=words.fitting(row.source))
 
 
-def _stated_value(row: Json, source: RowSource) -> tuple[float | None, float | None, str]:
+def _stated_value(row: BudgetRowData, source: RowSource) -> tuple[float | None, float | None, str]:
     """Return the stated value of a row with divisor and unit. A passport's is not the engine's."""
     if source.value is not None:
         return source.value, source.divisor, source.unit
@@ -238,7 +237,7 @@ _SOURCES = {
 }
 
 
-def _group(row: Json, calibration: Json) -> str:
+def _group(row: BudgetRowData, calibration: CalibrationData) -> str:
     """Return the source of the engine's budget that a row is a part of."""
     name = str(row["name"])
     if name in calibration["budget"]:
@@ -246,7 +245,7 @@ def _group(row: Json, calibration: Json) -> str:
     return STARS if name == READINGS else PRIORS
 
 
-def _terms(calibration: Json) -> dict[str, float]:
+def _terms(calibration: CalibrationData) -> dict[str, float]:
     """Return the degrees of freedom of the stated terms, by name: rows with a value, other than the adjustment's."""
     return {
         str(row["name"]): float(row["degrees_of_freedom"] or math.inf)
@@ -255,7 +254,7 @@ def _terms(calibration: Json) -> dict[str, float]:
     }
 
 
-def _variances(calibration: Json, symbol: str) -> tuple[float, float, float]:
+def _variances(calibration: CalibrationData, symbol: str) -> tuple[float, float, float]:
     """Return of a parameter the whole variance, that of the views, and the sum of squared variances over freedom."""
     budget, terms = calibration.get("budget") or {}, _terms(calibration)
     if not budget:
@@ -270,7 +269,7 @@ def _variances(calibration: Json, symbol: str) -> tuple[float, float, float]:
     return sum(parts.values()), views, stated
 
 
-def _common_freedom(calibration: Json, k: float) -> float:
+def _common_freedom(calibration: CalibrationData, k: float) -> float:
     """Return the degrees of freedom that belong to the common coverage factor; infinite for k = 2."""
     stated = [
         row.get("degrees_of_freedom") for row in calibration.get("budget_rows") or [] if row["type"] == "A"
@@ -285,7 +284,7 @@ def _common_freedom(calibration: Json, k: float) -> float:
     return math.exp(low)
 
 
-def _freedom_of_views(calibration: Json, common: float) -> float:
+def _freedom_of_views(calibration: CalibrationData, common: float) -> float:
     """Return the degrees of freedom of what the views give: those that explain the common ones of the focal lengths."""
     if not math.isfinite(common):
         return math.inf
@@ -298,7 +297,7 @@ def _freedom_of_views(calibration: Json, common: float) -> float:
     return max(found, default=common)
 
 
-def _welch_satterthwaite(calibration: Json, symbol: str, nu_views: float) -> float:
+def _welch_satterthwaite(calibration: CalibrationData, symbol: str, nu_views: float) -> float:
     """Return the effective degrees of freedom of a parameter."""
     whole, views, stated = _variances(calibration, symbol)
     spread = views**2 / nu_views + stated

@@ -6,20 +6,20 @@ printed in docs/certificates.md. No file is read here.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 from bench.certificate.lab_config import LabConfig
+from bench.records.results import Results
 from calib.uncertainty.budget_parts import PASSPORT
 
-Json = Mapping[str, Any]
 Path = tuple[str, ...]
 RUN = "the sealed run"
 FIXED = "fixed text"
 
 
-def _always_answered(lab: LabConfig, results: Json) -> Sequence[Path]:
+def _always_answered(lab: LabConfig, results: Results) -> Sequence[Path]:
     """Return nothing: no key of lab.yaml is needed."""
     del lab, results
     return ()
@@ -33,7 +33,7 @@ class Clause:
     item: str
     field: str
     origin: str  # The key of lab.yaml that gives them, ``the sealed run``, ``fixed text`` or both
-    missing: Callable[[LabConfig, Json], Sequence[Path]] = _always_answered
+    missing: Callable[[LabConfig, Results], Sequence[Path]] = _always_answered
 
 
 @dataclass(frozen=True)
@@ -75,10 +75,10 @@ _REMEDIES = {
 }
 
 
-def _keys(*dotted: str) -> Callable[[LabConfig, Json], Sequence[Path]]:
+def _keys(*dotted: str) -> Callable[[LabConfig, Results], Sequence[Path]]:
     """Return a check that keys are stated."""
 
-    def missing(lab: LabConfig, results: Json) -> Sequence[Path]:
+    def missing(lab: LabConfig, results: Results) -> Sequence[Path]:
         del results
         return [path for path in (tuple(key.split(".")) for key in dotted) if _value(lab, path) is None]
 
@@ -103,14 +103,14 @@ _ITEM = (
 )
 
 
-def _item(lab: LabConfig, results: Json) -> Sequence[Path]:
+def _item(lab: LabConfig, results: Results) -> Sequence[Path]:
     """A camera that does not report its serial number is identified by the laboratory."""
     unnamed = not results["devices"]["camera"].get("serial")
     own = ("item.maker", "item.model", "item.serial") if unnamed else ()
     return _keys(*own, *_ITEM)(lab, results)
 
 
-def _conditions(lab: LabConfig, results: Json) -> Sequence[Path]:
+def _conditions(lab: LabConfig, results: Results) -> Sequence[Path]:
     del results
     if lab.conditions is None:
         return [("conditions",)]
@@ -119,7 +119,7 @@ def _conditions(lab: LabConfig, results: Json) -> Sequence[Path]:
     return [("conditions", word) for word in wanted if not any(word in name for name in names)]
 
 
-def _traceability(lab: LabConfig, results: Json) -> Sequence[Path]:
+def _traceability(lab: LabConfig, results: Results) -> Sequence[Path]:
     """The collimator's certificate needs number, date and issuer; the run knows what the station states."""
     missing: list[Path] = [] if lab.traceability is not None else [("traceability",)]
     in_run = results.get("passport") or {}
@@ -254,7 +254,7 @@ CLAUSES = (
 )
 
 
-def unanswered(lab: LabConfig, results: Json) -> list[Unanswered]:
+def unanswered(lab: LabConfig, results: Results) -> list[Unanswered]:
     """Return the clauses that lab.yaml and the run together leave open.
 
     Returns: In the order of the clauses, one for each missing key.

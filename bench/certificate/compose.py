@@ -45,10 +45,9 @@ from bench.certificate.lab_config import (
 )
 from bench.certificate.number_format import SIMULATED
 from bench.certificate.statements import statements_of
+from bench.records.results import Results
 from bench.report.target_words import words_of
 from calib.uncertainty.budget_parts import PASSPORT
-
-Json = Mapping[str, Any]
 
 
 @dataclass(frozen=True)
@@ -63,7 +62,7 @@ class Identity:
     verified: str = ""  # What was verified before the issue, in words
 
 
-def compose(found: Json, lab: LabConfig, identity: Identity) -> Certificate:
+def compose(found: Results, lab: LabConfig, identity: Identity) -> Certificate:
     """Return the certificate of a run. Every clause is answered, and nothing contradicts the run (checked before).
 
     Raises EvidenceError: When the uncertainty budget is missing or does not add up.
@@ -122,7 +121,7 @@ def compose(found: Json, lab: LabConfig, identity: Identity) -> Certificate:
     )
 
 
-def row_sources(found: Json, lab: LabConfig) -> dict[str, RowSource]:
+def row_sources(found: Results, lab: LabConfig) -> dict[str, RowSource]:
     """Return the certificates behind the rows of the budget: what the run states, then what lab.yaml adds."""
     sources = {}
     if in_run := found.get("passport"):
@@ -174,7 +173,7 @@ def _contact(one: ContactConfig | None) -> Contact:
     return Contact("", "", "") if one is None else Contact(one.name or "", one.email or "", one.phone or "")
 
 
-def _item(found: Json, lab: LabConfig) -> Item:
+def _item(found: Results, lab: LabConfig) -> Item:
     lens = lab.item.lens
     return Item(
         camera=run_facts.camera_identity(found, lab.item),
@@ -207,7 +206,7 @@ def _condition(one: ConditionConfig) -> Condition:
     )
 
 
-def _traceability(found: Json, lab: LabConfig) -> tuple[Traceability, ...]:
+def _traceability(found: Results, lab: LabConfig) -> tuple[Traceability, ...]:
     """Return the collimator's certificate or passport, then the other references of lab.yaml."""
     by_row = {one.row: one for one in lab.sources}
     rows = []
@@ -232,7 +231,7 @@ def _traceability(found: Json, lab: LabConfig) -> tuple[Traceability, ...]:
     return tuple(rows)
 
 
-def _collimator(found: Json, in_run: Json, stated: SourceConfig | None) -> Traceability:
+def _collimator(found: Results, in_run: Mapping[str, Any], stated: SourceConfig | None) -> Traceability:
     radius = (in_run.get("values") or {}).get("r")
     expanded, k = _radius_uncertainty(found, in_run)
     source = RowSource(
@@ -254,7 +253,7 @@ def _collimator(found: Json, in_run: Json, stated: SourceConfig | None) -> Trace
     )
 
 
-def _radius_uncertainty(found: Json, in_run: Json) -> tuple[float | None, float | None]:
+def _radius_uncertainty(found: Results, in_run: Mapping[str, Any]) -> tuple[float | None, float | None]:
     """Return the uncertainty of the collimator's focal length as it is stated, mm, and its coverage factor."""
     certificate = (found["run"].get("collimator") or {}).get("certificate")
     if isinstance(certificate, Mapping) and in_run.get("source") == "station certificate":
@@ -263,7 +262,7 @@ def _radius_uncertainty(found: Json, in_run: Json) -> tuple[float | None, float 
     return (None, None) if sigma is None else (float(sigma), 1.0)
 
 
-def _before(found: Json, lab: LabConfig) -> BeforeAdjustment | None:
+def _before(found: Results, lab: LabConfig) -> BeforeAdjustment | None:
     """Return the calibration before this one: the certificate of lab.yaml, and the last run on this bench."""
     earlier = found.get("previous") or {}
     stated = lab.previous_certificate

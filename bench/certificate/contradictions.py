@@ -2,26 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from datetime import datetime
-from typing import Any
 
 from bench.certificate.budget_rows import row_names
 from bench.certificate.clauses import unanswered
 from bench.certificate.lab_config import LabConfig, PreviousConfig
 from bench.certificate.run_facts import is_unnamed
+from bench.records.results import Results
 from calib.uncertainty.budget_parts import PASSPORT
 from sequences.reader import Located
 from sequences.tree import DocumentPath, Fault
 from sequences.wording import did_you_mean
 
-Json = Mapping[str, Any]
-
 _OF_THE_RUN = frozenset({"camera temperature", "event rate", "illumination", "light", "light frequency"})
 """Conditions that the run records; a second statement could contradict it."""
 
 
-def faults_of_lab(lab: Located[LabConfig], found: Json) -> list[Fault]:
+def faults_of_lab(lab: Located[LabConfig], found: Results) -> list[Fault]:
     """Return what prevents a certificate: clauses that are not answered, and contradictions.
 
     Returns: All of them: contradictions first, then the clauses in their order.
@@ -33,7 +31,7 @@ def faults_of_lab(lab: Located[LabConfig], found: Json) -> list[Fault]:
     return faults
 
 
-def _contradictions(lab: LabConfig, found: Json) -> Iterator[tuple[DocumentPath, str]]:
+def _contradictions(lab: LabConfig, found: Results) -> Iterator[tuple[DocumentPath, str]]:
     if not is_unnamed(found):
         serial = str(found["devices"]["camera"]["serial"])
         if lab.item.serial is not None and lab.item.serial != serial:
@@ -58,7 +56,7 @@ def _contradictions(lab: LabConfig, found: Json) -> Iterator[tuple[DocumentPath,
     yield from _sources(lab, found)
 
 
-def _dates(lab: LabConfig, found: Json) -> Iterator[tuple[DocumentPath, str]]:
+def _dates(lab: LabConfig, found: Results) -> Iterator[tuple[DocumentPath, str]]:
     begun = datetime.fromisoformat(found["run"]["started_utc"]).date()
     when = f"the calibration began on {begun.isoformat()}"
     if lab.item.received is not None and lab.item.received > begun:
@@ -71,7 +69,7 @@ def _dates(lab: LabConfig, found: Json) -> Iterator[tuple[DocumentPath, str]]:
             yield ("sources", at, "date"), f"{when}, before the date of this certificate."
 
 
-def _sources(lab: LabConfig, found: Json) -> Iterator[tuple[DocumentPath, str]]:
+def _sources(lab: LabConfig, found: Results) -> Iterator[tuple[DocumentPath, str]]:
     names, seen = row_names(found["calibration"]), set()
     in_run = found.get("passport") or {}
     for at, source in enumerate(lab.sources):

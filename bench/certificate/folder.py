@@ -9,12 +9,12 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any
 
 from bench.base.errors import EvidenceError, UsageError
 from bench.certificate.certificate_data import CERTIFICATE, Certificate
 from bench.evidence.keys import BenchKey
 from bench.evidence.seal import seal_folder
+from bench.records.results import Results
 from bench.records.run_folder import MANIFEST, RESULTS, is_sealed
 from bench.records.storage import make_folder, sha256_of, storage_errors, sync_folder, write_atomic
 
@@ -44,7 +44,7 @@ def require_libraries() -> None:
 
 def certificate_files(
     certificate: Certificate,
-    found: Mapping[str, Any],
+    found: Results,
     results: bytes,
     lab: bytes,
     plots: Mapping[str, str],

@@ -23,6 +23,7 @@ from bench.certificate import pdf_glyphs
 from bench.certificate.pdf_opening import opening, subject
 from bench.certificate.pdf_plots import Picture, draw_plots, pictures
 from bench.certificate.pdf_sections import sections
+from bench.records.results import Results
 from bench.report.target_words import words_of
 
 if TYPE_CHECKING:
@@ -48,7 +49,7 @@ _OTHER = ("application/octet-stream", "supplement", "Supplement to this certific
 
 def render_pdf(
     certificate: Certificate,
-    results: Mapping[str, Any],
+    results: Results,
     attachments: Mapping[str, bytes],
     plots: Mapping[str, str] | None = None,
 ) -> bytes:

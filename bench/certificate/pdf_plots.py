@@ -9,9 +9,10 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from bench.certificate.certificate_data import Certificate
+from bench.records.results import Results
 from bench.report.calibration_tables import coverage_factor
 from bench.report.target_words import STARS, TargetWords, words_of
 
@@ -55,7 +56,7 @@ class Picture:
         return f"{self.name}.svg"
 
 
-def plots_of_run(run: Path, results: Mapping[str, Any]) -> dict[str, str]:
+def plots_of_run(run: Path, results: Results) -> dict[str, str]:
     """Draw the plots of a certificate from a run.
 
     run: The run's folder.
@@ -75,7 +76,7 @@ def plots_of_run(run: Path, results: Mapping[str, Any]) -> dict[str, str]:
     return draw_plots(results, views)
 
 
-def draw_plots(results: Mapping[str, Any], views: Sequence[ViewPicture] = ()) -> dict[str, str]:
+def draw_plots(results: Results, views: Sequence[ViewPicture] = ()) -> dict[str, str]:
     """Draw the plots of a certificate.
 
     views: The poses with their stars and residuals; without them the plots of the residuals are missing.
@@ -88,7 +89,7 @@ def draw_plots(results: Mapping[str, Any], views: Sequence[ViewPicture] = ()) ->
     return {name: drawn[name] for name in PLOTS if name in drawn}
 
 
-def _camera_plots(results: Mapping[str, Any], stars: Sequence[Array]) -> dict[str, str]:
+def _camera_plots(results: Results, stars: Sequence[Array]) -> dict[str, str]:
     """Draw what follows from the camera and its covariance; nothing if the covariance is not stated."""
     import numpy as np
 
@@ -124,7 +125,7 @@ def _camera_plots(results: Mapping[str, Any], stars: Sequence[Array]) -> dict[st
     return plots
 
 
-def _star_plots(results: Mapping[str, Any], seen: Sequence[ViewPicture]) -> dict[str, str]:
+def _star_plots(results: Results, seen: Sequence[ViewPicture]) -> dict[str, str]:
     from bench.report.plots import coverage, regions, residual_radial, residual_vectors
 
     width, height = results["calibration"]["image_size"]

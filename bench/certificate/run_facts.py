@@ -23,11 +23,11 @@ from bench.certificate.certificate_data import (
 )
 from bench.certificate.lab_config import ItemConfig
 from bench.certificate.rounding import print_plain, print_result, with_unit
+from bench.records.events import GateData
+from bench.records.results import CalibrationData, KnownDirection, Results
 from bench.report.camera_values import camera_covariance, camera_of
 from bench.report.target_words import words_of
 from calib.uncertainty.projection_uncertainty import projection_uncertainty
-
-Json = Mapping[str, Any]
 
 PROBABILITY = 0.9545
 _URAD_PER_ARCSEC = 4.84813681109536
@@ -42,7 +42,7 @@ _NAMES = {
 _DEGREE = "\N{DEGREE SIGN}C"
 
 
-def results_of(found: Json, customer_supplied: frozenset[str] = frozenset()) -> tuple[Result, ...]:
+def results_of(found: Results, customer_supplied: frozenset[str] = frozenset()) -> tuple[Result, ...]:
     """Return the results: the camera's values, each with its expanded uncertainty.
 
     Returns: In the order of results.json.
@@ -62,7 +62,7 @@ def unit_of(symbol: str) -> str:
     return "px" if symbol in ("fx", "fy", "cx", "cy") else "1"
 
 
-def _result(calibration: Json, symbol: str, value: float, *, supplied: bool) -> Result:
+def _result(calibration: CalibrationData, symbol: str, value: float, *, supplied: bool) -> Result:
     own, unit = expanded(calibration, symbol), unit_of(symbol)
     shown, uncertainty = print_result(value, own.U)
     return Result(
@@ -82,7 +82,7 @@ def _result(calibration: Json, symbol: str, value: float, *, supplied: bool) -> 
     )
 
 
-def covariance_of(found: Json) -> Covariance:
+def covariance_of(found: Results) -> Covariance:
     """Return the joint covariance of the results; its diagonal holds their standard uncertainties squared.
 
     Returns: That of results.json, without its enlargement of results with few degrees of freedom.
@@ -102,7 +102,7 @@ def covariance_of(found: Json) -> Covariance:
     )
 
 
-def further_of(found: Json) -> tuple[FurtherResult, ...]:
+def further_of(found: Results) -> tuple[FurtherResult, ...]:
     """Return the numbers about the calibration: uncertainty of the projection, residuals, number of views.
 
     Returns: In the order of the certificate.
@@ -132,7 +132,7 @@ def further_of(found: Json) -> tuple[FurtherResult, ...]:
     return tuple(rows)
 
 
-def _at_centre(calibration: Json) -> list[FurtherResult]:
+def _at_centre(calibration: CalibrationData) -> list[FurtherResult]:
     """Return the expanded uncertainty of the projection in the centre of the image."""
     covariance = camera_covariance(calibration)
     if covariance is None:
@@ -149,7 +149,7 @@ def _at_centre(calibration: Json) -> list[FurtherResult]:
     )
 
 
-def _projection(id_: str, name: str, one: Json) -> list[FurtherResult]:
+def _projection(id_: str, name: str, one: KnownDirection) -> list[FurtherResult]:
     return [
         _further(id_, name, float(one["expanded_px"]), "px"),
         _further(id_, name, float(one["expanded_urad"]) / _URAD_PER_ARCSEC, "arcsec"),
@@ -160,7 +160,7 @@ def _further(id_: str, name: str, value: float, unit: str) -> FurtherResult:
     return FurtherResult(id_, name, _digits(value), unit, with_unit(print_plain(value), unit))
 
 
-def is_unnamed(found: Json) -> bool:
+def is_unnamed(found: Results) -> bool:
     """Return whether the camera did not report a serial number. The laboratory then identifies it.
 
     Returns: Whether it has none.
@@ -168,7 +168,7 @@ def is_unnamed(found: Json) -> bool:
     return not found["devices"]["camera"].get("serial")
 
 
-def camera_identity(found: Json, item: ItemConfig) -> Camera:
+def camera_identity(found: Results, item: ItemConfig) -> Camera:
     """Return the camera as it identified itself in the run, or else as the laboratory identified it.
 
     item: Section ``item`` of lab.yaml.
@@ -191,7 +191,7 @@ def camera_identity(found: Json, item: ItemConfig) -> Camera:
     )
 
 
-def conditions_of(found: Json) -> tuple[Condition, ...]:
+def conditions_of(found: Results) -> tuple[Condition, ...]:
     """Return the conditions that the run recorded.
 
     Returns: Temperatures, light, event rate, the board if the camera saw one, and settings of the camera.
@@ -269,7 +269,7 @@ def _range(name: str, values: list[float | None], unit: str) -> Condition | None
     return Condition(name, None, unit, None, None, f"{low} to {high} {unit}", "run")
 
 
-def deviations_of(found: Json) -> tuple[Deviation, ...]:
+def deviations_of(found: Results) -> tuple[Deviation, ...]:
     """Return what in the run differed from its sequence: deviations, failures, poses without result, failed gates.
 
     Returns: In the order of the run.
@@ -292,7 +292,7 @@ def deviations_of(found: Json) -> tuple[Deviation, ...]:
     return tuple(Deviation(text, "run") for text in dict.fromkeys(texts))
 
 
-def _gate_name(gate: Json, found: Json) -> str:
+def _gate_name(gate: GateData, found: Results) -> str:
     """Return the name of a gate; of its parts, the pose may be named by a person."""
     pose, colon, name = str(gate["name"]).rpartition(": ")
     return f"{pose}{colon}{words_of(found).fitting(name)}"

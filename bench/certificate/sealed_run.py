@@ -15,10 +15,10 @@ from bench.evidence.findings import Verification
 from bench.records.events import Event
 from bench.records.journal import read_journal
 from bench.records.reading import read_bounded
+from bench.records.results import Results
 from bench.records.run_folder import JOURNAL, MANIFEST, RESULTS, is_sealed
 from bench.records.storage import sha256_of, storage_errors
 
-Json = Mapping[str, Any]
 Verify = Callable[[Path], Verification]
 _MOST_NAMED = 5
 
@@ -27,7 +27,7 @@ _MOST_NAMED = 5
 class Source:
     """What a certificate is made from."""
 
-    found: Json
+    found: Results
     results: bytes
     run: Run
     plots: Mapping[str, str]
@@ -77,7 +77,7 @@ def read_sealed_run(folder: Path, verify: Verify) -> Source:
 
 
 def run_of(
-    found: Json,
+    found: Results,
     results: bytes,
     *,
     journal_head: str,
@@ -142,7 +142,7 @@ def _covered(verification: Verification) -> str:
     )
 
 
-def _refuse_other_than_finished(folder: Path, lines: list[tuple[str, Json]]) -> None:
+def _refuse_other_than_finished(folder: Path, lines: list[tuple[str, Mapping[str, Any]]]) -> None:
     started = lines[0][1] if lines else {}
     if started.get("rehearsal"):
         raise EvidenceError(

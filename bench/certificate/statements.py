@@ -8,9 +8,8 @@ from typing import Any
 from bench.certificate.certificate_data import Statement
 from bench.certificate.lab_config import NONE, LabConfig
 from bench.certificate.run_facts import is_unnamed
+from bench.records.results import Results
 from calib.model.lens import is_fisheye
-
-Json = Mapping[str, Any]
 
 _SIMULATED = (
     "SIMULATED: the devices of this calibration were simulated. This document shows the procedure; it is no calibration"
@@ -55,7 +54,7 @@ _FISHEYE = (
 )
 
 
-def statements_of(found: Json, lab: LabConfig, *, also: str, verified: str) -> tuple[Statement, ...]:
+def statements_of(found: Results, lab: LabConfig, *, also: str, verified: str) -> tuple[Statement, ...]:
     """Return the fixed texts of a certificate, in the order in which they are printed.
 
     also: Why a second certificate is issued for the run; empty if it is the first one.
@@ -85,7 +84,7 @@ def statements_of(found: Json, lab: LabConfig, *, also: str, verified: str) -> t
     return tuple(Statement(name, text) for name, text in pairs if text)
 
 
-def _model_of(camera: Json) -> str:
+def _model_of(camera: Mapping[str, Any]) -> str:
     """Return the equations of a camera's model in words."""
     if is_fisheye(camera):
         return _FISHEYE

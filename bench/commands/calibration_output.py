@@ -11,6 +11,7 @@ from bench.commands.output import STOPPED, error_object, print_json
 from bench.records.captures import CAPTURES
 
 if TYPE_CHECKING:
+    from bench.records.results import CalibrationData, Results
     from bench.report.target_words import TargetWords
     from bench.results.offline import OfflineResult
     from bench.run.runner import RunEnd
@@ -38,7 +39,7 @@ def show_run(end: RunEnd, *, as_json: bool) -> int:
             "report": report,
             "error": error_object(end.failure) if end.failure is not None else None,
         }
-        results = end.outcome.results if end.outcome else {}
+        results: Mapping[str, Any] = end.outcome.results if end.outcome else {}
         print_json({**facts, **dict(results.get("calibration", {})), "results": dict(results) or None})
         return status
     if end.how == "finished" and end.outcome is None:
@@ -132,7 +133,7 @@ def print_calibration(
         click.echo("\n" + _planar_text(result.planar.to_dict()))
 
 
-def _run_text(results: Mapping[str, Any]) -> str:
+def _run_text(results: Results) -> str:
     from bench.report.target_words import words_of
 
     lines = [calibration_text(results["calibration"], words_of(results))]
@@ -152,7 +153,7 @@ def _distance_text(row: Mapping[str, Any]) -> str:
     return f"  {row['name']:<3} {error:>12} {unit_text(row['name']):<3} = {sigmas:>5} sigma"
 
 
-def calibration_text(calibration: Mapping[str, Any], words: TargetWords) -> str:
+def calibration_text(calibration: CalibrationData, words: TargetWords) -> str:
     """Return a calibration as text: values with uncertainties first, reprojection error second.
 
     calibration: Calibration as `results.json` holds it.
@@ -179,7 +180,7 @@ def calibration_text(calibration: Mapping[str, Any], words: TargetWords) -> str:
     return "\n".join([*lines, *(f"Note: {note}" for note in calibration["notes"])])
 
 
-def _planar_text(calibration: Mapping[str, Any]) -> str:
+def _planar_text(calibration: CalibrationData) -> str:
     """Return the planar calibration in a few lines, without its notes: it is not the result."""
     from bench.report.calibration_tables import coverage_factor
     from bench.report.text import with_uncertainty

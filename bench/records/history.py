@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from types import MappingProxyType
-from typing import Any, TypedDict, cast
+from typing import Any, cast
 
 from bench.base.errors import JournalBroken
 from bench.records.device_events import DevicesFound
@@ -27,6 +27,7 @@ from bench.records.events import (
 )
 from bench.records.journal import CLOCK_JUMPED
 from bench.records.journal_entry import Entry
+from bench.records.results import StateEntered
 
 _POSE_STATES = frozenset({"slewing", "settling", "recording", "checking", "backing_off"})
 """States in which a pose is at work."""
@@ -61,14 +62,6 @@ class Attempt:
     def gates(self) -> Sequence[GateData]:
         """The gates that judged it."""
         return () if self.checked is None else self.checked["gates"]
-
-
-class StateEntered(TypedDict):
-    """A state that a run entered, with the time by the system's clock and by the monotonic clock."""
-
-    state: str
-    utc: str
-    mono_s: float
 
 
 @dataclass

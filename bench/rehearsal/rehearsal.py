@@ -12,7 +12,7 @@ import json
 from collections.abc import Callable, Mapping, MutableMapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 from bench.base.clock import BenchClock
 from bench.base.errors import BenchError
@@ -22,6 +22,7 @@ from bench.plan.plan import Plan, load_documents, make_plan
 from bench.records.events import Event, MeasuredFacts, Solved, UntilDecided
 from bench.records.history import History, replay
 from bench.records.journal import Journal
+from bench.records.results import Results
 from bench.records.run_folder import JOURNAL, PLAN, RESULTS, RunFolder
 from bench.records.run_log import RunLog
 from bench.records.unsynced_journal import UnsyncedJournal
@@ -149,7 +150,7 @@ class RehearsedResults(ResultWriter):
             "deviations": list(log.history.deviations),
         }
         data = (json.dumps(results, indent=1, allow_nan=False) + "\n").encode()
-        self.outcome = Outcome(results, self._folder.write_atomic(RESULTS, data))
+        self.outcome = Outcome(cast("Results", results), self._folder.write_atomic(RESULTS, data))
 
 
 class RehearsedDecisions(Decisions):

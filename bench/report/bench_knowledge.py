@@ -5,12 +5,18 @@ The functions take the parts of results.json as plain mappings, also of results 
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from typing import Any
+from collections.abc import Sequence
 
+from bench.records.results import (
+    GimbalEstimateData,
+    GimbalReadingsData,
+    ParallaxBound,
+    ParallaxData,
+    PassportData,
+    SourceData,
+)
 from bench.report.text import exact, number, with_uncertainty
 
-Json = Mapping[str, Any]
 Rows = list[tuple[str, str]]
 
 
@@ -22,7 +28,7 @@ _ORIGINS = {
 }
 
 
-def passport_rows(passport: Json | None) -> Rows:
+def passport_rows(passport: PassportData | None) -> Rows:
     """List what the results state about the collimator's passport.
 
     passport: ``passport`` of results.json; None if no passport was used.
@@ -55,14 +61,14 @@ def passport_rows(passport: Json | None) -> Rows:
     ]
 
 
-def _seal_rows(passport: Json) -> Rows:
+def _seal_rows(passport: PassportData) -> Rows:
     """Return the seal of a passport; no row for the values of a station's certificate and of an earlier version."""
     if passport["source"] == "station certificate" or "sealed_by" not in passport:
         return []
     return [("Seal of the passport", str(passport["sealed_by"] or "none: the file is not sealed"))]
 
 
-def readings_rows(readings: Json | None, estimate: Json | None) -> Rows:
+def readings_rows(readings: GimbalReadingsData | None, estimate: GimbalEstimateData | None) -> Rows:
     """List whether the readings of the gimbal entered the calibration, with what statement, or why not.
 
     readings: ``gimbal_readings`` of results.json; None if the calibration had no readings.
@@ -86,7 +92,7 @@ def readings_rows(readings: Json | None, estimate: Json | None) -> Rows:
     return rows
 
 
-def parallax_rows(parallax: Json | None) -> Rows:
+def parallax_rows(parallax: ParallaxData | None) -> Rows:
     """List where the entrance pupil is, and the parallax that follows, or why the parallax test has no result.
 
     parallax: ``parallax`` of results.json; None if the rims in view do not determine it.
@@ -108,7 +114,7 @@ def parallax_rows(parallax: Json | None) -> Rows:
     return rows
 
 
-def source_rows(sources: Sequence[Json]) -> list[tuple[str, str, str, str]]:
+def source_rows(sources: Sequence[SourceData]) -> list[tuple[str, str, str, str]]:
     """List the input files of a calibration without devices.
 
     sources: ``sources`` of results.json.
@@ -120,7 +126,7 @@ def source_rows(sources: Sequence[Json]) -> list[tuple[str, str, str, str]]:
     ]
 
 
-def _agreement(estimate: Json | None) -> str:
+def _agreement(estimate: GimbalEstimateData | None) -> str:
     """Return how the readings agree with the stars."""
     if not estimate:
         return ""
@@ -136,7 +142,7 @@ def _agreement(estimate: Json | None) -> str:
     )
 
 
-def _bound(bound: Json) -> str:
+def _bound(bound: ParallaxBound) -> str:
     text = (
         f"parallax bounded by a defocus of {bound['defocus']:g}, standard uncertainty {bound['defocus_sigma']:g}, "
         f"and a pupil {bound['pupil_off_pivot_mm']:g} mm off the pivot, standard uncertainty "

@@ -6,15 +6,12 @@ Each function takes ``calibration`` of results.json and returns printed text; it
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
 
+from bench.records.results import BudgetRowData, CalibrationData
 from bench.report.calibration_tables import coverage_factor
 from bench.report.target_words import STARS, TargetWords
 from bench.report.text import NOTHING, number
-
-Json = Mapping[str, Any]
 
 _SHOWN = ("fx", "worst_corner")
 _OF_STARS = "stars"
@@ -47,7 +44,7 @@ class PrintedBudgetRow:
     corner_share: float
 
 
-def budget_rows(calibration: Json, words: TargetWords = STARS) -> list[PrintedBudgetRow]:
+def budget_rows(calibration: CalibrationData, words: TargetWords = STARS) -> list[PrintedBudgetRow]:
     """Return the rows of the uncertainty budget.
 
     calibration: ``calibration`` of results.json.
@@ -55,7 +52,7 @@ def budget_rows(calibration: Json, words: TargetWords = STARS) -> list[PrintedBu
     return [_printed(row, words) for row in calibration.get("budget_rows") or []]
 
 
-def combined(calibration: Json) -> tuple[tuple[str, str], tuple[str, str]] | None:
+def combined(calibration: CalibrationData) -> tuple[tuple[str, str], tuple[str, str]] | None:
     """Return the combined standard uncertainties and the expanded ones (JCGM 100, 5.1.2 and 6.2.1).
 
     calibration: ``calibration`` of results.json.
@@ -70,7 +67,7 @@ def combined(calibration: Json) -> tuple[tuple[str, str], tuple[str, str]] | Non
     return (standard[0], standard[1]), (expanded[0], expanded[1])
 
 
-def overlap(calibration: Json) -> str:
+def overlap(calibration: CalibrationData) -> str:
     """Return what to know if two rows of the budget can hold the same errors.
 
     A stated wavefront and the residuals that all views share can come from the same glass.
@@ -89,7 +86,7 @@ def overlap(calibration: Json) -> str:
     )
 
 
-def not_included(calibration: Json) -> list[tuple[str, str]]:
+def not_included(calibration: CalibrationData) -> list[tuple[str, str]]:
     """Return the sources of uncertainty that the result does not contain.
 
     calibration: ``calibration`` of results.json.
@@ -98,7 +95,7 @@ def not_included(calibration: Json) -> list[tuple[str, str]]:
     return [(name, effect) for name, _, effect in lines]
 
 
-def _printed(row: Json, words: TargetWords) -> PrintedBudgetRow:
+def _printed(row: BudgetRowData, words: TargetWords) -> PrintedBudgetRow:
     """Return a row as printed."""
     own = words.fitting if row["name"] == _OF_STARS else str  # other sources may be named by the station file
     scale = 1e6 if row["unit"] == "1" else 1.0

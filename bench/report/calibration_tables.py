@@ -6,15 +6,13 @@ the page then omits the table.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
+from bench.records.results import CalibrationData, ComparisonRow, GimbalCheckData, Results
 from bench.report.bench_knowledge import parallax_rows
 from bench.report.target_words import STARS, TargetWords
 from bench.report.text import NOTHING, angle, fixed, meaning_of, number, unit_of, with_uncertainty
-
-Json = Mapping[str, Any]
 
 _USUAL_COVERAGE_FACTOR = 2.0
 _OF_STARS = "stars"
@@ -56,7 +54,7 @@ class Cell:
     shade: float
 
 
-def coverage_factor(calibration: Json) -> float:
+def coverage_factor(calibration: CalibrationData) -> float:
     """Return the coverage factor k: U = k u has a coverage probability of about 95 % (JCGM 100, 6.2 and annex G).
 
     calibration: ``calibration`` or ``planar`` of results.json.
@@ -65,7 +63,7 @@ def coverage_factor(calibration: Json) -> float:
     return float(calibration.get("coverage_factor") or _USUAL_COVERAGE_FACTOR)
 
 
-def values(calibration: Json) -> list[ValueRow]:
+def values(calibration: CalibrationData) -> list[ValueRow]:
     """Return each estimated value with its expanded uncertainty U = k u (JCGM 100, 6.2.1).
 
     calibration: ``calibration`` of results.json.
@@ -85,7 +83,7 @@ def values(calibration: Json) -> list[ValueRow]:
     return rows
 
 
-def fit_statistics(calibration: Json, words: TargetWords = STARS) -> list[tuple[str, str, str]]:
+def fit_statistics(calibration: CalibrationData, words: TargetWords = STARS) -> list[tuple[str, str, str]]:
     """Return the statistics of the fit: residuals, numbers of stars and degrees of freedom, variance factors.
 
     calibration: ``calibration`` of results.json.
@@ -104,7 +102,9 @@ def fit_statistics(calibration: Json, words: TargetWords = STARS) -> list[tuple[
     return [row for row in rows if row[1] != NOTHING]
 
 
-def budget(calibration: Json, words: TargetWords = STARS) -> tuple[list[str], list[tuple[str, list[Cell]]]]:
+def budget(
+    calibration: CalibrationData, words: TargetWords = STARS
+) -> tuple[list[str], list[tuple[str, list[Cell]]]]:
     """Return the uncertainty budget: for each source, its share of the variance of each parameter.
 
     calibration: ``calibration`` of results.json.
@@ -128,7 +128,7 @@ def budget(calibration: Json, words: TargetWords = STARS) -> tuple[list[str], li
     return (names, rows) if rows else ([], [])
 
 
-def correlation(calibration: Json) -> tuple[list[str], list[list[Cell]]]:
+def correlation(calibration: CalibrationData) -> tuple[list[str], list[list[Cell]]]:
     """Return the correlation coefficients of the parameters (JCGM 100, 5.2.2, equation 14).
 
     calibration: ``calibration`` of results.json.
@@ -144,7 +144,9 @@ def correlation(calibration: Json) -> tuple[list[str], list[list[Cell]]]:
     return list(covariance["names"]), rows
 
 
-def planar_comparison(calibration: Json, planar: Json | None) -> list[tuple[str, str, str, str, str]]:
+def planar_comparison(
+    calibration: CalibrationData, planar: CalibrationData | None
+) -> list[tuple[str, str, str, str, str]]:
     """Compare the result with the planar calibration of the same stars.
 
     calibration: ``calibration`` of results.json.
@@ -164,7 +166,7 @@ def planar_comparison(calibration: Json, planar: Json | None) -> list[tuple[str,
     return [*rows, ("RMS, px", *rms)]
 
 
-def candidates(calibration: Json) -> list[tuple[str, str, str, str, str]]:
+def candidates(calibration: CalibrationData) -> list[tuple[str, str, str, str, str]]:
     """List the models that were compared.
 
     calibration: ``calibration`` of results.json.
@@ -183,7 +185,7 @@ def candidates(calibration: Json) -> list[tuple[str, str, str, str, str]]:
     ]
 
 
-def comparison(rows: Sequence[Json], k: float) -> list[tuple[str, str, str, str, str, str]]:
+def comparison(rows: Sequence[ComparisonRow], k: float) -> list[tuple[str, str, str, str, str, str]]:
     """Compare the values with the simulated truth.
 
     rows: ``comparison`` of results.json.
@@ -200,7 +202,7 @@ def comparison(rows: Sequence[Json], k: float) -> list[tuple[str, str, str, str,
     return printed
 
 
-def checks(results: Json) -> list[tuple[str, str]]:
+def checks(results: Results) -> list[tuple[str, str]]:
     """Describe the checks that do not influence the result: split half, the gimbal's readings, the parallax."""
     rows = []
     if halves := results.get("halves"):
@@ -213,7 +215,7 @@ def checks(results: Json) -> list[tuple[str, str]]:
     return rows + parallax_rows(results.get("parallax"))
 
 
-def _gimbal(gimbal: Json) -> list[tuple[str, str]]:
+def _gimbal(gimbal: GimbalCheckData) -> list[tuple[str, str]]:
     """Describe the hand-eye check; results of older versions have no verdict."""
     found = f"RMS difference {angle(gimbal['rms_arcsec'])}"
     if gimbal.get("agrees") is False:

@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from bench.records.results import CameraData
 from calib.model.camera import PINHOLE, CameraModel
 from calib.uncertainty.projection_uncertainty import camera_difference, projection_uncertainty
 
-Json = Mapping[str, Any]
 Array = NDArray[np.float64]
 
 
@@ -27,7 +26,7 @@ def camera_of(values: Mapping[str, float], image_size: Sequence[int]) -> CameraM
     return CameraModel(fx, fy, cx, cy, (width, height), lens)
 
 
-def camera_covariance(calibration: Json) -> Array | None:
+def camera_covariance(calibration: CameraData) -> Array | None:
     """Return the covariance of the camera's values, without those of the collimator.
 
     calibration: ``calibration`` of results.json.
@@ -42,7 +41,7 @@ def camera_covariance(calibration: Json) -> Array | None:
     return np.array(covariance["matrix"], dtype=np.float64)[np.ix_(at, at)]
 
 
-def change_maps(then: Json, now: Json) -> tuple[Array, Array, Array] | None:
+def change_maps(then: CameraData, now: CameraData) -> tuple[Array, Array, Array] | None:
     """Return how far two calibrations of a camera project a direction apart, and the expanded uncertainty of that.
 
     The ratio of the two is the E_n number (ISO 13528): above 1, the change is larger than its expanded uncertainty.

@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass
 from datetime import datetime
-from typing import Any
 
+from bench.records.results import CameraData, ChangeData, Results
 from bench.report.calibration_tables import coverage_factor
 from bench.report.text import NOTHING, exact, fixed, moment, number, unit_of, with_uncertainty
-
-Json = Mapping[str, Any]
 
 _DAY_S, _HOUR_S = 86400.0, 3600.0
 
@@ -42,7 +39,7 @@ class Change:
     over_sensor: str = ""
 
 
-def change(results: Json) -> Change | None:
+def change(results: Results) -> Change | None:
     """Return what is printed about the change since the last calibration of the same camera.
 
     Returns: None if the results do not say whether there was an earlier calibration.
@@ -69,7 +66,7 @@ def change(results: Json) -> Change | None:
     return Change("", facts, rows, _over_sensor(previous.get("change")))
 
 
-def change_sentence(results: Json) -> str:
+def change_sentence(results: Results) -> str:
     """Return the change since the last calibration in one sentence.
 
     Returns: The sentence; empty if the results do not say whether there was an earlier calibration.
@@ -87,7 +84,7 @@ def change_sentence(results: Json) -> str:
     return f"{since}: changed by up to {_times_u(found)} at one place; {largest}."
 
 
-def _earlier(results: Json) -> str:
+def _earlier(results: Results) -> str:
     """Return how long before this run the earlier one finished."""
     before, now = results["previous"].get("finished_utc"), results["run"].get("started_utc")
     if not before or not now:
@@ -104,11 +101,11 @@ def _earlier(results: Json) -> str:
     )
 
 
-def _in_both(name: str, then: Json, now: Json) -> bool:
+def _in_both(name: str, then: CameraData, now: CameraData) -> bool:
     return name in then["camera"] and all(one["sigma"].get(name, 0) > 0 for one in (then, now))
 
 
-def _row(name: str, then: Json, now: Json) -> ChangeRow:
+def _row(name: str, then: CameraData, now: CameraData) -> ChangeRow:
     """Return the change of one value with its expanded uncertainty, sqrt(U1^2 + U2^2), and E_n (ISO 13528)."""
     expanded = [coverage_factor(one) * one["sigma"][name] for one in (then, now)]
     moved, whole = now["camera"][name] - then["camera"][name], math.hypot(*expanded)
@@ -124,7 +121,7 @@ def _row(name: str, then: Json, now: Json) -> ChangeRow:
     )
 
 
-def _over_sensor(found: Json | None) -> str:
+def _over_sensor(found: ChangeData | None) -> str:
     if not found:
         return ""
     column, row = found["at_px"]
@@ -135,5 +132,5 @@ def _over_sensor(found: Json | None) -> str:
     )
 
 
-def _times_u(found: Json) -> str:
+def _times_u(found: ChangeData) -> str:
     return f"{number(found['px_there'], 2)} px = {number(found['largest_ratio'], 2)} U"

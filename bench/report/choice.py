@@ -10,6 +10,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from bench.records.results import Results
+
 MOST_PICTURES = 24
 """Largest number of poses shown as images."""
 _WORST = 3
@@ -32,7 +34,7 @@ class PictureSelection:
     total: int
 
 
-def pictured_poses(results: Mapping[str, Any]) -> PictureSelection:
+def pictured_poses(results: Results) -> PictureSelection:
     """Select the poses that a report shows as images: all if they are few, otherwise `MOST_PICTURES`.
 
     The three poses with the largest RMS residual come first, then poses with a failed gate, then poses with a marginal

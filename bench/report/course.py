@@ -10,10 +10,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from bench.records.events import UntilDecided
 from bench.report.text import NOTHING, fixed, number
 from bench.report.until_text import goals_text, meaning_of_goal
-
-Json = Mapping[str, Any]
 
 _ENDS = {
     "met": "The goals are met",
@@ -52,20 +51,20 @@ class Course:
     factors: str
 
 
-def courses(decisions: Sequence[Json], *, draw: bool = True) -> list[Course]:
+def courses(decisions: Sequence[UntilDecided], *, draw: bool = True) -> list[Course]:
     """Return the course of each ``until`` of a run.
 
     decisions: ``untils`` of results.json: what each ``until`` decided, in order.
     draw: Whether to draw the plots.
     Returns: One for each ``until``, in the order of the run.
     """
-    by_until: dict[int, list[Json]] = {}
+    by_until: dict[int, list[UntilDecided]] = {}
     for decided in decisions:
         by_until.setdefault(decided["until"], []).append(decided)
     return [_course(own, draw=draw) for own in by_until.values()]
 
 
-def _course(decisions: Sequence[Json], *, draw: bool) -> Course:
+def _course(decisions: Sequence[UntilDecided], *, draw: bool) -> Course:
     last = decisions[-1]
     wanted = last["wanted"]
     end = last.get("ended")
@@ -86,9 +85,9 @@ def _course(decisions: Sequence[Json], *, draw: bool) -> Course:
     )
 
 
-def _factors(decisions: Sequence[Json]) -> str:
+def _factors(decisions: Sequence[UntilDecided]) -> str:
     """Return the range of the coverage factors."""
-    found = [float(decided["coverage_factor"]) for decided in decisions if decided.get("coverage_factor")]
+    found = [k for decided in decisions if (k := decided.get("coverage_factor"))]
     if not found:
         return NOTHING
     least, most = number(min(found), 3), number(max(found), 3)
@@ -101,9 +100,9 @@ def _end_text(end: str | None, why: str) -> str:
     return f"{_ENDS[end]}. {why}" if end in _ENDS else "The step did not end."
 
 
-def _row(decided: Json) -> CourseRow:
-    chosen: Json = decided.get("chosen") or {}
-    expected: Json = chosen.get("expected", {})
+def _row(decided: UntilDecided) -> CourseRow:
+    chosen: Mapping[str, Any] = decided.get("chosen") or {}
+    expected: Mapping[str, float] = chosen.get("expected", {})
     goals = decided["wanted"]
     angles = ", ".join(f"{axis} {number(angle, 4)}" for axis, angle in chosen.get("angles_deg", {}).items())
     return CourseRow(

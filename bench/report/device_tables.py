@@ -13,8 +13,6 @@ from typing import Any
 from bench.base.device_ends import DeviceEnd
 from bench.report.text import NOTHING, value_text
 
-Json = Mapping[str, Any]
-
 _UNIT_ENDINGS = {"_hz": "Hz", "_c": "°C", "_v": "V", "_percent": "%", "_lux": "lx", "_us": "µs", "_s": "s"}
 
 
@@ -29,7 +27,7 @@ class DeviceRow:
     details: str
 
 
-def conditions(found: Json) -> list[tuple[str, str]]:
+def conditions(found: Mapping[str, Any]) -> list[tuple[str, str]]:
     """List the settings of light and camera, and the temperature.
 
     found: ``conditions`` of results.json.
@@ -43,7 +41,7 @@ def conditions(found: Json) -> list[tuple[str, str]]:
     return rows
 
 
-def devices(found: Json) -> list[DeviceRow]:
+def devices(found: Mapping[str, Any]) -> list[DeviceRow]:
     """List the identities that the devices reported.
 
     found: ``devices`` of results.json.
@@ -64,7 +62,7 @@ def devices(found: Json) -> list[DeviceRow]:
     return rows
 
 
-def connections(found: Json) -> list[tuple[str, str]]:
+def connections(found: Mapping[str, Any]) -> list[tuple[str, str]]:
     """List what the devices answered about the cables between them and to the computer.
 
     found: ``devices`` of results.json.

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from typing import Any
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
+from bench.records.results import Results
 from bench.report import calibration_tables
 from bench.report.camera_values import camera_covariance, camera_of, change_maps
 from bench.report.choice import PLOTS
@@ -27,13 +27,12 @@ from bench.report.view_picture import ViewPicture
 from calib.uncertainty.projection_uncertainty import ARCSEC, camera_difference, projection_uncertainty
 
 Array = NDArray[np.float64]
-Json = Mapping[str, Any]
 
 _URAD_PER_ARCSEC = 1e6 / ARCSEC
 _WIDE_ANGLE_DEG = 25.0
 
 
-def report_plots(results: Json, views: Sequence[ViewPicture]) -> dict[str, str]:
+def report_plots(results: Results, views: Sequence[ViewPicture]) -> dict[str, str]:
     """Draw all plots of a report.
 
     views: The poses that entered the calibration; without them, only the comparison with the truth is drawn.
@@ -62,7 +61,7 @@ def report_plots(results: Json, views: Sequence[ViewPicture]) -> dict[str, str]:
     return plots
 
 
-def _camera_plots(results: Json, stars: Sequence[Array]) -> dict[str, str]:
+def _camera_plots(results: Results, stars: Sequence[Array]) -> dict[str, str]:
     """Draw what follows from the values of the camera and their covariance; nothing if there is no covariance."""
     calibration = results["calibration"]
     covariance = camera_covariance(calibration)
@@ -85,7 +84,8 @@ def _camera_plots(results: Json, stars: Sequence[Array]) -> dict[str, str]:
             found.grid_px, k * _URAD_PER_ARCSEC * found.sigma_arcsec, "U of a direction, \N{MICRO SIGN}rad",
             "direction", "Uncertainty of a direction over the sensor", stars=points,
         )  # fmt: skip
-    if cameras := (results.get("halves") or {}).get("cameras"):
+    halves = results.get("halves")
+    if halves and (cameras := halves.get("cameras")):
         first, second = (camera_of(half, calibration["image_size"]) for half in cameras)
         difference = camera_difference(first, second)
         plots["halves"] = sensor_map(
@@ -95,11 +95,12 @@ def _camera_plots(results: Json, stars: Sequence[Array]) -> dict[str, str]:
     return plots | _change_plots(results)
 
 
-def _change_plots(results: Json) -> dict[str, str]:
+def _change_plots(results: Results) -> dict[str, str]:
     """Draw the change since the last calibration, in px and in units of its expanded uncertainty."""
-    then: Json = (results.get("previous") or {}).get("calibration") or {}
+    previous = results.get("previous")
+    then = previous.get("calibration") if previous else None
     maps = change_maps(then, results["calibration"]) if then else None
-    if maps is None:
+    if maps is None or then is None:
         return {}
     grid, offset, expanded = maps
     before, now = (camera_of(one["camera"], one["image_size"]) for one in (then, results["calibration"]))

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import functools
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from html.parser import HTMLParser
 from typing import Any
@@ -16,6 +16,7 @@ from typing import Any
 import jinja2
 from markupsafe import Markup
 
+from bench.records.results import Results
 from bench.report import budget_tables, calibration_tables, device_tables, pose_tables, run_tables, text
 from bench.report.bench_knowledge import source_rows
 from bench.report.change_rows import change
@@ -34,7 +35,7 @@ _GRAPHIC_TAGS = frozenset({"section", "svg", "style"})
 class ReportData:
     """The data of a report."""
 
-    results: Mapping[str, Any]
+    results: Results
     # The poses that entered the calibration; without them the report has no images and no plots. All of them
     # are plotted. Images show the poses that `pictured_poses` selects, and only these need an image.
     views: Sequence[ViewPicture] = field(default_factory=tuple)
@@ -65,9 +66,9 @@ def render_report(data: ReportData, *, draw: bool = True) -> str:
     )
 
 
-def _result_parts(results: Mapping[str, Any], words: TargetWords) -> dict[str, Any]:
+def _result_parts(results: Results, words: TargetWords) -> dict[str, Any]:
     """Return what the template prints about the calibration."""
-    calibration = results["calibration"]
+    calibration, halves = results["calibration"], results.get("halves")
     k = calibration_tables.coverage_factor(calibration)
     return {
         "calibration": calibration,
@@ -86,12 +87,12 @@ def _result_parts(results: Mapping[str, Any], words: TargetWords) -> dict[str, A
         "overlap": budget_tables.overlap(calibration),
         "not_included": budget_tables.not_included(calibration),
         "checks": calibration_tables.checks(results),
-        "halves": bool((results.get("halves") or {}).get("cameras")),
+        "halves": bool(halves and halves.get("cameras")),
         "comparison": calibration_tables.comparison(results.get("comparison") or [], k),
     }
 
 
-def _run_parts(results: Mapping[str, Any], words: TargetWords) -> dict[str, Any]:
+def _run_parts(results: Results, words: TargetWords) -> dict[str, Any]:
     """Return what the template prints about the run: its devices, poses, gates and files."""
     devices, poses = results.get("devices") or {}, results.get("poses") or []
     return {

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from bench.records.results import CalibrationData, Results
 from bench.report.camera_values import camera_of
 from bench.report.drawing import PANEL, POSE_COLOURS
 from bench.report.plot_frame import Key, Words, axes_in
@@ -16,7 +16,6 @@ from bench.report.scales import Scale
 from bench.report.svg_plot import Axes, Picture
 
 Array = NDArray[np.float64]
-Json = Mapping[str, Any]
 
 _USED, _LEFT_OUT, _REFUSED = "used", "accepted, not used", "no recording accepted"
 _COLOURS = {_USED: POSE_COLOURS[0], _LEFT_OUT: POSE_COLOURS[4], _REFUSED: "#a32020"}
@@ -37,7 +36,7 @@ class _Place:
     use: str
 
 
-def pose_directions(results: Json) -> str:
+def pose_directions(results: Results) -> str:
     """Draw the pan and tilt of each pose as a small frame that is turned by the roll of the camera.
 
     Returns: SVG; empty if no pose has angles, or if all have the same ones, as where a board was moved.
@@ -59,7 +58,7 @@ def pose_directions(results: Json) -> str:
     return picture.svg()
 
 
-def pose_frames(calibration: Json) -> str:
+def pose_frames(calibration: CalibrationData) -> str:
     """Draw the outline of the image of each pose on the target.
 
     calibration: ``calibration`` of results.json.
@@ -99,7 +98,7 @@ def _on_target(rays: Array, rotation: Array, centre: Array) -> Array:
     return np.asarray(np.round(met, 4))
 
 
-def _places(results: Json) -> list[_Place]:
+def _places(results: Results) -> list[_Place]:
     """Return the poses that have angles."""
     rotations = {v["name"]: v["rotation"] for v in results["calibration"]["views"] if "rotation" in v}
     found = []

@@ -7,14 +7,13 @@ the page then omits the table.
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
+from bench.records.events import GateData, ImageFacts
+from bench.records.results import Numbers, PoseData
 from bench.report.target_words import STARS, TargetWords
 from bench.report.text import NOTHING, duration, fixed, number, value_text
-
-Json = Mapping[str, Any]
 
 _POSE_PREFIX = re.compile(r"pose \d+: ")
 _VERDICTS = ("pass", "marginal", "fail")
@@ -67,7 +66,7 @@ class GateRow:
     verdict: str
 
 
-def poses(found: Sequence[Json]) -> list[PoseRow]:
+def poses(found: Sequence[PoseData]) -> list[PoseRow]:
     """List the poses with their commanded and measured angles and their stars.
 
     found: ``poses`` of results.json.
@@ -96,7 +95,7 @@ def poses(found: Sequence[Json]) -> list[PoseRow]:
     return rows
 
 
-def _status(pose: Json) -> str:
+def _status(pose: PoseData) -> str:
     """Return whether a pose is part of the calibration."""
     if pose.get("rms_px") is not None:
         return "used"
@@ -104,14 +103,14 @@ def _status(pose: Json) -> str:
     return "not used" if accepted else "refused"
 
 
-def _stars(pose: Json) -> str:
+def _stars(pose: PoseData) -> str:
     """Return the number of stars of a pose, and what identified them if it was not the tag."""
     return number(pose.get("stars")) + (
         ", identified by the gimbal" if pose.get("named_by") == "gimbal" else ""
     )
 
 
-def recordings(found: Sequence[Json], words: TargetWords = STARS) -> list[RecordingRow]:
+def recordings(found: Sequence[PoseData], words: TargetWords = STARS) -> list[RecordingRow]:
     """List every recording, including refused ones.
 
     found: ``poses`` of results.json.
@@ -136,12 +135,12 @@ def recordings(found: Sequence[Json], words: TargetWords = STARS) -> list[Record
     ]
 
 
-def gates(found: Sequence[Json], words: TargetWords = STARS) -> list[GateRow]:
+def gates(found: Sequence[GateData], words: TargetWords = STARS) -> list[GateRow]:
     """List each gate once, with the range of the values it judged and its worst verdict.
 
     found: ``gates`` of results.json.
     """
-    kinds: dict[tuple[str, str, str], list[Json]] = {}
+    kinds: dict[tuple[str, str, str], list[GateData]] = {}
     for gate in found:
         name = _POSE_PREFIX.sub("", str(gate["name"]), count=1)
         limit = str(gate["limit"]).replace(">=", "≥").replace("<=", "≤")
@@ -165,24 +164,24 @@ def gates(found: Sequence[Json], words: TargetWords = STARS) -> list[GateRow]:
     return rows
 
 
-def _angles(found: Json | None, decimals: int) -> str:
+def _angles(found: Numbers | None, decimals: int) -> str:
     axes = {axis: angle for axis, angle in (found or {}).items() if not axis.endswith("_encoder")}
     return ", ".join(f"{axis} {fixed(angle, decimals)}" for axis, angle in axes.items()) or NOTHING
 
 
-def _motion(before: Json, after: Json) -> str:
+def _motion(before: Numbers, after: Numbers) -> str:
     moved = [abs(after[axis] - before[axis]) for axis in before if axis in after]
     return f"{3600 * max(moved):.1f}" if moved else NOTHING
 
 
-def _image(image: Json) -> str:
+def _image(image: ImageFacts) -> str:
     details = [str(image["kind"])] if image.get("kind") else []
     if image.get("periods"):
         details.append(f"{value_text(image['periods'])} periods")
     if image.get("events_per_edge") is not None:
         details.append(f"{number(image['events_per_edge'], 2)} events per edge")
-    if image.get("on_share") is not None:
-        details.append(f"{100 * image['on_share']:.0f} % ON")
+    if (on_share := image.get("on_share")) is not None:
+        details.append(f"{100 * on_share:.0f} % ON")
     if image.get("hot_pixels") is not None:
         details.append(f"{value_text(image['hot_pixels'])} hot pixels")
     return ", ".join(details) or NOTHING

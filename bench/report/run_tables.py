@@ -9,18 +9,18 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+from bench.records.events import FailureData, LedgerPlace
+from bench.records.results import Results, RunData
 from bench.report.bench_knowledge import passport_rows, readings_rows
 from bench.report.pose_tables import gates
 from bench.report.target_words import words_of
 from bench.report.text import NOTHING, moment, value_text
 
-Json = Mapping[str, Any]
-
 _ENDS = {"open": "without an end"}
 """Words for the ends of runs in the ledger."""
 
 
-def identification(results: Json) -> list[tuple[str, str]]:
+def identification(results: Results) -> list[tuple[str, str]]:
     """Identify what was calibrated, by whom, where and when (ISO/IEC 17025, 7.8.2.1)."""
     run = results["run"]
     camera = (results.get("devices") or {}).get("camera") or {}
@@ -43,7 +43,7 @@ def identification(results: Json) -> list[tuple[str, str]]:
     ]
 
 
-def inputs(results: Json) -> list[tuple[str, str]]:
+def inputs(results: Results) -> list[tuple[str, str]]:
     """List what the calibration used besides its recordings: the passport of the collimator, the gimbal's readings."""
     readings = results.get("gimbal_readings")
     if readings and words_of(results).is_board and not readings["entered"]:
@@ -54,7 +54,7 @@ def inputs(results: Json) -> list[tuple[str, str]]:
     ]
 
 
-def _times(run: Json) -> list[tuple[str, str]]:
+def _times(run: RunData) -> list[tuple[str, str]]:
     """List when the run was, or when files were calibrated without devices."""
     if run.get("offline"):
         of_run = [("Calibrated from run", str(run["of_run"]))] if run.get("of_run") else []
@@ -62,7 +62,7 @@ def _times(run: Json) -> list[tuple[str, str]]:
     return [("Started", moment(run.get("started_utc"))), ("Finished", moment(run.get("finished_utc")))]
 
 
-def _collimator(details: Json) -> str:
+def _collimator(details: Mapping[str, Any]) -> str:
     """Return in one line what the station file says about the collimator."""
     parts = []
     if "serial" in details:
@@ -79,13 +79,13 @@ def _collimator(details: Json) -> str:
     return ", ".join(parts) or NOTHING
 
 
-def _target(details: Json) -> str:
+def _target(details: Mapping[str, Any]) -> str:
     """Return in one line what the station file says about the target as an object."""
     serial = [f"serial number {details['serial']}"] if "serial" in details else []
     return ", ".join([*serial, *([str(details["description"])] if "description" in details else [])])
 
 
-def software(results: Json) -> list[tuple[str, str]]:
+def software(results: Results) -> list[tuple[str, str]]:
     """List the programs that computed the result, and the seed of a simulated bench."""
     run = results["run"]
     plugins = run.get("plugins") or {}
@@ -98,7 +98,7 @@ def software(results: Json) -> list[tuple[str, str]]:
     return rows
 
 
-def alerts(results: Json) -> list[str]:
+def alerts(results: Results) -> list[str]:
     """List what a reader must know before using the values: gates that did not pass, and every deviation.
 
     Returns: A sentence for each gate, each ``until`` that did not meet its goals, and each deviation.
@@ -116,23 +116,23 @@ def alerts(results: Json) -> list[str]:
     return details + missed + deviations(results)
 
 
-def deviations(results: Json) -> list[str]:
+def deviations(results: Results) -> list[str]:
     """List the errors that ended the run before it was resumed, and every departure from the sequence."""
     failures = [_failure_text(error) for error in results.get("failures") or []]
     return failures + [str(deviation) for deviation in results.get("deviations") or []]
 
 
-def _failure_text(error: Json) -> str:
+def _failure_text(error: FailureData) -> str:
     place = f" ({error['where']})" if error["where"] else ""
     return f"The run failed and was resumed. {error['kind']}{place}: {error['what']}"
 
 
-def _ledger_rows(ledger: Json) -> list[tuple[str, str]]:
+def _ledger_rows(ledger: LedgerPlace) -> list[tuple[str, str]]:
     rows = [("Number of the run", _place_in_ledger(ledger)), ("Line of the ledger", str(ledger["head"]))]
     return rows + [("Ledger", f"BROKEN. {fault}") for fault in ledger.get("faults") or []]
 
 
-def _place_in_ledger(ledger: Json) -> str:
+def _place_in_ledger(ledger: LedgerPlace) -> str:
     earlier = dict(ledger["of_camera"])
     earlier["open"] = earlier.get("open", 0) - 1  # this run was entered when it began
     counts = ", ".join(f"{count} {_ENDS.get(how, how)}" for how, count in earlier.items() if count > 0)

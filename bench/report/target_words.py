@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
-from typing import Any, NamedTuple
+from typing import NamedTuple
+
+from bench.records.results import Results
 
 _BOARD_WORDS = {
     "star": "point",
@@ -60,7 +61,7 @@ def words_for(board: object) -> TargetWords:
     return BOARD if board else STARS
 
 
-def words_of(results: Mapping[str, Any]) -> TargetWords:
+def words_of(results: Results) -> TargetWords:
     """Return the words for what a run recorded.
 
     Returns: Those of a board if ``run`` names one.

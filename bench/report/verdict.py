@@ -5,17 +5,14 @@ Text from results.json alone.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
 
+from bench.records.results import CalibrationData, Results
 from bench.report import budget_tables, pose_tables, run_tables
 from bench.report.calibration_tables import coverage_factor
 from bench.report.change_rows import change_sentence
 from bench.report.target_words import words_of
 from bench.report.text import exact, number, with_uncertainty
-
-Json = Mapping[str, Any]
 
 _MILLI_FROM_URAD = 1000.0
 
@@ -32,7 +29,7 @@ class Verdict:
     reasons: tuple[str, ...]
 
 
-def verdict(results: Json) -> Verdict:
+def verdict(results: Results) -> Verdict:
     """Return the verdict on a calibration.
 
     Returns: ``fail`` if the optimisation did not converge or a gate failed; ``marginal`` if there are other
@@ -60,7 +57,7 @@ def verdict(results: Json) -> Verdict:
     return Verdict(kind, headline, tuple(filter(None, sentences)), reasons)
 
 
-def _focal_lengths(calibration: Json) -> str:
+def _focal_lengths(calibration: CalibrationData) -> str:
     """Return fx and fy with their expanded uncertainties."""
     k, sigma, found = coverage_factor(calibration), calibration["sigma"], []
     for name in ("fx", "fy"):
@@ -70,7 +67,7 @@ def _focal_lengths(calibration: Json) -> str:
     return f"{', '.join(found)} (k = {_k(k)}, about 95 %)." if found else ""
 
 
-def _directions(results: Json) -> str:
+def _directions(results: Results) -> str:
     """Return the uncertainty of a direction in the worst corner; without `projection`, only what the budget says."""
     calibration, facts = results["calibration"], results.get("projection")
     k = _k(coverage_factor(calibration))
@@ -90,13 +87,14 @@ def _directions(results: Json) -> str:
     )
 
 
-def _support(results: Json) -> str:
+def _support(results: Results) -> str:
     """Return how much of the sensor the stars support, and the uncertainty there."""
-    found = (results.get("projection") or {}).get("supported")
+    facts = results.get("projection")
+    found = facts["supported"] if facts else None
     if not found:
         return ""
     share = f"{words_of(results).capital} support {100 * found['share']:.0f} % of the sensor"
-    if found["expanded_px"] is None or found["share"] >= 0.995:
+    if found["expanded_px"] is None or found["expanded_urad"] is None or found["share"] >= 0.995:
         return f"{share}."
     k = _k(coverage_factor(results["calibration"]))
     there = f"{angle_text(found['expanded_urad'])} = {number(found['expanded_px'], 2)} px"

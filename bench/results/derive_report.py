@@ -12,11 +12,12 @@ import re
 from collections.abc import Mapping, Sequence
 from itertools import zip_longest
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import jinja2
 
 from bench.evidence.findings import Findings
+from bench.records.results import Results
 from bench.records.run_folder import REPORT, RESULTS
 from bench.report.html import ReportData, printed_text, render_report
 from bench.report.view_picture import ViewPicture
@@ -48,7 +49,7 @@ def check_report(
     found: Findings; they are added.
     """
     try:
-        due = render_report(ReportData(results, views, head), draw=not found.faults)
+        due = render_report(ReportData(cast("Results", results), views, head), draw=not found.faults)
     except (*UNREADABLE, jinja2.TemplateError) as error:
         found.fault("results", RESULTS, f"no report can be made of these results ({error!r})")
         return

@@ -6,13 +6,14 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any, Self
+from typing import Any, Self, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bench.base.errors import RunFolderError
 from bench.evidence.findings import Findings
+from bench.records.results import Results
 from bench.records.run_folder import RESULTS
 from bench.report.choice import pictured_poses
 from bench.report.view_picture import ViewPicture
@@ -79,7 +80,7 @@ class RunViews:
 
         Raises RunFolderError: When an image cannot be read.
         """
-        names = pictured_poses(results).names
+        names = pictured_poses(cast("Results", results)).names
         return [
             ViewPicture(
                 stored.view.name,

@@ -11,7 +11,7 @@ import time
 from collections.abc import Mapping
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any
+from typing import NamedTuple, cast
 
 import numpy as np
 
@@ -21,11 +21,26 @@ from bench.base.home import home_folder
 from bench.evidence.seal import read_manifest
 from bench.records.ledger import Ledger
 from bench.records.ledger_runs import LedgerRun
+from bench.records.results import (
+    CalibrationData,
+    CameraData,
+    ChangeData,
+    CovarianceData,
+    PreviousData,
+    Results,
+)
 from bench.records.run_folder import MANIFEST, RESULTS
 from bench.report.camera_values import camera_covariance, change_maps
 from calib.model.lens import is_fisheye
 
-Json = Mapping[str, Any]
+
+class _Sealed(NamedTuple):
+    """Results as sealed, with the hash of the seal and of the file."""
+
+    results: Results
+    seal: str
+    sha256: str
+
 
 _MOST_READ = 20
 """Runs whose results are read before the search is given up."""
@@ -41,7 +56,9 @@ def bench_ledger() -> Ledger:
     return Ledger(home_folder(), utc_now=lambda: datetime.now(UTC), monotonic=time.monotonic)
 
 
-def previous_calibration(ledger: Ledger, place: Json, results: Json) -> dict[str, Any] | None:
+def previous_calibration(
+    ledger: Ledger, place: Mapping[str, object], results: Results
+) -> PreviousData | None:
     """Return the last calibration of the same camera before this run, and the change since then.
 
     place: What the ledger returned for this run when it was entered.
@@ -63,9 +80,10 @@ def previous_calibration(ledger: Ledger, place: Json, results: Json) -> dict[str
     why = ""
     for run in list(reversed(earlier))[:_MOST_READ]:
         found, why_not = _read(Path(run.folder), run.seal or "")
-        why_not = why_not or _not_comparable(found, results)
-        if not why_not:
-            return _compared(run, found, results)
+        if found is not None:
+            why_not = _not_comparable(found.results, results)
+            if not why_not:
+                return _compared(run, found, results)
         why = why or f"The last calibration of this camera, {run.run_id}, cannot be compared: {why_not}"
     return {"run": None, "why_not": why}
 
@@ -76,30 +94,30 @@ def _is_comparable(run: LedgerRun, own: LedgerRun) -> bool:
     return same and run.how == "finished" and run.seal is not None
 
 
-def _read(folder: Path, seal: str) -> tuple[Json, str]:
+def _read(folder: Path, seal: str) -> tuple[_Sealed | None, str]:
     """Read sealed results; return why it cannot be done if the ledger, the seal and the file do not agree."""
     try:
         manifest = (folder / MANIFEST).read_bytes()
         is_sealed = _sha256(manifest) == seal
         listed = read_manifest(manifest).get(RESULTS) if is_sealed else None
         if listed is None:
-            return {}, "it has no result." if is_sealed else "its folder has another seal than the ledger."
+            return None, "it has no result." if is_sealed else "its folder has another seal than the ledger."
         data = b"" if (folder / RESULTS).stat().st_size > _LARGEST_BYTES else (folder / RESULTS).read_bytes()
         found = parse_json(data) if _sha256(data) == listed else None
     except OSError:
-        return {}, "its folder cannot be read."
+        return None, "its folder cannot be read."
     except (BenchError, ValueError):
-        return {}, "its results are not readable."
+        return None, "its results are not readable."
     if not isinstance(found, dict):
-        return {}, "its results were changed after sealing."
-    return {**found, "seal": seal, "sha256": listed}, ""
+        return None, "its results were changed after sealing."
+    return _Sealed(cast("Results", found), seal, listed or ""), ""
 
 
 def _sha256(data: bytes) -> str:
     return hashlib.sha256(data).hexdigest()
 
 
-def _not_comparable(found: Json, results: Json) -> str:
+def _not_comparable(found: Results, results: Results) -> str:
     """Return why two results cannot be compared; empty if they can."""
     try:
         then, now = found["calibration"], results["calibration"]
@@ -117,11 +135,11 @@ def _not_comparable(found: Json, results: Json) -> str:
         return "its results are not readable."
 
 
-def _compared(run: LedgerRun, found: Json, results: Json) -> dict[str, Any]:
+def _compared(run: LedgerRun, found: _Sealed, results: Results) -> PreviousData:
     """Return the earlier calibration with the change of the projection, in px and in units of its uncertainty."""
-    then, now = found["calibration"], results["calibration"]
-    conditions = (found.get("conditions") or {}).get("camera") or {}
-    earlier = {
+    then, now, run_of = found.results["calibration"], results["calibration"], found.results["run"]
+    conditions = found.results.get("conditions")
+    earlier: CameraData = {
         "image_size": list(then["image_size"]),
         "model": then["model"],
         "camera": dict(then["camera"]),
@@ -132,23 +150,23 @@ def _compared(run: LedgerRun, found: Json, results: Json) -> dict[str, Any]:
     return {
         "run": run.run_id,
         "number": run.number,
-        "finished_utc": found["run"].get("finished_utc"),
-        "sequence": found["run"].get("sequence"),
-        "temperature_c": conditions.get("temperature_c"),
-        "seal": found["seal"],
-        "results_sha256": found["sha256"],
+        "finished_utc": run_of.get("finished_utc"),
+        "sequence": run_of.get("sequence"),
+        "temperature_c": conditions["camera"].get("temperature_c") if conditions else None,
+        "seal": found.seal,
+        "results_sha256": found.sha256,
         "calibration": earlier,
         "change": change_since(earlier, now),
     }
 
 
-def _of_camera(calibration: Json) -> dict[str, Any]:
+def _of_camera(calibration: CalibrationData) -> CovarianceData:
     covariance = camera_covariance(calibration)
     assert covariance is not None
     return {"names": list(calibration["camera"]), "matrix": covariance.tolist()}
 
 
-def change_since(then: Json, now: Json) -> dict[str, Any] | None:
+def change_since(then: CameraData, now: CameraData) -> ChangeData | None:
     """Return the change of the projection over the sensor.
 
     then, now: ``calibration`` of the earlier and of this result.

@@ -16,6 +16,7 @@ from bench.base.errors import BenchError
 from bench.plan.job import Job
 from bench.records.events import Solved
 from bench.records.history import History
+from bench.records.results import Results
 from bench.records.run_folder import REPORT, RESULTS, RunFolder
 from bench.records.run_log import RunLog
 from bench.report.choice import pictured_poses
@@ -36,7 +37,7 @@ from sequences.script import SolveStep
 class Outcome:
     """Result of a run."""
 
-    results: Mapping[str, Any]
+    results: Results
     report: Path
     # Hash of the journal's last line when the results were made; the report prints it.
     journal_head: str = ""
@@ -111,7 +112,7 @@ def json_bytes(content: Mapping[str, Any]) -> bytes:
     return (json.dumps(content, indent=1, allow_nan=False) + "\n").encode()
 
 
-def _view_pictures(results: Mapping[str, Any], solution: Solution) -> list[ViewPicture]:
+def _view_pictures(results: Results, solution: Solution) -> list[ViewPicture]:
     """Return the poses as the report shows them; only images that the report shows are decoded."""
     pictured = pictured_poses(results).names
     return [

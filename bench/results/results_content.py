@@ -9,11 +9,12 @@ from __future__ import annotations
 import platform
 from collections.abc import Mapping, Sequence
 from importlib.metadata import version
-from typing import Any
+from typing import Any, cast
 
 from bench import __version__
 from bench.plan.job import Job
 from bench.records.history import Attempt, History
+from bench.records.results import Results
 from bench.results.comparison import compare_with_truth
 from bench.results.forms import forms
 from bench.results.projection_facts import projection_facts
@@ -31,7 +32,7 @@ def results_content(
     solution: Solution,
     truth: Mapping[str, Any] | None,
     software_used: Mapping[str, str],
-) -> dict[str, Any]:
+) -> Results:
     """Return the content of results.json of a run, without the comparison with an earlier run.
 
     truth: Truth of the simulated world; None on a real bench.
@@ -47,7 +48,7 @@ def results_content(
         **solution.checks,
     }
     judged = [gate.as_data() for gate in solution.judged]
-    return {
+    found = {
         "schema": SCHEMA,
         "run": {**of_journal.pop("run"), "software": dict(software_used)},
         "devices": of_journal.pop("devices"),
@@ -59,6 +60,7 @@ def results_content(
         "truth": _lasting(truth) if truth is not None else None,
         "comparison": compare_with_truth(calibration, truth) if truth is not None else [],
     }
+    return cast("Results", found)
 
 
 def journal_content(job: Job, history: History, views: Sequence[ViewSummary]) -> dict[str, Any]:

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from bench.base.errors import RunFolderError, StorageError
 from bench.records.reading import read_json
+from bench.records.results import Results
 from bench.records.run_folder import JOURNAL, REPORT, RESULTS
 from bench.results.stored_calibration import stored_camera, stored_collimator
 from calib.model.camera import CameraModel
@@ -100,7 +101,7 @@ class Run:
     """
 
     folder: Path
-    results: Mapping[str, Any] = field(repr=False)
+    results: Results = field(repr=False)
     camera: CameraModel
     collimator: Collimator | None
     parameter_names: tuple[str, ...] = field(repr=False)
@@ -204,9 +205,7 @@ def _read_results(folder: Path) -> dict[str, Any]:
     return results
 
 
-def _run(
-    folder: Path, results: Mapping[str, Any], views: Sequence[StoredView], pictures: Sequence[ReadPicture]
-) -> Run:
+def _run(folder: Path, results: Results, views: Sequence[StoredView], pictures: Sequence[ReadPicture]) -> Run:
     """Put a run together; raise RunFolderError if its results and views do not belong together."""
     try:
         found = results["calibration"]
@@ -229,7 +228,7 @@ def _run(
 
 
 def _poses(
-    folder: Path, results: Mapping[str, Any], views: Sequence[StoredView], pictures: Sequence[ReadPicture]
+    folder: Path, results: Results, views: Sequence[StoredView], pictures: Sequence[ReadPicture]
 ) -> list[Pose]:
     """Return the calibrated poses; raise RunFolderError if views and results name different ones."""
     solved = results["calibration"]["views"]

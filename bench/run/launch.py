@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
-from typing import Any, TextIO
+from typing import Any, TextIO, cast
 
 from bench.base.clock import BenchClock
 from bench.base.errors import BenchError, RunFolderError
@@ -29,6 +29,7 @@ from bench.records.history import History, replay
 from bench.records.journal import Journal, read_journal
 from bench.records.journal_entry import Entry
 from bench.records.reading import read_json
+from bench.records.results import Results
 from bench.records.run_folder import (
     JOURNAL,
     PLAN,
@@ -265,7 +266,7 @@ def _seal_finished(
     remove_inbox(folder.path)
     outcome = None
     if (folder.path / RESULTS).is_file():  # a sequence may end without a report
-        results: dict[str, Any] = read_json(folder.path / RESULTS)
+        results = cast("Results", read_json(folder.path / RESULTS))
         outcome = Outcome(results, folder.path / REPORT)
     seal(folder, key, secrets_revoked=secrets_revoked)
     return RunEnd("finished", "", folder.path, outcome)

@@ -1,0 +1,406 @@
+"""What results.json holds: the types that its writer, the report, the certificate, the table and the panel share.
+
+This module holds types only; docs/results.md explains the values to users. Parts marked ``NotRequired`` are missing in
+results of earlier versions, or where they do not apply. U is ``coverage_factor`` times ``sigma``. Lengths of the print
+and of the collimator are in mm, of images in px, readings in degrees, unless a name says otherwise.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any, Literal, NotRequired, TypedDict
+
+from bench.records.events import FailureData, GateData, ImageFacts, LedgerPlace, UntilDecided
+
+Numbers = Mapping[str, float]
+"""A number by name: ``fx``, ``cx``, ``r`` ... or by axis: ``pan``, ``tilt``."""
+
+
+class StateEntered(TypedDict):
+    """A state that a run entered, with the time by the system's clock and by the monotonic clock."""
+
+    state: str
+    utc: str
+    mono_s: float
+
+
+class CovarianceData(TypedDict):
+    """Covariance of parameters: their names in order, and the matrix by rows."""
+
+    names: Sequence[str]
+    matrix: Sequence[Sequence[float]]
+
+
+class ViewData(TypedDict):
+    """A view of a calibration: its stars, its residuals, its rotation and the centre of the field."""
+
+    name: str
+    n: int  # Number of stars
+    rms_px: float
+    mean_px: float
+    rotation: Sequence[Sequence[float]]  # (3, 3), from the collimator to the camera
+    centre_mm: Sequence[float]
+
+
+class CandidateData(TypedDict):
+    """A model that was compared with the others."""
+
+    model: str
+    parameters: int
+    rms_px: float
+    left_out_rms_px: float | None
+    bic: float
+
+
+class BudgetRowData(TypedDict):
+    """A source of uncertainty: how it was evaluated (JCGM 100, 4.2 and 4.3), and what it contributes."""
+
+    name: str
+    type: Literal["A", "B"]
+    source: str
+    distribution: str
+    value: float | None  # Stated value; None for a source that the adjustment itself gives
+    unit: str
+    divisor: float | None
+    degrees_of_freedom: float | None  # None for infinite
+    sensitivity: Numbers  # Change of ``fx``, ``cx`` ... by one unit of the value
+    contribution: Numbers  # To the standard uncertainty of ``fx``, ``cx``, ``worst_corner`` ..., px
+    share: Numbers  # In the variance, 0 to 1
+
+
+class GimbalEstimateData(TypedDict):
+    """What the adjustment found about the gimbal from its readings."""
+
+    entered: bool
+    values: Numbers
+    sigma: Numbers
+    chi_square: float
+    degrees_of_freedom: int
+    rms_deg: float
+    reading_sigma_deg: float
+    scatter: float
+    source: str
+
+
+class CameraData(TypedDict):
+    """A calibrated camera: what is needed to project, with its uncertainty."""
+
+    model: str
+    image_size: Sequence[int]
+    camera: Numbers
+    sigma: Numbers
+    covariance: NotRequired[CovarianceData]
+    coverage_factor: NotRequired[float]
+
+
+class CalibrationData(CameraData):
+    """A calibration (`calib.calibration.Calibration.to_dict`)."""
+
+    converged: bool
+    iterations: int
+    collimator: Numbers | None  # None for a planar model
+    rms_px: float
+    mean_px: float
+    variance_factor: NotRequired[float]
+    degrees_of_freedom: NotRequired[int]
+    disagreement: NotRequired[float]
+    left_out_rms_px: NotRequired[float | None]
+    budget: NotRequired[Mapping[str, Numbers]]  # Standard uncertainty of each parameter by source
+    views: Sequence[ViewData]
+    candidates: NotRequired[Sequence[CandidateData]]
+    notes: NotRequired[Sequence[str]]
+    gimbal: NotRequired[GimbalEstimateData]
+    budget_rows: NotRequired[Sequence[BudgetRowData]]
+    not_included: NotRequired[Sequence[str]]
+
+
+class Direction(TypedDict):
+    """Expanded uncertainty of a direction; None where nothing determines it."""
+
+    expanded_px: float | None
+    expanded_urad: float | None
+
+
+class KnownDirection(TypedDict):
+    """Expanded uncertainty of a direction."""
+
+    expanded_px: float
+    expanded_urad: float
+
+
+class CornerDirection(KnownDirection):
+    """The corner of the sensor with the largest uncertainty: ``top left`` ..."""
+
+    corner: str
+
+
+class SupportedPart(Direction):
+    """The part of the sensor with stars near: ``reach_px`` to the next star; its share, and the largest U there."""
+
+    reach_px: float
+    share: float
+
+
+class ProjectionData(TypedDict):
+    """Uncertainty of directions over the sensor."""
+
+    coverage_factor: float
+    worst_corner: CornerDirection
+    median: KnownDirection
+    supported: SupportedPart | None
+
+
+class PassportData(TypedDict):
+    """What was known of the collimator beforehand."""
+
+    source: str  # ``sequence``, ``station``, ``station certificate`` or ``command line``
+    name: str
+    collimator: str | None
+    number: str | None
+    date: str | None
+    valid_until: str | None
+    temperature_c: float | None
+    values: Numbers
+    sigma: Numbers
+    sha256: str
+    sealed_by: NotRequired[str | None]
+
+
+class ReadingsStatement(TypedDict):
+    """What the station states about the readings of its gimbal."""
+
+    source: str
+    reading_sigma_deg: float
+    scale_sigma: float
+    eccentricity_deg: float
+
+
+class ParallaxBound(TypedDict):
+    """The parallax that follows from the stated defocus and the stated place of the entrance pupil."""
+
+    defocus: float
+    defocus_sigma: float
+    pupil_off_pivot_mm: float
+    pupil_off_pivot_sigma_mm: float
+    parallax: float
+    parallax_sigma: float
+
+
+class GimbalReadingsData(TypedDict):
+    """Whether the readings of the gimbal entered the calibration, with what statement, or why not."""
+
+    entered: bool
+    statement: ReadingsStatement | None
+    bound: ParallaxBound | None
+    why_not: str | None
+
+
+class GimbalPairs(TypedDict):
+    """Angle seen over angle read, over all pairs of poses."""
+
+    ratio: float
+    spread: float
+    count: int
+    by_axis: Numbers
+    by_axis_sigma: Numbers
+
+
+class GimbalFaultData(TypedDict):
+    """A fault of the gimbal that the readings may show; poses count from 0."""
+
+    kind: str
+    axis: str | None
+    pose: int | None
+    size_deg: float
+    sigma_deg: float
+    probability: float
+    claimed: bool
+
+
+class GimbalCheckData(TypedDict):
+    """The hand-eye check: the rotations against the readings of the gimbal."""
+
+    rms_arcsec: float
+    scale: Numbers
+    scale_sigma: Numbers
+    agrees: NotRequired[bool]
+    excess_arcsec: NotRequired[float]
+    verdict: NotRequired[str]
+    says: NotRequired[Sequence[str]]
+    pairs: NotRequired[GimbalPairs | None]
+    slip: NotRequired[GimbalFaultData | None]
+    faults: NotRequired[Sequence[GimbalFaultData]]
+
+
+class HalvesData(TypedDict):
+    """Split half: every other pose against the rest, over the sensor."""
+
+    rms_px: float
+    worst_px: float
+    expected_px: float
+    ratio: NotRequired[float]
+    cameras: NotRequired[Sequence[Numbers]]  # Of both halves
+
+
+class AttemptData(TypedDict):
+    """A recording, accepted or refused."""
+
+    attempt: int
+    capture: str
+    sha256: str
+    accepted: bool
+    reasons: Sequence[str]
+    duration_s: NotRequired[float]
+    events: NotRequired[int]
+    triggers: NotRequired[int]
+    event_rate_mev_s: NotRequired[float]
+    temperature_c: NotRequired[float | None]
+    pictures: NotRequired[int]
+    saturated_percent: NotRequired[float]
+
+
+class PoseData(TypedDict):
+    """A pose: its angles, recordings and stars."""
+
+    index: int
+    name: str
+    commanded_deg: Numbers
+    measured_deg: Numbers
+    measured_after_deg: NotRequired[Numbers]
+    attempts: Sequence[AttemptData]
+    image: ImageFacts | None
+    flicker_hz: float | None
+    named_by: str | None  # ``tag`` or ``gimbal``
+    stars: int
+    rms_px: float | None  # None if the pose is not part of the calibration
+    mean_px: float | None
+
+
+class ComparisonRow(TypedDict):
+    """A value against the truth of the simulated world."""
+
+    name: str
+    value: float
+    sigma: float
+    truth: float
+    error: float
+    error_sigmas: float
+
+
+class RunData(TypedDict):
+    """Where, when and with what the results were made, by a run or, ``offline``, from files without devices."""
+
+    id: str
+    sequence: NotRequired[str]
+    station: NotRequired[str]
+    started_utc: NotRequired[str]
+    finished_utc: NotRequired[str]
+    offline: NotRequired[bool]
+    calibrated_utc: NotRequired[str]
+    of_run: NotRequired[str | None]
+    seed: NotRequired[int | None]
+    operator: NotRequired[str | None]
+    laboratory: NotRequired[str | None]
+    collimator: NotRequired[Mapping[str, Any] | None]  # Section ``collimator`` of the station file
+    target: NotRequired[Mapping[str, str]]
+    board: NotRequired[str]
+    simulated: NotRequired[bool]
+    camera: NotRequired[str]  # ``event`` or ``frame``
+    resumed: NotRequired[int]
+    plugins: NotRequired[Mapping[str, Sequence[str]]]
+    ledger: NotRequired[LedgerPlace]
+    software: NotRequired[Mapping[str, str]]
+
+
+class CameraConditions(TypedDict):
+    """Settings of the camera as read back, with its temperature: those of an event or of a frame camera."""
+
+    temperature_c: NotRequired[float | None]
+    biases: NotRequired[Mapping[str, int]]
+    filters: NotRequired[Mapping[str, bool]]
+    illumination_lux: NotRequired[float | None]
+
+
+class Conditions(TypedDict):
+    """Settings of light and camera at the last accepted recording."""
+
+    light: Mapping[str, Any]
+    camera: CameraConditions
+
+
+class ChangeData(TypedDict):
+    """Change of the projection since an earlier calibration, px and in units of its U."""
+
+    rms_px: float
+    largest_px: float
+    largest_ratio: float
+    px_there: float
+    at_px: Sequence[float]
+
+
+class PreviousData(TypedDict):
+    """The last calibration of the same camera on this bench, and the change since; or why there is none."""
+
+    run: str | None
+    why_not: NotRequired[str]
+    number: NotRequired[int]
+    finished_utc: NotRequired[str | None]
+    sequence: NotRequired[str | None]
+    temperature_c: NotRequired[float | None]
+    seal: NotRequired[str]
+    results_sha256: NotRequired[str]
+    calibration: NotRequired[CameraData]
+    change: NotRequired[ChangeData | None]
+
+
+class SourceData(TypedDict):
+    """An input file of a calibration without devices."""
+
+    view: str
+    path: str
+    size_bytes: int
+    sha256: str
+
+
+class Stated(TypedDict):
+    """A value with its standard uncertainty."""
+
+    value: float
+    sigma: float
+
+
+class ParallaxData(TypedDict, total=False):
+    """Where the entrance pupil is by the parallax test, or ``why_not``."""
+
+    why_not: str
+    says: Sequence[str]
+    pupil_off_pivot_mm: Stated
+    without_rim: Sequence[str]
+
+
+class Results(TypedDict):
+    """The content of results.json of a run, or of a calibration from files without devices."""
+
+    schema: str
+    run: RunData
+    devices: NotRequired[Mapping[str, Any]]  # Identities, as the journal's ``devices`` holds them
+    conditions: NotRequired[Conditions]
+    calibration: CalibrationData
+    projection: NotRequired[ProjectionData | None]
+    planar: NotRequired[CalibrationData | None]
+    passport: NotRequired[PassportData | None]
+    gimbal_readings: NotRequired[GimbalReadingsData]
+    halves: NotRequired[HalvesData]
+    gimbal: NotRequired[GimbalCheckData]
+    parallax: NotRequired[ParallaxData]
+    poses: NotRequired[Sequence[PoseData]]
+    gates: NotRequired[Sequence[GateData]]
+    untils: NotRequired[Sequence[UntilDecided]]
+    deviations: NotRequired[Sequence[str]]
+    failures: NotRequired[Sequence[FailureData]]
+    devices_left: NotRequired[Sequence[Mapping[str, str]]]
+    states: NotRequired[Sequence[StateEntered]]
+    sources: NotRequired[Sequence[SourceData]]
+    truth: NotRequired[Mapping[str, Any] | None]
+    comparison: NotRequired[Sequence[ComparisonRow]]
+    previous: NotRequired[PreviousData]
