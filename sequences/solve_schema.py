@@ -14,7 +14,9 @@ from pydantic_core import PydanticCustomError
 from sequences.plain_number import Within
 from sequences.strict_model import StrictModel
 
-CalibrationModel = Literal["spherical", "radial", "pupil", "rim", "field", "coma", "drift", "planar", "auto"]
+CalibrationModel = Literal[
+    "spherical", "radial", "pupil", "rim", "field", "coma", "drift", "planar", "joint", "auto"
+]
 DistortionTerm = Literal["k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6", "skew", "kb1", "kb2", "kb3", "kb4"]
 DistortionSet = Literal[
     "none", "k1", "k1k2", "k1k2k3", "k1k2p1p2", "k1k2k3p1p2", "rational", "fisheye", "auto"

@@ -84,6 +84,10 @@ def expanded(calibration: CalibrationData, symbol: str) -> Expanded:
     calibration: ``calibration`` of results.json.
     Returns: The uncertainty; never with more degrees of freedom, nor a smaller U, than results.json states.
     """
+    if own_factors := calibration.get(
+        "coverage_factors"
+    ):  # of the posterior: there are no degrees of freedom
+        return Expanded(float(calibration["sigma"][symbol]), None, float(own_factors[symbol]), 1.0)
     k = float(calibration["coverage_factor"])
     common = _common_freedom(calibration, k)
     own = _welch_satterthwaite(calibration, symbol, _freedom_of_views(calibration, common))
@@ -109,9 +113,7 @@ def budget_of(
       uncertainty.
     """
     stated = expanded(calibration, symbol)
-    spread = _freedom_of_views(
-        calibration, _common_freedom(calibration, float(calibration["coverage_factor"]))
-    )
+    spread = _spread_freedom(calibration)
     rows = []
     for group, by_symbol in calibration["budget"].items():
         variance = (float(by_symbol.get(symbol, 0.0)) / stated.growth) ** 2
@@ -282,6 +284,13 @@ def _common_freedom(calibration: CalibrationData, k: float) -> float:
         middle = (low + high) / 2
         low, high = (middle, high) if coverage_factor(math.exp(middle)) > k else (low, middle)
     return math.exp(low)
+
+
+def _spread_freedom(calibration: CalibrationData) -> float:
+    """Return the degrees of freedom of what the views give; infinite where k is that of the posterior."""
+    if calibration.get("coverage_factors"):
+        return math.inf
+    return _freedom_of_views(calibration, _common_freedom(calibration, float(calibration["coverage_factor"])))
 
 
 def _freedom_of_views(calibration: CalibrationData, common: float) -> float:

@@ -1,8 +1,9 @@
 """What results.json holds: the types that its writer, the report, the certificate, the table and the panel share.
 
 This module holds types only; docs/results.md explains the values to users. Parts marked ``NotRequired`` are missing in
-results of earlier versions, or where they do not apply. U is ``coverage_factor`` times ``sigma``. Lengths of the print
-and of the collimator are in mm, of images in px, readings in degrees, unless a name says otherwise.
+results of earlier versions, or where they do not apply. U of a value is its ``coverage_factors``, or else the common
+``coverage_factor``, times its ``sigma``. Lengths of the print and of the collimator are in mm, of images in px, and
+readings in degrees, unless a name says otherwise.
 """
 
 from __future__ import annotations
@@ -82,6 +83,30 @@ class GimbalEstimateData(TypedDict):
     source: str
 
 
+class WitnessData(TypedDict):
+    """A statement against what the views and all other statements say (`calib.model.witness.Witness`)."""
+
+    name: str
+    source: str
+    unit: str
+    stated: float | None  # None for a joint statement of several values, as the other three
+    sigma: float | None
+    expected: float | None
+    expected_sigma: float | None
+    innovation: float  # Stated minus expected, over the standard uncertainty of that difference
+    fault_probability: float
+
+
+class AmplitudeData(TypedDict):
+    """The size of a family of errors, estimated from the views (`calib.model.witness.Amplitude`)."""
+
+    name: str
+    value: float
+    log_sigma: float  # 1-sigma of the natural logarithm
+    unit: str
+    expected: float
+
+
 class CameraData(TypedDict):
     """A calibrated camera: what is needed to project, with its uncertainty."""
 
@@ -91,6 +116,7 @@ class CameraData(TypedDict):
     sigma: Numbers
     covariance: NotRequired[CovarianceData]
     coverage_factor: NotRequired[float]
+    coverage_factors: NotRequired[Numbers]  # The k of each value; empty or missing if all have the common one
 
 
 class CalibrationData(CameraData):
@@ -112,6 +138,8 @@ class CalibrationData(CameraData):
     gimbal: NotRequired[GimbalEstimateData]
     budget_rows: NotRequired[Sequence[BudgetRowData]]
     not_included: NotRequired[Sequence[str]]
+    witnesses: NotRequired[Sequence[WitnessData]]
+    amplitudes: NotRequired[Sequence[AmplitudeData]]
 
 
 class Direction(TypedDict):

@@ -62,8 +62,9 @@ def combined(calibration: CalibrationData) -> tuple[tuple[str, str], tuple[str, 
     if not rows:
         return None
     sums = [math.sqrt(sum(row["contribution"][name] ** 2 for row in rows)) for name in _SHOWN]
-    k = coverage_factor(calibration)
-    standard, expanded = ([number(factor * one, 2) for one in sums] for factor in (1.0, k))
+    factors = [coverage_factor(calibration, name) for name in _SHOWN]
+    standard = [number(one, 2) for one in sums]
+    expanded = [number(k * one, 2) for k, one in zip(factors, sums, strict=True)]
     return (standard[0], standard[1]), (expanded[0], expanded[1])
 
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from bench.records.results import CalibrationData, ComparisonRow, GimbalCheckData, Results
+from bench.records.results import CalibrationData, CameraData, ComparisonRow, GimbalCheckData, Results
 from bench.report.bench_knowledge import parallax_rows
 from bench.report.target_words import STARS, TargetWords
 from bench.report.text import NOTHING, angle, fixed, meaning_of, number, unit_of, with_uncertainty
@@ -44,6 +44,7 @@ class ValueRow:
     expanded: str
     relative: str
     unit: str
+    k: str
 
 
 @dataclass(frozen=True)
@@ -54,12 +55,15 @@ class Cell:
     shade: float
 
 
-def coverage_factor(calibration: CalibrationData) -> float:
+def coverage_factor(calibration: CameraData, name: str = "") -> float:
     """Return the coverage factor k: U = k u has a coverage probability of about 95 % (JCGM 100, 6.2 and annex G).
 
     calibration: ``calibration`` or ``planar`` of results.json.
+    name: A value that may have a k of its own; empty for the common one.
     Returns: Its ``coverage_factor``; 2 if it has none.
     """
+    if own := (calibration.get("coverage_factors") or {}).get(name):
+        return float(own)
     return float(calibration.get("coverage_factor") or _USUAL_COVERAGE_FACTOR)
 
 
@@ -71,15 +75,15 @@ def values(calibration: CalibrationData) -> list[ValueRow]:
       %.
     """
     found = {**calibration["camera"], **(calibration.get("collimator") or {})}
-    k = coverage_factor(calibration)
     rows = []
     for name, sigma in calibration["sigma"].items():
         if name not in found:
             continue
+        k = coverage_factor(calibration, name)
         value, expanded = with_uncertainty(found[name], k * sigma)
         share = k * sigma / abs(found[name]) if found[name] else float("inf")
         relative = f"{number(100 * share, 2)} %" if share < 1 else NOTHING
-        rows.append(ValueRow(name, meaning_of(name), value, expanded, relative, unit_of(name)))
+        rows.append(ValueRow(name, meaning_of(name), value, expanded, relative, unit_of(name), fixed(k, 2)))
     return rows
 
 
@@ -156,10 +160,11 @@ def planar_comparison(
     """
     if planar is None:
         return []
-    k, k_planar = coverage_factor(calibration), coverage_factor(planar)
+    k_planar = coverage_factor(planar)
     rows = []
     for name, sigma in planar["sigma"].items():
         if name in calibration["camera"] and name in calibration["sigma"]:
+            k = coverage_factor(calibration, name)
             own = with_uncertainty(calibration["camera"][name], k * calibration["sigma"][name])
             rows.append((name, *own, *with_uncertainty(planar["camera"][name], k_planar * sigma)))
     rms = (number(calibration["rms_px"], 3), "", number(planar["rms_px"], 3), "")
@@ -185,15 +190,19 @@ def candidates(calibration: CalibrationData) -> list[tuple[str, str, str, str, s
     ]
 
 
-def comparison(rows: Sequence[ComparisonRow], k: float) -> list[tuple[str, str, str, str, str, str]]:
+def comparison(
+    rows: Sequence[ComparisonRow], calibration: CalibrationData
+) -> list[tuple[str, str, str, str, str, str]]:
     """Compare the values with the simulated truth.
 
     rows: ``comparison`` of results.json.
+    calibration: ``calibration`` of results.json, for the coverage factors.
     Returns: Name, value, U, truth, value minus truth, and this difference divided by the standard
       uncertainty.
     """
     printed = []
     for row in rows:
+        k = coverage_factor(calibration, row["name"])
         value, expanded = with_uncertainty(row["value"], k * row["sigma"])
         error, _ = with_uncertainty(row["error"], k * row["sigma"])
         truth, _ = with_uncertainty(row["truth"], k * row["sigma"])

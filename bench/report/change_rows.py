@@ -107,7 +107,7 @@ def _in_both(name: str, then: CameraData, now: CameraData) -> bool:
 
 def _row(name: str, then: CameraData, now: CameraData) -> ChangeRow:
     """Return the change of one value with its expanded uncertainty, sqrt(U1^2 + U2^2), and E_n (ISO 13528)."""
-    expanded = [coverage_factor(one) * one["sigma"][name] for one in (then, now)]
+    expanded = [coverage_factor(one, name) * one["sigma"][name] for one in (then, now)]
     moved, whole = now["camera"][name] - then["camera"][name], math.hypot(*expanded)
     normalised = moved / whole
     return ChangeRow(

@@ -26,6 +26,7 @@ from bench.report.target_words import TargetWords, words_of
 from bench.report.verdict import verdict
 from bench.report.view_picture import ViewPicture, thinned
 from bench.report.walk import state_diagram
+from bench.report.witness_tables import amplitude_rows, witness_rows
 
 _GRAPHIC_TAGS = frozenset({"section", "svg", "style"})
 """Elements whose text belongs to images and plots; in the template, sections contain nothing else."""
@@ -85,10 +86,13 @@ def _result_parts(results: Results, words: TargetWords) -> dict[str, Any]:
         "budget_rows": budget_tables.budget_rows(calibration, words),
         "combined": budget_tables.combined(calibration),
         "overlap": budget_tables.overlap(calibration),
+        "own_factors": bool(calibration.get("coverage_factors")),
+        "witnesses": witness_rows(calibration),
+        "amplitudes": amplitude_rows(calibration),
         "not_included": budget_tables.not_included(calibration),
         "checks": calibration_tables.checks(results),
         "halves": bool(halves and halves.get("cameras")),
-        "comparison": calibration_tables.comparison(results.get("comparison") or [], k),
+        "comparison": calibration_tables.comparison(results.get("comparison") or [], calibration),
     }
 
 

@@ -59,10 +59,11 @@ def verdict(results: Results) -> Verdict:
 
 def _focal_lengths(calibration: CalibrationData) -> str:
     """Return fx and fy with their expanded uncertainties."""
-    k, sigma, found = coverage_factor(calibration), calibration["sigma"], []
+    k, sigma, found = coverage_factor(calibration, "fx"), calibration["sigma"], []
     for name in ("fx", "fy"):
         if name in sigma:
-            value, expanded = with_uncertainty(calibration["camera"][name], k * sigma[name])
+            own = coverage_factor(calibration, name)
+            value, expanded = with_uncertainty(calibration["camera"][name], own * sigma[name])
             found.append(f"{name} {value} ± {expanded} px")
     return f"{', '.join(found)} (k = {_k(k)}, about 95 %)." if found else ""
 

@@ -20,7 +20,7 @@ def solve_step(settings: str):
 
 
 def test_the_script_language_has_every_model_lens_and_loss_of_the_engine():
-    assert set(get_args(schema.CalibrationModel)) == set(get_args(ModelName))
+    assert set(get_args(schema.CalibrationModel)) == {*get_args(ModelName), "joint"}
     assert set(get_args(schema.Loss)) == set(get_args(LossName))
     assert ((*BROWN, SKEW), FISHEYE) == schema.LENS_FAMILIES
     assert get_args(schema.DistortionTerm) == (*BROWN, SKEW, *FISHEYE)
