@@ -243,7 +243,7 @@ CLAUSES = (
         "7.8.8",
         "amendments: own number, reference to the original, change identified",
         "amends",
-        "`starbench certificate amend`",
+        "`starbench certificate issue`",
     ),
     Clause(
         "7.5, 7.11",

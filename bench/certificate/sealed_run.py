@@ -116,7 +116,8 @@ def _refuse_unverified(folder: Path, verification: Verification) -> None:
         raise EvidenceError(
             f"This folder is a {verification.kind} folder, not a run.",
             where=str(folder),
-            remedy="Name the folder of a sealed run; to correct a certificate: `starbench certificate amend`.",
+            remedy="Name the folder of a sealed run; to amend a certificate: `starbench certificate issue` with its"
+            " folder.",
         )
     what = [str(fault) for fault in verification.faults]
     if what:

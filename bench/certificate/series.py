@@ -173,13 +173,13 @@ def refuse_second(found: Mapping[str, Numbered], wanted: Wanted) -> None:
         return
     first = next((one for one in found.values() if one.run_seal == wanted.run_seal and one.is_newest), None)
     if first is None and wanted.also:
-        raise EvidenceError("The run has no certificate yet.", remedy="Leave out --also.")
+        raise EvidenceError("The run has no certificate yet.", remedy="Leave out --reason.")
     if first is not None and not wanted.also:
         raise EvidenceError(
             f"The run has a certificate already: {first.number} of {first.issued_utc[:10]}.",
             where=first.folder,
-            remedy="To correct it: `starbench certificate amend`. If a second one is needed, give its reason, which"
-            " is printed: --also TEXT.",
+            remedy="To amend it: `starbench certificate issue` with its folder. If a second one is needed, give its"
+            " reason, which is printed: --reason TEXT.",
         )
 
 
@@ -241,7 +241,7 @@ def declare_void(ledger: Ledger, number: str, *, reason: str, by: str) -> Number
                 f"The number {number} {state}.",
                 where=str(ledger.path),
                 remedy="Only a number that was reserved and not issued can be void. To replace a certificate:"
-                " `starbench certificate amend`.",
+                " `starbench certificate issue` with its folder.",
             )
         journal.append(VOIDED, number=number, reason=reason, by=by)
         return replace(one, how="void", reason=reason)

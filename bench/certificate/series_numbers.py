@@ -69,7 +69,7 @@ def numbers(entries: Iterable[Entry]) -> dict[str, Numbered]:
                 f"Line {entry.seq + 1} of the ledger about a certificate does not follow from the lines before"
                 f" ({error}): a number is missing, or given twice.",
                 remedy="Ask who can write to the ledger. Restore it from a copy, or explain it:"
-                " `starbench ledger explain`.",
+                " `starbench ledger --explain TEXT`.",
             ) from error
     return found
 

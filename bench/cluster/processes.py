@@ -131,7 +131,9 @@ class Processes:
         what = (
             f"{MOST_DEATHS} workers died with this work, the last with exit code {worker.process.exitcode}."
         )
-        remedy = "Look for a lack of memory in the system's log, or give workers more: --memory."
+        remedy = (
+            "Look for a lack of memory in the system's log, or give each more: use fewer, with --workers."
+        )
         return [Finished(work.key, failure=Failure("WorkerDied", what, "", remedy))]
 
 

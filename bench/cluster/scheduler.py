@@ -51,7 +51,7 @@ class DaskWorkers:
         except ImportError as error:
             raise UsageError(
                 "Dask is not installed.",
-                where="--scheduler",
+                where="--workers",
                 remedy="Install it: pip install 'starbench[cluster]'",
             ) from error
         for name in _LOGGERS:  # a lost connection is told by WorkersLost, not by tracebacks of the libraries

@@ -75,7 +75,9 @@ def do(work: Work) -> Finished:
         return Finished(work.key, failure=Failure.of(error))
     except MemoryError:
         what = "The work needs more memory than a worker may use."
-        return Finished(work.key, failure=Failure("MemoryError", what, "", "Give workers more: --memory."))
+        return Finished(
+            work.key, failure=Failure("MemoryError", what, "", "Give each more: use fewer, with --workers.")
+        )
     except OSError as error:
         what = f"{error.strerror or error}."
         remedy = "Check the path, and whether the workers can reach it."

@@ -1,4 +1,4 @@
-"""Argument and option types that several commands share; paths are checked before any work begins.
+"""Arguments and options that several commands share; paths are checked before any work begins.
 
 Each path type checks what it was given and, where it is wrong, says what to do. It changes no file. A wrong argument
 ends the command with exit status 2.
@@ -10,19 +10,53 @@ import math
 import os
 from abc import ABC, abstractmethod
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 from click.shell_completion import CompletionItem
 
 from bench.base.errors import UsageError
 
-JSON = click.option("--json", "as_json", is_flag=True, help="Print one JSON object to standard output.")
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+_INVALID = "2 invalid argument or file"
+_CTRL_C = "130 ended by Ctrl-C."
+PLAIN_STATUS = f"0 done, 1 failed, {_INVALID}, {_CTRL_C}"
+RUN_STATUS = f"0 done, 1 failed, {_INVALID}, 3 stopped on request (safe, and can be resumed), {_CTRL_C}"
+QUEUE_STATUS = (
+    f"0 every run has a result, 1 at least one run has no result, {_INVALID}, 3 stopped on request, {_CTRL_C}"
+)
+
+
+def status_text(words: str) -> str:
+    """Return exit statuses of a command that differ from the usual ones, completed by these.
+
+    words: As ``0 shown{invalid}{ctrl_c}``.
+    """
+    return words.format(invalid=f", {_INVALID}", ctrl_c=f", {_CTRL_C}")
+
+
+def epilog(*examples: str, status: str = PLAIN_STATUS) -> str:
+    """Return what stands below the options in the help of a command: examples, and its exit statuses."""
+    title = "Examples" if len(examples) > 1 else "Example"
+    lines = "\n".join(f"  {line}" for line in examples)
+    return f"\b\n{title}:\n{lines}\n\nExit status: {status}"
+
+
+class Family(click.Group):
+    """Group that lists each of its commands with the whole first sentence of its help."""
+
+    def add_command(self, cmd: click.Command, name: str | None = None) -> None:
+        """See `click.Group.add_command`."""
+        cmd.short_help = (cmd.help or "").partition("\n\n")[0].replace("\n", " ")
+        super().add_command(cmd, name)
+
+
 SEED = click.IntRange(0, 2**63 - 1)
 _MOST_NAMED = 5
 _SMALLEST, _LARGEST = 1e-9, 1e12
 """Size of any number that is not 0: no quantity of a bench lies outside."""
-_CUTOFF_HZ = (0.01, 1000.0)
 
 
 class Number(click.ParamType):
@@ -253,22 +287,83 @@ def _inside(path: Path) -> str:
 RUN = click.argument("run_folder", metavar="RUN", type=RunFolder())
 
 
-class CutoffFrequency(click.ParamType):
-    """Cutoff frequency of the filter that reconstructs pictures, Hz."""
+class _NameOrFile(click.ParamType):
+    """Text that names an included file (``three_pose``) or any other file.
 
-    name = "hz"
+    folder: Folder of the included files, below that of Starbench.
+    """
 
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
-        """See `click.ParamType.convert`. The value may be a path that follows the option."""
-        try:
-            frequency_hz = float(value)
-        except ValueError:
-            frequency_hz = 0.0
-        if not _CUTOFF_HZ[0] <= frequency_hz <= _CUTOFF_HZ[1]:  # nan too
-            self.fail(
-                f"{value!r} is not a frequency of {_CUTOFF_HZ[0]:g} to {_CUTOFF_HZ[1]:g} Hz. "
-                "Put --reconstruct after the paths, or write a number: --reconstruct 10.",
-                param,
-                ctx,
-            )
-        return frequency_hz
+    name = "text"
+
+    def __init__(self, folder: str) -> None:
+        self._folder = folder
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> str:
+        """See `click.ParamType.convert`."""
+        del param, ctx
+        return str(value)
+
+    def shell_complete(
+        self, ctx: click.Context, param: click.Parameter, incomplete: str
+    ) -> list[CompletionItem]:
+        """See `click.ParamType.shell_complete`."""
+        del ctx, param
+        names = sorted(path.stem for path in (Path(__file__).parents[2] / self._folder).glob("*.yaml"))
+        found = [CompletionItem(name) for name in names if name.startswith(incomplete)]
+        # The shell completes names of files by itself only if no name of ours fits.
+        return found or [CompletionItem(incomplete, type="file")]
+
+
+SEQUENCE_NAME = _NameOrFile("sequences")
+STATION_NAME = _NameOrFile("bench/stations")
+
+
+class CheckedStation(_NameOrFile):
+    """A station file, or the name of a station that is included, that can be read."""
+
+    def __init__(self) -> None:
+        super().__init__("bench/stations")
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> str:
+        """Return the value after reading the station. Raises DocumentFaults."""
+        from bench.stations.station import load_station
+
+        load_station(value)
+        return super().convert(value, param, ctx)
+
+
+STATION = click.option(
+    "--station",
+    "-s",
+    required=True,
+    type=STATION_NAME,
+    help="Station file, or the name of a station that is included (simulated).",
+)
+SET = click.option(
+    "--set",
+    "settings",
+    multiple=True,
+    metavar="PATH=VALUE",
+    help="Replace a value of the sequence or station file, e.g. station.camera.biases.bias_diff_on=20. Can be given"
+    " several times.",
+)
+OPERATOR = click.option("--operator", "by", metavar="NAME", help="Your name.  [default: user@host]")
+MOMENT = click.DateTime(["%Y-%m-%d", "%Y-%m-%dT%H:%M", "%Y-%m-%d %H:%M", "%Y-%m-%dT%H:%M:%S"])
+MOMENT_FORM = "DATE[THH:MM]"
+BEGIN = click.option(
+    "--begin",
+    type=click.DateTime(["%Y-%m-%dT%H:%M", "%Y-%m-%d %H:%M"]),
+    metavar="DATETHH:MM",
+    help="Time at which the night begins, in the time zone of the queue.  [default: now]",
+)
+
+
+def settings_of(texts: tuple[str, ...]) -> Mapping[str, str]:
+    """Split the PATH=VALUE of ``--set``."""
+    from sequences.settings import OptionSettings
+
+    for text in texts:
+        if "=" not in text:
+            raise click.BadParameter(f"{text!r} does not have the form PATH=VALUE.", param_hint="--set")
+    pairs = (text.partition("=") for text in texts)
+    return OptionSettings({path.strip(): value for path, _, value in pairs}, "--set")

@@ -1,6 +1,7 @@
-"""Print one JSON object, or an error in plain words.
+"""How commands print: text for people, with ``--json`` one object for programs, errors in plain words.
 
-Results and errors come from the modules that make them; this module decides how they are printed.
+This is the only module that knows whether ``--json`` was given. Results and errors come from the modules that make
+them.
 """
 
 from __future__ import annotations
@@ -8,15 +9,16 @@ from __future__ import annotations
 import errno
 import json
 import sqlite3
+import sys
 import traceback
-from collections.abc import Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import click
 
-from bench.base.errors import ScriptError, StorageError
+from bench.base.errors import EvidenceError, ScriptError, StorageError
 from bench.base.failure import FORESEEN, Failure
 from bench.base.home import home_folder
 from bench.terminal.encoding import printable
@@ -35,6 +37,43 @@ _DISK_REMEDIES = {
 }
 
 
+_WANTED = "bench.json"
+
+
+def _remember(context: click.Context, _option: click.Parameter, wanted: bool) -> None:
+    context.meta[_WANTED] = wanted
+
+
+JSON = click.option(
+    "--json",
+    is_flag=True,
+    expose_value=False,
+    callback=_remember,
+    help="Print one JSON object to standard output.",
+)
+
+
+def wants_json() -> bool:
+    """Return whether the command that runs now was called with ``--json``."""
+    context = click.get_current_context(silent=True)
+    return context is not None and bool(context.meta.get(_WANTED))
+
+
+def show(
+    data: Mapping[str, Any] | Callable[[], Mapping[str, Any]], text: str | Iterable[str], *, err: bool = False
+) -> None:
+    """Print a result: ``data`` as JSON if that is wanted, else the lines of ``text``.
+
+    data, text: A function or a generator does its work only if it is printed.
+    err: Whether the text belongs on standard error.
+    """
+    if wants_json():
+        print_json(data() if callable(data) else data)
+        return
+    for line in (text,) if isinstance(text, str) else text:
+        click.echo(line, err=err)
+
+
 def print_json(value: Mapping[str, Any]) -> None:
     """Print one object on standard output.
 
@@ -43,20 +82,45 @@ def print_json(value: Mapping[str, Any]) -> None:
     click.echo(json.dumps(value, indent=1, allow_nan=False))
 
 
-def print_error(error: Exception, *, as_json: bool, debug: bool) -> int:
+def ask_passphrase(key: Path) -> bytes:
+    """Ask for the passphrase of a key at the terminal.
+
+    Returns: The passphrase, UTF-8.
+    Raises EvidenceError: If there is no terminal.
+    """
+    if not sys.stdin.isatty():
+        raise EvidenceError(
+            "The signing key has a passphrase, and there is no terminal to ask for it.",
+            where=str(key),
+            remedy="Run at a terminal, or use a key without a passphrase for unattended runs.",
+        )
+    answer: str = click.prompt(f"Passphrase of {key}", hide_input=True, err=True)
+    return answer.encode()
+
+
+def print_usage_error(error: click.ClickException, arguments: Sequence[str]) -> int:
+    """Print what is wrong with the words of a call; ``arguments`` are these words."""
+    if "--json" in arguments:
+        print_json({"error": {"kind": "UsageError", "message": error.format_message(), "remedy": ""}})
+    error.message = printable(error.message)  # type: ignore[misc]
+    error.show()
+    return error.exit_code
+
+
+def print_error(error: Exception, arguments: Sequence[str]) -> int:
     """Print an error in plain words; with ``--json``, also as an object on standard output.
 
-    as_json: Whether programs read the output.
-    debug: Whether to print the traceback; it is always printed for a defect.
+    arguments: Words of the call. With ``--debug`` among them, the traceback is printed, as always for a defect.
+    Returns: Exit status.
     """
     if isinstance(error, DocumentFaults):
         error = ScriptError([str(fault) for fault in error.faults])
     failure = _failure_of(error)
-    if as_json:
+    if "--json" in arguments:
         faults = {"faults": error.faults} if isinstance(error, ScriptError) else {}
         print_json({"error": {**error_object(failure), **faults}})
     click.echo(f"starbench: {printable(failure.message)}", err=True)
-    if debug or failure.kind == DEFECT:
+    if "--debug" in arguments or failure.kind == DEFECT:
         click.echo("".join(traceback.format_exception(error)), err=True)
     return getattr(error, "exit_status", 1)
 

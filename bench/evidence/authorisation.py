@@ -152,7 +152,8 @@ def require_unauthorised(folder: Path) -> None:
         raise EvidenceError(
             "This folder is authorised already; an authorisation is never replaced.",
             where=str(folder),
-            remedy="Check it with `starbench verify`. To correct a certificate, use `starbench certificate amend`.",
+            remedy="Check it with `starbench verify`. To amend a certificate, use `starbench certificate issue` with"
+            " its folder.",
         )
 
 

@@ -48,7 +48,7 @@ def verify_folder(
     kind the functions that derive its files again: ``{"run": [...], "certificate": [check_certificate], ...}``.
     Each is called with the folder alone, and returns `Findings`; further arguments are bound beforehand, for example
     with `functools.partial`. They are called in their order, and only while no check has found a fault, so they may
-    rely on the list of files. `bench.commands.verify_command` puts them together.
+    rely on the list of files. `bench.commands.verify` puts them together.
 
     trust: Whom the reader trusts, from `bench.evidence.key_trust.read_trust`; or trusted keys alone.
     now: The present time, with its time zone; None for that of the system.

@@ -18,7 +18,7 @@ from bench.records.ledger_runs import RUN_BEGUN
 
 LEDGER_BROKEN = "ledger_broken"
 BREAK_EXPLAINED = "break_explained"
-EXPLAIN = "State what happened: `starbench ledger explain --reason TEXT`."
+EXPLAIN = "State what happened: `starbench ledger --explain TEXT`."
 _MOST_KNOWN = 100
 
 

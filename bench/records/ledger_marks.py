@@ -121,7 +121,7 @@ def read_own_mark(home: Path) -> OwnMark | None:
         raise StorageError(
             "This file does not hold the state of the ledger.",
             where=str(path),
-            remedy="Somebody changed it. State what happened: `starbench ledger explain --reason TEXT`.",
+            remedy="Somebody changed it. State what happened: `starbench ledger --explain TEXT`.",
         ) from error
     named = anchors if isinstance(anchors, list) else ()
     return OwnMark(mark, tuple(place for place in named if isinstance(place, str)))

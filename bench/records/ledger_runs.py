@@ -53,7 +53,7 @@ def runs_of(entries: Iterable[Entry]) -> list[LedgerRun]:
         except (LookupError, TypeError, ValueError) as error:
             raise JournalBroken(
                 f"Line {entry.seq + 1} of the ledger is not a line about a run.",
-                remedy="Another program wrote it. State what happened: `starbench ledger explain --reason TEXT`.",
+                remedy="Another program wrote it. State what happened: `starbench ledger --explain TEXT`.",
             ) from error
     return runs
 

@@ -1,4 +1,4 @@
-"""Keeps the views that a run has found, so that `calibrate` and `recalibrate` need not find its stars again.
+"""Keeps the views that a run has found, so that `calibrate` need not find its stars again.
 
 The kept views are no part of the run (`bench.views.kept_views`). Nothing that fails here may harm a run.
 """

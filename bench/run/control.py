@@ -269,7 +269,8 @@ def command_text(answer: Mapping[str, Any]) -> str:
     if not answer["taken"]:
         return f"Refused: {answer['why']}."
     return {
-        "hold": "Accepted: the run holds at its next safe point, with the light off, until `starbench release`.",
+        "hold": "Accepted: the run holds at its next safe point, with the light off, until `starbench tell FOLDER"
+        " release`.",
         "release": "Accepted: the run continues.",
         "abort": "Accepted: the run ends now, safely. It can be resumed.",
         "answer": f"Accepted: {answer.get('answer')}.",

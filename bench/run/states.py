@@ -269,6 +269,6 @@ class StateWork:
             raise Aborted(f"{step.text} was answered with abort ({answer.by})")
 
     def _answer_from_elsewhere(self) -> Reply | None:
-        """Return the answer given by `starbench answer`, if there is one."""
+        """Return the answer given by `starbench tell`, if there is one."""
         given = self._run.log.history.answer
         return Reply(*given) if given is not None else None

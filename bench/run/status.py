@@ -260,10 +260,10 @@ def _advice_while_running(folder: Path, history: History) -> str:
             " long."
         )
     if history.question:
-        return f"The run asks: {history.question} To answer: starbench answer {folder} yes (or no)"
+        return f"The run asks: {history.question} To answer: starbench tell {folder} yes (or no)"
     if history.holder:
-        return f"Held by {history.holder}. To continue: starbench release {folder}"
-    return f"No action is needed. To stop the run safely: starbench abort {folder}"
+        return f"Held by {history.holder}. To continue: starbench tell {folder} release"
+    return f"No action is needed. To stop the run safely: starbench tell {folder} abort"
 
 
 def _is_over(history: History) -> bool:

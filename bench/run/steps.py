@@ -128,7 +128,7 @@ class Steps:
 
     def _hold(self, step: ScriptStep, by: str) -> None:
         begin_s = self._run.clock.monotonic()
-        self._run.say(f"Held by {by}. To continue: `starbench release`.")
+        self._run.say(f"Held by {by}. To continue: `starbench tell FOLDER release`.")
         self._machine.fire("hold", step, by=by)
         held_s = self._run.clock.monotonic() - begin_s
         before = "parking" if isinstance(step, ParkStep) else f"step {step.number}"

@@ -113,7 +113,7 @@ CAMERA_SECTIONS = {
 
 
 COMMON_SECTIONS = """\
-# The printed pattern. `starbench target draw` draws it, `target show` says what it is good for (docs/target.md).
+# The printed pattern. `starbench target` says what it is good for, and draws it (docs/target.md).
 target:
   # serial: R-1                   # of the target; it is drawn on it
   squares: [50, 72]

@@ -46,13 +46,13 @@ def ask(
     timeout_s: How long to wait, s.
     terminal: Where answers are typed; None for standard input. If it is not a terminal, or is closed, only
       ``elsewhere`` gives an answer. An empty line is the default.
-    elsewhere: Returns the answer given from another terminal (`starbench answer`); None while there is none.
+    elsewhere: Returns the answer given from another terminal (`starbench tell`); None while there is none.
     Raises Aborted, Interrupted: When the clock is asked to stop or to pause.
     """
     source = sys.stdin if terminal is None else terminal
     here = source is not None and source.isatty()  # None: the process has no standard input
     typed = _typed(source) if here else None
-    how = "[c]ontinue / [a]bort" if here else "`starbench answer`"
+    how = "[c]ontinue / [a]bort" if here else "`starbench tell FOLDER yes` (or no)"
     say(f"{text}  {how}, {default} after {timeout_s:g} s:")
     deadline = clock.monotonic() + timeout_s
     while clock.monotonic() < deadline:
@@ -61,7 +61,7 @@ def ask(
             return reply
         line = typed() if typed is not None else None
         if line == "":  # the end of the input, which is not an answer
-            say("This terminal is closed. Answer with `starbench answer` from another one.")
+            say("This terminal is closed. Answer with `starbench tell FOLDER yes` (or no) from another one.")
             typed = None
         elif line is not None:
             word = line.strip().lower()

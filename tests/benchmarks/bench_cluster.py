@@ -77,7 +77,7 @@ def main() -> None:
         kills = Kills(rng, options.every_s, options.command_dies)
         with DaskServers(folder) as servers:
             kills.servers = servers
-            rows = kills.calibrate([*some, "--scheduler", servers.address], folder / "by-dask")
+            rows = kills.calibrate([*some, "--workers", servers.address], folder / "by-dask")
         report("by a Dask scheduler", rows, {name: expected[name] for name in some}, kills)
     if options.only in {"", "s3"} and options.s3_runs:
         kills = Kills(rng, options.every_s, options.command_dies)
@@ -141,7 +141,17 @@ class Kills:
 
     def calibrate(self, words: list[str], output: Path) -> list[dict]:
         """Repeat the command until it has ended by itself; return the rows of its table."""
-        command = [sys.executable, "-m", "bench", "recalibrate", *words, "-o", str(output), "--table-only"]
+        command = [
+            sys.executable,
+            "-m",
+            "bench",
+            "calibrate",
+            *words,
+            "--each",
+            "-o",
+            str(output),
+            "--table-only",
+        ]
         log = output.with_suffix(".log").open("ab")
         while True:
             with subprocess.Popen(command, cwd=ROOT, stdout=log, stderr=log) as process:

@@ -68,11 +68,11 @@ def main() -> None:
         ledgers = [word for home in homes for word in ("--ledger", str(home))]
         table, csv, page = (folder / made for made in ("runs.parquet", "runs.csv", "charts.html"))
         home = folder / "here"
-        measure("parquet, no index yet", [*ledgers, "--export", str(table)], home, table)
-        measure("parquet, second call", [*ledgers, "--export", str(table)], home, table)
-        measure("csv", [*ledgers, "--export", str(csv)], home, csv)
-        measure("charts of cx", [*ledgers, "--chart", "cx", "--page", str(page)], home, page)
-        measure("charts of all parameters", [*ledgers, "--chart", "--page", str(page)], home, page)
+        measure("parquet, no index yet", [*ledgers, "--output", str(table)], home, table)
+        measure("parquet, second call", [*ledgers, "--output", str(table)], home, table)
+        measure("csv", [*ledgers, "--output", str(csv)], home, csv)
+        measure("charts of cx", [*ledgers, "--chart", "cx", "--output", str(page)], home, page)
+        measure("charts of all parameters", [*ledgers, "--chart", "--output", str(page)], home, page)
 
 
 if __name__ == "__main__":

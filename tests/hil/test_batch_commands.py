@@ -104,7 +104,7 @@ def test_a_finished_batch_is_looked_at_summed_up_and_its_runs_are_listed(night):
     assert "Batch Night  REHEARSAL: stopped" in status.stdout
     assert "2 runs with a result, 0 runs without" in status.stdout
     before = (folder / "out" / "summary.json").read_bytes()
-    again = starbench("batch", "summary", folder / "out", home=folder / "home")
+    again = starbench("status", folder / "out", "--summary", home=folder / "home")
     assert "Camera 00050423, radial model, 2 results" in again.stdout
     assert (folder / "out" / "summary.json").read_bytes() == before
     runs = starbench("runs", folder / "out", home=folder / "home")
@@ -118,7 +118,7 @@ def test_a_job_is_stored_for_a_batch_that_no_process_works_on(night, tmp_path):
     clock = BenchClock()
     with Journal.create(tmp_path / JOURNAL, utc_now=clock.utc_now, monotonic=clock.monotonic) as journal:
         journal.append(BatchEvent.BEGUN, queue="Night", files={})
-    said = starbench("batch", "add", tmp_path, folder / "job.yaml", home=folder / "home")
+    said = starbench("tell", tmp_path, "add", folder / "job.yaml", home=folder / "home")
     assert said.returncode == 0, said.stderr
     assert "when it continues" in said.stdout
     assert len(list((tmp_path / "requests").iterdir())) == 1
@@ -126,10 +126,10 @@ def test_a_job_is_stored_for_a_batch_that_no_process_works_on(night, tmp_path):
 
 def test_a_request_to_a_rehearsal_or_to_no_batch_is_refused(night):
     folder, _ = night
-    said = starbench("batch", "add", folder / "out", folder / "job.yaml", home=folder / "home")
+    said = starbench("tell", folder / "out", "add", folder / "job.yaml", home=folder / "home")
     assert said.returncode == 1
     assert "is a rehearsal" in said.stderr
-    nowhere = starbench("batch", "withdraw", folder, "a", home=folder / "home")
+    nowhere = starbench("tell", folder, "withdraw", "a", home=folder / "home")
     assert nowhere.returncode == 1
     assert "There is no batch in this folder" in nowhere.stderr
 

@@ -68,7 +68,7 @@ def test_pdf_and_json_resealed_with_the_benchs_own_key_are_found(lab, issued, tm
 
 
 def test_killed_after_its_number_was_taken_no_number_is_lost(lab, issued):
-    ledger, arguments = lab / "home" / "ledger.jsonl", ("-c", lab / "lab.yaml", "--also", "killed")
+    ledger, arguments = lab / "home" / "ledger.jsonl", ("-c", lab / "lab.yaml", "--reason", "killed")
     for attempt in range(4):
         size = ledger.stat().st_size
         words = ["issue", lab / "run", *arguments, "-o", lab / f"killed{attempt}"]
@@ -85,7 +85,7 @@ def test_killed_after_its_number_was_taken_no_number_is_lost(lab, issued):
         process.wait()
     said = certificate(lab, "issue", lab / "run", *arguments, "-o", lab / "last")
     assert said.returncode == 0, said.stderr
-    found = json.loads(certificate(lab, "list", "--json").stdout)["certificates"]
+    found = json.loads(certificate(lab, "show", "--json").stdout)["certificates"]
     assert [row["number"][-5:] for row in found] == [f"{count:05d}" for count in range(1, len(found) + 1)]
     assert {row["state"] for row in found} == {"SEALED"}
     assert [path.name for path in lab.iterdir() if path.name.endswith(".tmp")] == []

@@ -60,13 +60,13 @@ def test_a_held_run_goes_on_where_it_was_and_ends_with_the_same_numbers(home, tm
     wait_for(process, folder, entering("settling"))
     assert send(folder, Command(word="hold", by="ada"))["taken"]
     wait_for(process, folder, entering("holding"))
-    refused = starbench("release", folder, "--operator", "ben", home=home)
+    refused = starbench("tell", folder, "release", "--operator", "ben", home=home)
     assert refused.returncode == 1
     assert "held by ada" in refused.stderr
     assert light_outputs(folder)[-1] is False
     status = json.loads(starbench("status", folder, "--json", home=home).stdout)
     assert (status["running"], status["state"], status["held_by"]) == (True, "holding", "ada")
-    taken = starbench("release", folder, "--operator", "ben", "--take-over", "--json", home=home)
+    taken = starbench("tell", folder, "release", "--operator", "ben", "--take-over", "--json", home=home)
     assert json.loads(taken.stdout)["taken"]
     assert process.wait(PATIENCE_S) == 0
     held = states(folder).index("holding")
@@ -89,7 +89,7 @@ def test_a_skipped_pose_is_left_out_and_the_report_says_who_asked(home, tmp_path
         "taken"
     ]  # so that it is there, however slow a command starts
     assert send(folder, Command(word="skip", by="ada", pose=2))["taken"]
-    again = starbench("skip", folder, "--pose", 2, "--operator", "ada", home=home)
+    again = starbench("tell", folder, "skip", 2, "--operator", "ada", home=home)
     assert "already skipped" in again.stderr
     assert send(folder, Command(word="release", by="ada"))["taken"]
     assert process.wait(PATIENCE_S) == 0
@@ -104,11 +104,11 @@ def test_an_abort_from_another_terminal_ends_safely_and_the_run_resumes(home, tm
     assert send(folder, Command(word="hold", by="ada"))[
         "taken"
     ]  # so that it is there, however slow a command starts
-    assert starbench("abort", folder, "--operator", "ben", home=home).returncode == 0
+    assert starbench("tell", folder, "abort", "--operator", "ben", home=home).returncode == 0
     assert process.wait(PATIENCE_S) == 3
     assert states(folder)[-2:] == ["aborting", "aborted"]
     assert "abort by ben" in journal(folder)[-1]["why"]
-    late = starbench("hold", folder, home=home)
+    late = starbench("tell", folder, "hold", home=home)
     assert late.returncode == 1
     assert "No process works on this run" in late.stderr
     before = (folder / "journal.jsonl").read_bytes()
@@ -158,8 +158,8 @@ def test_a_question_is_answered_from_another_terminal_once(home, tmp_path):
         wait_for(process, folder, lambda line: line["event"] == "asked")
         status = json.loads(starbench("status", folder, "--json", home=home).stdout)
         assert status["question"] == "Is the cap off?"
-        assert "starbench answer" in status["advice"]
-        said = starbench("answer", folder, "yes", "--operator", "ada", home=home)
+        assert "starbench tell" in status["advice"]
+        said = starbench("tell", folder, "yes", "--operator", "ada", home=home)
         assert said.returncode == 0, said.stderr
         assert said.stdout == "Accepted: continue.\n"
         wait_for(process, folder, lambda line: line["event"] == "answered")

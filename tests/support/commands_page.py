@@ -9,8 +9,7 @@ from __future__ import annotations
 
 import click
 
-from bench.commands.cli import cli
-from bench.commands.help_text import EXAMPLES, SECTIONS
+from bench.commands.cli import SECTIONS, cli
 
 HEAD = """# All commands
 
@@ -21,22 +20,23 @@ HEAD = """# All commands
 
 
 def lines_of(name: str, command: click.Command) -> list[str]:
-    """Return a line with example and purpose; of a group, a line for each of its commands.
-
-    A hidden command is what its group does without a further word (`batch QUEUE`), so its line is that of the group.
-    """
+    """Return a line with example and purpose; of a group, a line for each of its commands."""
     if isinstance(command, click.Group):
         return [line for inner, one in command.commands.items() for line in lines_of(f"{name} {inner}", one)]
     purpose = (command.help or "").partition("\n\n")[0].replace("\n", " ")
-    return [f"* `{EXAMPLES[name][0]}`: {purpose}"]
+    example = next(line for line in (command.epilog or "").splitlines() if line.startswith("  starbench"))
+    return [f"* `{example.strip()}`: {purpose}"]
 
 
 def page() -> str:
     """Return the page, with the sections of `starbench --help` in their order."""
-    lines = [HEAD]
+    lines, nobody = [HEAD], click.Context(cli)
     for title, names in SECTIONS.items():
         lines += ["", f"## {title}", ""]
-        lines += [line for name in names for line in lines_of(name, cli.commands[name])]
+        for name in names:
+            command = cli.get_command(nobody, name)
+            assert command is not None
+            lines += lines_of(name, command)
     return "\n".join(lines) + "\n"
 
 

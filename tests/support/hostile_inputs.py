@@ -61,7 +61,7 @@ READERS = {
     "run-sequence": (("run", "{}", "--station", "simulated", "--output", "out"), "bad.yaml"),
     "plan-station": (("plan", "three_pose", "--station", "{}"), "bad.yaml"),
     "study-station": (("study", "three_pose", "--station", "{}", "--runs", "2"), "bad.yaml"),
-    "draw-station": (("target", "draw", "--station", "{}", "--output", "out.svg"), "bad.yaml"),
+    "draw-station": (("target", "--station", "{}", "--output", "out.svg"), "bad.yaml"),
     "simulate-station": (("simulate", "--station", "{}"), "bad.yaml"),
     "align-station": (("align", "--station", "{}", "--text"), "bad.yaml"),
     "batch-queue": (("batch", "{}", "--output", "out"), "bad.yaml"),
@@ -543,7 +543,7 @@ def main() -> None:
     (watched / "victim.txt").write_text("keep me\n")
     with h5py.File(watched / "secret.h5", "w") as file:
         file["events/t"] = np.arange(50)
-    import bench.commands.calibration_output
+    import bench.commands.calibrate
     import bench.commands.cli
     import bench.results.offline
     import bench.results.offline_folder

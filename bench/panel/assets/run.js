@@ -138,7 +138,7 @@ async function send(command) {
   try {
     const answer = await post(`${api}/command`, { by: person.get(), ...command });
     told.className = answer.taken ? "good" : "bad";
-    fill(told, answer.text.replace(/`starbench release`/, "it is released").replace(/; --take-over makes you its owner/, ""), !answer.taken && head.holder && head.holder !== person.get() && !command.take_over && command.word !== "abort"
+    fill(told, answer.text.replace(/`starbench tell FOLDER release`/, "it is released").replace(/; --take-over makes you its owner/, ""), !answer.taken && head.holder && head.holder !== person.get() && !command.take_over && command.word !== "abort"
       ? el("button", { style: "margin-left: 10px", onclick: () => send({ ...command, take_over: true }) }, `Take over from ${head.holder}`) : null);
     return answer;
   } catch (error) {

@@ -12,6 +12,8 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from comparison.words import words_for
+
 PATIENCE_S = 900.0
 #: Calls `python -m bench` once for each command of a list, each in a fork of one process that has loaded all of it.
 _MANY = """
@@ -73,12 +75,12 @@ class Side:
     def say(self, *words: object) -> int:
         """Run one command to its end and keep what it said under `said/`; return its exit status."""
         process = self.start(*words)
-        return self._keep(process, *process.communicate(timeout=PATIENCE_S))
+        return self._keep(process, [str(word) for word in words], *process.communicate(timeout=PATIENCE_S))
 
     def start(self, *words: object) -> subprocess.Popen[str]:
         self.folder.mkdir(parents=True, exist_ok=True)
         return subprocess.Popen(
-            [sys.executable, "-m", "bench", *map(str, words)],
+            [sys.executable, "-m", "bench", *words_for(self.checkout, [str(word) for word in words])],
             env=self.environment(), cwd=self.folder, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE,
             stderr=subprocess.PIPE, text=True, start_new_session=True,
         )  # fmt: skip
@@ -106,7 +108,7 @@ class Side:
         """Run short commands, each in a fork of one process; the dictionary names them."""
         said = self.folder / "said"
         said.mkdir(exist_ok=True)
-        listed = [[str(said / name), words] for name, words in commands.items()]
+        listed = [[str(said / name), words_for(self.checkout, words)] for name, words in commands.items()]
         self.write("tmp/commands.json", json.dumps(listed))
         subprocess.run(
             [sys.executable, "-c", _MANY, str(self.folder / "tmp" / "commands.json")],
@@ -115,15 +117,15 @@ class Side:
         for name, words in commands.items():
             self._sort_json(said / name, words)
 
-    def _keep(self, process: subprocess.Popen[str], out: str, err: str) -> int:
+    def _keep(self, process: subprocess.Popen[str], said_words: list[str], out: str, err: str) -> int:
         self._count += 1
         said = self.folder / "said"
         said.mkdir(exist_ok=True)
-        words = [word for word in process.args[3:] if not word.startswith("-")]  # type: ignore[index]
+        words = [word for word in said_words if not word.startswith("-")]
         stem = said / f"{self._count:02d}-{words[0]}"
         for name, text in (("stdout", out), ("stderr", err), ("exit", f"{process.returncode}\n")):
             stem.with_name(f"{stem.name}.{name}").write_text(text, encoding="utf-8")
-        self._sort_json(stem, [str(word) for word in process.args])  # type: ignore[union-attr]
+        self._sort_json(stem, said_words)
         return process.returncode
 
     @staticmethod

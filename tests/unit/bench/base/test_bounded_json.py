@@ -18,8 +18,8 @@ OWN_DATA = {
     "base/lens_and_mount.py",  # an answer of the simulated bench
     "certificate/amend.py",  # text that was written a line before
     "certificate/pdf.py",
-    "commands/issue_output.py",
-    "commands/run_output.py",  # channel of a message, from our own outbox
+    "commands/certificate.py",
+    "commands/messages.py",  # channel of a message, from our own outbox
     "messaging/messages.py",
     "compare/real_data.py",  # pydantic bounds the depth
     "panel/helper.py",  # a process of our own

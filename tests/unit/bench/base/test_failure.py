@@ -5,12 +5,13 @@ import json
 from dataclasses import replace
 
 import pytest
+from json_form import with_json
 from rehearsed import Scene
 
 from bench.base.device_ends import DeviceEnd
 from bench.base.errors import BenchError, JournalBroken
 from bench.base.failure import FORESEEN, Failure
-from bench.commands.calibration_output import show_run
+from bench.commands.run import show_run
 from bench.records.events import Event
 from bench.records.history import replay
 from bench.records.journal import read_journal
@@ -62,7 +63,7 @@ def test_a_run_that_failed_keeps_kind_place_and_remedy_up_to_journal_and_json(tm
     assert end.failure == Failure(**SLIPPED)
     (told,) = scene.told(Event.RUN_ENDED)
     assert told["error"] == SLIPPED
-    assert show_run(end, as_json=True) == 1
+    assert with_json(show_run, end) == 1
     said = json.loads(capsys.readouterr().out)["error"]
     assert said == {**SLIPPED, "message": "pan: The axis slipped. Tighten the clamp."}
 
@@ -83,10 +84,10 @@ def test_a_failed_run_is_called_safe_only_if_devices_were_opened(tmp_path, capsy
     scene.hook = hook
     end = scene.run()
     assert (end.how, end.opened) == ("failed", opened)
-    assert show_run(end, as_json=False) == 1
+    assert show_run(end) == 1
     assert text in capsys.readouterr().err.splitlines()
     ends = [DeviceEnd("stage", "confirmed safe", "at rest"), DeviceEnd("light", "not confirmed", "no answer")]
-    assert show_run(replace(end, devices=ends), as_json=False) == 1
+    assert show_run(replace(end, devices=ends)) == 1
     said = capsys.readouterr().err
     assert "The bench is safe" not in said
     assert "  light: not confirmed: no answer. The light may be on." in said.splitlines()
@@ -106,7 +107,7 @@ def test_how_each_device_was_left_stands_in_the_journal_and_in_json(tmp_path, ca
     (told,) = scene.told(Event.RUN_ENDED)
     states = {one["device"]: one["state"] for one in told["devices"]}
     assert states == {"stage": "confirmed safe", "light": "not confirmed", "camera": "confirmed safe"}
-    assert show_run(end, as_json=True) == 1
+    assert with_json(show_run, end) == 1
     said = json.loads(capsys.readouterr().out)
     assert said["devices"] == told["devices"]
     assert "no complete reply" in said["devices"][1]["said"]
@@ -128,7 +129,7 @@ def test_a_camera_that_has_gone_is_not_said_to_be_safe(tmp_path, capsys):
     states = {one["device"]: one["state"] for one in told["devices"]}
     assert states == {"stage": "confirmed safe", "light": "confirmed safe", "camera": "not confirmed"}
     assert told["devices"][2]["said"].startswith("the camera does not answer: camera 7: the connection")
-    assert show_run(end, as_json=False) == 1
+    assert show_run(end) == 1
     said = "".join(capsys.readouterr())
     assert "Stage and light confirmed that they are safe:" in said
     assert "CHECK THE BENCH" not in said
@@ -145,7 +146,7 @@ def test_a_finished_run_states_what_each_device_confirmed(tmp_path):
 
 def test_what_is_not_known_of_devices_never_opened_is_said(capsys, tmp_path):
     end = RunEnd("failed", "the port is missing", tmp_path, None)
-    assert show_run(end, as_json=False) == 1
+    assert show_run(end) == 1
     assert (
         "Whether the light is on and the stage is still is not known: look at the bench."
         in capsys.readouterr().err
@@ -156,7 +157,7 @@ def test_a_sequence_without_a_report_step_has_not_failed(capsys, tmp_path):
     (tmp_path / "captures").mkdir()
     for name in ("pose-001-attempt-1.raw", "pose-002-attempt-1.raw"):
         (tmp_path / "captures" / name).touch()
-    assert show_run(RunEnd("finished", "", tmp_path, None, opened=True), as_json=False) == 0
+    assert show_run(RunEnd("finished", "", tmp_path, None, opened=True)) == 0
     said = capsys.readouterr()
     assert "Recordings (2):\n  captures/pose-001-attempt-1.raw\n  captures/pose-002" in said.out
     assert f"starbench calibrate {tmp_path} --output" in said.out
@@ -199,7 +200,7 @@ def test_a_run_that_was_aborted_has_no_failure(tmp_path):
 def test_a_camera_that_does_not_answer_is_no_reason_to_check_the_bench(tmp_path, capsys, light, camera, head):
     ends = [DeviceEnd("stage", "confirmed safe"), DeviceEnd("light", light), DeviceEnd("camera", camera)]
     end = RunEnd("failed", "no camera", tmp_path, None, devices=ends, opened=False)
-    show_run(end, as_json=False)
+    show_run(end)
     said = "".join(capsys.readouterr())
     assert head in said
     assert ("The light may be on" in said) is (light != "confirmed safe")

@@ -12,7 +12,7 @@ from bench.base.errors import RunFolderError, ScriptError
 from bench.batch.batch import Batch
 from bench.batch.batch_requests import REQUESTS, Request, answer_text, send_request
 from bench.batch.batch_status import batch_status_text, read_batch_status
-from bench.commands.batch_output import ask_batch
+from bench.commands.tell import tell
 from bench.records.journal import read_journal
 
 
@@ -156,7 +156,7 @@ def test_a_faulty_job_file_is_refused_before_anything_is_asked(tmp_path):
     path = tmp_path / "job.yaml"
     path.write_text("format: starbench/job/1\nname: a\nsequence: no_such\nstation: simulated\n")
     with pytest.raises(ScriptError, match="no_such"):
-        ask_batch(tmp_path, job=path, name=None, by="ada", as_json=False)
+        tell.callback(tmp_path, "add", str(path), "ada", take_over=False)
 
 
 @pytest.mark.parametrize("words", [{"word": "add"}, {"word": "withdraw"}, {"word": "add", "name": "a"}])

@@ -7,7 +7,7 @@ from click.testing import CliRunner
 
 from bench.base.errors import EvidenceError, UsageError
 from bench.certificate.dcc_signature import sign_dcc
-from bench.commands.dcc_commands import check
+from bench.commands.certificate_dcc import check
 
 SIGNED = (
     "Signature: valid, by CN=Lab seal P-256,O=Lab (issued by CN=Lab authority,O=Lab), who states"

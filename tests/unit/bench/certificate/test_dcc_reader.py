@@ -10,7 +10,7 @@ from lxml import etree
 from bench.base.errors import EvidenceError
 from bench.certificate.dcc_reader import read_reference
 from bench.certificate.dcc_xml import NAMESPACES
-from bench.commands.dcc_commands import from_dcc
+from bench.commands.certificate_dcc import from_dcc
 
 HEAD = """<dcc:digitalCalibrationCertificate xmlns:dcc="https://ptb.de/dcc" xmlns:si="https://ptb.de/si"
  schemaVersion="3.2.1"><dcc:administrativeData><dcc:coreData><dcc:uniqueIdentifier>{number}</dcc:uniqueIdentifier>

@@ -91,7 +91,7 @@ def test_a_number_left_open_is_not_used_for_another_series(bench):
 
 
 def test_a_further_certificate_needs_a_first_one(bench):
-    with pytest.raises(EvidenceError, match=r"has no certificate yet\. Leave out --also"):
+    with pytest.raises(EvidenceError, match=r"has no certificate yet\. Leave out --reason"):
         bench.reserve("a", also="x")
 
 
@@ -114,7 +114,7 @@ def test_only_an_open_number_can_be_void(bench):
 def test_a_second_certificate_of_a_run_needs_a_reason(bench):
     first = bench.issue("a")
     with pytest.raises(
-        EvidenceError, match=f"has a certificate already: {first} of 2026-11-21.*amend.*--also"
+        EvidenceError, match=f"has a certificate already: {first} of 2026-11-21.*amend.*--reason"
     ):
         bench.reserve("a")
     assert bench.issue("a", also="a copy for the other owner") == "SB-2026-00002"
@@ -166,7 +166,7 @@ def test_numbers_lost_with_lines_of_the_ledger_are_not_given_again(bench):
     bench.issue("b")
     whole = bench.ledger.path.read_bytes().splitlines(keepends=True)
     bench.ledger.path.write_bytes(b"".join(whole[:2]))
-    with pytest.raises(EvidenceError, match="ledger explain"):
+    with pytest.raises(EvidenceError, match="ledger --explain"):
         bench.reserve("c")
     bench.ledger.explain("restored from the backup of yesterday", "Ada")
     assert bench.issue("c") == "SB-2026-00003"

@@ -152,7 +152,7 @@ def test_an_interrupted_conversion_goes_on_and_replaces_nothing_of_others(record
 
 
 def test_the_command_converts_many_into_a_folder(recordings, tmp_path, monkeypatch):
-    monkeypatch.setattr("bench.commands.convert_command.open_workers", lambda *_, **__: Serial())
+    monkeypatch.setattr("bench.commands.convert.open_workers", lambda *_, **__: Serial())
     words = ["convert", *recordings, tmp_path / "out", "--as", "numpy"]
     found = run(*words)
     assert "2 of 2 files converted." in found.stdout
@@ -205,7 +205,7 @@ def test_only_what_was_derived_again_is_kept(sealed, signers, derived):
 def test_the_command_checks_many_folders_and_names_each(sealed, tmp_path, derived, monkeypatch):
     shutil.copytree(sealed, tmp_path / "other")
     (tmp_path / "other" / "results.json").write_text("{}")
-    monkeypatch.setattr("bench.commands.verify_command.open_workers", lambda *_, **__: Serial())
+    monkeypatch.setattr("bench.commands.verify.open_workers", lambda *_, **__: Serial())
     found = run("verify", sealed, tmp_path / "other", "-o", tmp_path / "kept")
     assert found.return_value == 1
     assert "other: NOT VERIFIED." in found.stdout

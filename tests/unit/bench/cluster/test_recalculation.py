@@ -258,7 +258,9 @@ def test_the_command_gives_the_same_to_the_last_digit_by_processes(folders):
     ]
     shutil.rmtree(folders[1])
     folders[1].mkdir()
-    found = CliRunner().invoke(cli, ["recalibrate", *map(str, folders), *options], standalone_mode=False)
+    found = CliRunner().invoke(
+        cli, ["calibrate", *map(str, folders), "--each", *options], standalone_mode=False
+    )
     assert found.return_value == 1
     assert "cam1: fx" in found.stderr
     assert "cam2: FAILED. The folder contains no run" in found.stderr

@@ -81,7 +81,7 @@ def test_work_that_needs_too_much_memory_fails_and_says_so():
             Work("few", cluster_work.double, (1,)),
         )
         assert found["much"].failure.kind == "MemoryError"
-        assert "--memory" in found["much"].failure.remedy
+        assert "--workers" in found["much"].failure.remedy
         assert found["few"].value == 2
         assert workers.replaced == 0
 

@@ -16,9 +16,8 @@ import pytest
 from bench.base.errors import StorageError
 from bench.batch.batch_plan import plan_batch
 from bench.commands.cli import cli, main
-from bench.commands.help_text import EXAMPLES
 from bench.commands.output import print_error
-from bench.commands.run_output import _signed
+from bench.commands.runs import signed
 from sequences.queue import Queue
 from sequences.reader import check_document
 
@@ -26,10 +25,9 @@ RUN_COMMANDS = [
     ("resume",),
     ("resume", "--dry-run"),
     ("status",),
-    ("hold",),
-    ("release",),
-    ("skip",),
-    ("abort",),
+    ("tell", "hold"),
+    ("tell", "skip"),
+    ("tell", "yes"),
 ]
 
 
@@ -44,14 +42,24 @@ sys.meta_path.insert(0, Interrupted())
 ROOT = Path(__file__).parents[4]
 
 
+NOBODY = click.Context(cli)
+
+
 def commands(group=cli, path=()):
-    for name, command in group.commands.items():
+    for name in group.list_commands(NOBODY):
+        command = group.get_command(NOBODY, name)
         yield (*path, name), command
         if isinstance(command, click.Group):
             yield from commands(command, (*path, name))
 
 
 ALL = {" ".join(path): command for path, command in commands()}
+EXAMPLES = [
+    line.strip()
+    for command in ALL.values()
+    for line in command.epilog.splitlines()
+    if line.startswith("  starbench")
+]
 
 
 @pytest.fixture(autouse=True)
@@ -85,7 +93,7 @@ def test_help_of_a_command_has_a_purpose_an_example_and_its_statuses(say, words)
     status, said, _ = say(*words.split(), "--help")
     assert status == 0
     assert "Example" in said
-    assert f"starbench {words.replace(' run', '')}" in said
+    assert f"starbench {words}" in said
     assert "Exit status: 0" in said
     for option in ALL[words].params:
         assert not isinstance(option, click.Option) or option.hidden or option.help, option.name
@@ -114,10 +122,10 @@ def check_words(line):
     """Fail where a call uses words that there are not; return those that must be and are not."""
     words = shlex.split(line.partition(" > ")[0])[1:]
     command = cli
-    while isinstance(command, click.Group) and words[0] in command.commands:
-        command = command.commands[words.pop(0)]
-    if isinstance(command, click.Group):  # `batch QUEUE`
-        command = command.commands["run"]
+    while isinstance(command, click.Group):
+        name = words.pop(0)
+        command = command.get_command(NOBODY, name)
+        assert command is not None, f"there is no command {name!r}"
     values, rest, _ = command.make_parser(click.Context(command)).parse_args(words)
     assert rest == []
     given = {
@@ -128,7 +136,7 @@ def check_words(line):
     return [p.name for p in command.params if p.required and p.name not in given]
 
 
-@pytest.mark.parametrize("line", [line for lines in EXAMPLES.values() for line in lines])
+@pytest.mark.parametrize("line", EXAMPLES)
 def test_an_example_uses_existing_arguments_and_options(line):
     assert check_words(line) == []
 
@@ -149,7 +157,7 @@ def test_a_queue_in_the_documents_can_be_planned(document):
 
 @pytest.mark.parametrize("words", [*RUN_COMMANDS, ("verify",)], ids=" ".join)
 def test_a_missing_run_folder_is_an_invalid_argument(say, words):
-    status, _, said = say(*words, "nowhere")
+    status, _, said = say(words[0], "nowhere", *words[1:])
     assert status == 2
     assert "nowhere: There is no such run folder." in said
 
@@ -159,7 +167,7 @@ def test_a_folder_of_runs_is_refused_and_its_runs_are_named(say, words, tmp_path
     run = tmp_path / "runs" / "cam7"
     run.mkdir(parents=True)
     (run / "journal.jsonl").write_text("")
-    status, _, said = say(*words, "runs")
+    status, _, said = say(words[0], "runs", *words[1:])
     assert status == 2
     assert "not a run folder" in said
     assert "runs/cam7" in said
@@ -168,7 +176,7 @@ def test_a_folder_of_runs_is_refused_and_its_runs_are_named(say, words, tmp_path
 @pytest.mark.parametrize("words", [*RUN_COMMANDS[:2], *RUN_COMMANDS[3:], ("verify",)], ids=" ".join)
 def test_a_batch_in_place_of_a_run_is_refused_with_the_command_that_continues_it(say, words, tmp_path):
     batch_folder(tmp_path / "night")
-    status, _, said = say(*words, "night")
+    status, _, said = say(words[0], "night", *words[1:])
     assert status == 2
     assert "starbench batch QUEUE.yaml --output night" in said
 
@@ -222,7 +230,7 @@ def test_a_new_file_that_cannot_be_created_is_refused_before_any_work(say, tmp_p
     [
         ("calibrate",), ("passport", "show"), ("passport", "make", "-o", "new.json"), ("batch", "-o", "out"), ("runs",),
         ("verify", ".", "--allowed-signers"), ("calibrate", ".", "--passport"), ("calibrate", ".", "--station"),
-        ("simulate", "--station"), ("batch", "summary"), ("convert",),
+        ("simulate", "--station"), ("convert",),
     ],
     ids=" ".join,
 )  # fmt: skip
@@ -321,7 +329,7 @@ def test_a_message_is_printed_in_latin_1():
 
 def test_files_of_the_bench_that_cannot_be_used_are_named(capsys, tmp_path):
     error = sqlite3.OperationalError("database or disk is full")
-    assert print_error(error, as_json=False, debug=False) == 1
+    assert print_error(error, []) == 1
     said = capsys.readouterr().err
     assert str(tmp_path / "home") in said
     assert "STARBENCH_HOME" in said
@@ -333,8 +341,38 @@ def test_a_home_folder_that_cannot_be_written_gets_a_hint_to_choose_another(caps
         (tmp_path / "home" / "ledger.jsonl", True),
         (tmp_path / "run" / "journal.jsonl", False),
     ):
-        print_error(StorageError("No permission.", where=str(where)), as_json=False, debug=False)
+        print_error(StorageError("No permission.", where=str(where)), [])
         assert ("STARBENCH_HOME" in capsys.readouterr().err) is told
+
+
+@pytest.mark.parametrize(
+    ("words", "now"),
+    [
+        (("recalibrate", "runs/"), "calibrate RUN... --each"),
+        (("hold", "runs/cam7"), "tell RUN hold"),
+        (("batch", "add", "runs/night", "job.yaml"), "tell FOLDER add JOB"),
+        (("keys", "list"), "keys show"),
+    ],
+)
+def test_a_command_of_an_earlier_version_is_refused_with_the_one_that_does_its_work(say, words, now):
+    status, out, err = say(*words)
+    assert (status, out) == (2, "")
+    assert f"is now `starbench {now}`." in err
+
+
+@pytest.mark.parametrize(
+    ("words", "what"),
+    [
+        (("hold", "4"), "`hold` takes no value"),
+        (("skip", "four"), "'four' is not a valid integer"),
+        (("withdraw",), "`withdraw` needs the name of a job"),
+    ],
+)
+def test_a_value_that_does_not_fit_its_word_is_an_invalid_argument(say, tmp_path, words, what):
+    (tmp_path / "journal.jsonl").write_text("")
+    status, out, err = say("tell", tmp_path, *words)
+    assert (status, out) == (2, "")
+    assert what in err
 
 
 def test_the_usage_of_a_batch_names_the_command_that_the_help_lists(say, tmp_path):
@@ -352,4 +390,4 @@ def test_a_fault_of_a_setting_names_the_option(say, words):
 
 
 def test_a_deviation_of_zero_has_no_sign():
-    assert [_signed(number) for number in (-0.004, 0.004, -0.006, 1.0)] == ["0.00", "0.00", "-0.01", "+1.00"]
+    assert [signed(number) for number in (-0.004, 0.004, -0.006, 1.0)] == ["0.00", "0.00", "-0.01", "+1.00"]

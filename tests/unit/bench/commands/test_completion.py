@@ -19,7 +19,7 @@ def proposed(shell: str, *words: str) -> list[str]:
 @pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
 def test_commands_options_stations_and_sequences_are_proposed(shell):
     assert proposed(shell, "ta") == [("plain", "target")]
-    assert ("plain", "show") in proposed(shell, "target", "")
+    assert ("plain", "show") in proposed(shell, "keys", "")
     assert ("plain", "--station") in proposed(shell, "run", "--st")
     assert proposed(shell, "run", "thr") == [("plain", "three_pose")]
     assert [name for _, name in proposed(shell, "align", "--station", "example_")] == [
@@ -36,7 +36,7 @@ def test_commands_options_stations_and_sequences_are_proposed(shell):
 def test_the_shell_completes_paths(shell):
     assert proposed(shell, "run", "my_se") == [("file", "my_se")]
     assert proposed(shell, "resume", "runs/") == [("dir", "runs/")]
-    assert proposed(shell, "target", "draw", "-o", "x") == [("file", "x")]
+    assert proposed(shell, "target", "-o", "x") == [("file", "x")]
 
 
 def test_bash_takes_the_script_and_completes_with_it(tmp_path):
@@ -48,7 +48,7 @@ def test_bash_takes_the_script_and_completes_with_it(tmp_path):
     program.chmod(0o755)
     script = """
 eval "$(_STARBENCH_COMPLETE=bash_source starbench)"
-COMP_WORDS=(starbench target d); COMP_CWORD=2
+COMP_WORDS=(starbench keys ro); COMP_CWORD=2
 _starbench_completion starbench
 echo "${COMPREPLY[@]}"
 """
@@ -60,4 +60,4 @@ echo "${COMPREPLY[@]}"
         timeout=60,
         check=True,
     )
-    assert done.stdout.strip() == "draw"
+    assert done.stdout.strip() == "rotate"

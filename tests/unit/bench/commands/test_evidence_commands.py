@@ -30,7 +30,7 @@ def home(tmp_path, monkeypatch):
     monkeypatch.setenv("STARBENCH_HOME", str(folder))
     for name in ("SSH_AUTH_SOCK", "STARBENCH_PASSPHRASE"):
         monkeypatch.delenv(name, raising=False)
-    monkeypatch.setattr("bench.commands.verify_command.derivations", lambda **_: {})
+    monkeypatch.setattr("bench.commands.verify.derivations", lambda **_: {})
     return folder
 
 
@@ -81,7 +81,7 @@ def test_a_person_authorises_what_is_shown(run, home, tmp_path):
 @pytest.fixture
 def authorised(run, home, tmp_path, monkeypatch):
     """The run, authorised by Ada and entered in the ledger of the bench; and the path of her key."""
-    from bench.commands import verify_command
+    from bench.commands import verify as verify_command
 
     monkeypatch.setattr(
         verify_command, "derivations", lambda **_: {"run": [verify_command._check_authorisation]}
@@ -109,10 +109,10 @@ def removed(run):
 def test_an_authorisation_that_was_removed_is_told(authorised, home):
     run, path = authorised
     assert "AUTHORISED" in call("verify", run)
-    assert "FAULT" not in call("ledger", "check")
+    assert "FAULT" not in call("ledger")
     removed(run)
     what = "the ledger names an authorisation that is missing: by ada@lab.example (SHA256:"
-    for words in (("verify", run), ("runs", run.parent), ("ledger", "check")):
+    for words in (("verify", run), ("runs", run.parent), ("ledger",)):
         assert what in with_a_fault(*words)
     state = shown_state(run, home_trust(home), datetime.now(UTC), known_authorisations(home))
     assert state.state == "SEALED"
@@ -120,7 +120,7 @@ def test_an_authorisation_that_was_removed_is_told(authorised, home):
     done = CliRunner().invoke(cli, ["certificate", "authorise", str(run), "--key", str(path), "--yes"])
     assert what in done.output
     assert "Authorised by ada@lab.example" in call("verify", run)
-    assert "FAULT" not in call("ledger", "check")
+    assert "FAULT" not in call("ledger")
 
 
 def test_a_copy_that_may_be_older_than_the_authorisation_is_no_fault(authorised, home, tmp_path):
@@ -232,10 +232,10 @@ def test_keys_are_listed_with_purpose_and_validity(home, tmp_path):
     path = make_key(tmp_path)
     more = ("--valid-after", "2026-01-01", "--valid-before", "2026-01-02T12:00")
     call("keys", "trust", f"{path}.pub", "--person", "ada@lab.example", *more)
-    listed = call("keys", "list")
+    listed = call("keys", "show")
     assert "bench1@lab.example" in listed
     assert "authorises, valid from 2026-01-01 00:00 UTC, expired 2026-01-02 12:00 UTC" in listed
-    rows = json.loads(call("keys", "list", "--json"))["keys"]
+    rows = json.loads(call("keys", "show", "--json"))["keys"]
     assert rows[1]["purposes"] == ["starbench-authorisation@v1"]
     assert rows[1]["valid_before"] == "2026-01-02T12:00:00+00:00"
     call("keys", "trust", f"{path}.pub", "--bench", "ada@lab.example", fails="cannot both seal and authorise")
@@ -256,7 +256,7 @@ def test_keys_are_replaced_and_revoked(home):
     call("keys", "revoke", old.fingerprint, fails="--reason")
     said = call("keys", "revoke", old.fingerprint, "--reason", "laptop stolen", "--since", "2026-02-03")
     assert "This is this bench's own key" not in said
-    assert "REVOKED 2026-02-03 00:00 UTC (laptop stolen)" in call("keys", "list")
+    assert "REVOKED 2026-02-03 00:00 UTC (laptop stolen)" in call("keys", "show")
     assert "own key. Replace it now" in call("keys", "revoke", new.fingerprint, "--reason", "lost")
 
 
@@ -273,7 +273,7 @@ def test_keys_show_asks_for_no_passphrase(tmp_path, monkeypatch):
     def never(_):
         raise AssertionError("asked for a passphrase")
 
-    monkeypatch.setattr("bench.commands.keys_output.ask_passphrase", never)
+    monkeypatch.setattr("bench.commands.keys.ask_passphrase", never)
     key = create_key(tmp_path, principal="bench1@lab.example", passphrase=b"secret")
     said = call("keys", "show")
     assert key.fingerprint in said

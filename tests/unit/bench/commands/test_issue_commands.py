@@ -11,7 +11,7 @@ from click.testing import CliRunner
 from bench.base.errors import BenchError, UsageError
 from bench.certificate import issue as issue_module
 from bench.certificate.lab_config import LabConfig
-from bench.commands import issue_output
+from bench.commands import certificate
 from bench.commands.cli import cli
 from bench.records.ledger import Ledger
 from sequences.errors import DocumentFaults
@@ -43,9 +43,9 @@ def bench(tmp_path, monkeypatch):
     ledger = Ledger(tmp_path / "home", utc_now=lambda: LATER, monotonic=lambda: 0.0)
     with (
         mock.patch.object(issue_module, "certificate_files", quick_files),
-        mock.patch.object(issue_output, "_verify", verified),
-        mock.patch.object(issue_output, "datetime", LaterClock),
-        mock.patch.object(issue_output, "_ledger", return_value=ledger),
+        mock.patch.object(certificate, "_verify", verified),
+        mock.patch.object(certificate, "datetime", LaterClock),
+        mock.patch.object(certificate, "_ledger", return_value=ledger),
         mock.patch("bench.certificate.pdf_plots.plots_of_run", return_value={}),
     ):
         yield tmp_path
@@ -64,7 +64,7 @@ def test_a_certificate_is_issued_listed_and_shown(bench):
     assert said.startswith(f"SIMULATED calibration certificate {FIRST}\nState:      SEALED\n")
     assert "  fx   3346.4 px \N{PLUS-MINUS SIGN} 2.4 px  (k = 2.22)" in said
     assert "SEALED, not authorised. Dr. Grace Hopper authorises it: starbench certificate authorise" in said
-    heads, row = run("list").splitlines()
+    heads, row = run("show").splitlines()
     assert heads.split() == ["number", "state", "camera", "customer", "date"]
     assert row.split("  ") == [FIRST, "SEALED", "00050423", "Customer & Sons <GmbH>", "2026-12-01"]
     assert run("show", "first").splitlines()[1] == "State:      SEALED"
@@ -74,19 +74,19 @@ def test_a_certificate_is_issued_listed_and_shown(bench):
 def test_json_is_one_object(bench):
     issued = json.loads(run("issue", "run", "-c", "lab.yaml", "-o", "first", "--json"))
     assert (issued["number"], issued["state"], issued["completed"]) == (FIRST, "SEALED", [])
-    (row,) = json.loads(run("list", "--json"))["certificates"]
+    (row,) = json.loads(run("show", "--json"))["certificates"]
     assert (row["number"], row["state"], row["folder"]) == (FIRST, "SEALED", str(bench / "first"))
 
 
 def test_an_amended_certificate_is_shown_as_superseded(bench):
     run("issue", "run", "-c", "lab.yaml", "-o", "first")
     (bench / "lab.yaml").write_text(LAB.replace("Mill Lane 3", "Mill Lane 4"), encoding="utf-8")
-    said = run("amend", "first", "-c", "lab.yaml", "-o", "second", "--reason", "wrong address")
+    said = run("issue", "first", "-c", "lab.yaml", "-o", "second", "--reason", "wrong address")
     assert (
         f"Replaces {FIRST}: wrong address\n  customer.address.street: 'Mill Lane 3' -> 'Mill Lane 4'" in said
     )
     assert f"SUPERSEDED by {SECOND}" in run("show", "first")
-    assert f"replaced by {SECOND}" in run("list")
+    assert f"replaced by {SECOND}" in run("show")
 
 
 def test_a_number_left_open_is_a_draft_until_it_is_void(bench):
@@ -95,9 +95,9 @@ def test_a_number_left_open_is_a_draft_until_it_is_void(bench):
         pytest.raises(BenchError),
     ):
         run("issue", "run", "-c", "lab.yaml", "-o", "first")
-    assert "DRAFT" in run("list")
+    assert "DRAFT" in run("show")
     assert run("void", FIRST, "--reason", "disk full") == f"{FIRST} is void: disk full\n"
-    assert "VOID" in run("list")
+    assert "VOID" in run("show")
     with pytest.raises(UsageError, match="reason is empty"):
         run("void", FIRST, "--reason", " ")
 
@@ -110,13 +110,13 @@ def test_a_certificate_that_was_complete_cannot_be_void(bench):
         run("issue", "run", "-c", "lab.yaml", "-o", "first")
     with pytest.raises(BenchError, match=f"{FIRST} is issued: its certificate was complete"):
         run("void", FIRST, "--reason", "x")
-    assert "SEALED" in run("list")
+    assert "SEALED" in run("show")
 
 
 def test_a_certificate_that_was_moved_or_changed_is_not_claimed_to_be_sealed(bench):
     run("issue", "run", "-c", "lab.yaml", "-o", "first")
     (bench / "first").rename(bench / "elsewhere")
-    assert "NOT FOUND" in run("list")
+    assert "NOT FOUND" in run("show")
 
 
 def test_the_example_is_written_and_refused_until_it_is_filled_in(bench):
@@ -126,7 +126,7 @@ def test_the_example_is_written_and_refused_until_it_is_filled_in(bench):
     assert len(found.value.faults) > 30
     with pytest.raises(UsageError, match="already exists"):
         run("new", "-o", "mine.yaml")
-    assert run("list") == "The ledger of this bench has no certificates.\n"
+    assert run("show") == "The ledger of this bench has no certificates.\n"
 
 
 def test_a_folder_without_a_certificate_is_refused(bench):

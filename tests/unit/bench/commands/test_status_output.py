@@ -18,7 +18,7 @@ from terminal_screen import Screen
 
 from bench.base.clock import BenchClock
 from bench.batch.batch_status import BatchStatus
-from bench.commands.status_output import show_status
+from bench.commands.status import status
 from bench.plan.plan import load_documents, make_plan
 from bench.records.events import Event
 from bench.records.journal import Journal
@@ -122,7 +122,7 @@ def followed(run):
 
 def test_one_block_stays_to_the_end_of_the_run(run, followed):
     on = followed()
-    on.shows("Run run-7  SIMULATED", "running: idle", "starbench abort")
+    on.shows("Run run-7  SIMULATED", "running: idle", "starbench tell")
     for pose in (1, 2, 3):
         run.tell(Event.ENTERING, state="recording", pose=pose)
         on.shows(f"running: recording, pose {pose} of 3")
@@ -208,7 +208,7 @@ def test_a_followed_batch_prints_what_has_changed_and_returns_its_end(tmp_path, 
         replace(first, running=False, ended="aborted", why="by ada@lab", current_run=""),
     ]
     monkeypatch.setattr("bench.batch.batch_status.follow_batch", lambda _folder, *, ticks: iter(statuses))
-    assert show_status(tmp_path, follow=True, as_json=False) == 3
+    assert status.callback(tmp_path, follow=True, summary=False) == 3
     lines = capsys.readouterr().out.splitlines()
     assert lines[:4] == [
         "Batch night: running",

@@ -5,7 +5,7 @@ import io
 
 import pytest
 
-from bench.commands.evidence_output import show_verification
+from bench.commands.verify import show_verification
 from tests.unit.bench.evidence.attack_steps import by_another_program, checked, result
 from tests.unit.bench.evidence.resealed import kinds
 
@@ -59,7 +59,7 @@ def test_a_report_of_another_form_is_not_compared_and_the_folder_not_plainly_val
     assert not found.complete
     assert [what for what in found.not_compared if what.startswith("report.html with results.json")]
     with contextlib.redirect_stdout(io.StringIO()) as shown:
-        assert show_verification(found, as_json=False) == 4
+        assert show_verification(found) == 4
     assert "NOT COMPARED. Only the seal protects these parts" in shown.getvalue()
 
 

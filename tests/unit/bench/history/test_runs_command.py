@@ -1,4 +1,4 @@
-"""`starbench runs` with --ledger, --export and --chart, as a user calls it."""
+"""`starbench runs` with --ledger, --output and --chart, as a user calls it."""
 
 import json
 from datetime import timedelta
@@ -37,7 +37,7 @@ def test_the_runs_of_two_benches_are_listed_and_exported(tmp_path, capsys, home)
     ledgers = [word for one in homes for word in ("--ledger", one)]
     status, out, err = call(capsys, *ledgers)
     assert (status, len(out.splitlines()), err) == (0, 6, "")
-    status, out, _ = call(capsys, *ledgers, "--export", "runs.csv", "--serial", "00050001")
+    status, out, _ = call(capsys, *ledgers, "--output", "runs.csv", "--serial", "00050001")
     assert (status, out) == (0, "runs.csv: 5 runs, schema starbench/runs-table/1.\n")
     assert (tmp_path / "runs.csv").read_text().count("starbench/runs-table/1") == 5
     assert (home / "ledgers_seen.json").exists()
@@ -46,10 +46,10 @@ def test_the_runs_of_two_benches_are_listed_and_exported(tmp_path, capsys, home)
 def test_a_fault_is_printed_and_the_table_is_written_all_the_same(tmp_path, capsys, home):
     ledger = bench(tmp_path / "a", 2)
     (tmp_path / "a" / "runs" / "run-00002").rename(tmp_path / "elsewhere")
-    status, out, err = call(capsys, "--ledger", ledger, "--export", "runs.csv")
+    status, out, err = call(capsys, "--ledger", ledger, "--output", "runs.csv")
     assert (status, out.split(":")[1]) == (1, " 1 run, schema starbench/runs-table/1.\n")
     assert err.startswith("FAULT: run 2 of home (run-00002, finished): its folder ")
-    status, out, _ = call(capsys, "--ledger", ledger, "--export", "runs.csv", "--json")
+    status, out, _ = call(capsys, "--ledger", ledger, "--output", "runs.csv", "--json")
     assert (status, json.loads(out)["rows"], len(json.loads(out)["faults"])) == (1, 1, 1)
 
 
@@ -61,7 +61,7 @@ def test_the_charts_and_their_verdict(tmp_path, capsys, home):
     assert out.endswith("Charts: runs-charts.html\n")
     assert (tmp_path / "runs-charts.html").read_text().startswith("<!DOCTYPE html>")
     status, out, _ = call(
-        capsys, "--ledger", drifting, "--chart", "fx", "--page", "fx.html", "--by", "camera"
+        capsys, "--ledger", drifting, "--chart", "fx", "--output", "fx.html", "--by", "camera"
     )
     assert status == 1
     assert "It drifts with time: +0.4993 ± 0.0059 px per hour" in out
@@ -83,11 +83,11 @@ def test_a_folder_after_the_option_is_a_folder(tmp_path, capsys, home):
     [
         (["runs", "--chart", "focal"], "No run has a parameter 'focal'. There are: fx, fy,"),
         (["empty", "--chart"], "There is no run with a result."),
-        (["runs", "--chart", "--page", "x.pdf"], "The page is an HTML file."),
-        (["runs", "--chart", "--page", "none/x.html"], "The folder of this file does not exist."),
-        (["runs", "--chart", "fx", "--compare"], "cannot be used together"),
-        (["--ledger", "empty", "--export", "x.csv"], "There is no ledger in this folder."),
-        (["runs", "--export", "x.json"], "not as .json"),
+        (["runs", "--chart", "--output", "x.pdf"], "The page is an HTML file."),
+        (["runs", "--chart", "--output", "none/x.html"], "The folder of this file does not exist."),
+        (["runs", "--chart", "fx", "--compare"], "cannot be used with"),
+        (["--ledger", "empty", "--output", "x.csv"], "There is no ledger in this folder."),
+        (["runs", "--output", "x.json"], "not as .json"),
     ],
 )
 def test_what_cannot_be_done_is_said_with_what_to_do(tmp_path, capsys, home, words, what):

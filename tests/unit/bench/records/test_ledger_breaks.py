@@ -68,7 +68,7 @@ def test_a_rollback_to_two_lines_is_noticed_by_a_check_a_certificate_and_the_nex
     place = begin(ledger, "next")
     assert place["number"] == 4  # the numbers of the lost runs are not given again
     assert "4 are missing" in place["faults"][0]
-    assert "starbench ledger explain" in place["faults"][0]
+    assert "starbench ledger --explain" in place["faults"][0]
 
 
 def test_a_rollback_that_has_grown_again_to_its_old_length_is_noticed(ledger):
@@ -165,7 +165,7 @@ def test_a_strict_station_refuses_a_break_that_a_run_has_recorded_and_nobody_has
     runs(ledger, 1)
     ledger.path.unlink()
     begin(ledger)
-    with pytest.raises(EvidenceError, match="starbench ledger explain"):
+    with pytest.raises(EvidenceError, match="starbench ledger --explain"):
         begin(ledger, strict=True)
 
 

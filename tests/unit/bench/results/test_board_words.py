@@ -2,7 +2,7 @@
 
 import pytest
 
-from bench.commands.recalibrate_output import run_text
+from bench.commands.calibrate_each import run_text
 from bench.report.target_words import BOARD, STARS
 from bench.results.board_words import errors_in
 from calib.errors import DegenerateViews, InputMismatch

@@ -11,7 +11,7 @@ from station_texts import PLAIN
 
 from bench.base.errors import UsageError
 from bench.commands.cli import cli
-from bench.commands.keys_output import key_or_draft
+from bench.commands.keys import key_or_draft
 from bench.evidence.findings import Findings
 from bench.evidence.keys import create_key
 from bench.evidence.verify import verify_folder

@@ -57,7 +57,7 @@ def test_a_break_is_told_and_stands_in_the_place_and_in_the_report(ledger, tmp_p
     place = run(ledger, tmp_path / "b", job())
     (line,) = ledger_lines(place)
     assert line.startswith("FAULT OF THE LEDGER: On 2026-03-01 00:00 UTC the ledger was found broken")
-    assert line.endswith("`starbench ledger explain --reason TEXT`.")
+    assert line.endswith("`starbench ledger --explain TEXT`.")
     (row,) = [value for name, value in identification({"run": {"ledger": place}}) if name == "Ledger"]
     assert row.startswith("BROKEN. On 2026-03-01")
 

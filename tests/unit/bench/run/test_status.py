@@ -62,7 +62,7 @@ def test_a_running_run_shows_state_pose_and_time_left(run, planned):
     assert status.left_s == pytest.approx(planned["duration_s"] - 3.0, abs=0.1)
     assert "running: recording, pose 2 of 3 (right)" in status_text(status)
     assert "SIMULATED" in status_text(status)
-    assert "starbench abort" in status.advice
+    assert status.advice.endswith("abort")
 
 
 def test_steps_that_are_done_take_no_more_time(run, planned):
@@ -77,7 +77,7 @@ def test_a_held_run_shows_its_holder_and_its_time_does_not_count(run, planned):
     assert status.held_by == "ada@lab"
     assert status.left_s == pytest.approx(planned["duration_s"], abs=0.1)
     assert "HELD by ada@lab" in status_text(status)
-    assert "starbench release" in status.advice
+    assert status.advice.endswith("release")
 
 
 def test_a_result_is_shown_with_the_factor_of_its_uncertainty(run):

@@ -7,8 +7,8 @@ from typing import get_args
 import pytest
 from filled_stations import filled
 
-from bench.commands.bench_output import show_devices
-from bench.commands.cli import station_new
+from bench.commands.devices import show_devices
+from bench.commands.station import station_new
 from bench.plan.plan import load_documents, make_plan
 from bench.stations import discovery
 from bench.stations.discovery import Discovery, FoundPort, discover
@@ -102,7 +102,7 @@ def test_every_family_of_cameras_can_be_drafted():
 
 
 def test_each_camera_is_listed_in_the_words_of_a_station_file(capsys):
-    show_devices(Discovery(PORTS, (WEBCAM, TROUBLED), ("Something.",)), as_json=False)
+    show_devices(Discovery(PORTS, (WEBCAM, TROUBLED), ("Something.",)))
     said = capsys.readouterr().out
     assert "driver: opencv  source: /dev/v4l/by-id/usb-Maker  serial: 8A0A3C5F  # video device" in said
     assert "driver: metavision  serial: 00051  # EVK4  (access denied)" in said

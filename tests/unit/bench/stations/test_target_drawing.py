@@ -116,29 +116,25 @@ def test_a_missing_library_is_named_with_its_remedy(monkeypatch, ending, library
 
 def test_the_command_writes_a_new_file_and_never_over_an_old_one(tmp_path):
     path = tmp_path / "reticle.svg"
-    done = CliRunner().invoke(
-        cli, ["target", "draw", "-s", "simulated", "-o", str(path)], standalone_mode=False
-    )
+    done = CliRunner().invoke(cli, ["target", "-s", "simulated", "-o", str(path)], standalone_mode=False)
     assert done.return_value == 0, done.exception
     assert "36H11-3 50/72 4.01389 mm; 232.806 x 321.111 mm" in done.output
     text = path.read_text()
     assert 'width="232.805556mm" height="321.111111mm"' in text
-    again = CliRunner().invoke(
-        cli, ["target", "draw", "-s", "simulated", "-o", str(path)], standalone_mode=False
-    )
+    again = CliRunner().invoke(cli, ["target", "-s", "simulated", "-o", str(path)], standalone_mode=False)
     assert isinstance(again.exception, UsageError)
     assert path.read_text() == text
 
 
 def test_what_the_simulated_target_is_good_for():
-    done = CliRunner().invoke(cli, ["target", "show", "-s", "simulated", "--json"], standalone_mode=False)
+    done = CliRunner().invoke(cli, ["target", "-s", "simulated", "--json"], standalone_mode=False)
     said = json.loads(done.output)
     assert said["pitch_px"] == pytest.approx(3300 * 144.5 / 36 / 255)
     assert said["stars_in_view"] == 274
     assert said["warnings"] == []
     plain = CliRunner().invoke(
         cli,
-        ["target", "show", "-s", "example_evk4", "--focal-length-mm", "4", "--r-mm", "255"],
+        ["target", "-s", "example_evk4", "--focal-length-mm", "4", "--r-mm", "255"],
         standalone_mode=False,
     )
     assert "lens 823 px, collimator 255 mm" in plain.output

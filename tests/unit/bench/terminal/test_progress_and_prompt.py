@@ -167,7 +167,7 @@ def test_a_terminal_that_was_closed_answers_nothing(monkeypatch, waits_for_termi
         monkeypatch.setattr("bench.terminal.prompt.select.select", lambda *_: ([terminal], [], []))
     reply = ask("Go?", default="abort", timeout_s=1, clock=BenchClock(), say=said.append, terminal=terminal)
     assert (reply.word, reply.by) == ("abort", "time-out")
-    assert "starbench answer" in said[-1]
+    assert "starbench tell" in said[-1]
 
 
 @pytest.mark.parametrize(("typed", "word"), [("a\n", "abort"), ("what\nyes\n", "continue")])

@@ -1,0 +1,151 @@
+"""The commands `batch` and `rehearse`: a queue is done or rehearsed, and how it ended is printed."""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Iterator, Mapping
+from datetime import datetime
+from pathlib import Path
+from typing import Any
+
+import click
+
+from bench.base.clock import BenchClock
+from bench.base.errors import UsageError
+from bench.commands.calibration_text import unit_text
+from bench.commands.options import BEGIN, QUEUE_STATUS, ExistingFile, OutputFolder, epilog
+from bench.commands.output import JSON, STOPPED, show
+from bench.report.text import with_uncertainty
+
+_K = 2.0
+_QUEUE = click.argument("queue", metavar="QUEUE", type=ExistingFile())
+
+
+@click.command(
+    epilog=epilog(
+        "starbench batch night.yaml --output runs/night",
+        "starbench status runs/night --follow",
+        "starbench tell runs/night withdraw glass",
+        status=QUEUE_STATUS,
+    )
+)
+@_QUEUE
+@click.option(
+    "--output",
+    "-o",
+    required=True,
+    type=OutputFolder(),
+    help="Folder of the batch. If the batch has begun there, it continues.",
+)
+@JSON
+def batch(queue: Path, output: Path) -> int:
+    """Do the runs of a QUEUE file one after another, each under supervision.
+
+    Called again with the same folder, it continues where it was interrupted.
+
+    While it runs: `starbench status FOLDER`, `starbench tell FOLDER add JOB`, `starbench tell FOLDER withdraw NAME`.
+    """
+    if sys.platform != "linux":
+        raise UsageError(
+            "A batch can be done only on Linux, because its supervision of runs needs Linux.",
+            where=str(queue),
+            remedy="Do its runs one by one with `starbench run`. `plan` and `rehearse` accept the queue here too.",
+        )
+    from bench.base.home import home_folder
+    from bench.batch.batch import Batch
+    from bench.batch.batch_plan import read_queue
+    from bench.evidence.keys import usable_key
+    from bench.terminal.signals import stop_on_signals
+
+    clock = BenchClock()
+    usable_key(home_folder(), clock.utc_now())  # one that processes without a terminal can use
+    work = Batch(output, read_queue(queue), clock, lambda line: click.echo(line, err=True))
+    with stop_on_signals(clock.request_stop):
+        summary = work.run()
+    return show_summary(output, summary)
+
+
+@click.command(
+    epilog=epilog(
+        "starbench rehearse night.yaml --output runs/rehearsed --begin 2026-03-01T21:00", status=QUEUE_STATUS
+    )
+)
+@_QUEUE
+@click.option("--output", "-o", required=True, type=OutputFolder(), help="New folder for the rehearsal.")
+@BEGIN
+@click.option(
+    "--seed",
+    type=click.IntRange(0, 2**62),
+    metavar="N",
+    default=1,
+    show_default=True,
+    help="Random seed of the rehearsed devices.",
+)
+@click.option("--quiet", is_flag=True, help="Print only the summary.")
+@JSON
+def rehearse(queue: Path, output: Path, begin: datetime | None, seed: int, quiet: bool) -> int:
+    """Rehearse the night of a QUEUE file on a virtual clock, without devices and without waiting.
+
+    The journals and the summary have the same form as those of a real night.
+    """
+    from bench.batch.batch_plan import read_queue
+    from bench.batch.rehearsed_night import rehearse_batch
+    from bench.commands.plan import begin_utc
+    from bench.plan.plan_text import duration_text
+
+    read, started_s = read_queue(queue), time.monotonic()
+    summary = rehearse_batch(
+        read,
+        output,
+        begin=begin_utc(read.value, begin),
+        seed=seed,
+        say=lambda line: None if quiet else click.echo(line, err=True),
+    )
+    status = show_summary(output, summary)
+    took_s = time.monotonic() - started_s
+    whole = duration_text(3600 * summary["totals"]["hours"])
+    click.echo(f"{whole} rehearsed in {took_s:.0f} s.", err=True)
+    return status
+
+
+def show_summary(folder: Path, summary: Mapping[str, Any]) -> int:
+    """Print how a batch ended: every run, and each camera's parameters over the batch.
+
+    summary: Content of `summary.json`.
+    Returns: Exit status: 0 every run has a result, 3 stopped on request, else 1.
+    """
+    show(summary, _summary_lines(folder, summary))
+    return {"finished": 0, "aborted": STOPPED}.get(summary["how"], 1)
+
+
+def _summary_lines(folder: Path, summary: Mapping[str, Any]) -> Iterator[str]:
+    from bench.batch.batch_summary import PAGE
+
+    how = summary["how"] or "not ended"
+    rehearsal = "REHEARSAL of batch" if summary["rehearsal"] else "Batch"
+    yield f"{rehearsal} {summary['queue']}: {how}{': ' if summary['why'] else ''}{summary['why']}"
+    for item in summary["items"]:
+        why = f": {item['why']}" if item["why"] else ""
+        attempts = f"{item['attempts']} attempt{'' if item['attempts'] == 1 else 's'}"
+        yield f"  {item['item']:<30} {item['how']:<10} {attempts}{why}"
+    for camera in summary["cameras"]:
+        yield from _trend_lines(camera)
+    yield f"Summary: {folder / PAGE}"
+
+
+def _trend_lines(camera: Mapping[str, Any]) -> list[str]:
+    """Return one line per parameter of a camera, if more than one of its runs has a result."""
+    lines = []
+    for trend in camera["parameters"]:
+        mean, expanded = with_uncertainty(trend["mean"], _K * trend["sigma"])
+        unit = unit_text(trend["name"])
+        line = f"  {trend['name']:<3} {mean:>12} ± {expanded:<9} {unit:<3} Birge {trend['birge']:.2f}"
+        if trend["per_hour"] is not None:
+            slope, slope_u = with_uncertainty(trend["per_hour"]["value"], _K * trend["per_hour"]["sigma"])
+            line += f"  {slope:>10} ± {slope_u} per hour{'  CHANGES' if trend['per_hour']['seen'] else ''}"
+        lines.append(line)
+    if lines:
+        head = f"Camera {camera['camera']}, {camera['model']} model, {len(camera['runs'])} results; U with k = 2:"
+        lines.insert(0, head)
+    return lines

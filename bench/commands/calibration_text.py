@@ -1,0 +1,123 @@
+"""Calibrations as text and for programs: values with uncertainties first, then the reprojection error, then others."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import TYPE_CHECKING, Any, cast
+
+from bench.report.calibration_tables import coverage_factor
+from bench.report.target_words import TargetWords, words_for
+from bench.report.text import exact, unit_of, with_uncertainty
+
+if TYPE_CHECKING:
+    from bench.records.results import CalibrationData
+    from bench.results.offline import OfflineResult
+    from calib.studies.reference_methods import MethodFailure, MethodResult
+
+
+def offline_dict(
+    result: OfflineResult, baselines: list[MethodResult | MethodFailure] | None
+) -> dict[str, Any]:
+    """Return a calibration made without devices, and the results of other methods if they were asked for."""
+    compared = {} if baselines is None else {"compared": [_baseline_dict(row) for row in baselines]}
+    return {**result.to_dict(), **compared}
+
+
+def offline_lines(
+    result: OfflineResult, baselines: list[MethodResult | MethodFailure] | None
+) -> Iterator[str]:
+    """Return a calibration made without devices as text, and other methods on the same points if there are any."""
+    words = words_for(result.board)
+    yield calibration_text(cast("CalibrationData", result.calibration.to_dict()), words)
+    if baselines is not None:
+        yield "\n" + comparison_text(baselines)
+        if words.is_board:
+            yield "The published recipe is left out: it needs a target at infinity, not a board."
+    elif result.planar is not None:
+        yield "\n" + _planar_text(cast("CalibrationData", result.planar.to_dict()))
+
+
+def calibration_text(calibration: CalibrationData, words: TargetWords) -> str:
+    """Return a calibration as text: values with uncertainties first, reprojection error second.
+
+    calibration: Calibration as `results.json` holds it.
+    """
+    values = {**calibration["camera"], **(calibration["collimator"] or {})}
+    views = calibration["views"]
+    points = sum(view["n"] for view in views)
+    k = coverage_factor(calibration)
+    model = calibration["model"].capitalize()
+    counted = f"{len(views)} view{'' if len(views) == 1 else 's'}"
+    lines = [f"{model} model, {counted}, {points} {words.points}; U with k = {exact(round(k, 2))}:"]
+    for name, sigma in calibration["sigma"].items():
+        value, expanded = with_uncertainty(values[name], k * sigma)
+        lines.append(f"  {name:<3} {value:>12} ± {expanded:<8} {unit_text(name)}".rstrip())
+    lines.append(
+        f"Reprojection error: rms {calibration['rms_px']:.4f} px, mean {calibration['mean_px']:.4f} px"
+        f" (how well the model fits the {words.points}; this is not the accuracy)."
+    )
+    if not calibration["converged"]:
+        lines.append("NOT CONVERGED: do not use these numbers.")
+    return "\n".join([*lines, *(f"Note: {note}" for note in calibration["notes"])])
+
+
+def _planar_text(calibration: CalibrationData) -> str:
+    """Return the planar calibration in a few lines, without its notes: it is not the result."""
+    k = coverage_factor(calibration)
+    shown = []
+    for name in ("fx", "fy", "cx", "cy"):
+        value, expanded = with_uncertainty(calibration["camera"][name], k * calibration["sigma"][name])
+        shown.append(f"{name} {value} ± {expanded} px")
+    return (
+        "Only for comparison, not the result: the planar model (Zhang) on the same stars. It does not know that a\n"
+        "collimator stands between them and the camera.\n"
+        f"  {', '.join(shown)}; rms {calibration['rms_px']:.4f} px"
+    )
+
+
+def unit_text(name: str) -> str:
+    """Return the unit of a parameter, as it is printed after a number.
+
+    Returns: The unit; empty for a number without unit.
+    """
+    unit = unit_of(name)
+    return "" if unit == "1" else unit
+
+
+def _baseline_dict(row: MethodResult | MethodFailure) -> dict[str, Any]:
+    """Return the result of one method for JSON output, or why it has none."""
+    from calib.studies.reference_methods import MethodFailure
+
+    if isinstance(row, MethodFailure):
+        return {"name": row.name, "failed": row.why}
+    return {
+        "name": row.name,
+        "camera": row.camera.to_dict(),
+        "sigma": dict(row.sigma),
+        "rms_px": row.rms_px,
+        "mean_px": row.mean_px,
+        "left_out_rms_px": row.left_out_rms_px,
+    }
+
+
+def comparison_text(baselines: list[MethodResult | MethodFailure]) -> str:
+    """Return the results of several methods on the same points as a table."""
+    from calib.studies.reference_methods import MethodFailure
+
+    head = f"  {'':<34}{'fx':>10}{'U(fx)':>9}{'cx':>10}{'cy':>10}{'rms px':>9}{'left out':>10}"
+    lines = ["On the same points:", head]
+    for row in baselines:
+        if isinstance(row, MethodFailure):
+            lines.append(f"  {row.name:<34}no result: {row.why}")
+            continue
+        left_out = f"{row.left_out_rms_px:.4f}" if row.left_out_rms_px is not None else "-"
+        stated = f"{2 * row.sigma['fx']:.2f}" if "fx" in row.sigma else "-"
+        lines.append(
+            f"  {row.name:<34}{row.camera.fx:>10.2f}{stated:>9}{row.camera.cx:>10.2f}"
+            f"{row.camera.cy:>10.2f}{row.rms_px:>9.4f}{left_out:>10}"
+        )
+    lines.append(
+        "U(fx): 2 times the sigma that the method states (k = 2). left out: rms of views that were not used, with"
+        " only their rotation solved."
+    )
+    return "\n".join(lines)

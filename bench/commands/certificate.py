@@ -1,0 +1,374 @@
+"""The group `certificate`: certificates of sealed runs are issued, amended, listed and shown; more in three modules.
+
+`bench.commands.certificate_authorise`, `bench.commands.certificate_timestamp` and `bench.commands.certificate_dcc` hold
+the other commands of the group.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Mapping, Sequence
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from bench.base.bounded_json import parse_json
+from bench.base.errors import EvidenceError, UsageError
+from bench.base.home import home_folder
+from bench.commands.certificate_authorise import authorise
+from bench.commands.certificate_dcc import check, from_dcc
+from bench.commands.certificate_timestamp import timestamp
+from bench.commands.options import (
+    OPERATOR,
+    ExistingFile,
+    ExistingFolder,
+    Family,
+    NewFile,
+    OutputFolder,
+    epilog,
+)
+from bench.commands.output import JSON, ask_passphrase, show
+from bench.records.reading import read_bounded
+from bench.records.storage import storage_errors, write_atomic
+
+if TYPE_CHECKING:
+    from bench.certificate.certificate_data import Certificate
+    from bench.certificate.issue import Issued, Laboratory
+    from bench.certificate.series_numbers import Numbered
+    from bench.evidence.findings import Verification
+    from bench.evidence.key_trust import Trust
+    from bench.records.ledger import Ledger
+
+_NOT_FOUND = "NOT FOUND"
+"""State of a certificate that was issued, and that is not in its folder."""
+
+
+@click.group(
+    cls=Family,
+    epilog=epilog(
+        "starbench certificate new -o lab.yaml",
+        "starbench certificate issue runs/cam7 --config lab.yaml -o certificates/2026-0042",
+        "starbench certificate authorise certificates/2026-0042 --key ~/.ssh/id_ed25519",
+    ),
+)
+def certificate() -> None:
+    """Issue, amend, list, check, authorise and time-stamp calibration certificates."""
+
+
+@certificate.command("new", epilog=epilog("starbench certificate new -o lab.yaml"))
+@click.option("--output", "-o", required=True, type=NewFile(), help="New file, such as lab.yaml.")
+def new(output: Path) -> int:
+    """Write an example of lab.yaml, with comments. Replace every REPLACE in it."""
+    from bench.certificate.lab_config import EXAMPLE
+
+    with storage_errors(output):
+        write_atomic(output, EXAMPLE.read_bytes())
+    click.echo(
+        f"Wrote {output}. Replace every REPLACE in it; then: starbench certificate issue RUN -c {output} -o FOLDER"
+    )
+    return 0
+
+
+@certificate.command(
+    "issue",
+    epilog=epilog(
+        "starbench certificate issue runs/cam7 --config lab.yaml -o certificates/2026-0042",
+        "starbench certificate issue certificates/2026-0042 -c lab.yaml -o new --reason 'wrong address'",
+    ),
+)
+@click.argument("folder", metavar="RUN|CERTIFICATE", type=ExistingFolder())
+@click.option(
+    "--config",
+    "-c",
+    "lab_file",
+    required=True,
+    type=ExistingFile(),
+    metavar="LAB.YAML",
+    help="What the run cannot know: laboratory, customer, item and more. `starbench certificate new` writes an"
+    " example.",
+)
+@click.option("--output", "-o", required=True, type=OutputFolder(), help="New folder for the certificate.")
+@click.option(
+    "--reason",
+    metavar="TEXT",
+    help="Why the certificate is amended (it is printed), or why a run gets a further certificate.",
+)
+@click.option(
+    "--xades-key",
+    type=ExistingFile(),
+    metavar="PEM",
+    help="Key of the laboratory that signs the digital certificate (XAdES).",
+)
+@click.option(
+    "--xades-certificate",
+    type=ExistingFile(),
+    metavar="PEM",
+    help="Certificate of that key, followed by the certificates that lead to one that your customers trust.",
+)
+@JSON
+def issue(
+    folder: Path,
+    lab_file: Path,
+    output: Path,
+    reason: str | None,
+    xades_key: Path | None,
+    xades_certificate: Path | None,
+) -> int:
+    """Issue the calibration certificate of a sealed RUN, by ISO/IEC 17025, or amend the one in the folder CERTIFICATE.
+
+    The run is verified first. If neither the run nor LAB.YAML answers a clause of the standard, no certificate is
+    issued; the command names the clause and the missing key of LAB.YAML. A new certificate is SEALED. A person then
+    authorises it with `starbench certificate authorise`.
+
+    An amended certificate has a new number. It names the old one by number and hash, and lists every field that
+    changed. The old one stays as it is; `starbench verify` says that it is superseded.
+    """
+    from bench.certificate.amend import amend
+    from bench.certificate.certificate_data import CERTIFICATE
+    from bench.certificate.issue import issue as issue_first
+
+    laboratory = _laboratory(_dcc_key(xades_key, xades_certificate))
+    if (folder / CERTIFICATE).is_file():
+        if reason is None:
+            raise click.UsageError("Missing option '--reason': why the certificate is amended.")
+        issued = amend(folder, lab_file, output, laboratory, reason=_stated(reason))
+    else:
+        also = "" if reason is None else _stated(reason)
+        issued = issue_first(folder, lab_file, output, laboratory, also=also)
+    made = issued.certificate
+    show(
+        lambda: {
+            "schema": "starbench/issued/1",
+            "number": made.number,
+            "state": "SEALED",
+            "folder": str(issued.folder),
+            "seal": issued.seal,
+            "completed": list(issued.completed),
+            "certificate": json.loads(made.to_json()),
+        },
+        _issued_lines(issued),
+    )
+    return 0
+
+
+def _issued_lines(issued: Issued) -> Iterator[str]:
+    for number in issued.completed:
+        yield f"{number} was complete, but not in the ledger; entered now."
+    yield from _summary(issued.certificate, "SEALED")
+    yield f"\nFolder: {issued.folder}"
+    yield (
+        f"SEALED, not authorised. {issued.certificate.authorised_by.name} authorises it:"
+        f" starbench certificate authorise {issued.folder}"
+    )
+
+
+def _dcc_key(key: Path | None, certificate: Path | None) -> tuple[Path, Path] | None:
+    """Return both files of the signature in the DCC, or none."""
+    if key is None and certificate is None:
+        return None
+    if key is None or certificate is None:
+        raise UsageError(
+            "The signature in the digital certificate needs a key and its certificate.",
+            remedy="Give both --xades-key and --xades-certificate, or neither.",
+        )
+    return key, certificate
+
+
+@certificate.command(
+    "void", epilog=epilog("starbench certificate void SB-2026-00042 --reason 'the disk broke'")
+)
+@click.argument("number")
+@click.option("--reason", required=True, help="Why the number is not used; it is kept in the ledger.")
+@OPERATOR
+@JSON
+def void(number: str, reason: str, by: str | None) -> int:
+    """Declare the NUMBER of a certificate void.
+
+    The number was reserved by a command that was stopped or failed, so no certificate has it.
+    """
+    import getpass
+    import socket
+
+    from bench.certificate.issue import complete_open
+    from bench.certificate.series import declare_void, one_at_a_time
+
+    text = _stated(reason)
+    ledger = _ledger()
+    with one_at_a_time(ledger.home):
+        done = complete_open(ledger)  # the certificate of this number may lie sealed in its folder
+        who = by or f"{getpass.getuser()}@{socket.gethostname()}"
+        if number in done:
+            raise EvidenceError(
+                f"{number} is issued: its certificate was complete, and only its line in the ledger was missing."
+                " The line is entered now.",
+                where=str(ledger.path),
+                remedy="To replace it: `starbench certificate issue` with its folder.",
+            )
+        one = declare_void(ledger, number, reason=text, by=who)
+    show({"number": one.number, "state": "VOID", "reason": one.reason}, f"{one.number} is void: {one.reason}")
+    return 0
+
+
+@certificate.command(
+    "show", epilog=epilog("starbench certificate show", "starbench certificate show certificates/2026-0042")
+)
+@click.argument("folder", metavar="FOLDER", required=False, type=ExistingFolder())
+@JSON
+def show_command(folder: Path | None) -> int:
+    """Show the certificate in FOLDER: its state, item, results and conformity; without FOLDER, list all of this bench.
+
+    The list comes from the ledger: the state of each number, the camera, the customer and the date.
+    """
+    if folder is None:
+        rows = _rows()
+        show({"schema": "starbench/certificates/1", "certificates": rows}, _list_lines(rows))
+        return 0
+    from bench.certificate.certificate_data import CERTIFICATE, Certificate
+    from bench.certificate.series_numbers import numbers
+    from bench.evidence.states import standing_of
+
+    path = folder / CERTIFICATE
+    if not path.is_file():
+        raise UsageError(
+            "This folder holds no certificate.",
+            where=str(folder),
+            remedy=f"Name the folder of a {CERTIFICATE}.",
+        )
+    data = read_bounded(path)
+    certificate = Certificate.from_json(data, str(path))
+    state = str(standing_of(folder, _trust(), datetime.now(UTC)).state.value)
+    known = numbers(_ledger().entries()).get(certificate.number)
+    if known is not None and known.superseded_by:
+        state = f"SUPERSEDED by {known.superseded_by}"
+    elif known is not None and known.how == "void":
+        state = "VOID"
+    show(lambda: {"state": state, "certificate": parse_json(data)}, _summary(certificate, state))
+    return 0
+
+
+def _rows() -> list[dict[str, Any]]:
+    """Return the numbers in the ledger."""
+    from bench.certificate.series_numbers import numbers
+
+    trust, now = _trust(), datetime.now(UTC)
+    return [
+        {
+            "number": one.number,
+            "state": _listed_state(one, trust, now),
+            "camera": one.serial,
+            "customer": one.customer,
+            "issued_utc": one.issued_utc,
+            "run": one.run_id,
+            "amends": one.amends,
+            "superseded_by": one.superseded_by,
+            "folder": one.folder,
+            "reason": one.reason,
+        }
+        for one in numbers(_ledger().entries()).values()
+    ]
+
+
+def _list_lines(rows: Sequence[Mapping[str, Any]]) -> Iterator[str]:
+    if not rows:
+        yield "The ledger of this bench has no certificates."
+        return
+    names = ("number", "state", "camera", "customer")
+    widths = [max(len(name), *(len(row[name]) for row in rows)) for name in names]
+    yield "  ".join(name.ljust(width) for name, width in zip(names, widths, strict=True)) + "  date"
+    for row in rows:
+        cells = [row[name].ljust(width) for name, width in zip(names, widths, strict=True)]
+        more = f"  replaced by {row['superseded_by']}" if row["superseded_by"] else ""
+        more = more or (f"  {row['reason']}" if row["reason"] else "")
+        yield "  ".join(cells) + f"  {row['issued_utc'][:10]}{more}"
+
+
+def _summary(certificate: Certificate, state: str) -> list[str]:
+    item, by = certificate.item, certificate.authorised_by
+    camera = f"{item.camera.maker} {item.camera.model}, {item.camera.serial}"
+    lens = f"{item.lens.maker} {item.lens.model}, {item.lens.serial or 'without number'}"
+    lines = [
+        f"{certificate.title} {certificate.number}",
+        f"State:      {state}",
+        f"Laboratory: {certificate.laboratory.name}",
+        f"Customer:   {certificate.customer.name}",
+        f"Item:       {camera}; lens {lens}",
+        f"Calibrated: {certificate.begun_utc[:10]}; issued {certificate.issued_utc[:10]}; run {certificate.run.id}",
+        f"To be authorised by {by.name}, {by.role} ({by.key_fingerprint})",
+        "",
+        *(f"  {one.symbol:<4} {one.text}  (k = {one.k:.2f})" for one in certificate.results),
+        *(f"  {one.name}: {one.text}" for one in certificate.further),
+    ]
+    lines += [
+        f"  Conformity of {one.symbol}, {one.specification}: {one.verdict}" for one in certificate.conformity
+    ]
+    if certificate.amends:
+        lines.append(f"Replaces {certificate.amends.number}: {certificate.amends.reason}")
+        lines += [f"  {one.field}: {one.before!r} -> {one.after!r}" for one in certificate.amends.changes]
+    return lines
+
+
+def _listed_state(one: Numbered, trust: Trust, now: datetime) -> str:
+    from bench.evidence.states import standing_of
+    from bench.records.run_folder import MANIFEST
+    from bench.records.storage import sha256_of
+
+    if one.how != "issued":
+        return {"reserved": "DRAFT", "void": "VOID", "lost": "LOST"}[one.how]
+    if one.superseded_by:
+        return "SUPERSEDED"
+    try:
+        if sha256_of(Path(one.folder) / MANIFEST) != one.seal:
+            return _NOT_FOUND
+        return str(standing_of(Path(one.folder), trust, now).state.value)
+    except OSError:
+        return _NOT_FOUND
+
+
+def _laboratory(dcc_key: tuple[Path, Path] | None) -> Laboratory:
+    from bench.certificate.issue import Laboratory
+    from bench.evidence.keys import BenchKey, ensure_key, require_usable
+
+    def key() -> BenchKey:
+        found = ensure_key(home_folder(), ask_passphrase=ask_passphrase)
+        require_usable(home_folder(), found, datetime.now(UTC))
+        return found
+
+    sign = None
+    if dcc_key is not None:
+        from bench.certificate.dcc_signature import signer_of_files
+
+        sign = signer_of_files(*dcc_key, ask_passphrase=ask_passphrase)
+    return Laboratory(_ledger(), key, lambda: datetime.now(UTC), _verify, sign)
+
+
+def _verify(folder: Path) -> Verification:
+    """Verify a folder as the command `verify` does."""
+    from bench.commands.verify import derivations
+    from bench.evidence.verify import verify_folder
+
+    return verify_folder(folder, _trust(), derivations=derivations(again=False))
+
+
+def _trust() -> Trust:
+    from bench.evidence.key_trust import read_trust
+
+    return read_trust(home_folder())
+
+
+def _ledger() -> Ledger:
+    from bench.results.previous_calibration import bench_ledger
+
+    return bench_ledger()
+
+
+def _stated(reason: str) -> str:
+    """Return a reason; raise UsageError if it is empty."""
+    if not reason.strip():
+        raise UsageError("The reason is empty.", remedy="Say why, with --reason TEXT.")
+    return reason.strip()
+
+
+for _command in (authorise, check, from_dcc, timestamp):
+    certificate.add_command(_command)

@@ -1,0 +1,180 @@
+"""The command `ledger`: check the ledger of this bench, explain a break of it, leave a second place out."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from bench.base.clock import BenchClock
+from bench.base.errors import BenchError, UsageError
+from bench.base.home import home_folder
+from bench.commands.options import OPERATOR, epilog, status_text
+from bench.commands.output import JSON, show, wants_json
+from bench.terminal.wording import counted
+
+if TYPE_CHECKING:
+    from bench.records.ledger import Ledger
+    from bench.records.ledger_breaks import Break
+
+_LONGEST_REASON = 2000
+
+
+@click.command(
+    epilog=epilog(
+        "starbench ledger",
+        "starbench ledger --explain 'The disk was restored from the copy of Monday.'",
+        "starbench ledger --forget /mnt/office/bench2.heads --reason 'The office has a new server.'",
+        status=status_text("0 no fault, 1 a fault{invalid}{ctrl_c}"),
+    )
+)
+@click.option(
+    "--explain",
+    metavar="TEXT",
+    help="State what happened to the ledger, so that its breaks are explained. The reason is added; nothing is"
+    " rewritten.",
+)
+@click.option(
+    "--forget",
+    metavar="PLACE",
+    help="Write the ledger to this second place no longer, for example to a share that was taken away.",
+)
+@click.option("--reason", metavar="TEXT", help="With --forget: why the place is not used any more.")
+@OPERATOR
+@JSON
+def ledger(explain: str | None, forget: str | None, reason: str | None, by: str | None) -> int:
+    """Compare the ledger of this bench with its second places and with the sealed runs of this bench."""
+    if explain is not None and forget is not None:
+        raise UsageError("Give one of --explain and --forget.", remedy="Call the command once for each.")
+    if forget is not None and reason is None:
+        raise click.UsageError("Missing option '--reason', which --forget needs.")
+    person = " ".join((by or "").split())[:200] or None
+    if explain is not None:
+        return _explain_breaks(_one_line(explain, "--explain"), person)
+    if forget is not None:
+        return _forget_place(forget, _one_line(reason or "", "--reason"), person)
+    return _check()
+
+
+def _one_line(reason: str, option: str) -> str:
+    """Return a reason as one line. Raises UsageError if it is too short or too long."""
+    text = " ".join(reason.split())
+    if not 3 <= len(text) <= _LONGEST_REASON:
+        raise UsageError(
+            f"{option} has {len(text)} characters.",
+            remedy=f"State in one or two sentences what happened, in 3 to {_LONGEST_REASON} characters.",
+        )
+    return text
+
+
+def bench_ledger() -> Ledger:
+    """Return the ledger of this bench.
+
+    Returns: The ledger; its file may not exist.
+    """
+    from bench.records.ledger import Ledger
+
+    clock = BenchClock()
+    return Ledger(home_folder(), utc_now=clock.utc_now, monotonic=clock.monotonic)
+
+
+def ledger_findings(ledger: Ledger) -> tuple[list[str], list[str]]:
+    """Compare the ledger with all places that know of it.
+
+    Returns: Breaks that nobody has explained; the last one says what to do.
+    Returns: Explained breaks, and places that could not be asked.
+    """
+    from bench.evidence.ledger_check import sealed_strangers
+    from bench.records.ledger_breaks import EXPLAIN
+
+    faults, explained = ledger.breaks(None, sealed_strangers(ledger.home))
+    if faults:
+        faults[-1] += f" {EXPLAIN}"
+    return faults, [*map(_explained_text, explained), *ledger.warnings]
+
+
+def _explained_text(one: Break) -> str:
+    """Return an explained break as text."""
+    return f"{one} Reason, stated by {one.by}: {one.reason}"
+
+
+def _check() -> int:
+    """Print the state of the ledger and every fault of it; return 1 if there is a fault."""
+    from bench.evidence.ledger_authorisation import known_authorisations, lost_authorisations
+    from bench.records.ledger_runs import runs_of
+
+    found = bench_ledger()
+    faults, notes = ledger_findings(found)
+    facts: dict[str, Any] = {"schema": "starbench/ledger/1", "file": str(found.path)}
+    try:
+        entries = found.entries()
+        runs = runs_of(entries)
+        head = entries[-1].hash if entries else None
+        facts |= {"lines": len(entries), "runs": len(runs), "head": head}
+        faults += [*found.faults(), *lost_authorisations(known_authorisations(found.home))]
+    except BenchError:  # it is among the faults
+        facts |= {"lines": None, "runs": None, "head": None}
+    facts |= {"second_places": _second_places(found)}
+    show({**facts, "faults": faults, "notes": notes}, _check_lines(facts, notes))
+    if not wants_json():
+        for fault in faults:
+            click.echo(f"FAULT: {fault}", err=True)
+    return 1 if faults else 0
+
+
+def _check_lines(facts: Mapping[str, Any], notes: Sequence[str]) -> Iterator[str]:
+    if facts["head"]:
+        lines, runs = counted(facts["lines"], "line"), counted(facts["runs"], "run")
+        yield f"{facts['file']}: {lines}, {runs}\nhead {facts['head']}"
+    elif facts["lines"] == 0:
+        yield f"{facts['file']}: no ledger yet."
+    for place in facts["second_places"]:
+        newest = place["newest"]
+        state = f"up to line {newest['lines']}" if newest else place["trouble"] or "no marks"
+        yield f"second place {place['place']}: {state}"
+    for note in notes:
+        yield f"Note: {note}"
+
+
+def _second_places(ledger: Ledger) -> list[dict[str, Any]]:
+    from bench.records.ledger_marks import OwnMark, ask_anchor, read_own_mark
+
+    try:
+        own = read_own_mark(ledger.home)
+    except BenchError:  # it is among the faults
+        own = None
+    found = []
+    for place in own.anchors if isinstance(own, OwnMark) else ():
+        witness = ask_anchor(Path(place), was_there=True)
+        newest = witness.marks[-1].to_dict() if witness.marks else None
+        found.append({"place": place, "newest": newest, "trouble": witness.trouble})
+    return found
+
+
+def _explain_breaks(reason: str, by: str | None) -> int:
+    """State the reason of every break of the ledger that has none. Raises UsageError if there is none."""
+    from bench.evidence.ledger_check import sealed_strangers
+    from bench.run.control import operator_at_terminal
+
+    found, person = bench_ledger(), by or operator_at_terminal()
+    breaks = found.explain(reason, person, strangers=sealed_strangers(found.home))
+    show(
+        {"schema": "starbench/ledger-explained/1", "by": person, "reason": reason, "breaks": breaks},
+        [*map(str, breaks), f"Entered in the ledger as {person}: {reason}"],
+    )
+    return 0
+
+
+def _forget_place(place: str, reason: str, by: str | None) -> int:
+    """Write the ledger to a second place no longer. Raises UsageError if it is no second place of the ledger."""
+    from bench.run.control import operator_at_terminal
+
+    person = by or operator_at_terminal()
+    bench_ledger().forget_place(place, reason=reason, by=person)
+    show(
+        {"schema": "starbench/ledger-place-forgotten/1", "place": place, "by": person, "reason": reason},
+        f"The ledger is no longer written to {place}; the reason is in the ledger.",
+    )
+    return 0

@@ -1,0 +1,184 @@
+"""The group `passport`: passports of collimators are made, sealed and shown."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Iterator
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from bench.base.home import home_folder
+from bench.commands.calibration_text import offline_lines, unit_text
+from bench.commands.engine_options import collimator_options
+from bench.commands.options import ExistingFile, ExistingPath, Family, NewFile, Number, epilog
+from bench.commands.output import JSON, ask_passphrase, show
+from bench.report.text import with_uncertainty
+
+if TYPE_CHECKING:
+    from bench.evidence.keys import BenchKey
+    from calib.model.passport import Passport
+
+
+@click.group(
+    cls=Family,
+    epilog=epilog(
+        "starbench passport make runs/* -o collimator.json",
+        "starbench calibrate runs/cam8 --passport collimator.json",
+    ),
+)
+def passport() -> None:
+    """Calibrate a collimator once, then any camera with it from one to three views."""
+
+
+@passport.command(
+    "make",
+    epilog=epilog("starbench passport make runs/* -o collimator.json --collimator C-17 --model auto"),
+)
+@click.argument("paths", nargs=-1, required=True, metavar="PATH...", type=ExistingPath())
+@collimator_options
+@click.option("--output", "-o", required=True, type=NewFile(), help="New passport file.")
+@click.option(
+    "--collimator", help="Serial number or name of the collimator.  [default: as in the run's station]"
+)
+@click.option(
+    "--temperature",
+    "temperature_c",
+    type=Number(),
+    metavar="C",
+    help="Temperature of the collimator, degrees Celsius.  [default: as in the run's station]",
+)
+def passport_make(
+    paths: tuple[Path, ...], output: Path, collimator: str | None, temperature_c: float | None, **options: Any
+) -> int:
+    """Make a collimator's passport from the views in one or more PATHs."""
+    from bench.results.offline import calibrate_paths
+    from bench.results.offline_options import OfflineOptions
+    from bench.results.passports import passport_from_calibration, seals_of, write_passport
+
+    key = _key()
+    result = calibrate_paths(paths, OfflineOptions.from_command_line(**options))
+    made = passport_from_calibration(
+        result.calibration,
+        collimator=collimator or result.collimator.serial,
+        temperature_c=temperature_c if temperature_c is not None else result.collimator.temperature_c,
+        now=datetime.now(UTC),
+        sources=[str(path) for path in paths],
+        seals=seals_of(paths),
+    )
+    write_passport(output, made, key)
+    for reason in result.skipped:
+        click.echo(f"left out: {reason}", err=True)
+    for line in (*offline_lines(result, None), f"Passport: {output}"):
+        click.echo(line)
+    return 0
+
+
+@passport.command(
+    "certificate",
+    epilog=epilog(
+        "starbench passport certificate --radius 255.02 --sigma 0.05 --number 2026-114 -o collimator.json"
+    ),
+)
+@click.option(
+    "--radius",
+    "r_mm",
+    type=Number(least=0, above=True),
+    metavar="MM",
+    required=True,
+    help="Focal length of the collimator, mm.",
+)
+@click.option(
+    "--sigma",
+    "sigma_mm",
+    type=Number(least=0, above=True),
+    metavar="MM",
+    required=True,
+    help="Standard uncertainty of the focal length (k = 1), mm.",
+)
+@click.option("--number", required=True, help="Number of the certificate.")
+@click.option("--date", "issued", help="Date of issue, as written on the certificate.")
+@click.option(
+    "--valid-until",
+    type=click.DateTime(["%Y-%m-%d"]),
+    metavar="YEAR-MONTH-DAY",
+    help="Last day on which the certificate is valid.",
+)
+@click.option("--collimator", help="Serial number or name of the collimator.")
+@click.option(
+    "--temperature",
+    "temperature_c",
+    type=Number(),
+    metavar="C",
+    help="Temperature for which the focal length holds, degrees Celsius.",
+)
+@click.option("--output", "-o", required=True, type=NewFile(), help="New passport file.")
+def passport_certificate(
+    r_mm: float, sigma_mm: float, output: Path, valid_until: datetime | None, **certificate: Any
+) -> int:
+    """Make a passport from a certificate that states only the collimator's focal length."""
+    from bench.results.passports import passport_from_certificate, write_passport
+
+    until = valid_until.date().isoformat() if valid_until else None
+    made = passport_from_certificate(r_mm, sigma_mm, valid_until=until, now=datetime.now(UTC), **certificate)
+    write_passport(output, made, _key())
+    click.echo(f"Passport: {output}")
+    return 0
+
+
+def _key() -> BenchKey:
+    """Return the bench's key, to seal a passport."""
+    from bench.evidence.keys import usable_key
+
+    return usable_key(home_folder(), datetime.now(UTC), ask_passphrase=ask_passphrase)
+
+
+@passport.command("seal", epilog=epilog("starbench passport seal collimator.json -o collimator_sealed.json"))
+@click.argument("path", metavar="FILE", type=ExistingFile())
+@click.option("--output", "-o", required=True, type=NewFile(), help="New, sealed passport file.")
+def passport_seal(path: Path, output: Path) -> int:
+    """Seal a passport FILE that has no seal, after you have compared its values with their source."""
+    from bench.results.passports import seal_file
+
+    fingerprint = seal_file(path, output, _key())
+    click.echo(f"Passport: {output}, sealed by {fingerprint}")
+    return 0
+
+
+@passport.command("show", epilog=epilog("starbench passport show collimator.json"))
+@click.argument("path", type=ExistingFile())
+@JSON
+def passport_show(path: Path) -> int:
+    """Show the values of a passport, their uncertainties, its hash and its seal."""
+    from bench.evidence.passport_seal import read_passport_seal
+    from bench.plan.passport_file import read_passport_file
+
+    found, data = read_passport_file(path)
+    seal, sha256 = read_passport_seal(data), hashlib.sha256(data).hexdigest()
+    sealed_by = seal.fingerprint if seal else None
+    show(
+        lambda: {**found.to_dict(), "sha256": sha256, "sealed_by": sealed_by},
+        _lines(found, sha256, sealed_by),
+    )
+    return 0
+
+
+def _lines(found: Passport, sha256: str, sealed_by: str | None) -> Iterator[str]:
+    for name, value, variance in zip(found.names, found.values, found.covariance.diagonal(), strict=True):
+        text, expanded = with_uncertainty(float(value), 2.0 * float(variance) ** 0.5)
+        yield f"  {name:<8} {text:>12} ± {expanded:<8} {unit_text(name):<3} (k = 2)"
+    for name, condition in found.conditions.items():
+        yield f"  {name}: {_condition_text(condition)}"
+    if found.views:
+        yield f"  from {len(found.views)} views: {', '.join(found.views)}"
+        yield f"  the views differ by {found.birge_ratio:.1f} times the noise of their stars"
+    yield f"  SHA-256: {sha256}"
+    yield f"  sealed by: {sealed_by or 'nobody (unsealed)'}"
+
+
+def _condition_text(condition: object) -> str:
+    if isinstance(condition, dict):
+        return ", ".join(f"{name} {value}" for name, value in condition.items())
+    return ", ".join(map(str, condition)) if isinstance(condition, list) else str(condition)

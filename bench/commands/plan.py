@@ -1,0 +1,283 @@
+"""The command `plan`: a sequence or a queue is checked; its times, sizes and expected uncertainty are printed."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from bench.base.errors import UsageError
+from bench.commands.options import BEGIN, SEQUENCE_NAME, SET, STATION_NAME, epilog, settings_of
+from bench.commands.output import JSON, show
+from bench.report.verdict import angle_text
+from calib.model.budget_row import WORST_CORNER
+
+if TYPE_CHECKING:
+    from bench.batch.batch_plan import BatchPlan
+    from bench.plan.plan import Plan
+    from bench.results.forecasts import PlanForecast
+    from bench.results.until_forecast import ExpectedCourse
+    from calib.model.budget_row import BudgetRow
+    from calib.studies.planning import Forecast, SuggestedPose
+    from sequences.queue import Queue
+
+_MOST_TERMS = 5
+_SMALLEST_SHARE = 0.005
+"""Terms with a smaller share of the variance are not printed."""
+_SHOWN = ("fx", "cx", "cy", "r")
+_MOST_LINES = 80
+
+
+@click.command(
+    epilog=epilog(
+        "starbench plan three_pose --station my_bench.yaml --suggest 3",
+        "starbench plan night.yaml --begin 2026-03-01T21:00",
+    )
+)
+@click.argument("sequence", type=SEQUENCE_NAME)
+@click.option(
+    "--station",
+    "-s",
+    type=STATION_NAME,
+    help="Station file, or the name of a station that is included; not with a queue.",
+)
+@click.option(
+    "--suggest",
+    type=click.IntRange(0, 50),
+    metavar="N",
+    default=0,
+    help="Suggest N further poses that lower the uncertainty most.",
+)
+@BEGIN
+@SET
+@JSON
+def plan(
+    sequence: str, station: str | None, suggest: int, begin: datetime | None, settings: tuple[str, ...]
+) -> int:
+    """Check a SEQUENCE on a station, or a queue file. No device is used.
+
+    For a sequence, it shows all faults of both files, the steps, the time, the disk space and the expected uncertainty.
+    For a queue, it shows when each run will begin and end, and which runs do not fit into the night.
+    """
+    from bench.batch.batch_plan import is_queue
+    from bench.plan.plan import load_documents, make_plan
+
+    if is_queue(sequence):
+        if station or suggest:
+            raise UsageError(
+                "A queue names its stations itself.",
+                where=sequence,
+                remedy="Leave --station and --suggest out.",
+            )
+        return _show_night(Path(sequence), begin)
+    if station is None:
+        raise click.UsageError("Missing option '--station' / '-s'.")
+    return _show_plan(make_plan(*load_documents(sequence, station, settings_of(settings))), suggest)
+
+
+def _show_plan(planned: Plan, suggest: int) -> int:
+    """Print a plan, its expected uncertainty, and suggested additional poses; return 2 if the files have faults."""
+    if planned.faults:  # the engine is not needed, and it takes a second to load
+        show(lambda: _plan_dict(planned, None, [], []), _plan_lines(planned, None, [], []))
+        return 2
+    from bench.results.forecasts import expected_uncertainty, suggest_poses
+
+    found, courses = expected_uncertainty(planned), []
+    if planned.most_poses > len(planned.poses):  # an `until` may choose poses
+        from bench.results.until_forecast import expected_courses
+
+        courses = expected_courses(planned)
+    suggested = suggest_poses(planned, suggest) if suggest else []
+    show(
+        lambda: _plan_dict(planned, found, courses, suggested),
+        _plan_lines(planned, found, courses, suggested),
+    )
+    return 0
+
+
+def _plan_dict(
+    planned: Plan,
+    found: PlanForecast | None,
+    courses: Sequence[ExpectedCourse],
+    suggested: Sequence[SuggestedPose],
+) -> dict[str, Any]:
+    poses = [
+        {
+            **pose.angles_deg,
+            "worst_px": pose.worst_px if math.isfinite(pose.worst_px) else None,
+            "rim_share": round(pose.rim_share, 3),
+            "why": _why(pose),
+        }
+        for pose in suggested
+    ]
+    return {
+        **planned.to_dict(),
+        "expected": _forecast_dict(found),
+        "expected_untils": [course.to_dict() for course in courses],
+        "suggested": poses,
+    }
+
+
+def _plan_lines(
+    planned: Plan,
+    found: PlanForecast | None,
+    courses: Sequence[ExpectedCourse],
+    suggested: Sequence[SuggestedPose],
+) -> Iterator[str]:
+    from bench.plan.plan_text import render_plan
+
+    yield render_plan(planned)
+    if found is not None:
+        yield f"\n{_forecast_text(found)}"
+    for course in courses:
+        yield course.text
+    if suggested:
+        from bench.results.forecasts import forecasts_with
+
+        before = None if found is None or found.chosen else found.forecast
+        for pose, forecast in zip(suggested, forecasts_with(planned, suggested), strict=True):
+            yield _suggestion_text(pose, before, forecast)
+            before = forecast
+
+
+def _forecast_dict(found: PlanForecast | None) -> dict[str, Any] | None:
+    """Return a forecast for programs."""
+    if found is None:
+        return None
+    forecast = found.forecast
+    return {
+        "model": forecast.model,
+        "poses": found.poses,
+        "chosen_in_run": found.chosen,
+        "sigma": dict(forecast.sigma),
+        "coverage_factor": forecast.coverage_factor,
+        "expanded_fx_px": forecast.limited["expanded_fx"],
+        "worst_corner_px": forecast.limited[WORST_CORNER],
+        "worst_px": forecast.projection_map.worst_px,
+        "stars": list(forecast.stars),
+        "budget_rows": [row.to_dict() for row in forecast.budget_rows],
+        "not_included": list(forecast.not_included),
+        "remarks": list(found.remarks),
+    }
+
+
+def _forecast_text(found: PlanForecast) -> str:
+    """Return a forecast for people: expanded uncertainties, the largest terms, and remarks."""
+    from calib.uncertainty.projection_uncertainty import ARCSEC
+
+    forecast = found.forecast
+    k = forecast.coverage_factor
+    poses = f"{found.poses} poses" if found.poses != 1 else "1 pose"
+    if found.chosen:
+        poses = f"as many poses as allowed, {found.poses}"
+    fx, corners = forecast.limited["expanded_fx"], forecast.limited[WORST_CORNER]
+    direction = angle_text(1e6 / ARCSEC * k * forecast.projection_map.worst_arcsec)
+    lines = [
+        f"Expected with {poses}, {forecast.model} model; U with k = {k:.3g}:",
+        f"  U(fx) {fx:.2g} px, U at the corners {corners:.2g} px, U of a direction at most {direction}",
+        f"  {'largest parts of U, px':<44}{'fx':>8}{'corners':>10}",
+    ]
+    for row in _largest(forecast.budget_rows):
+        parts = [k * row.contribution.get(name, 0.0) for name in ("fx", WORST_CORNER)]
+        lines.append(f"  {row.name:<44}{parts[0]:>8.2g}{parts[1]:>10.2g}")
+    return "\n".join([*lines, *found.remarks])
+
+
+def _largest(rows: Sequence[BudgetRow]) -> list[BudgetRow]:
+    """Return the rows that matter for the focal length or at the corners, the largest first."""
+    share = {row.name: max(row.share.get("fx", 0.0), row.share.get(WORST_CORNER, 0.0)) for row in rows}
+    shown = sorted(rows, key=lambda row: -share[row.name])[:_MOST_TERMS]
+    return [row for row in shown if share[row.name] >= _SMALLEST_SHARE]
+
+
+def _suggestion_text(pose: SuggestedPose, before: Forecast | None, found: Forecast | None) -> str:
+    """Return a suggested pose with the uncertainty that it is expected to give."""
+    angles = ", ".join(f"{name}: {round(a, 3):g}" for name, a in pose.angles_deg.items())
+    parts = [f"it {why}"] if (why := _rim_text(pose)) else []
+    if found is None:
+        parts.append("the poses do not determine the camera yet")
+    else:
+        for name, quantity in (("U(fx)", "expanded_fx"), ("U at the corners", WORST_CORNER)):
+            instead = f" instead of {before.limited[quantity]:.2g} px" if before is not None else ""
+            parts.append(f"{name} {found.limited[quantity]:.2g} px{instead}")
+        parts[-1] += f" (k = {found.coverage_factor:.3g})"
+    return f"Suggested: {{{angles}}}: {', '.join(parts)}"
+
+
+def _rim_text(pose: SuggestedPose) -> str:
+    if not pose.rim_reason:
+        return ""
+    return f"shows {100 * pose.rim_share:.0f} % of the rim of the beam, which {pose.rim_reason}"
+
+
+def _why(pose: SuggestedPose) -> str:
+    """Return why a pose is suggested, for programs."""
+    if not math.isfinite(pose.worst_px):
+        return _rim_text(pose) or "the poses do not determine the camera yet"
+    worst = f"largest uncertainty on the sensor {pose.worst_px:.2g} px, 1 sigma"
+    return f"{why}; {worst}" if (why := _rim_text(pose)) else worst
+
+
+def _show_night(queue: Path, begin: datetime | None) -> int:
+    """Print when each run of a queue begins and ends, for which there is no time, and what each job will reach."""
+    from bench.batch.batch_plan import plan_batch, read_queue
+    from bench.results.forecasts import expected_uncertainty
+
+    read = read_queue(queue)
+    night = plan_batch(read.value, begin_utc(read.value, begin))
+    forecasts = {name: expected_uncertainty(planned) for name, planned in night.plans.items()}
+    expected = {name: dict(found.forecast.sigma) if found else None for name, found in forecasts.items()}
+    show(lambda: {**night.to_dict(), "expected_sigma": expected}, _night_lines(night, forecasts))
+    return 0
+
+
+def begin_utc(queue: Queue, begin: datetime | None) -> datetime:
+    """Return the begin of a night in UTC, now where it is None; without a zone it is in the queue's time zone."""
+    if begin is None:
+        return datetime.now(UTC)
+    return (begin.replace(tzinfo=queue.tzinfo) if queue.tzinfo else begin).astimezone(UTC)
+
+
+def _night_lines(night: BatchPlan, forecasts: Mapping[str, PlanForecast | None]) -> Iterator[str]:
+    from bench.plan.plan_text import duration_text, size_text
+
+    zone = night.queue.tzinfo
+
+    def clock(at_s: float) -> str:
+        return f"{night.moment(at_s).astimezone(zone):%a %H:%M}"
+
+    begins = f"{night.moment(night.bounds.opens_s).astimezone(zone):%a %Y-%m-%d %H:%M %Z}"
+    yield f"{night.queue.name}: from {begins}\n\n{'begin':<10} {'end':<10} {'takes':>12}  run"
+    rows = [
+        f"{clock(slot.begin_s):<10} {clock(slot.end_s):<10} {duration_text(slot.end_s - slot.begin_s):>12}"
+        f"  {slot.item.key}"
+        for slot in night.slots
+        if slot.begin_s is not None and slot.end_s is not None
+    ]
+    if len(rows) > _MOST_LINES:
+        half = _MOST_LINES // 2
+        rows = [*rows[:half], f"... {len(rows) - 2 * half} runs ...", *rows[-half:]]
+    yield from rows
+    if night.without_time:
+        left_out = ", ".join(item.key for item in night.without_time)
+        yield f"\nNo time for {len(night.without_time)}: {left_out}"
+    yield f"\n{'job':<16} {'a run takes':>12} {'disk':>8}  expected U (about 95 %)"
+    for name, planned in night.plans.items():
+        found = forecasts[name]
+        expected = _expected_text(found.forecast) if found else "unknown"
+        takes, size = duration_text(planned.duration_s), size_text(planned.size_bytes)
+        yield f"{name:<16} {takes:>12} {size:>8}  {expected}"
+    runs = len(night.slots) - len(night.without_time)
+    end = f"{night.end.astimezone(zone):%a %H:%M %Z}"
+    yield f"\n{runs} runs, until {end}, about {size_text(night.size_bytes)} on disk."
+
+
+def _expected_text(forecast: Forecast) -> str:
+    """Return the expected expanded uncertainties of a job, with their coverage factor."""
+    k = forecast.coverage_factor
+    values = ", ".join(f"{n} {k * forecast.sigma[n]:.2g}" for n in _SHOWN if n in forecast.sigma)
+    return f"{values} (k = {k:.3g})"

@@ -1,0 +1,201 @@
+"""The commands `run` and `resume`, and how the end of a run is printed."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from bench.commands.calibration_text import calibration_text, unit_text
+from bench.commands.options import (
+    RUN,
+    RUN_STATUS,
+    SEED,
+    SEQUENCE_NAME,
+    SET,
+    STATION,
+    OutputFolder,
+    epilog,
+    settings_of,
+)
+from bench.commands.output import JSON, STOPPED, ask_passphrase, error_object, show
+from bench.records.captures import CAPTURES
+from bench.report.target_words import words_of
+from bench.report.text import fixed, with_uncertainty
+
+if TYPE_CHECKING:
+    from bench.run.runner import RunEnd
+
+_MOST_LISTED = 20
+"""Recordings that are listed by name."""
+
+
+@click.command(
+    epilog=epilog(
+        "starbench run three_pose --station simulated",
+        "starbench run nine_pose -s my_bench.yaml -o runs/cam7 --operator 'A. Operator'",
+        "starbench run three_pose -s simulated --set sequence.defaults.record.window_ms=50",
+        status=RUN_STATUS,
+    )
+)
+@click.argument("sequence", type=SEQUENCE_NAME)
+@STATION
+@click.option(
+    "--output",
+    "-o",
+    type=OutputFolder(),
+    help="New folder for the run.  [default: a folder in runs/, named by date and sequence]",
+)
+@click.option("--seed", type=SEED, metavar="N", help="Random seed of the simulated bench.")
+@click.option("--operator", metavar="NAME", help="Name of the operator; printed in the report.")
+@SET
+@JSON
+def run(
+    sequence: str,
+    station: str,
+    output: Path | None,
+    seed: int | None,
+    operator: str | None,
+    settings: tuple[str, ...],
+) -> int:
+    """Run a SEQUENCE on a station and write a sealed report.
+
+    SEQUENCE is a file, or the name of a sequence that is included (three_pose, nine_pose, turntable, until_good,
+    parallax_test, boards).
+
+    The first Ctrl-C stops the run safely: it stops the stage, switches the light off and closes the files. The third
+    Ctrl-C ends the process at once.
+    """
+    from bench.base.clock import BenchClock
+    from bench.run.launch import Launch, start_run
+
+    end = start_run(
+        sequence,
+        station,
+        output=output,
+        seed=seed,
+        operator=operator,
+        launch=Launch(BenchClock(), ask_passphrase=ask_passphrase),
+        settings=settings_of(settings),
+    )
+    return show_run(end)
+
+
+@click.command(
+    epilog=epilog("starbench resume runs/cam7 --dry-run", "starbench resume runs/cam7", status=RUN_STATUS)
+)
+@RUN
+@click.option("--dry-run", is_flag=True, help="Only print what would be done.")
+@click.option(
+    "--secrets-revoked",
+    is_flag=True,
+    help="Seal a finished run though secrets were found in it: you have made them worthless.",
+)
+@JSON
+def resume(run_folder: Path, dry_run: bool, secrets_revoked: bool) -> int:
+    """Continue a RUN that was stopped, failed or was interrupted. It first prints what it will do."""
+    from bench.base.clock import BenchClock
+    from bench.run.launch import Launch, read_intentions, resume_run
+
+    if dry_run:
+        lines = list(read_intentions(run_folder))
+        show({"schema": "starbench/intentions/1", "intentions": lines}, "\n".join(lines))
+        return 0
+    launch = Launch(BenchClock(), ask_passphrase=ask_passphrase, secrets_revoked=secrets_revoked)
+    return show_run(resume_run(run_folder, launch))
+
+
+def show_run(end: RunEnd) -> int:
+    """Print how a run ended.
+
+    Returns: Exit status: 0 finished, 3 stopped on request, 1 failed.
+    """
+    early = end.outcome is None and end.how != "finished"
+    show(lambda: _run_dict(end), _early_end_lines(end) if early else _ended_lines(end), err=early)
+    return {"finished": 0, "aborted": STOPPED}.get(end.how, 1)
+
+
+def _run_dict(end: RunEnd) -> dict[str, Any]:
+    facts = {
+        "ended": end.how,
+        "why": end.why,
+        "unsafe": list(end.unsafe),
+        "devices": [one.to_dict() for one in end.devices],
+        "folder": str(end.folder),
+        "report": str(end.outcome.report) if end.outcome else None,
+        "error": error_object(end.failure) if end.failure is not None else None,
+    }
+    results: Mapping[str, Any] = end.outcome.results if end.outcome else {}
+    return {**facts, **dict(results.get("calibration", {})), "results": dict(results) or None}
+
+
+def _ended_lines(end: RunEnd) -> Iterator[str]:
+    if end.outcome is None:
+        yield from _recorded_lines(end)
+        return
+    results = end.outcome.results
+    yield calibration_text(results["calibration"], words_of(results))
+    if results["comparison"]:
+        yield "\nSIMULATED devices. Distance from the simulated truth:"
+        yield from map(_distance_text, results["comparison"])
+    for what in results["deviations"]:
+        yield f"Deviation: {what}"
+    yield f"\nReport: {end.outcome.report}"
+
+
+def _distance_text(row: Mapping[str, Any]) -> str:
+    """Return how far a value lies from the truth, to the digits of its uncertainty."""
+    error, _ = with_uncertainty(row["error"], 2 * row["sigma"])
+    sigmas = fixed(row["error_sigmas"], 2)
+    return f"  {row['name']:<3} {error:>12} {unit_text(row['name']):<3} = {sigmas:>5} sigma"
+
+
+def _early_end_lines(end: RunEnd) -> list[str]:
+    """Return why a run ended early, what is known of the bench, and how to continue."""
+    return [
+        f"The run {'was aborted' if end.how == 'aborted' else 'failed'}: {end.why}",
+        *_device_lines(end),
+        "All recordings are kept. To continue:",
+        f"  starbench resume {end.folder}",
+    ]
+
+
+def _device_lines(end: RunEnd) -> list[str]:
+    """Return what is known of each device; nothing is said that no device has answered."""
+    if all(one.state == "never opened" for one in end.devices):
+        return [
+            "No device was opened: this run moved nothing and switched nothing.",
+            "Whether the light is on and the stage is still is not known: look at the bench.",
+        ]
+    unsure = [one for one in end.devices if one.state != "confirmed safe"]
+    if end.devices and not unsure:
+        head = "The bench is safe; each device confirmed it:"
+    elif end.devices and all(one.device == "camera" for one in unsure):
+        head = "Stage and light confirmed that they are safe:"  # a camera neither moves nor shines
+    else:
+        head = "CHECK THE BENCH. What is known of each device:"
+    return [head, *(f"  {one.text}" for one in end.devices)]
+
+
+def _recorded_lines(end: RunEnd) -> list[str]:
+    """Return what a run without results has: its recordings, and what can be done with them."""
+    recordings = sorted(
+        path.relative_to(end.folder).as_posix() for path in (end.folder / CAPTURES).glob("pose-*")
+    )
+    lines = ["The run is finished and sealed. Its sequence has no report step, so there is no result."]
+    lines.append(f"Folder: {end.folder}")
+    if not recordings:
+        return [*lines, "It has no recording."]
+    shown = recordings[:_MOST_LISTED]
+    lines.append(f"Recordings ({len(recordings)}):")
+    lines += [f"  {name}" for name in shown]
+    if len(recordings) > len(shown):
+        lines.append(f"  and {len(recordings) - len(shown)} more")
+    lines.append("To check the seal, and to calibrate from the recordings:")
+    return [
+        *lines,
+        f"  starbench verify {end.folder}",
+        f"  starbench calibrate {end.folder} --output NEW_FOLDER",
+    ]

@@ -1,0 +1,299 @@
+"""The command `verify`: joins the verifier with what derives files again, for one sealed folder or for many."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack
+from dataclasses import replace
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from bench.base.home import home_folder
+from bench.commands.options import ExistingFile, OutputFolder, RunFolder, epilog, status_text
+from bench.commands.output import JSON, show, wants_json
+from bench.commands.workers import CONTINUES, WORKERS, CountLine, open_workers
+
+if TYPE_CHECKING:
+    from bench.cluster.kept_rows import KeptRows
+    from bench.cluster.verifications import Check, Checked
+    from bench.cluster.work import Finished, Workers
+    from bench.evidence.findings import Derivation, Findings, Verification
+
+NOT_COMPARED = 4
+"""Exit status of `verify`: no fault was found, but parts of the folder could not be derived again and compared."""
+_WORDS = {"ok": "verified", "incomplete": "not compared completely", "failed": "NOT VERIFIED"}
+
+
+@click.command(
+    epilog=epilog(
+        "starbench verify runs/cam7",
+        "starbench verify runs/cam7 --serial 00051234 --allowed-signers lab_signers --again",
+        "starbench verify runs/* --again --workers 4 -o checked",
+        status=status_text(
+            "0 valid, 1 not valid{invalid}, 4 seal valid, but not every part could be compared{ctrl_c}"
+        ),
+    )
+)
+@click.argument("folders", metavar="FOLDER...", nargs=-1, required=True, type=RunFolder(journal=False))
+@click.option(
+    "--allowed-signers", type=ExistingFile(), help="File of trusted keys.  [default: this bench's own]"
+)
+@click.option(
+    "--revoked-keys",
+    type=ExistingFile(),
+    help="File of revoked keys.  [default: the one beside the trusted keys]",
+)
+@click.option(
+    "--tsa-certificates",
+    type=ExistingFile(),
+    help="Root certificates of trusted time stamping authorities, PEM.  [default: this bench's own]",
+)
+@click.option(
+    "--at",
+    metavar="DATE",
+    type=click.DateTime(["%Y-%m-%d", "%Y-%m-%dT%H:%M:%S", "%Y-%m-%d %H:%M"]),
+    help="The keys must have been valid at this time (UTC): 2026-03-01 or 2026-03-01T12:00:00.  [default: the time of"
+    " the seal, by the bench's own clock]",
+)
+@click.option("--serial", help="Serial number that the calibrated camera must have.")
+@click.option(
+    "--again",
+    is_flag=True,
+    help="Also find the stars in the recordings again, calibrate again, and compare every number. This takes longer.",
+)
+@WORKERS
+@click.option(
+    "--output",
+    "-o",
+    type=OutputFolder(),
+    help="With several FOLDERs: folder that keeps what is done. After an interruption, repeat the command: it"
+    " continues.",
+)
+@JSON
+def verify(
+    folders: tuple[Path, ...],
+    allowed_signers: Path | None,
+    revoked_keys: Path | None,
+    tsa_certificates: Path | None,
+    at: datetime | None,
+    serial: str | None,
+    again: bool,
+    workers: int | str | None,
+    output: Path | None,
+) -> int:
+    """Check sealed FOLDERs: runs, certificates or recalculated results.
+
+    The command checks the signatures, every file and the journal. It derives results, exports and report again from the
+    other files, and compares every byte. With --again it begins with the recordings: use it if the numbers matter.
+    Several folders are checked at the same time, on all processors.
+    """
+    from bench.evidence.key_trust import read_trust
+    from bench.evidence.verify import verify_folder
+
+    trust = read_trust(
+        home_folder(),
+        allowed_signers=allowed_signers,
+        revoked_keys=revoked_keys,
+        tsa_certificates=tsa_certificates,
+    )
+    moment = at.replace(tzinfo=UTC) if at else None
+    if len(folders) > 1 or isinstance(workers, str) or output:
+        from bench.cluster.verifications import Check
+        from bench.results.forms import forms
+
+        who = open_workers(workers, most=len(folders))
+        check = Check(trust, moment, serial, again, forms()["program"])
+        return _verify_many(folders, check, who, output)
+    found = verify_folder(
+        folders[0],
+        trust,
+        at=moment,
+        camera_serial=serial,
+        derivations=derivations(again=again),
+    )
+    return show_verification(found)
+
+
+def show_verification(found: Verification) -> int:
+    """Print what the verification of a sealed folder found.
+
+    Returns: Exit status: 0 no fault, and everything was compared; 1 a fault; 4 no fault, but not everything
+      was compared.
+    """
+    show(found.to_dict, _valid_lines(found) if found.ok else _fault_lines(found), err=not found.ok)
+    if not found.ok:
+        return 1
+    return 0 if found.complete else NOT_COMPARED
+
+
+def _fault_lines(found: Verification) -> Iterator[str]:
+    yield "NOT VERIFIED:"
+    for fault in found.faults:
+        yield f"  {fault}"
+    yield f"State by its signatures alone: {found.state}"
+
+
+def _valid_lines(found: Verification) -> Iterator[str]:
+    yield f"{found.state}: {found.files} files, sealed by {found.signer} ({found.fingerprint})."
+    if found.stated is not None:
+        yield f"Sealed {found.stated[:19].replace('T', ' ')} UTC by the bench's own clock."
+    yield from found.statements
+    if found.run_id is not None:
+        simulated = " SIMULATED devices." if found.simulated else ""
+        camera = found.camera_serial or "without number"
+        what = {"results": "Recalculated results", "certificate": "Certificate of run"}.get(found.kind, "Run")
+        yield f"{what} {found.run_id}, camera {camera}.{simulated}"
+    for remark in found.remarks:
+        yield f"Note: {remark}."
+    if found.not_compared:
+        yield "NOT COMPARED. Only the seal protects these parts; whoever holds its key could change them:"
+        for what in found.not_compared:
+            yield f"  {what}"
+
+
+def _verify_many(folders: Sequence[Path], check: Check, workers: Workers, output: Path | None) -> int:
+    """Check folders by many workers, and print a line for each; the exit status is as for one folder.
+
+    output: Folder that keeps what was derived again; None to keep nothing.
+    Raises WorkersLost: If nobody is left who could do the work.
+    Raises StorageError: If findings cannot be kept.
+    """
+    from bench.cluster.kept_rows import KeptRows
+    from bench.cluster.verifications import VERIFIED, check_one
+    from bench.cluster.work import map_work
+    from bench.terminal.encoding import printable
+    from bench.terminal.signals import reliable_interrupts
+
+    chosen = list(dict.fromkeys(folder.absolute() for folder in folders))
+    line = CountLine(len(chosen), "folders", quiet=wants_json())
+    rows: dict[int, dict[str, Any]] = {}
+    states: Counter[str] = Counter()
+    with reliable_interrupts(), ExitStack() as stack:
+        stack.callback(workers.close)
+        kept = stack.enter_context(KeptRows(output, VERIFIED)) if output is not None else None
+        work = ((folder, check, kept.get(str(folder)) if kept else None) for folder in chosen)
+        try:
+            for number, end in map_work(check_one, work, workers):
+                state, text, rows[number] = _ended(chosen[number], end, kept)
+                states[state] += 1
+                line.clear()
+                click.echo(printable(text), err=wants_json())
+                line.count()
+        except BaseException:
+            line.clear()
+            click.echo(
+                f"{line.text()} checked. {CONTINUES if output else 'Nothing is kept: give -o.'}", err=True
+            )
+            raise
+    line.clear()
+    counted = ", ".join(f"{states[state]} {word}" for state, word in _WORDS.items() if states[state])
+    show(
+        {"folders": [rows[number] for number in sorted(rows)], **states},
+        f"{len(chosen)} folders: {counted}.",
+    )
+    return 1 if states["failed"] else NOT_COMPARED if states["incomplete"] else 0
+
+
+def _ended(folder: Path, end: Finished, kept: KeptRows | None) -> tuple[str, str, dict[str, Any]]:
+    """Return state, line and JSON of a folder."""
+    if end.failure is not None:
+        why = f"{end.failure.message}{end.defect and chr(10) + end.defect}"
+        row = {"folder": str(folder), "ok": False, "complete": False, "failure": end.failure.to_dict()}
+        return "failed", f"{folder.name}: NOT VERIFIED. {why}", row
+    checked: Checked = end.value
+    if kept is not None and checked.key and not checked.before:
+        kept.add(str(folder), {"key": checked.key, "derived": checked.derived})
+    found = checked.verification
+    if found.ok:
+        found = _with(found, _checks_of_this_bench(folder, found.kind))
+    if not found.ok:
+        faults = " ".join(f"{fault}." for fault in found.faults)
+        return "failed", f"{folder.name}: NOT VERIFIED. {faults}", found.to_dict()
+    camera = f", camera {found.camera_serial}" if found.camera_serial else ""
+    simulated = ", SIMULATED devices" if found.simulated else ""
+    text = f"{folder.name}: {found.state}, {found.files} files, sealed by {found.signer}{camera}{simulated}."
+    if not found.complete:
+        return "incomplete", f"{text} NOT COMPARED: {'; '.join(found.not_compared)}.", found.to_dict()
+    return "ok", text, found.to_dict()
+
+
+def _with(found: Verification, more: Findings) -> Verification:
+    return replace(
+        found,
+        faults=(*found.faults, *more.faults),
+        not_compared=(*found.not_compared, *more.not_compared),
+        remarks=(*found.remarks, *more.remarks),
+    )
+
+
+def derivations(*, again: bool) -> dict[str, list[Derivation]]:
+    """Return what derives the files of each kind of sealed folder again.
+
+    again: Whether to calibrate again from the recordings too.
+    Returns: Functions by kind of folder, for `bench.evidence.verify.verify_folder`.
+    """
+    from bench.results.derive_again import check_results_folder, check_run
+    from bench.results.reproduce import check_recordings
+    from bench.results.reproduce_offline import check_recalculated
+
+    return {
+        "run": [_check_ledger, check_run, *([check_recordings] if again else []), _check_authorisation],
+        "results": [check_results_folder, *([check_recalculated] if again else []), _check_authorisation],
+        "certificate": [_check_certificate, _check_authorisation],
+    }
+
+
+def _checks_of_this_bench(folder: Path, kind: str) -> Findings:
+    """Compare a folder with the ledger of this bench, which no worker has."""
+    from bench.evidence.findings import Findings
+
+    found = Findings()
+    for check in {"certificate": [_check_certificate], "run": [_check_ledger]}.get(kind, []):
+        found.add(check(folder))
+    found.add(_check_authorisation(folder))
+    return found
+
+
+def _check_authorisation(folder: Path) -> Findings:
+    """Compare a folder with the authorisation that the ledger of this bench names. It is the last check of a folder."""
+    from bench.evidence.findings import Findings
+    from bench.evidence.ledger_authorisation import compare_authorisation, known_authorisations
+    from bench.evidence.seal import AUTHORISATION
+
+    found = Findings()
+    compared = compare_authorisation(folder, known_authorisations(home_folder()))
+    if compared.fault:
+        found.fault("authorisation", AUTHORISATION, compared.fault)
+    if compared.note:
+        found.remarks.append(compared.note)
+    return found
+
+
+def _check_certificate(folder: Path) -> Findings:
+    """Derive a certificate again, and compare it with the ledger of this bench."""
+    from bench.certificate.check import check_certificate
+    from bench.results.previous_calibration import bench_ledger
+
+    return check_certificate(folder, bench_ledger())
+
+
+def _check_ledger(folder: Path) -> Findings:
+    """Compare the number and the head of a run with the ledger of this bench, if the run is in it."""
+    from bench.evidence.findings import Findings
+    from bench.evidence.ledger_check import ledger_faults_of_run
+    from bench.records.history import replay
+    from bench.records.journal import read_journal
+    from bench.records.run_folder import JOURNAL
+    from bench.results.previous_calibration import bench_ledger
+
+    found, ledger = Findings(), bench_ledger()
+    for what in ledger_faults_of_run(folder, ledger):
+        found.fault("ledger", JOURNAL, what.rstrip("."))
+    place = replay(read_journal(folder / JOURNAL)[0]).ledger
+    if not found.faults and not (place and ledger.contains(place)):
+        found.remarks.append("this run is not in the ledger of this bench, so no ledger confirms its number")
+    return found

@@ -1,0 +1,148 @@
+"""Work that many workers share: the option that says who they are, and the line that shows how far they are."""
+
+from __future__ import annotations
+
+import os
+import sys
+import time
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from bench.terminal.duration import clock_text
+
+if TYPE_CHECKING:
+    from bench.cluster.work import Workers
+
+CONTINUES = "What is done is kept; the same command continues."
+_MOST_PROCESSES = 1024
+_LEAST_BYTES = 4 << 30
+"""Memory that each process on this computer may use at least: a share of this computer's may be less."""
+_EVERY_S = 30.0
+_EVERY_ON_A_TERMINAL_S = 0.25
+
+
+class _Who(click.ParamType):
+    """A number of processes, or the address of a Dask scheduler."""
+
+    name = "workers"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> int | str:
+        """See `click.ParamType.convert`."""
+        if "://" in str(value):
+            return str(value)
+        if not str(value).isdecimal() or not 1 <= int(value) <= _MOST_PROCESSES:
+            self.fail(
+                f"{value!r} is neither a number of 1 to {_MOST_PROCESSES} nor the address of a Dask scheduler, such as"
+                " tls://host:8786.",
+                param,
+                ctx,
+            )
+        return int(value)
+
+
+WORKERS = click.option(
+    "--workers",
+    type=_Who(),
+    metavar="N|ADDRESS",
+    help="Number of processes on this computer; or use the workers of a Dask scheduler, tcp://host:8786 or"
+    " tls://host:8786 (docs/cluster.md).  [default: one process for each processor]",
+)
+
+
+def open_workers(who: int | str | None, *, most: int | None = None) -> Workers:
+    """Return who does the work; they must be closed.
+
+    who: Number of processes, or address of a Dask scheduler; None for one process for each processor.
+    most: Number of pieces of work, if it is known: no more processes are started. A single piece is done by
+      the command itself, unless a number of processes is asked for.
+    Raises UsageError: If Dask is not installed.
+    Raises WorkersLost: If nobody answers at the address.
+    """
+    if isinstance(who, str):
+        from bench.cluster.scheduler import DaskWorkers
+
+        return DaskWorkers(who)
+    from bench.cluster.processes import Processes, processors
+    from bench.cluster.work import Serial
+
+    count = min(who or processors(), max(1, most) if most is not None else _MOST_PROCESSES)
+    if count == 1 and who is None:
+        return Serial()
+    return Processes(count, max(_LEAST_BYTES, _memory_bytes() // count))
+
+
+def _memory_bytes() -> int:
+    """Return how much memory this computer has; 0 where the system does not say."""
+    try:
+        return os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
+    except (AttributeError, ValueError, OSError):
+        return 0
+
+
+class LiveLine:
+    """A line on standard error.
+
+    quiet: Whether nothing is shown.
+    """
+
+    def __init__(self, *, quiet: bool = False) -> None:
+        self.quiet = quiet
+        self._live = sys.stderr.isatty()
+        self._next_s = time.monotonic() + (0.0 if self._live else _EVERY_S)
+        self._width = 0
+
+    def due(self) -> bool:
+        """Return whether it is time to show the line again.
+
+        Returns: True at most four times a second; without a terminal every half minute.
+        """
+        now = time.monotonic()
+        if self.quiet or now < self._next_s:
+            return False
+        self._next_s = now + (_EVERY_ON_A_TERMINAL_S if self._live else _EVERY_S)
+        return True
+
+    def show(self, text: str) -> None:
+        """Show a text in place of the one before."""
+        if self._live:
+            click.echo(f"\r{text:<{self._width}}", nl=False, err=True)
+            self._width = len(text)
+        else:
+            click.echo(text, err=True)
+
+    def clear(self) -> None:
+        """Remove the live line, so that another line can be printed."""
+        if self._live and self._width:
+            click.echo(f"\r{'':<{self._width}}\r", nl=False, err=True)
+            self._width = 0
+
+
+class CountLine(LiveLine):
+    """Shows how many things of one kind are done, and the time left.
+
+    things: What they are called, such as ``files``.
+    before: How many were done before the command began.
+    quiet: Whether nothing is shown.
+    """
+
+    def __init__(self, total: int, things: str, *, before: int = 0, quiet: bool = False) -> None:
+        super().__init__(quiet=quiet)
+        self.done, self._before, self._total, self._things = before, before, total, things
+        from bench.cluster.work import TimeLeft
+
+        self._time = TimeLeft()
+
+    def count(self, more: int = 1) -> None:
+        """Count what has been done, and show the line if it is time."""
+        self.done += more
+        if self.done < self._total and self.due():
+            left = self._time.left_s(self.done - self._before, self._total - self._before)
+            self.show(f"{self.text()}{'' if left is None else f', {clock_text(left)} left'}")
+
+    def text(self) -> str:
+        """Return the count in words.
+
+        Returns: As ``3 of 10 files``.
+        """
+        return f"{self.done} of {self._total} {self._things}"
