@@ -43,10 +43,9 @@ from simulators.pixels.sensor_stream import CameraState, SensorStream
 from simulators.ports.serial_device import Dialect, Port, SerialDevice
 from simulators.ports.tcp_port import TcpPort
 from simulators.pulse import Pulse
-from simulators.world.camera_setup import with_setup
-from simulators.world.load import LoadTrajectory
+from simulators.world.trajectory import LoadTrajectory
 from simulators.world.truth import Truth
-from simulators.world.world import AxisMotion, AxisName, LightState, World
+from simulators.world.world import AxisMotion, AxisName, LightState, World, with_setup
 
 
 class Bench:

@@ -6,17 +6,18 @@ reads the sections camera, collimator, target, reticle, optics, noise, thermal, 
 
 from __future__ import annotations
 
-import math
 import os
-from collections.abc import Collection, Mapping
-from dataclasses import dataclass, field, fields, replace
-from typing import Any, Final, TypeVar
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import Annotated, Any, Final
 
 import numpy as np
+from pydantic import BeforeValidator
 
 from simulators.errors import ConfigError
 from simulators.faults.catalogue import FaultOrder, fault_order
-from simulators.world.gimbal import GimbalTruth
+from simulators.reading import Number, Section, Switch, Text, Whole, one_of, read, read_section, refused, text
+from simulators.world.gimbal import AXES, GimbalTruth
 from simulators.world.truth import Truth
 from simulators.world.truth_config import truth_from_config
 from simulators.world.world import AxisName
@@ -41,32 +42,36 @@ _TRUTH_SECTIONS: Final = (
     *("camera", "collimator", "target", "reticle", "optics", "noise", "thermal", "mount", "gimbal", "screen"),
     *("lens", "board"),
 )
-_AXES: Final[tuple[AxisName, ...]] = ("pan", "tilt", "roll")
+
+
+_POSITIVE = refused(lambda value: value <= 0, "{!r} is not positive.")
+_Positive = Annotated[Number, _POSITIVE]
+_NotNegative = Annotated[Number, refused(lambda value: value < 0, "{!r} is negative.")]
 
 
 @dataclass(frozen=True)
-class AxisConfig:
+class AxisConfig(Section):
     """One axis of the gimbal."""
 
-    serial: str
+    serial: Text
     # Soft limit in both directions, as the controller is delivered; the end stops are 2 degrees further out.
-    limit_deg: float
-    start_deg: float = 0.0
-    microsteps_per_deg: int = 6400
-    speed_deg_s: float = 40.0
-    acceleration_deg_s2: float = 200.0
-    settle_s: float = 0.02  # Time constant of the load settling after a move
-    backlash_deg: float = 0.0  # Play of the gear; section ``gimbal`` may give it instead
-    encoder: bool = True  # Whether there is an encoder on the shaft
+    limit_deg: _Positive
+    start_deg: Number = 0.0
+    microsteps_per_deg: Annotated[Whole, _POSITIVE] = 6400
+    speed_deg_s: _Positive = 40.0
+    acceleration_deg_s2: _Positive = 200.0
+    settle_s: _NotNegative = 0.02  # Time constant of the load settling after a move
+    backlash_deg: _NotNegative = 0.0  # Play of the gear; section ``gimbal`` may give it instead
+    encoder: Switch = True  # Whether there is an encoder on the shaft
 
 
 @dataclass(frozen=True)
-class LightConfig:
+class LightConfig(Section):
     """The light's driver."""
 
-    kind: str = "keysight"  # One of `LIGHT_KINDS`
-    serial: str = "SG0042"  # Its serial number, if it has one
-    error_queue: bool = True  # Whether it answers ``SYST:ERR?``, for instruments that may or may not
+    kind: Annotated[str, one_of(LIGHT_KINDS), BeforeValidator(text)] = "keysight"
+    serial: Text = "SG0042"  # Its serial number, if it has one
+    error_queue: Switch = True  # Whether it answers ``SYST:ERR?``, for instruments that may or may not
 
 
 @dataclass(frozen=True)
@@ -101,7 +106,7 @@ class BenchConfig:
           the gimbal's errors, unless they have their own; and with the backlash of the axes.
         """
         gimbal, axes = self.truth.gimbal, self.axes
-        pan, tilt, roll = (axes[name].backlash_deg if name in axes else 0.0 for name in _AXES)
+        pan, tilt, roll = (axes[name].backlash_deg if name in axes else 0.0 for name in AXES)
         gimbal = replace(gimbal, seed=gimbal.seed or seed, backlash_deg=(pan, tilt, roll))
         board = replace(self.truth.board, seed=seed) if self.truth.board.present else self.truth.board
         truth = replace(self.truth, gimbal=gimbal, board=board)
@@ -115,9 +120,6 @@ _MOUNTING_STREAM = 1
 _MOUNTING_SPREAD_DEG = 0.25
 _MOUNTING_DEG = (0.0, 0.0, 10.0)
 """With a roll, as on a real bench: the print's edges are then not parallel to the rows of pixels."""
-
-_Section = TypeVar("_Section", AxisConfig, LightConfig)
-_Value = TypeVar("_Value", bool, int, float, str)
 
 
 def bench_config(given: Mapping[str, Any]) -> BenchConfig:
@@ -143,27 +145,27 @@ def bench_config(given: Mapping[str, Any]) -> BenchConfig:
         if key not in known:
             raise ConfigError("Unknown key.", where=str(key), remedy=f"Known are: {', '.join(known)}.")
     optics = given.get("optics", {})
-    if not isinstance(optics, Mapping):
-        raise ConfigError(f"A mapping is expected, not {optics!r}.", where="optics")
     orders = given.get("faults", [])
     if not isinstance(orders, list) or not all(isinstance(one, Mapping) for one in orders):
         raise ConfigError(
             "A list of mappings is expected.", where="faults", remedy="Give one mapping per fault."
         )
     stage_kind, axes = _stage(given["stage"], default.axes) if "stage" in given else ("zaber", default.axes)
-    light = _section("light", default.light, given.get("light", {}))
+    light = read_section(LightConfig, given.get("light", {}), "light")
     truth = truth_from_config(given)
+    camera_serial = read(Text, given.get("camera_serial", default.camera_serial), "camera_serial")
+    seed = read(Whole, given["camera_seed"], "camera_seed") if "camera_seed" in given else None
     return BenchConfig(
         truth=truth,
         stage_kind=stage_kind,
         axes=_with_backlash(given.get("stage", {}), axes, truth.gimbal),
-        light=replace(light, kind=_one_of(LIGHT_KINDS, light.kind, "light.kind")),
+        light=light,
         faults=tuple(_order(index, one) for index, one in enumerate(orders)),
-        camera_serial=_like(default.camera_serial, given.get("camera_serial", "00050423"), "camera_serial"),
-        camera_seed=_like(0, given["camera_seed"], "camera_seed") if "camera_seed" in given else None,
+        camera_serial=camera_serial,
+        camera_seed=seed,
         mounting_from_seed="mounting_deg" not in optics,
-        ports=_one_of(_PORTS, given.get("ports", default.ports), "ports"),
-        paced=_like(default.paced, given.get("paced", True), "paced"),
+        ports=read(Annotated[str, one_of(_PORTS)], given.get("ports", default.ports), "ports"),
+        paced=read(Switch, given.get("paced", True), "paced"),
     )
 
 
@@ -171,7 +173,7 @@ def _with_backlash(
     stage: Mapping[str, Any], axes: Mapping[AxisName, AxisConfig], gimbal: GimbalTruth
 ) -> Mapping[AxisName, AxisConfig]:
     """Return the axes with the backlash of section ``gimbal``; an axis's own key gives it alike, but not both."""
-    play = dict(zip(_AXES, gimbal.backlash_deg, strict=True))
+    play = dict(zip(AXES, gimbal.backlash_deg, strict=True))
     if not any(play.values()):
         return axes
     for name, section in stage.items():
@@ -192,84 +194,35 @@ def _order(index: int, given: Mapping[str, Any]) -> FaultOrder:
         raise ConfigError(error.what, where=f"faults[{index}].{error.where}", remedy=error.remedy) from error
 
 
-def _one_of(known: Collection[str], value: object, where: str) -> str:
-    """Check that a value is one of a few words, and return it."""
-    if value not in known:
-        raise ConfigError(f"Unknown value {value!r}.", where=where, remedy=f"Use one of: {', '.join(known)}.")
-    return str(value)
-
-
 def _stage(
     given: object, default: Mapping[AxisName, AxisConfig]
 ) -> tuple[str, Mapping[AxisName, AxisConfig]]:
     """Read the stage's kind and the named axes, in their order; axes that are not named do not exist."""
     if not isinstance(given, Mapping):
         raise ConfigError(f"A mapping is expected, not {given!r}.", where="stage")
-    kind = _one_of(STAGE_KINDS, given.get("kind", "zaber"), "stage.kind")
+    kind = read(Annotated[str, one_of(STAGE_KINDS)], given.get("kind", "zaber"), "stage.kind")
     named = {name: section for name, section in given.items() if name != "kind"}
     usual = {name: replace(axis, microsteps_per_deg=STAGE_KINDS[kind]) for name, axis in default.items()}
     if not named and given:
         return kind, usual
     if not named:
         raise ConfigError(
-            "The stage has no axis.", where="stage", remedy=f"Give at least one of: {', '.join(_AXES)}."
+            "The stage has no axis.", where="stage", remedy=f"Give at least one of: {', '.join(AXES)}."
         )
     axes: dict[AxisName, AxisConfig] = {}
     for name, section in named.items():
-        if name not in _AXES:
-            raise ConfigError(
-                "Unknown axis.", where=f"stage.{name}", remedy=f"Known are: {', '.join(_AXES)}."
-            )
+        if name not in AXES:
+            raise ConfigError("Unknown axis.", where=f"stage.{name}", remedy=f"Known are: {', '.join(AXES)}.")
         fresh = AxisConfig(f"1001{len(axes) + 1:02d}", 180.0, microsteps_per_deg=STAGE_KINDS[kind])
-        axes[name] = _checked(f"stage.{name}", _section(f"stage.{name}", usual.get(name, fresh), section))
+        axis = axes[name] = read_section(AxisConfig, section, f"stage.{name}", usual.get(name, fresh))
+        if abs(axis.start_deg) > axis.limit_deg:
+            raise ConfigError(
+                f"{axis.start_deg} lies outside the limits of the axis, +-{axis.limit_deg}.",
+                where=f"stage.{name}.start_deg",
+            )
         if kind in {"ximc", "thorlabs_apt"} and not axes[name].serial.isdigit():
             raise ConfigError(
                 f"The serial number of a {kind} controller must have digits only.",
                 where=f"stage.{name}.serial",
             )
     return kind, axes
-
-
-def _checked(where: str, axis: AxisConfig) -> AxisConfig:
-    """Check that an axis's numbers are in range, and return the axis."""
-    for name in ("limit_deg", "microsteps_per_deg", "speed_deg_s", "acceleration_deg_s2"):
-        if getattr(axis, name) <= 0:
-            raise ConfigError(f"{getattr(axis, name)!r} is not positive.", where=f"{where}.{name}")
-    for name in ("settle_s", "backlash_deg"):
-        if getattr(axis, name) < 0:
-            raise ConfigError(f"{getattr(axis, name)!r} is negative.", where=f"{where}.{name}")
-    if abs(axis.start_deg) > axis.limit_deg:
-        raise ConfigError(
-            f"{axis.start_deg} lies outside the limits of the axis, +-{axis.limit_deg}.",
-            where=f"{where}.start_deg",
-        )
-    return axis
-
-
-def _section(where: str, default: _Section, given: object) -> _Section:
-    """Return ``default`` with the given keys replaced, each checked against the type of its default."""
-    if not isinstance(given, Mapping):
-        raise ConfigError(f"A mapping is expected, not {given!r}.", where=where)
-    known = [one.name for one in fields(default)]
-    values: dict[str, Any] = {}
-    for key, value in given.items():
-        if key not in known:
-            raise ConfigError(
-                "Unknown key.", where=f"{where}.{key}", remedy=f"Known are: {', '.join(known)}."
-            )
-        values[key] = _like(getattr(default, key), value, f"{where}.{key}")
-    return replace(default, **values)
-
-
-def _like(default: _Value, value: object, where: str) -> _Value:
-    """Check that a value has its default's type, and return it converted."""
-    if isinstance(default, (bool, str)):
-        if type(value) is not type(default):
-            kind = "true or false" if isinstance(default, bool) else "text"
-            raise ConfigError(f"{kind.capitalize()} is expected, not {value!r}.", where=where)
-        return value
-    if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value):
-        raise ConfigError(f"A finite number is expected, not {value!r}.", where=where)
-    if isinstance(default, int) and value != int(value):
-        raise ConfigError(f"A whole number is expected, not {value!r}.", where=where)
-    return type(default)(value)

@@ -10,8 +10,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, fields, replace
-from typing import Any, Literal
+from dataclasses import dataclass, replace
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,9 +20,10 @@ from simulators.config import BenchConfig, bench_config
 from simulators.errors import ConfigError
 from simulators.optics.lens_focus import truth_record
 from simulators.optics.picture import star_centres, true_rotation
-from simulators.world.camera_setup import setup_of, with_setup
+from simulators.reading import Number, Section, read_section, refused_as_given
 from simulators.world.gimbal import load_angles_deg
 from simulators.world.truth import Truth
+from simulators.world.world import setup_of, with_setup
 
 Mishap = Literal["", "covered", "lost"]
 
@@ -34,21 +35,23 @@ _REFERENCE_C = 40.0
 """Camera temperature at which the focal lengths are those of section ``camera``."""
 
 
+_NotNegative = Annotated[float, refused_as_given(lambda value: value < 0, "{!r} is negative.")]
+
+
 @dataclass(frozen=True)
-class Night:
+class Night(Section):
     """Conditions of a night: section ``rehearsal`` of the simulation's configuration."""
 
-    star_sigma_px: float = 0.03  # Noise of a star's centre, in x and in y, 1 sigma
-    room_c: float = 22.0
-    room_c_per_h: float = 0.0
-    # self_heating_c, warm_up_min: Final temperature of the camera above the room, and the time constant of
-    # its rise after switching on.
-    self_heating_c: float = 18.0
-    warm_up_min: float = 20.0
+    covered_share: _NotNegative = 0.0  # Share of the recordings in which something covers the camera's view
     # Relative change of the focal length with the camera's temperature, 1e-6 per degree.
-    focal_ppm_per_c: float = 0.0
-    covered_share: float = 0.0  # Share of the recordings in which something covers the camera's view
-    lost_share: float = 0.0  # Share of the recordings that the camera does not complete
+    focal_ppm_per_c: Number = 0.0
+    lost_share: _NotNegative = 0.0  # Share of the recordings that the camera does not complete
+    room_c: Number = 22.0
+    room_c_per_h: Number = 0.0
+    # Final temperature of the camera above the room, and the time constant of its rise after switching on.
+    self_heating_c: Number = 18.0
+    star_sigma_px: _NotNegative = 0.03  # Noise of a star's centre, in x and in y, 1 sigma
+    warm_up_min: _NotNegative = 20.0
 
 
 @dataclass(frozen=True)
@@ -146,19 +149,8 @@ def _words(angles_deg: Mapping[str, float]) -> list[int]:
 
 
 def _night(given: object) -> Night:
-    """Read the section, and check each key."""
-    if not isinstance(given, Mapping):
-        raise ConfigError(f"A mapping is expected, not {given!r}.", where="rehearsal")
-    known = {one.name for one in fields(Night)}
-    for key, value in given.items():
-        where = f"rehearsal.{key}"
-        if key not in known:
-            raise ConfigError("Unknown key.", where=where, remedy=f"Known are: {', '.join(sorted(known))}.")
-        if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value):
-            raise ConfigError(f"A finite number is expected, not {value!r}.", where=where)
-        if value < 0 and key in {"star_sigma_px", "warm_up_min", "covered_share", "lost_share"}:
-            raise ConfigError(f"{value!r} is negative.", where=where)
-    night = Night(**{key: float(value) for key, value in given.items()})
+    """Read the section."""
+    night = read_section(Night, given, "rehearsal")
     if night.covered_share + night.lost_share > 1:
         raise ConfigError(
             "covered_share and lost_share add up to more than 1.", where="rehearsal.covered_share"

@@ -26,7 +26,7 @@ from simulators.stages.ximc import XimcController, XimcModel
 from simulators.stages.zaber import ZaberChain
 from simulators.stages.zaber_controller import ZaberController
 from simulators.stages.zaber_model import ZaberModel
-from simulators.world.load import LoadTrajectory
+from simulators.world.trajectory import LoadTrajectory
 from simulators.world.world import AxisName
 
 #: Distance of the end stops beyond the soft limits, degrees.

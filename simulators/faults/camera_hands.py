@@ -14,11 +14,10 @@ from typing import Any, Final
 from simulators.errors import ConfigError
 from simulators.faults.catalogue import FaultOrder
 from simulators.optics.lens_focus import focus_of, ring_deg, with_ring_at
-from simulators.world.board_truth import BoardState
-from simulators.world.camera_setup import CameraSetup, setup_of, with_setup
-from simulators.world.lens_config import f_number, focus_distance_m
-from simulators.world.truth import Truth
-from simulators.world.world import World
+from simulators.reading import read
+from simulators.world.board import BoardState
+from simulators.world.truth import FNumber, FocusDistance, Truth
+from simulators.world.world import CameraSetup, World, setup_of, with_setup
 
 HAND_DEVICES: Final = ("mount", "lens", "board")
 """Devices of the orders that `CameraHands` carries out."""
@@ -124,10 +123,10 @@ def _at_lens(order: FaultOrder, start: Truth) -> Callable[[CameraSetup], CameraS
     if order.fault == "mend":
         return lambda setup: replace(setup, lens=start.lens)
     if order.fault == "aperture":
-        number = f_number(p["f_number"], "f_number")
+        number = read(FNumber, p["f_number"], "f_number")
         return lambda setup: replace(setup, lens=replace(setup.lens, f_number=number))
     if order.fault == "focus":
-        distance_m = focus_distance_m(p["distance_m"], "distance_m")
+        distance_m = read(FocusDistance, p["distance_m"], "distance_m")
         return lambda setup: replace(setup, lens=replace(setup.lens, focus_distance_m=distance_m))
     deg = _finite(p["deg"], "deg")
     if order.fault == "turn" and deg == 0.0:

@@ -15,8 +15,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Final, Literal
 
-from simulators.world.sync_line import SyncLine
-from simulators.world.world import LightState
+from simulators.world.world import LightState, SyncLine
 
 Shape = Literal["square", "sine", "dc"]
 """Waveforms; ``dc`` is a constant level at the offset."""

@@ -11,8 +11,7 @@ from dataclasses import dataclass, field, replace
 from typing import Final
 
 from simulators.errors import SimulatorError
-from simulators.world.sync_line import SyncLine
-from simulators.world.world import LightState
+from simulators.world.world import LightState, SyncLine
 
 #: Faults of the light, by name.
 LAMP_FAULTS: Final = {

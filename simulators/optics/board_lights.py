@@ -17,7 +17,7 @@ from simulators.optics.board_scene import NEAREST_MM, PlacedBoard, blur_of, plac
 from simulators.optics.lens import ray_grid
 from simulators.optics.lens_focus import camera_of
 from simulators.optics.projection import image_points, plane_points
-from simulators.world import placing
+from simulators.world.board import is_flickering, view_of
 from simulators.world.truth import Truth
 
 FloatArray = NDArray[np.float64]
@@ -55,7 +55,7 @@ def images_of_lights(truth: Truth, angles_deg: Mapping[Any, float]) -> list[Imag
     angles_deg: Angles of the axes by name; missing = 0.
     Returns: Only those in view. A pixel belongs to one light at most: to that of the nearer dot.
     """
-    flickers = placing.flickers(truth.board, placing.view_of(truth))
+    flickers = is_flickering(truth.board, view_of(truth.board, truth.target))
     boards = placed_boards(truth, angles_deg)
     if truth.board.blinks:
         return _dots(truth, boards, flickers)

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from calib.target import StarTarget
 from simulators.optics.print_outline import black_polygons
-from simulators.world.board_truth import BoardTruth
+from simulators.world.board import BoardTruth
 
 FloatArray = NDArray[np.float64]
 

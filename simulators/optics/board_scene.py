@@ -22,7 +22,7 @@ from simulators.optics.coverage import empty_picture, join_cells, spread_kernel
 from simulators.optics.lens import lens_of, ray_grid
 from simulators.optics.lens_focus import camera_of, reach_px
 from simulators.optics.projection import Cells, Projection, draw, image_points
-from simulators.world import placing
+from simulators.world.board import pose, second_mm, view_of
 from simulators.world.truth import Truth
 
 FloatArray = NDArray[np.float64]
@@ -65,12 +65,12 @@ def placed_boards(truth: Truth, angles_deg: Mapping[Any, float]) -> tuple[Placed
     """
     at_zero = optics.pose_rotation({}, truth.optics, truth.gimbal)
     turned = optics.true_rotation(angles_deg, truth) @ at_zero.T
-    view = placing.view_of(truth)
-    own, middle = placing.pose(truth.board, view)
+    view = view_of(truth.board, truth.target)
+    own, middle = pose(truth.board, view)
     from_middle = own @ board_outline.middle_mm(truth.board, truth.target)
     shift = np.array([*truth.mount.shift_mm, 0.0])
     placed = [PlacedBoard(turned @ own, turned @ (middle - shift - from_middle))]
-    second = placing.second_mm(truth.board, view)
+    second = second_mm(truth.board, view)
     if second is not None:
         placed.append(PlacedBoard(turned @ own, turned @ (middle - shift - from_middle + second)))
     return tuple(placed)

@@ -32,16 +32,17 @@ from numpy.typing import NDArray
 from scipy import fft
 from scipy.special import j1
 
-from simulators.world import placing
-from simulators.world.lens_truth import (
+from simulators.world.board import placement_record, view_of
+from simulators.world.truth import (
     BEYOND_M,
     CLOSEST_M,
     DELIVERED_F_NUMBER,
-    LAW,
+    LENS_LAW,
     RING_SPAN_DEG,
+    CameraTruth,
     LensTruth,
+    Truth,
 )
-from simulators.world.truth import CameraTruth, Truth
 
 FloatArray = NDArray[np.float64]
 
@@ -264,10 +265,10 @@ def truth_record(truth: Truth) -> dict[str, Any]:
         "breathing": focus.stretch,
         "blur_px": None if truth.at_finite_distance else blur_px(truth),
         "brightness": brightness(truth),
-        "law": dict(LAW),
+        "law": dict(LENS_LAW),
     }
     if truth.board.present:
         for name in ("field_tangents", "state", "shake"):
             del record["board"][name]
-        record["board"]["placed"] = placing.record(truth.board, placing.view_of(truth))
+        record["board"]["placed"] = placement_record(truth.board, view_of(truth.board, truth.target))
     return record

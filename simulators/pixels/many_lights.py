@@ -21,8 +21,8 @@ from simulators.optics.board_lights import ImageOfLight
 from simulators.pixels import sensor_state
 from simulators.pixels.biases import PixelSettings
 from simulators.pixels.sensor import Events, Sensor
-from simulators.world.light_state import FULL_DRIVE_V, LightState
 from simulators.world.truth import NOISE_LEVELS, NoiseTruth, Truth
+from simulators.world.world import FULL_DRIVE_V, LightState
 
 _STEADY = LightState(output=True, low_v=FULL_DRIVE_V, high_v=FULL_DRIVE_V)
 _LONGEST_S = 100.0

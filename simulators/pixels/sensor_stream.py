@@ -34,11 +34,10 @@ from simulators.pixels.biases import FACTORY, PixelSettings
 from simulators.pixels.event_filters import FILTERS, EventFilters
 from simulators.pixels.evt3_writer import Evt3Writer
 from simulators.pixels.many_lights import ManyLightsSensor, make_sensor
-from simulators.world import mount, temperature
-from simulators.world.camera_setup import setup_of, with_setup
-from simulators.world.placing import HandShake
+from simulators.world import drift
+from simulators.world.board import HandShake
 from simulators.world.truth import Truth
-from simulators.world.world import AxisName, LightState, World
+from simulators.world.world import AxisName, LightState, World, setup_of, with_setup
 
 FRAME_US: Final = 2000
 """Sensor time of a frame, us."""
@@ -108,7 +107,7 @@ class SensorStream:
         self._begins_us = -(-clock_us // START_US) * START_US
         self._now_us = 0  # since _begins_us
         self._truth = truth = self._shown = world.truth_at(asked_s)
-        self._start_drift_arcsec = mount.drift_since_on_arcsec(truth.mount, world.on_s(asked_s))
+        self._start_drift_arcsec = drift.drift_since_on_arcsec(truth.mount, world.on_s(asked_s))
         self._angles = self._angles_now()
         width, height = truth.camera.width, truth.camera.height
         self._sensor = make_sensor(
@@ -222,9 +221,9 @@ class SensorStream:
     def _angles_now(self) -> Mapping[AxisName, float]:
         """Return the angles at which the camera points, with the mount's own motion."""
         angles = self._world.angles_deg(self.covered_s)
-        if not mount.has_motion(self._truth.mount):
+        if not drift.has_motion(self._truth.mount):
             return angles
-        return mount.true_angles_deg(
+        return drift.moved_angles_deg(
             angles, self._truth.mount, self._start_drift_arcsec, self._vibration_phases, self._now_us * 1e-6
         )
 
@@ -290,10 +289,10 @@ def stream_key(world: World, camera: CameraState, at_s: float) -> str:
         "filters": dict(camera.filters),
         "trigger_in": camera.trigger_in,
     }
-    if temperature.has_effect(world.truth.thermal):
+    if drift.has_effect(world.truth.thermal):
         key["temperature_c"] = world.temperature_c(at_s)
-    if mount.has_motion(world.truth.mount):
-        key["crept"] = mount.drift_since_on_arcsec(world.truth.mount, world.on_s(at_s))
+    if drift.has_motion(world.truth.mount):
+        key["crept"] = drift.drift_since_on_arcsec(world.truth.mount, world.on_s(at_s))
     if (shift_mm := world.camera_shift_mm(at_s)) != (0.0, 0.0):
         key["shift_mm"] = shift_mm
     setup, start = world.camera_setup(at_s), setup_of(world.truth)

@@ -17,8 +17,7 @@ from typing import cast
 
 from simulators.stages.mechanics import Mechanics
 from simulators.stages.motion_faults import MotionEvent, MotionFault, Noticed
-from simulators.world.load import LoadTrajectory
-from simulators.world.trajectory import MotorTrajectory
+from simulators.world.trajectory import LoadTrajectory, MotorTrajectory
 
 #: Distance that homing runs past the sensor before it returns to it, degrees.
 _HOMING_OVERRUN_DEG = 0.1

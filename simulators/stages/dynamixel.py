@@ -21,7 +21,7 @@ from typing import Final
 from simulators.stages.axis_motion import Axis
 from simulators.stages.dynamixel_packets import AccessError, RangeError, crc_of, status_packet, unstuffed
 from simulators.stages.dynamixel_servo import DynamixelServo, ServoModel
-from simulators.world.load import LoadTrajectory
+from simulators.world.trajectory import LoadTrajectory
 
 _START: Final = b"\xff\xff\xfd\x00"
 _ALL: Final = 0xFE

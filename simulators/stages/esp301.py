@@ -22,7 +22,7 @@ from typing import Final
 from simulators.stages.axis_motion import Axis
 from simulators.stages.esp301_errors import EspError, error_text
 from simulators.stages.mechanics import Mechanics
-from simulators.world.load import LoadTrajectory
+from simulators.world.trajectory import LoadTrajectory
 
 _COMMAND: Final = re.compile(r"\s*(\d*)\s*([A-Z]{2})\s*(.*?)\s*", re.IGNORECASE)
 _NUMBER: Final = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[Ee][+-]?\d)?")

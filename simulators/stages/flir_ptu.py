@@ -22,7 +22,7 @@ from typing import Final
 
 from simulators.stages.axis_motion import Axis
 from simulators.stages.mechanics import Mechanics
-from simulators.world.load import LoadTrajectory
+from simulators.world.trajectory import LoadTrajectory
 
 _COMMAND: Final = re.compile(r"([A-Z]+?)(-?\d+)?")
 _MAX_LINE: Final = 64

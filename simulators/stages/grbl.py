@@ -18,13 +18,9 @@ from typing import Final, NamedTuple
 from simulators.stages.axis_motion import Axis
 from simulators.stages.gcode import Block, GcodeError, parse_block, strip_line
 from simulators.stages.grbl_commands import HOMING_ENABLED, SOFT_LIMITS, Answered, State, SystemCommands
-from simulators.stages.grbl_planner import (
-    GrblAxisModel,
-    Motion,
-    Planner,
-)
+from simulators.stages.grbl_planner import GrblAxisModel, Motion, Planner
 from simulators.stages.grbl_settings import factory_settings
-from simulators.world.load import LoadTrajectory
+from simulators.world.trajectory import LoadTrajectory
 
 _RESET_BYTE: Final = 0x18
 _WELCOME: Final = "\r\nGrbl 1.1h ['$' for help]\r\n"

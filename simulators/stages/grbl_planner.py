@@ -15,7 +15,7 @@ from typing import Final, NamedTuple
 
 from simulators.stages.axis_motion import Axis
 from simulators.stages.mechanics import Mechanics
-from simulators.world.load import LoadTrajectory
+from simulators.world.trajectory import LoadTrajectory
 
 HOMING_FEED, HOMING_SEEK, PULL_OFF = 24, 25, 27
 STEPS, MAX_RATE, ACCELERATION, MAX_TRAVEL = 100, 110, 120, 130

@@ -21,7 +21,7 @@ from typing import Final
 
 from simulators.stages.axis_motion import Axis
 from simulators.stages.mechanics import Mechanics
-from simulators.world.load import LoadTrajectory
+from simulators.world.trajectory import LoadTrajectory
 
 _COMPUTER: Final = 0x01
 _UNIT: Final = 0x50

@@ -30,7 +30,7 @@ from simulators.stages.ximc_protocol import (
     to_counts,
     to_steps,
 )
-from simulators.world.load import LoadTrajectory
+from simulators.world.trajectory import LoadTrajectory
 
 _BYTE_TIMEOUT_S: Final = 0.4
 

@@ -11,7 +11,7 @@ from dataclasses import dataclass, field, replace
 
 from simulators.stages.axis_motion import Axis
 from simulators.stages.zaber_model import SPEED_UNIT, ZaberModel, setting_range
-from simulators.world.load import LoadTrajectory
+from simulators.world.trajectory import LoadTrajectory
 
 #: Warning flags by rank: a reply carries the highest active one.
 _RANK = "FF FH FV FO FD FC FM FN FQ FI FS FB FP FE FT WL WP WV WT WS WM WR WH NC NI NT NU NR"

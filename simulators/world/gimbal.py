@@ -22,10 +22,13 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any, Final, NamedTuple
+from typing import Annotated, Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import BeforeValidator
+
+from simulators.reading import Count, NotNegative, Number, Section, Vector, Wrong, number
 
 FloatArray = NDArray[np.float64]
 
@@ -45,24 +48,54 @@ NOISE_STEP_DEG: Final = 0.02
 """Distance of readings beyond which their errors are independent."""
 _STREAM: Final = 2
 
+_LARGEST_SCALE: Final = 0.2
+"""Largest relative error of an axis's scale; larger numbers are factors that were given by mistake."""
+
+
+def _by_axis(value: object) -> tuple[float, ...]:
+    """Return three numbers, for pan, tilt and roll, from one number or from a mapping by axis."""
+    if not isinstance(value, Mapping):
+        return (number(value),) * len(AXES)
+    for name in value:
+        if name not in AXES:
+            raise Wrong("Unknown axis.", f"Known are: {', '.join(AXES)}.", f".{name}")
+    return tuple(number(value.get(name, 0.0), f".{name}") for name in AXES)
+
+
+def _backlash(value: object) -> tuple[float, ...]:
+    plays = _by_axis(value)
+    for name, play in zip(AXES, plays, strict=True):
+        if play < 0.0:
+            raise Wrong(f"{play!r} is negative.", "Give a number of at least 0.", f".{name}")
+    return plays
+
+
+def _scale(value: object) -> tuple[float, ...]:
+    scales = _by_axis(value)
+    for name, scale in zip(AXES, scales, strict=True):
+        if abs(scale) > _LARGEST_SCALE:
+            remedy = "Give the relative error: 0.001 turns 6 degrees into 6.006."
+            raise Wrong(f"{scale!r} is no small error of a scale.", remedy, f".{name}")
+    return scales
+
 
 @dataclass(frozen=True)
-class GimbalTruth:
+class GimbalTruth(Section):
     """Errors between the readings of the axes and the direction in which the camera points."""
 
     # Tilt of each axis about each of the two other directions, root mean square over a turn, degrees.
-    wobble_deg: float = 0.0
-    eccentricity_deg: float = 0.0  # Amplitude of each encoder's error of one period a turn, degrees
+    wobble_deg: NotNegative = 0.0
+    eccentricity_deg: NotNegative = 0.0  # Amplitude of each encoder's error of one period a turn, degrees
     # Relative errors of the scales of pan, tilt and roll: the true angle is (1 + scale) times the reading.
-    scale: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    scale: Annotated[Vector, BeforeValidator(_scale)] = (0.0, 0.0, 0.0)
     # Play of the gears of pan, tilt and roll, degrees.
-    backlash_deg: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    nonorthogonality_deg: float = 0.0  # Angle between tilt axis and pan axis, minus 90 degrees
+    backlash_deg: Annotated[Vector, BeforeValidator(_backlash)] = (0.0, 0.0, 0.0)
+    nonorthogonality_deg: Number = 0.0  # Angle between tilt axis and pan axis, minus 90 degrees
     # Standard deviation of the readings' errors, degrees. The same reading always has the same error.
-    reading_sigma_deg: float = 0.0
+    reading_sigma_deg: NotNegative = 0.0
     # Rotation vector of the camera on the last axis (M), degrees.
-    camera_on_head_deg: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    seed: int = 0  # Seed of the phases, the wobble and the readings' errors; 0: the bench's seed
+    camera_on_head_deg: Vector = (0.0, 0.0, 0.0)
+    seed: Count = 0  # Seed of the phases, the wobble and the readings' errors; 0: the bench's seed
 
     def to_dict(self) -> dict[str, Any]:
         """Return all errors as plain numbers, with the random numbers and the law: a section of ``truth.json``.

@@ -1,139 +1,160 @@
 """True parameters of the simulated world: those that a calibration shall find, and those that disturb it.
 
-This module holds the parameters of camera, collimator, reticle, optics, sensor noise, temperature, mount and screen,
-with their defaults and profiles; those of the gimbal are in ``gimbal``. It computes nothing with them; ``optics``,
-``pixels``, ``temperature``, ``mount`` and ``gimbal`` do.
+A dataclass a section of the configuration: its fields are the keys, with their ranges and defaults. Those of the gimbal
+are in ``gimbal``. This module computes nothing with them; ``optics``, ``pixels``, ``drift`` and ``placing`` do.
 """
 
 from __future__ import annotations
 
 import dataclasses
+import math
+import sys
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any, Final
+from typing import Annotated, Any, Final
+
+from pydantic import BeforeValidator
 
 from calib.target import StarTarget
-from simulators.world.board_truth import BoardTruth
+from simulators.reading import (
+    Count,
+    NotNegative,
+    Number,
+    Pair,
+    Positive,
+    Section,
+    Vector,
+    Wrong,
+    one_of,
+    refused,
+)
+from simulators.world.board import BoardTruth
 from simulators.world.gimbal import GimbalTruth
-from simulators.world.lens_truth import LensTruth
 
 PITCH_MM: Final = 144.5 / 36.0
 """Side of a square of the printed target, mm."""
 
+_FocalLength = Annotated[
+    Positive,
+    refused(lambda px: not 1.0 <= px <= 1e6, "{!r} px is no focal length.", "Give a number from 1 to 1e+06."),
+]
+
 
 @dataclass(frozen=True)
-class CameraTruth:
+class CameraTruth(Section):
     """The camera's lens in OpenCV's conventions, pixel centres at integers."""
 
     # fx, fy, cx, cy: Focal lengths and principal point, px.
-    fx: float = 3345.06
-    fy: float = 3345.27
-    cx: float = 642.10
-    cy: float = 363.32
+    fx: _FocalLength = 3345.06
+    fy: _FocalLength = 3345.27
+    cx: Number = 642.10
+    cy: Number = 363.32
     # k1, k2, p1, p2, k3: Radial and tangential distortion on normalised coordinates (Brown 1966, 1971).
-    k1: float = 0.06
-    k2: float = -0.90
-    p1: float = 0.0
-    p2: float = 0.0
-    k3: float = 0.0
+    k1: Number = 0.06
+    k2: Number = -0.90
+    p1: Number = 0.0
+    p2: Number = 0.0
+    k3: Number = 0.0
     # With k1, k2 and k3 the polynomial of a fisheye's angle (Kannala and Brandt 2006); 0 for a pinhole.
-    k4: float = 0.0
+    k4: Number = 0.0
     projection: str = "pinhole"  # "pinhole" or "fisheye"
-    width: int = 1280
-    height: int = 720
+    width: Count = 1280
+    height: Count = 720
 
 
 @dataclass(frozen=True)
-class CollimatorTruth:
+class CollimatorTruth(Section):
     """Position of the camera's centre in the target's frame, the disc of light, and the collimator's errors."""
 
     # x, y, r: The camera's centre is (x, y, -r), mm of the target plane.
-    x: float = 24.0 * PITCH_MM + 0.7
-    y: float = 35.0 * PITCH_MM - 0.4
-    r: float = 255.0
-    half_angle_deg: float = 12.0
+    x: Number = 24.0 * PITCH_MM + 0.7
+    y: Number = 35.0 * PITCH_MM - 0.4
+    r: Positive = 255.0
+    half_angle_deg: Positive = 12.0
     # disc_x, disc_y: Centre of the disc on the target, mm, from (x, y).
-    disc_x: float = 0.0
-    disc_y: float = 0.0
+    disc_x: Number = 0.0
+    disc_y: Number = 0.0
     # Width of the vignetted rim, as a share of the disc's radius; brightness falls smoothly from 1 to 0 over
     # it.
-    rim: float = 0.08
+    rim: NotNegative = 0.08
     # Displacement of the disc on the target along x and y, mm, per unit of the tangent of the camera's turn.
-    disc_walk: tuple[float, float] = (0.0, 0.0)
+    disc_walk: Pair = (0.0, 0.0)
     # defocus, spherical, coma, astigmatism, field_curvature, distortion: Third-order errors of the
     # collimator, dimensionless; see ``collimator_errors``.
-    defocus: float = 0.0
-    spherical: float = 0.0
-    coma: float = 0.0
-    astigmatism: float = 0.0
-    field_curvature: float = 0.0
-    distortion: float = 0.0
+    defocus: Number = 0.0
+    spherical: Number = 0.0
+    coma: Number = 0.0
+    astigmatism: Number = 0.0
+    field_curvature: Number = 0.0
+    distortion: Number = 0.0
     # Outward displacement of points at the disc's edge, where the camera's pupil is partly filled; it grows
     # with the fourth power of the distance from the disc's centre.
-    rim_roll_mm: float = 0.0
+    rim_roll_mm: Number = 0.0
     # Random displacement of the disc, in addition to that by the turn, 1 sigma in x and in y.
-    disc_wander_mm: float = 0.0
-    disc_breathing: float = 0.0  # Random change of the disc's radius, as a share of it, 1 sigma
+    disc_wander_mm: NotNegative = 0.0
+    disc_breathing: NotNegative = 0.0  # Random change of the disc's radius, as a share of it, 1 sigma
     # Root mean square deviation of the disc's edge from a circle, as a share of its radius.
-    disc_unevenness: float = 0.0
-    irregularity_mm: float = 0.0  # Root mean square of the random displacements; see ``irregularity``
+    disc_unevenness: NotNegative = 0.0
+    irregularity_mm: NotNegative = 0.0  # Root mean square of the random displacements; see ``irregularity``
     # Root mean square, in x and in y, of the random displacements that are added at the disc's edge.
-    rim_irregularity_mm: float = 0.0
+    rim_irregularity_mm: NotNegative = 0.0
     # How much edge and random displacements differ between poses: they are functions of this share of the
     # tangents of the camera's turn. 0: they are the same in every pose.
-    glass_change: float = 1.0
-    glass_seed: int = 1
+    glass_change: NotNegative = 1.0
+    glass_seed: Count = 1
 
 
 POLARITIES: Final = ("positive", "negative")
 
 
 @dataclass(frozen=True)
-class ReticleTruth:
+class ReticleTruth(Section):
     """Errors of the printed target."""
 
     # Distance by which the target stands towards the camera at ``bow_radius_mm`` from (x, y), compared with
     # (x, y). It grows with the square of the distance. Negative: away from the camera.
-    bow_mm: float = 0.0
-    bow_radius_mm: float = 40.0  # Radius at which the bow is stated, mm
+    bow_mm: Number = 0.0
+    bow_radius_mm: Positive = 40.0  # Radius at which the bow is stated, mm
     # Relative error of the printed lengths: a printed length is (1 + print_scale) times the nominal one.
-    print_scale: float = 0.0
+    print_scale: Number = 0.0
     # "positive": what is black on the print blocks the light; "negative": what is white does.
-    polarity: str = "positive"
+    polarity: Annotated[str, one_of(POLARITIES, "polarity")] = "positive"
 
 
 @dataclass(frozen=True)
-class OpticsTruth:
+class OpticsTruth(Section):
     """Blur and illumination of the image, and the mounting of the camera on the gimbal."""
 
-    psf_px: float = 0.7
+    psf_px: NotNegative = 0.7
     # gradient_x, gradient_y: Relative change of illumination over the disc's radius, along the target's axes.
-    gradient_x: float = 0.08
-    gradient_y: float = -0.05
+    gradient_x: Number = 0.08
+    gradient_y: Number = -0.05
     # Standard deviation of the point spread at the disc's rim, where the collimator's own blur is added. It
     # changes with the square of the distance from the disc's centre. Zero: as at the centre.
-    psf_rim_px: float = 0.0
-    black: float = 0.01  # Light that passes the reticle's black segments, as a share of the white ones'
-    stray: float = 0.0
+    psf_rim_px: NotNegative = 0.0
+    black: NotNegative = 0.01  # Light that passes the reticle's black segments, as a share of the white ones'
+    stray: NotNegative = 0.0
     # Rotation vector of the camera on the gimbal at zero angles (R0 of the pose), degrees.
-    mounting_deg: tuple[float, float, float] = (0.31, -0.22, 0.45)
+    mounting_deg: Vector = (0.31, -0.22, 0.45)
 
 
 @dataclass(frozen=True)
-class NoiseTruth:
+class NoiseTruth(Section):
     """Fixed pattern and temporal noise of the sensor's pixels.
 
     Hu, Liu and Delbruck (2021), v2e, describe the origin of mismatch and background events in real sensors.
     """
 
-    mismatch: float = 0.12  # Relative standard deviation of a pixel's contrast thresholds (fixed pattern)
-    background_hz: float = 1.0  # Mean rate of background events of a pixel
+    mismatch: NotNegative = (
+        0.12  # Relative standard deviation of a pixel's contrast thresholds (fixed pattern)
+    )
+    background_hz: NotNegative = 1.0  # Mean rate of background events of a pixel
     # hot_share, hot_hz: Share of pixels that are hot, and the rate of their events.
-    hot_share: float = 2e-5
-    hot_hz: float = 2000.0
+    hot_share: NotNegative = 2e-5
+    hot_hz: NotNegative = 2000.0
     # Standard deviation of the reference level after a reset, in units of log intensity.
-    reset_noise: float = 0.01
-    dead_share: float = 0.0  # Share of pixels that never fire
+    reset_noise: NotNegative = 0.01
+    dead_share: NotNegative = 0.0  # Share of pixels that never fire
 
 
 REFERENCE_C: Final = 41.5
@@ -149,47 +170,119 @@ LAW: Final[Mapping[str, str]] = {
 
 
 @dataclass(frozen=True)
-class ThermalTruth:
+class ThermalTruth(Section):
     """Temperature of the camera, and what depends on it by the `LAW`."""
 
     # room_c, room_c_per_h: Temperature of the room when the bench is switched on, and its rate of change.
-    room_c: float = 23.5
-    room_c_per_h: float = 0.0
+    room_c: Number = 23.5
+    room_c_per_h: Number = 0.0
     # self_heating_c, warm_up_min: Final temperature of the camera above the room, and the time constant of
     # its rise; 0: it is warm at once.
-    self_heating_c: float = 18.0
-    warm_up_min: float = 0.0
-    focal_ppm_per_c: float = 0.0  # Relative change of the focal lengths, 1e-6 per degree
+    self_heating_c: Number = 18.0
+    warm_up_min: NotNegative = 0.0
+    focal_ppm_per_c: Number = 0.0  # Relative change of the focal lengths, 1e-6 per degree
     # Relative change of the lamp's light, percent per degree; the lamp is as warm as the camera.
-    lamp_percent_per_c: float = 0.0
+    lamp_percent_per_c: Number = 0.0
 
 
 @dataclass(frozen=True)
-class ScreenTruth:
+class ScreenTruth(Section):
     """A flickering checkerboard on a screen, which may replace the collimator."""
 
     # columns, rows, square_mm: Inner corners of the board, and the side of its squares; 0 columns: no board.
-    columns: int = 0
-    rows: int = 8
-    square_mm: float = 30.0
+    columns: Count = 0
+    rows: Count = 8
+    square_mm: Positive = 30.0
     # Middle of the board, from the camera's centre, in the camera's axes at zero angles.
-    position_mm: tuple[float, float, float] = (0.0, 0.0, 1500.0)
-    turn_deg: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    position_mm: Vector = (0.0, 0.0, 1500.0)
+    turn_deg: Vector = (0.0, 0.0, 0.0)
 
 
 @dataclass(frozen=True)
-class MountTruth:
+class MountTruth(Section):
     """Place and motion of the camera's mount; see ``mount``."""
 
-    vibration_arcsec: float = 0.0
-    vibration_hz: float = 30.0
-    drift_arcsec_per_min: tuple[float, float] = (0.0, 0.0)
+    vibration_arcsec: NotNegative = 0.0
+    vibration_hz: NotNegative = 30.0
+    drift_arcsec_per_min: Pair = (0.0, 0.0)
     # Displacement of the camera's entrance pupil across the beam, along the target's X and Y, mm; the disc of
     # light moves by the opposite amount.
-    shift_mm: tuple[float, float] = (0.0, 0.0)
+    shift_mm: Pair = (0.0, 0.0)
     # How far the camera is turned in its mount, after the gimbal's axes: pan, tilt and roll, each in the
     # direction of the axis of that name.
-    turn_deg: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    turn_deg: Vector = (0.0, 0.0, 0.0)
+
+
+DELIVERED_F_NUMBER: Final = 2.8
+"""f-number at which the light on the sensor has its nominal brightness."""
+
+CLOSEST_M: Final = 0.2
+"""Focus distance at the ring's near stop."""
+
+BEYOND_M: Final = -3.3
+"""Focus distance at the other stop, a little beyond infinity: rays that meet 3.3 m behind the lens are in focus."""
+
+RING_SPAN_DEG: Final = 180.0
+"""Turn of the focus ring from infinity (0) to the near stop."""
+
+F_NUMBERS: Final = (1.0, 32.0)
+"""Smallest and largest f-number."""
+
+LARGEST_FOCAL_MM: Final = 100.0
+"""Longest focal length for which the ring's travel is meant."""
+
+LENS_LAW: Final[Mapping[str, str]] = {
+    "focal length": "1 / f = 1 / v0 + V, v0 = pixel_um (fx + fy) / 2 of section camera as configured",
+    "vergence of the pattern": "V = defocus / r of the collimator; of a screen: 1 / distance",
+    "image distance": "1 / v = 1 / f - 1 / focus_distance",
+    "fx, fy": "times v / v0: a lens that is focused nearer sees a narrower angle (breathing)",
+    "blur_px": "diameter of the disc of light of a point: f / f_number v |1 / focus_distance - V| / pixel_um",
+    "light": f"times (v0 / v)^2 ({DELIVERED_F_NUMBER} / f_number)^2",
+}
+"""Equations of focus and aperture, as ``truth.json`` holds them."""
+
+
+def _focus_distance(value: object) -> float:
+    """Check a focus distance, m: infinite for parallel light, negative beyond infinity."""
+    word = isinstance(value, str) and value.strip().lower() in {"infinity", "inf", ".inf"}
+    metres = math.inf if word else value
+    if isinstance(metres, bool) or not isinstance(metres, (int, float)):
+        raise Wrong(f"A distance is expected, not {value!r}.", "Give metres, or the word infinity.")
+    if metres == -math.inf or metres > sys.float_info.max:
+        metres = math.inf  # the same focus
+    if not (metres >= CLOSEST_M or metres <= BEYOND_M):
+        raise Wrong(
+            f"The focus ring does not reach {value!r} m.",
+            f"Give at least {CLOSEST_M}, or infinity. Beyond infinity the ring goes to {BEYOND_M}.",
+        )
+    return float(metres)
+
+
+def _delivered(value: object) -> object:
+    return None if value == "pattern" else _focus_distance(value)
+
+
+FocusDistance = Annotated[float, BeforeValidator(_focus_distance)]
+FNumber = Annotated[
+    Positive,
+    refused(
+        lambda f: not F_NUMBERS[0] <= f <= F_NUMBERS[1],
+        "The aperture does not go to f/{:g}.",
+        "Give an f-number from {:g} to {:g}.".format(*F_NUMBERS),
+    ),
+]
+
+
+@dataclass(frozen=True)
+class LensTruth(Section):
+    """Focus and aperture of the camera's lens."""
+
+    # Distance of the plane in focus from the lens; infinite for parallel light; negative: beyond infinity.
+    # None: as the bench is delivered. The lens is then focused on the pattern, and the focal lengths are
+    # those of section ``camera``.
+    focus_distance_m: Annotated[FocusDistance | None, BeforeValidator(_delivered)] = None
+    f_number: FNumber = DELIVERED_F_NUMBER
+    pixel_um: Positive = 4.86  # Side of a pixel
 
 
 CAMERAS: Final[Mapping[str, CameraTruth]] = {

@@ -1,28 +1,30 @@
-"""Reader of the truth's sections in a configuration: each key is checked, then replaces a default of `truth`.
+"""Reader of the truth's sections in a configuration: what a section's own types do not say.
 
-It checks names, types and ranges; an error is one sentence that names the key.
+An error is one sentence that names the key.
 """
 
 from __future__ import annotations
 
-import dataclasses
 import math
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any, Final, TypeVar
+
+import numpy as np
 
 from calib.target import InputMismatch, StarTarget
 from simulators.errors import ConfigError
-from simulators.world.board_config import board_from_config
-from simulators.world.gimbal import AXES, GimbalTruth
-from simulators.world.lens_config import lens_from_config
-from simulators.world.placing import check_placements, field_tangents
+from simulators.reading import Number, Pair, read, read_section
+from simulators.world.board import BOARD_KINDS, SURFACES, BoardTruth, check_placements
+from simulators.world.gimbal import GimbalTruth
 from simulators.world.truth import (
     CAMERAS,
     COLLIMATORS,
+    LARGEST_FOCAL_MM,
     NOISE_LEVELS,
-    POLARITIES,
     CameraTruth,
     CollimatorTruth,
+    LensTruth,
     MountTruth,
     NoiseTruth,
     OpticsTruth,
@@ -32,18 +34,17 @@ from simulators.world.truth import (
     Truth,
 )
 
-_Section = TypeVar(
-    "_Section",
-    CameraTruth,
-    CollimatorTruth,
-    ReticleTruth,
-    OpticsTruth,
-    NoiseTruth,
-    ThermalTruth,
-    MountTruth,
-    GimbalTruth,
-    ScreenTruth,
-)
+_Kind = TypeVar("_Kind")
+
+_LARGEST_SIDE: Final = 8192
+_MOST_PIXELS: Final = 1 << 24
+
+_SURFACE_OF: Final = {"checkerboard": "screen", "blinking-dots": "leds"}
+_DOT_SHARES: Final = {"circles": 0.5, "asymmetric-circles": 1.0, "blinking-dots": 0.3}
+_FIRST_HZ, _LAST_HZ = 200.0, 600.0
+_MOST_POINTS: Final = 2000
+_MOST_DOTS: Final = 255
+_WHOLE_PIXELS: Final = 1e-3
 
 
 def truth_from_config(config: Mapping[str, Any]) -> Truth:
@@ -54,140 +55,111 @@ def truth_from_config(config: Mapping[str, Any]) -> Truth:
       name of a level, or a mapping over the typical level. ``collimator`` may be the name of a profile, or a
       mapping that names it as ``profile`` beside the keys that differ from it. ``scale`` and ``backlash_deg``
       of the ``gimbal`` are numbers for all axes, or mappings by axis.
-    Raises ConfigError: If a key is unknown, or its value is not a finite number in its range; the error names
-      the key.
+    Raises ConfigError: If a key is unknown, or its value is not valid; the error names the key.
 
     Examples
     --------
     >>> truth_from_config({"collimator": {"r": 700}, "noise": "clean"}).collimator.r
     700.0
     """
-    noise = config.get("noise", "typical")
-    if isinstance(noise, str):
-        if noise not in NOISE_LEVELS:
-            names = ", ".join(NOISE_LEVELS)
-            raise ConfigError(
-                f"Unknown noise level {noise!r}.", where="noise", remedy=f"Use one of: {names}."
-            )
-        level = NOISE_LEVELS[noise]
-    else:
-        level = _section("noise", NoiseTruth(), noise)
+    noise = _noise(config.get("noise", "typical"))
     target = _target(config.get("target", {}))
     camera = _camera(config.get("camera", {}))
     screen, board = _screen(config.get("screen", {})), board_from_config(config.get("board", {}))
     if board.present:
-        board = dataclasses.replace(board, field_tangents=field_tangents(camera))
+        board = replace(board, field_tangents=_field_tangents(camera))
     if screen.columns and board.present:
         raise ConfigError(
             "There is a screen and a board.", where="board", remedy="Remove one of the two sections."
         )
     truth = Truth(
         camera=camera,
-        lens=lens_from_config(config.get("lens", {}), camera),
+        lens=_lens(config.get("lens", {}), camera),
         collimator=_collimator(config.get("collimator", {}), target),
-        reticle=_reticle(config.get("reticle", {})),
-        optics=_section("optics", OpticsTruth(), config.get("optics", {})),
-        noise=level,
-        thermal=_section("thermal", ThermalTruth(), config.get("thermal", {})),
-        mount=_section("mount", MountTruth(), config.get("mount", {})),
-        gimbal=_gimbal(config.get("gimbal", {})),
+        reticle=read_section(ReticleTruth, config.get("reticle", {}), "reticle"),
+        optics=read_section(OpticsTruth, config.get("optics", {}), "optics"),
+        noise=noise,
+        thermal=read_section(ThermalTruth, config.get("thermal", {}), "thermal"),
+        mount=read_section(MountTruth, config.get("mount", {}), "mount"),
+        gimbal=read_section(GimbalTruth, config.get("gimbal", {}), "gimbal"),
         screen=screen,
         board=board,
         target=target,
     )
-    check_placements(truth)
+    check_placements(truth.board, truth.target)
     return truth
 
 
-def _gimbal(given: object) -> GimbalTruth:
-    """Read the section of the gimbal; two of its keys may differ between the axes."""
-    if isinstance(given, Mapping):
-        given = {
-            key: _by_axis(value, f"gimbal.{key}") if key in {"scale", "backlash_deg"} else value
-            for key, value in given.items()
-        }
-    gimbal = _section("gimbal", GimbalTruth(), given)
-    for name, play in zip(AXES, gimbal.backlash_deg, strict=True):
-        if play < 0.0:
-            raise ConfigError(
-                f"{play!r} is negative.",
-                where=f"gimbal.backlash_deg.{name}",
-                remedy="Give a number of at least 0.",
-            )
-    for name, scale in zip(AXES, gimbal.scale, strict=True):
-        if abs(scale) > _LARGEST_SCALE:
-            raise ConfigError(
-                f"{scale!r} is no small error of a scale.",
-                where=f"gimbal.scale.{name}",
-                remedy="Give the relative error: 0.001 turns 6 degrees into 6.006.",
-            )
-    return gimbal
+def _noise(given: object) -> NoiseTruth:
+    """Read a level of noise by its name, or a mapping over the typical level."""
+    if not isinstance(given, str):
+        return read_section(NoiseTruth, given, "noise")
+    return _profile(NOISE_LEVELS, given, "noise level", "noise")
 
 
-def _by_axis(value: object, where: str) -> object:
-    """Return three numbers, for pan, tilt and roll, from one number or from a mapping by axis."""
-    if not isinstance(value, Mapping):
-        return (_number(value, where),) * len(AXES)
-    for name in value:
-        if name not in AXES:
-            raise ConfigError(
-                "Unknown axis.", where=f"{where}.{name}", remedy=f"Known are: {', '.join(AXES)}."
-            )
-    return tuple(_number(value.get(name, 0.0), f"{where}.{name}") for name in AXES)
-
-
-def _screen(given: object) -> ScreenTruth:
-    """Read the section of the screen."""
-    screen = _section("screen", ScreenTruth(), given)
-    if screen.columns == 0:
-        if given:
-            raise ConfigError(
-                "The board has no columns.",
-                where="screen.columns",
-                remedy="Give the number of inner corners.",
-            )
-        return screen
-    if screen.position_mm[2] <= 0.0:
-        raise ConfigError(
-            "The screen is not in front of the camera.",
-            where="screen.position_mm",
-            remedy="Give a positive third number.",
-        )
-    for name in ("columns", "rows"):
-        if getattr(screen, name) < 2:
-            raise ConfigError(
-                "A board needs at least 2 inner corners along each side.", where=f"screen.{name}"
-            )
-    return screen
+def _profile(known: Mapping[str, _Kind], name: object, what: str, where: str) -> _Kind:
+    """Return one of several sets of values, by its name."""
+    if not isinstance(name, str) or name not in known:
+        raise ConfigError(f"Unknown {what} {name!r}.", where=where, remedy=f"Use one of: {', '.join(known)}.")
+    return known[name]
 
 
 def _camera(given: object) -> CameraTruth:
     """Read the section of the camera; the defaults depend on the lens's projection."""
     kind = given.get("projection", "pinhole") if isinstance(given, Mapping) else "pinhole"
-    if not isinstance(kind, str) or kind not in CAMERAS:
-        names = ", ".join(CAMERAS)
-        raise ConfigError(
-            f"Unknown lens projection {kind!r}.", where="camera.projection", remedy=f"Use one of: {names}."
-        )
-    camera = _section("camera", CAMERAS[kind], given)
+    camera = read_section(
+        CameraTruth, given, "camera", _profile(CAMERAS, kind, "lens projection", "camera.projection")
+    )
     if max(camera.width, camera.height) > _LARGEST_SIDE or camera.width * camera.height > _MOST_PIXELS:
         raise ConfigError(
             f"A sensor of {camera.width} x {camera.height} px cannot be simulated.",
             where="camera.width",
             remedy=f"Give sides of at most {_LARGEST_SIDE} px, and at most {_MOST_PIXELS} px together.",
         )
-    for name in ("fx", "fy"):
-        if not _SHORTEST_PX <= getattr(camera, name) <= _LONGEST_PX:
-            raise ConfigError(
-                f"{getattr(camera, name)!r} px is no focal length.",
-                where=f"camera.{name}",
-                remedy=f"Give a number from {_SHORTEST_PX:g} to {_LONGEST_PX:g}.",
-            )
-    foreign = ("p1", "p2") if kind == "fisheye" else ("k4",)
-    for name in foreign:
+    for name in ("p1", "p2") if kind == "fisheye" else ("k4",):
         if getattr(camera, name) != 0.0:
             raise ConfigError(f"A {kind} lens has no {name}.", where=f"camera.{name}", remedy="Remove it.")
     return camera
+
+
+def _field_tangents(camera: CameraTruth) -> tuple[float, float, float, float]:
+    """Return the tangents of the edges of a camera's field of view, without the lens's distortion."""
+    return (
+        (-0.5 - camera.cx) / camera.fx,
+        (-0.5 - camera.cy) / camera.fy,
+        (camera.width - 0.5 - camera.cx) / camera.fx,
+        (camera.height - 0.5 - camera.cy) / camera.fy,
+    )
+
+
+def _lens(given: object, camera: CameraTruth) -> LensTruth:
+    """Read the section of the lens: focus, aperture and pixels."""
+    lens = read_section(LensTruth, given, "lens")
+    focal_mm = lens.pixel_um * 1e-3 * 0.5 * (camera.fx + camera.fy)
+    if given and focal_mm > LARGEST_FOCAL_MM:
+        raise ConfigError(
+            f"A lens of {focal_mm:.0f} mm (fx of the camera times pixel_um) is too long for this focus ring.",
+            where="lens.pixel_um",
+            remedy=f"Give the side of a pixel in um, so that the focal length is at most {LARGEST_FOCAL_MM:.0f} mm.",
+        )
+    return lens
+
+
+def _screen(given: object) -> ScreenTruth:
+    """Read the section of the screen."""
+    screen = read_section(ScreenTruth, given, "screen")
+    if screen.columns == 0:
+        _refuse(
+            bool(given), "screen.columns", "The board has no columns.", "Give the number of inner corners."
+        )
+        return screen
+    in_front = screen.position_mm[2] > 0.0
+    _refuse(not in_front, "screen.position_mm", "The screen is not in front of the camera.",
+            "Give a positive third number.")  # fmt: skip
+    for name in ("columns", "rows"):
+        few = getattr(screen, name) < 2
+        _refuse(few, f"screen.{name}", "A board needs at least 2 inner corners along each side.")
+    return screen
 
 
 def _target(given: object) -> StarTarget:
@@ -197,8 +169,7 @@ def _target(given: object) -> StarTarget:
     values: dict[str, Any] = {}
     for key, value in given.items():
         if key in {"squares", "tag_square"}:
-            pair = _like((0.0, 0.0), value, f"target.{key}")
-            values[key] = tuple(int(number) for number in pair) if isinstance(pair, tuple) else pair
+            values[key] = tuple(int(side) for side in read(Pair, value, f"target.{key}"))
         elif key in {"pitch_mm", "segments", "tag_id", "tag_squares", "tag_family"}:
             values[key] = value
         else:
@@ -211,18 +182,6 @@ def _target(given: object) -> StarTarget:
         raise ConfigError(f"No such target can be printed: {error}", where="target") from error
 
 
-def _reticle(given: object) -> ReticleTruth:
-    """Read the section of the print's errors."""
-    reticle = _section("reticle", ReticleTruth(), given)
-    if reticle.polarity not in POLARITIES:
-        raise ConfigError(
-            f"Unknown polarity {reticle.polarity!r}.",
-            where="reticle.polarity",
-            remedy=f"Use one of: {', '.join(POLARITIES)}.",
-        )
-    return reticle
-
-
 def _collimator(given: object, target: StarTarget) -> CollimatorTruth:
     """Read the section of the collimator: a profile, and keys that differ from it.
 
@@ -233,97 +192,140 @@ def _collimator(given: object, target: StarTarget) -> CollimatorTruth:
     name, rest = "ideal", given
     if isinstance(given, Mapping):
         name, rest = given.get("profile", name), {k: v for k, v in given.items() if k != "profile"}
-    if not isinstance(name, str) or name not in COLLIMATORS:
-        names = ", ".join(COLLIMATORS)
-        raise ConfigError(
-            f"Unknown collimator profile {name!r}.",
-            where="collimator.profile",
-            remedy=f"Use one of: {names}.",
-        )
-    collimator, profile = _section("collimator", COLLIMATORS[name], rest), COLLIMATORS[name]
+    profile = _profile(COLLIMATORS, name, "collimator profile", "collimator.profile")
+    collimator = read_section(CollimatorTruth, rest, "collimator", profile)
     if target == StarTarget() or not isinstance(rest, Mapping):
         return collimator
     standard, own = StarTarget().tag_centre_mm, target.tag_centre_mm
-    return dataclasses.replace(
+    return replace(
         collimator,
         x=collimator.x if "x" in rest else profile.x - standard[0] + own[0],
         y=collimator.y if "y" in rest else profile.y - standard[1] + own[1],
     )
 
 
-def _section(name: str, default: _Section, given: object) -> _Section:
-    """Return ``default`` with the given keys replaced, each checked against the type of its default."""
+# ---------------------------------------------------------------- section board
+
+
+def board_from_config(given: object) -> BoardTruth:
+    """Read the section of the board.
+
+    given: Mapping with the keys of `BoardTruth`, or empty. ``frequencies_hz`` is a list, or a mapping with
+      ``first`` and ``last``. ``placements`` is a list of mappings; without it, places are drawn by
+      ``anywhere``.
+    Returns: Defaults of the kind, with the given keys replaced; without ``kind`` if nothing is given.
+    Raises ConfigError: If a key is unknown or its value is not valid; the error names the key.
+
+    Examples
+    --------
+    >>> board_from_config({"kind": "circles", "columns": 9, "rows": 6, "pitch_mm": 25}).dot_mm
+    12.5
+    """
     if not isinstance(given, Mapping):
-        raise ConfigError(f"A mapping is expected, not {given!r}.", where=name)
-    known = {f.name: getattr(default, f.name) for f in dataclasses.fields(default)}
-    values: dict[str, Any] = {}
-    for key, value in given.items():
-        where = f"{name}.{key}"
-        if key not in known:
-            raise ConfigError("Unknown key.", where=where, remedy=f"Known are: {', '.join(known)}.")
-        values[key] = _like(known[key], value, where)
-    return dataclasses.replace(default, **values)
+        raise ConfigError(f"A mapping is expected, not {given!r}.", where="board")
+    if not given:
+        return BoardTruth()
+    kind = _profile({name: name for name in BOARD_KINDS}, given.get("kind", ""), "value", "board.kind")
+    usual = _SURFACE_OF.get(kind, "print")
+    surface = _profile(
+        {name: name for name in SURFACES}, given.get("surface", usual), "value", "board.surface"
+    )
+    board = read_section(BoardTruth, {"surface": usual, **given}, "board")
+    if kind != "stars":
+        _check_grid(board)
+    pitch_mm = board.pitch_mm
+    board = replace(
+        board,
+        dot_mm=board.dot_mm if "dot_mm" in given else _DOT_SHARES.get(kind, 0.0) * pitch_mm,
+        margin_mm=board.margin_mm
+        if "margin_mm" in given
+        else (10.0 if kind == "stars" else pitch_mm if surface == "print" else 0.0),
+        black=board.black if "black" in given else 0.04 if surface == "print" else 0.0,
+    )
+    _check_dots(board)
+    _check_screen(board, given)
+    if board.blinks:
+        count = board.columns * board.rows
+        frequencies_hz = _frequencies(given.get("frequencies_hz", {}), count)
+        phases = _one_each(given.get("phases", [0.0] * count), count, "board.phases")
+        return replace(board, frequencies_hz=frequencies_hz, phases=phases)
+    for key in ("frequencies_hz", "phases"):
+        _refuse(key in given, f"board.{key}", "Only blinking dots have one.", "Remove it.")
+    return board
 
 
-def _like(default: object, value: object, where: str) -> object:
-    """Check a value, and convert it to its default's type (float, int or a tuple of floats)."""
-    if isinstance(default, tuple):
-        if not isinstance(value, (list, tuple)) or len(value) != len(default):
-            raise ConfigError(f"{len(default)} numbers are expected, not {value!r}.", where=where)
-        return tuple(_number(v, where) for v in value)
-    if isinstance(default, str):
-        return value  # checked by the reader of its section
-    number = _number(value, where)
-    if isinstance(default, int):
-        if number != int(number) or number < 1:
-            raise ConfigError(f"A whole number of at least 1 is expected, not {value!r}.", where=where)
-        return int(number)
-    if where in _POSITIVE and number <= 0:
-        raise ConfigError(f"{value!r} is not positive.", where=where, remedy="Give a positive number.")
-    if where in _NOT_NEGATIVE and number < 0:
-        raise ConfigError(f"{value!r} is negative.", where=where, remedy="Give a number of at least 0.")
-    return number
+def _check_grid(board: BoardTruth) -> None:
+    """Check the number of points and their distance."""
+    for key in ("columns", "rows"):
+        few = getattr(board, key) < 2
+        _refuse(few, f"board.{key}", "A board needs at least 2 points along each side.", "Count the points.")
+    many = board.columns * board.rows > _MOST_POINTS
+    _refuse(many, "board.columns", f"A board of more than {_MOST_POINTS} points cannot be simulated.")
+    _refuse(
+        board.pitch_mm <= 0.0, "board.pitch_mm", "The distance of the points is missing.", "Give it in mm."
+    )
 
 
-_LARGEST_SCALE: Final = 0.2
-"""Largest relative error of an axis's scale; larger numbers are factors that were given by mistake."""
-
-_LARGEST_SIDE: Final = 8192
-_MOST_PIXELS: Final = 1 << 24
-_SHORTEST_PX, _LONGEST_PX = 1.0, 1e6
-
-_POSITIVE: Final = {
-    "screen.square_mm",
-    "camera.fx",
-    "camera.fy",
-    "collimator.r",
-    "collimator.half_angle_deg",
-    "reticle.bow_radius_mm",
-}
-_NOT_NEGATIVE: Final = {
-    "collimator.rim",
-    "collimator.disc_wander_mm",
-    "collimator.disc_breathing",
-    "collimator.disc_unevenness",
-    "collimator.irregularity_mm",
-    "collimator.rim_irregularity_mm",
-    "collimator.glass_change",
-    "gimbal.wobble_deg",
-    "gimbal.eccentricity_deg",
-    "gimbal.reading_sigma_deg",
-    "optics.psf_px",
-    "optics.psf_rim_px",
-    "optics.black",
-    "optics.stray",
-    "thermal.warm_up_min",
-    "mount.vibration_arcsec",
-    "mount.vibration_hz",
-    *(f"noise.{f.name}" for f in dataclasses.fields(NoiseTruth)),
-}
+def _check_dots(board: BoardTruth) -> None:
+    """Check that circles do not touch each other."""
+    if board.kind not in _DOT_SHARES:
+        return
+    nearest = board.pitch_mm * (math.sqrt(2.0) if board.kind == "asymmetric-circles" else 1.0)
+    touch = not 0.0 < board.dot_mm < nearest
+    _refuse(touch, "board.dot_mm", f"Circles of {board.dot_mm:g} mm that are {nearest:g} mm apart touch.",
+            "Give a smaller diameter.")  # fmt: skip
 
 
-def _number(value: object, where: str) -> float:
-    """Check that it is a finite number."""
-    if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value):
-        raise ConfigError(f"A finite number is expected, not {value!r}.", where=where)
-    return float(value)
+def _check_screen(board: BoardTruth, given: Mapping[str, Any]) -> None:
+    """Check the keys of a screen."""
+    if board.surface != "screen":
+        for key in ("pixel_mm", "fill", "refresh_hz", "frames_on", "frames_off", "scan"):
+            _refuse(
+                key in given, f"board.{key}", f"The surface {board.surface!r} is no screen.", "Remove it."
+            )
+        return
+    _refuse(board.kind != "checkerboard", "board.surface", "A screen shows a checkerboard.",
+            "Use surface: print.")  # fmt: skip
+    _refuse(board.fill <= 0.0, "board.fill", "A screen without light is not seen.")
+    _refuse("scan" in given and not board.refresh_hz, "board.scan",
+            "Only a screen with a refresh rate is drawn line by line.", "Give refresh_hz.")  # fmt: skip
+    if board.pixel_mm == 0.0:
+        return
+    count = board.pitch_mm / board.pixel_mm
+    if count < 1.0 or abs(count - round(count)) > _WHOLE_PIXELS * count:
+        near = board.pixel_mm * max(1, round(count))
+        raise ConfigError(
+            f"A square of {board.pitch_mm:g} mm is no whole number of pixels of {board.pixel_mm:g} mm.",
+            where="board.pitch_mm",
+            remedy=f"Give {near:g}, as a screen draws whole pixels.",
+        )
+
+
+def _frequencies(given: object, count: int) -> tuple[float, ...]:
+    """Read the frequencies of the dots: a list, or the first and the last one."""
+    where = "board.frequencies_hz"
+    _refuse(count > _MOST_DOTS, "board.columns", f"More than {_MOST_DOTS} blinking dots cannot be simulated.")
+    if isinstance(given, Mapping):
+        unknown = sorted(set(given) - {"first", "last"})
+        _refuse(bool(unknown), f"{where}.{(unknown or [''])[0]}", "Unknown key.", "Known are: first, last.")
+        first = read(Number, given.get("first", _FIRST_HZ), f"{where}.first")
+        last = read(Number, given.get("last", _LAST_HZ), f"{where}.last")
+        found = tuple(np.linspace(first, last, count).tolist())
+    else:
+        found = _one_each(given, count, where)
+    bad = min(found) < 1.0 or max(found) > 1e4
+    _refuse(bad, where, "A dot does not blink in this range.", "Give frequencies from 1 to 10000 Hz.")
+    return found
+
+
+def _one_each(given: object, count: int, where: str) -> tuple[float, ...]:
+    """Read a list of one number for each dot."""
+    if not isinstance(given, (list, tuple)) or len(given) != count:
+        raise ConfigError(f"A list of {count} numbers is expected, one for each dot.", where=where)
+    return tuple(read(Number, value, f"{where}[{index}]") for index, value in enumerate(given))
+
+
+def _refuse(wrong: bool, where: str, what: str, remedy: str = "") -> None:
+    """Raise an error if something is wrong."""
+    if wrong:
+        raise ConfigError(what, where=where, remedy=remedy)

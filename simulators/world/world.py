@@ -1,8 +1,8 @@
-"""The simulated world: angles of the axes and state of the light at every moment.
+"""The simulated world: angles of the axes, state of the light and setup of the camera at every moment.
 
 Simulated stages and lights write into it, and the simulated camera reads from it; they do not use each other. The past
 is kept, so that a camera that computes a recording a little late still gets the past state. This module uses no
-protocol and no optics. Thread-safe.
+protocol and no optics. `World` is thread-safe.
 """
 
 from __future__ import annotations
@@ -10,20 +10,191 @@ from __future__ import annotations
 import math
 import threading
 import time
+from bisect import bisect_right
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
-from typing import Literal
+from dataclasses import dataclass, field, replace
+from typing import Generic, Literal, TypeVar
 
-from simulators.world import placing, temperature
-from simulators.world.board_light import light_of_board
-from simulators.world.camera_setup import CameraSetup, setup_of, with_setup
-from simulators.world.history import History
-from simulators.world.light_state import FULL_DRIVE_V as FULL_DRIVE_V  # noqa: PLC0414 - exported
-from simulators.world.light_state import LightState as LightState  # noqa: PLC0414 - exported
-from simulators.world.light_state import Waveform as Waveform  # noqa: PLC0414 - exported
-from simulators.world.truth import Truth
+import numpy as np
+from numpy.typing import NDArray
+
+from simulators.errors import SimulationMisuse
+from simulators.world import drift
+from simulators.world.board import BoardState, BoardTruth, is_flickering, view_of
+from simulators.world.truth import LensTruth, Truth
 
 AxisName = Literal["pan", "tilt", "roll"]
+Waveform = Literal["square", "sine"]
+
+FULL_DRIVE_V = 5.0
+"""Drive voltage at which the light has its nominal brightness; brightness is proportional to the voltage."""
+
+IntArray = NDArray[np.int64]
+_State = TypeVar("_State")
+
+
+@dataclass(frozen=True)
+class SyncLine:
+    """A cable; by default without faults."""
+
+    inverted: bool = False  # Whether it swaps high and low
+    missing_every: int = 0  # Both edges of every n-th period are lost; 0 for never
+    extra_every: int = 0  # Every n-th period has a short false pulse in its low part; 0 for never
+    jitter_us: float = 0.0
+    # Share of the edges that do not cross the input's threshold, because the level is too low.
+    lost_share: float = 0.0
+    channel: int = 0
+
+    def carry(
+        self, periods: IntArray, rising: IntArray, falling: IntArray, period_us: float
+    ) -> tuple[IntArray, NDArray[np.uint8]]:
+        """Carry the edges of some periods.
+
+        periods: (N,) int64, numbers of the periods.
+        rising, falling: (N,) int64, times of their edges, us.
+        period_us: Length of a period.
+        Returns: Times in order, us.
+        Returns: Level after each edge, and twice the channel.
+
+        Examples
+        --------
+        >>> k = np.arange(4)
+        >>> SyncLine(missing_every=2).carry(k, 100 * k, 100 * k + 50, 100.0)[0].tolist()
+        [100, 150, 300, 350]
+        """
+        kept = np.ones(len(periods), bool)
+        if self.missing_every:
+            kept = periods % self.missing_every != 0
+        t = np.concatenate([rising[kept], falling[kept]])
+        value = np.repeat(np.array([1, 0], np.uint8), kept.sum())
+        if self.jitter_us:
+            shift = np.concatenate([_noise(2 * periods[kept]), _noise(2 * periods[kept] + 1)])
+            t = t + np.round(self.jitter_us * shift).astype(np.int64)
+        if self.extra_every:
+            begins = falling[periods % self.extra_every == 0] + round(0.1 * period_us)
+            t = np.concatenate([t, begins, begins + round(0.05 * period_us)])
+            value = np.concatenate([value, np.repeat(np.array([1, 0], np.uint8), len(begins))])
+        if self.lost_share:
+            stays = 0.5 * (_noise(t) + 1.0) >= self.lost_share
+            t, value = t[stays], value[stays]
+        order = np.argsort(t, kind="stable")
+        return t[order], (value[order] ^ np.uint8(self.inverted)) | np.uint8(self.channel << 1)
+
+
+def _noise(numbers: IntArray) -> NDArray[np.float64]:
+    """Return a fixed pseudo-random value for each number, uniform in -1 to 1.
+
+    The finaliser of SplitMix64 (Steele, Lea and Flood 2014).
+    """
+    z = numbers.astype(np.uint64) * np.uint64(0x9E3779B97F4A7C15)
+    z = (z ^ (z >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
+    z = (z ^ (z >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
+    return (z ^ (z >> np.uint64(31))).astype(np.float64) / 2.0**63 - 1.0
+
+
+@dataclass(frozen=True)
+class LightState:
+    """Output of the light's driver from some moment on."""
+
+    waveform: Waveform = "square"  # "square" or "sine"
+    frequency_hz: float = 60.0
+    duty_percent: float = 50.0  # Length of a square's high part, as a percentage of the period
+    low_v: float = 0.0
+    high_v: float = 5.0
+    output: bool = False  # Whether the light is driven at all; if not, it is dark
+    # Whether sync edges reach the camera's trigger input (rising at the start of a period, falling at the end
+    # of a square's high part or at half of a sine's period).
+    sync: bool = False
+    # World time at which a period begins. A period begins with the rising sync edge: the start of a square's
+    # high part, or the upward crossing of a sine's middle.
+    origin_s: float = 0.0
+    sync_line: SyncLine = field(default_factory=SyncLine)
+
+    @property
+    def low(self) -> float:
+        """Lower brightness, nominal brightness = 1 (zero if the output is off)."""
+        return max(0.0, self.low_v) / FULL_DRIVE_V if self.output else 0.0
+
+    @property
+    def high(self) -> float:
+        """Upper brightness, nominal brightness = 1 (zero if the output is off)."""
+        return max(0.0, self.high_v) / FULL_DRIVE_V if self.output else 0.0
+
+    @property
+    def period_us(self) -> float:
+        """Length of a period, us."""
+        return 1e6 / self.frequency_hz
+
+    @property
+    def high_share(self) -> float:
+        """Share of a period during which the sync line (and a square) is high."""
+        return self.duty_percent / 100.0 if self.waveform == "square" else 0.5
+
+    def phase_at(self, t_s: float) -> float:
+        """Return the light's phase at a time.
+
+        Returns: Phase in periods, 0 <= phase < 1.
+        """
+        phase = ((t_s - self.origin_s) * self.frequency_hz) % 1.0
+        return phase if phase < 1.0 else 0.0  # just below a whole period, the remainder rounds up to 1
+
+    def settings(self) -> tuple[object, ...]:
+        """Return everything but the origin and the cable, from which a recording's noise is seeded."""
+        return (
+            self.waveform,
+            self.frequency_hz,
+            self.duty_percent,
+            self.low,
+            self.high,
+            self.output,
+            self.sync,
+        )
+
+
+def light_of_board(state: LightState, board: BoardTruth, *, flickers: bool, on_since_s: float) -> LightState:
+    """Return the light of a board as the camera sees it.
+
+    state: State of the bench's light.
+    flickers: Whether the board flickers.
+    Returns: A screen with a refresh rate shines by itself, and no sync edges reach the camera. A print in
+      steady light does not flicker, though the sync edges of the bench's light go on.
+    """
+    if board.own_clock:
+        state = LightState(
+            frequency_hz=board.flicker_hz,
+            duty_percent=100.0 * board.frames_on / (board.frames_on + board.frames_off),
+            high_v=FULL_DRIVE_V,
+            output=True,
+            origin_s=on_since_s,
+        )
+    return state if flickers else replace(state, low_v=state.high_v)
+
+
+@dataclass(frozen=True)
+class CameraSetup:
+    """How the camera stands in its mount, and how its lens is set."""
+
+    # Displacement across the beam from where the camera was aligned, along the target's X and Y.
+    shift_mm: tuple[float, float]
+    turn_deg: tuple[float, float, float]
+    lens: LensTruth
+    board: BoardState = field(default_factory=BoardState)
+
+
+def setup_of(truth: Truth) -> CameraSetup:
+    """Return the camera's setup in a truth."""
+    return CameraSetup(truth.mount.shift_mm, truth.mount.turn_deg, truth.lens, truth.board.state)
+
+
+def with_setup(truth: Truth, setup: CameraSetup) -> Truth:
+    """Return the truth with the camera set up in another way.
+
+    Returns: The same object if the camera is set up so already.
+    """
+    if setup == setup_of(truth):
+        return truth
+    mount = replace(truth.mount, shift_mm=setup.shift_mm, turn_deg=setup.turn_deg)
+    return replace(truth, mount=mount, lens=setup.lens, board=truth.board.in_state(setup.board))
 
 
 @dataclass(frozen=True)
@@ -44,6 +215,49 @@ class AxisMotion:
         angle_deg: Where it stands.
         """
         return cls(angle_at=lambda _t_s: angle_deg, settled_from_s=-math.inf, microsteps=microsteps)
+
+
+class History(Generic[_State]):
+    """A state over time: the state at a past moment can be looked up.
+
+    first: State at all times before the first one that is appended.
+    """
+
+    def __init__(self, first: _State) -> None:
+        self._since: list[float] = [-math.inf]
+        self._states: list[_State] = [first]
+
+    def append(self, since_s: float, state: _State) -> None:
+        """Set the state from a moment on.
+
+        state: State until the next one is appended.
+        Raises SimulationMisuse: If the moment is earlier than that of the previous state.
+        """
+        if since_s < self._since[-1]:
+            raise SimulationMisuse(
+                f"A state at {since_s} s cannot follow one at {self._since[-1]} s.",
+                remedy="Set states in order of time.",
+            )
+        self._since.append(since_s)
+        self._states.append(state)
+
+    def at(self, t_s: float) -> _State:
+        """Return the state at a moment.
+
+        Returns: The last one that was appended for this moment or an earlier one.
+        """
+        return self._states[bisect_right(self._since, t_s) - 1]
+
+    @property
+    def latest(self) -> _State:
+        """State that was appended last."""
+        return self._states[-1]
+
+    def forget_before(self, t_s: float) -> None:
+        """Drop states that ended before a moment."""
+        first = bisect_right(self._since, t_s) - 1
+        del self._since[:first]
+        del self._states[:first]
 
 
 class World:
@@ -185,13 +399,13 @@ class World:
         """
         with self._lock:
             state, setup = self._light.at(t_s), self._setup.at(t_s)
-        share = temperature.lamp_brightness(self.truth.thermal, self.temperature_c(t_s))
+        share = drift.lamp_brightness(self.truth.thermal, self.temperature_c(t_s))
         if share != 1.0:
             state = replace(state, low_v=state.low_v * share, high_v=state.high_v * share)
         if not self.truth.board.present or self.truth.board.blinks:
             return state
         truth = with_setup(self.truth, setup)
-        flickers = placing.flickers(truth.board, placing.view_of(truth))
+        flickers = is_flickering(truth.board, view_of(truth.board, truth.target))
         return light_of_board(state, truth.board, flickers=flickers, on_since_s=self._on_since_s)
 
     def on_s(self, t_s: float) -> float:
@@ -203,12 +417,12 @@ class World:
 
         Returns: Degrees Celsius, in steps of 0.01.
         """
-        return temperature.temperature_c(self.truth.thermal, self.on_s(t_s))
+        return drift.temperature_c(self.truth.thermal, self.on_s(t_s))
 
     def truth_at(self, t_s: float) -> Truth:
         """Return the truth at the temperature of a time, with the camera as it is set up then.
 
         Returns: With focal lengths of that temperature; focus is in section ``lens``.
         """
-        truth = temperature.truth_at_temperature(self.truth, self.temperature_c(t_s))
+        truth = drift.truth_at_temperature(self.truth, self.temperature_c(t_s))
         return with_setup(truth, self.camera_setup(t_s))

@@ -10,9 +10,8 @@ from bench.simulated import SimulatedBench
 from simulators.config import bench_config
 from simulators.pixels.biases import FACTORY
 from simulators.pixels.sensor_stream import CameraState, SensorStream
-from simulators.world.camera_setup import setup_of
-from simulators.world.lens_truth import LensTruth
-from simulators.world.world import LightState, World
+from simulators.world.truth import LensTruth
+from simulators.world.world import LightState, World, setup_of
 
 SMALL = {"fx": 836, "fy": 836, "cx": 160, "cy": 90, "width": 320, "height": 180}
 

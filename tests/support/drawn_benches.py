@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 from calib.model.rotation import exp_map
 from calib.view import View
 from simulators.optics import picture as optics
+from simulators.world.drift import drift_since_on_arcsec
 from simulators.world.gimbal import GimbalTruth, load_angles_deg
-from simulators.world.mount import drift_since_on_arcsec
 from simulators.world.truth import (
     COLLIMATORS,
     CameraTruth,

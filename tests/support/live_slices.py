@@ -14,8 +14,7 @@ from simulators.optics.lens_focus import blur_px
 from simulators.optics.scene import picture
 from simulators.pixels.evt3_writer import Evt3Writer
 from simulators.pixels.sensor import Sensor
-from simulators.world.lens_truth import LensTruth
-from simulators.world.truth import NOISE_LEVELS, OpticsTruth, Truth
+from simulators.world.truth import NOISE_LEVELS, LensTruth, OpticsTruth, Truth
 from simulators.world.world import FULL_DRIVE_V, LightState
 
 HEADER = (

@@ -14,7 +14,7 @@ from drivers.camera.evt3 import Evt3Decoder
 from simulators.config import bench_config
 from simulators.optics import scene
 from simulators.pixels.sensor_stream import CameraState, SensorStream
-from simulators.world.board_truth import BoardState
+from simulators.world.board import BoardState
 from simulators.world.world import LightState, World
 
 LENS = {"focus_distance_m": 1.3, "f_number": 4}

@@ -12,8 +12,7 @@ from hypothesis import strategies as st
 from simulators.stages.axis_motion import Axis
 from simulators.stages.mechanics import Mechanics
 from simulators.stages.motion_faults import MotionEvent, MotionFault
-from simulators.world.load import SETTLED_DEG
-from simulators.world.trajectory import ramp
+from simulators.world.trajectory import SETTLED_DEG, ramp
 
 SCALE = 6400.0
 SPEED = 40.0 * SCALE

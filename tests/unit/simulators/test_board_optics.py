@@ -11,7 +11,7 @@ from simulators.config import bench_config
 from simulators.optics import board_outline, board_scene, scene
 from simulators.optics.board_scene import blur_of, placed_boards
 from simulators.optics.lens_focus import camera_of, focus_of
-from simulators.world.board_truth import BoardState
+from simulators.world.board import BoardState
 
 PIXEL_MM = 4.86e-3
 CAMERA = {"fx": 3300.0, "fy": 3300.0, "cx": 320.0, "cy": 239.0, "width": 640, "height": 480, "k1": 0, "k2": 0}

@@ -21,8 +21,7 @@ from simulators.faults.catalogue import (
     faults_of,
 )
 from simulators.lights.lamp import Lamp
-from simulators.world.sync_line import SyncLine
-from simulators.world.world import LightState
+from simulators.world.world import LightState, SyncLine
 
 
 @pytest.mark.parametrize(

@@ -25,8 +25,7 @@ from simulators.optics.lens_focus import (
 from simulators.optics.picture import project, projection_of, render, true_rotation
 from simulators.optics.scene import corners, picture
 from simulators.rehearsed_world import RehearsedWorld
-from simulators.world.lens_truth import LensTruth
-from simulators.world.truth import CameraTruth, CollimatorTruth, MountTruth, OpticsTruth, Truth
+from simulators.world.truth import CameraTruth, CollimatorTruth, LensTruth, MountTruth, OpticsTruth, Truth
 
 PIXEL_MM = 4.86e-3
 SMALL = {"fx": 1672.0, "fy": 1672.0, "cx": 159.5, "cy": 119.5, "width": 320, "height": 240, "k1": 0, "k2": 0}

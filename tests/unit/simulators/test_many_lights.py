@@ -13,7 +13,7 @@ from simulators.optics.board_lights import images_of_lights
 from simulators.pixels.many_lights import ManyLightsSensor
 from simulators.pixels.sensor import Sensor
 from simulators.pixels.sensor_stream import CameraState, SensorStream
-from simulators.world.board_truth import BoardState
+from simulators.world.board import BoardState
 from simulators.world.world import LightState, World
 
 CAMERA = {"fx": 800, "fy": 800, "cx": 159.5, "cy": 119.5, "width": 320, "height": 240, "k1": 0, "k2": 0}

@@ -14,7 +14,7 @@ from simulators.optics.picture import beam_of, project, projection_of, true_rota
 from simulators.optics.scene import corners
 from simulators.pixels.biases import FACTORY
 from simulators.pixels.sensor_stream import CameraState, SensorStream
-from simulators.world.mount import STEP_ARCSEC, drift_since_on_arcsec, true_angles_deg
+from simulators.world.drift import STEP_ARCSEC, drift_since_on_arcsec, moved_angles_deg
 from simulators.world.truth import (
     NOISE_LEVELS,
     CameraTruth,
@@ -32,7 +32,7 @@ STILL = (0.0, 0.0)
 
 def at(mount, t_s, crept=STILL, phases=STILL):
     """Departure from the pose, arc seconds."""
-    angles = true_angles_deg(POSE, mount, crept, phases, t_s)
+    angles = moved_angles_deg(POSE, mount, crept, phases, t_s)
     return np.array([(angles[n] - POSE[n]) * 3600.0 for n in ("pan", "tilt", "roll")])
 
 

@@ -11,10 +11,9 @@ import yaml
 
 from simulators.config import LIGHT_KINDS, STAGE_KINDS, bench_config
 from simulators.faults.catalogue import fault_order, fault_order_from_text, faults_of
-from simulators.world.board_truth import Anywhere, BoardTruth, HandTruth, Placement
+from simulators.world.board import Anywhere, BoardTruth, HandTruth, Placement
 from simulators.world.gimbal import GimbalTruth
-from simulators.world.lens_truth import LensTruth
-from simulators.world.truth import COLLIMATORS, CollimatorTruth, MountTruth, ReticleTruth
+from simulators.world.truth import COLLIMATORS, CollimatorTruth, LensTruth, MountTruth, ReticleTruth
 
 TEXT = (Path(__file__).parents[3] / "docs" / "simulated-bench.md").read_text(encoding="utf-8")
 

@@ -10,7 +10,7 @@ from simulators.assembly.stages import Stage, make_stage
 from simulators.config import bench_config
 from simulators.ports.serial_device import Dialect
 from simulators.stages.ximc_protocol import crc16
-from simulators.world.load import LoadTrajectory
+from simulators.world.trajectory import LoadTrajectory
 
 
 class Built:

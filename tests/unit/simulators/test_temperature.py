@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from simulators.config import bench_config
-from simulators.world.temperature import lamp_brightness, temperature_c, truth_at_temperature
+from simulators.world.drift import lamp_brightness, temperature_c, truth_at_temperature
 from simulators.world.truth import REFERENCE_C, ThermalTruth, Truth
 from simulators.world.world import LightState, World
 

@@ -15,7 +15,7 @@ from drivers.camera.raw_file import RawFile
 from sequences.schema import GateConfig
 from sequences.script import Gates
 from simulators.optics.lens_focus import blur_px, signed_blur_px
-from simulators.world.lens_truth import LensTruth
+from simulators.world.truth import LensTruth
 from tests.support.live_slices import bench, drive, seen, write_slice
 
 STATION = load_station("simulated").value
