@@ -26,8 +26,7 @@ from typing import Any, Self
 
 import numpy as np
 
-from simulators.assembly.lights import make_light
-from simulators.assembly.stages import make_stage
+from simulators.assembly import make_light, make_stage
 from simulators.cameras.evk4 import SimulatedEvk4
 from simulators.cameras.frame_camera import SimulatedFrameCamera
 from simulators.config import BenchConfig, bench_config

@@ -17,10 +17,10 @@ from simulators.errors import ConfigError
 from simulators.faults.camera_hands import HAND_DEVICES, CameraHands
 from simulators.faults.catalogue import LIGHT_FAULTS, FaultOrder, Parameter
 from simulators.faults.line_faults import FaultLine, LineFault
+from simulators.lights.driver import LightDriver
 from simulators.lights.lamp import Lamp
 from simulators.ports.serial_device import SerialDevice
-from simulators.stages.axis_motion import Axis
-from simulators.stages.motion_faults import FaultKind, MotionFault
+from simulators.stages.axis_motion import Axis, FaultKind, MotionFault
 
 
 class AxisController(Protocol):
@@ -32,44 +32,15 @@ class AxisController(Protocol):
         ...
 
     def restart(self, t_s: float) -> None:
-        """Power-cycle the controller.
-
-        t_s: Time of the restart, s.
-        """
+        """Power-cycle the controller."""
         ...
 
     def emergency_stop(self, t_s: float, *, released: bool = False) -> None:
-        """Press or release the emergency stop.
-
-        t_s: Time, s.
-        released: True releases the button.
-        """
+        """Press or release the emergency stop."""
         ...
 
     def exchange(self, serial: str, t_s: float) -> None:
-        """Replace the controller by another one, fresh from power-up.
-
-        t_s: Time, s.
-        """
-        ...
-
-
-class Light(Protocol):
-    """Interface of the light's driver for fault injection."""
-
-    def clip(self, most_v: float | None) -> None:
-        """Limit levels that are set from now on.
-
-        most_v: Largest level, V; None restores the normal limit.
-        """
-        ...
-
-    def trip(self) -> None:
-        """Let the protection switch the light off."""
-        ...
-
-    def exchange(self, serial: str) -> None:
-        """Replace the driver by another one, fresh from power-up."""
+        """Replace the controller by another one, fresh from power-up."""
         ...
 
 
@@ -107,7 +78,7 @@ class BenchParts:
     lines: Mapping[str, FaultLine]
     axis_ports: Mapping[str, str]
     # light, lamp, camera: The light's driver, the lamp behind it, and the event camera.
-    light: Light
+    light: LightDriver
     lamp: Lamp
     camera: Camera
     clock: Callable[[], float]  # Returns the time in seconds

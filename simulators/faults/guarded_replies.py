@@ -9,8 +9,8 @@ from __future__ import annotations
 import re
 from typing import Final
 
-from simulators.stages.dynamixel_packets import crc_of
-from simulators.stages.ximc_protocol import crc16
+from simulators.stages.dynamixel import crc_of
+from simulators.stages.ximc import crc16
 
 #: A reply line of the Zaber protocol: addresses, id, the rest, checksum.
 _ZABER_REPLY: Final = re.compile(rb"@(\d\d \d )(\d\d)( [^:\r\n]*):[0-9A-F]{2}\r\n")

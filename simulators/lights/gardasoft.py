@@ -18,6 +18,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Final
 
+from simulators.lights.driver import LightDriver
 from simulators.world.world import FULL_DRIVE_V, LightState
 
 _COMMAND: Final = re.compile(r"([A-Z]{2})(.*)")
@@ -59,11 +60,9 @@ class Output:
     delay_ms: float = 0.005
 
 
-class GardasoftRt:
-    """The controller, as a dialect of a serial line.
+class GardasoftRt(LightDriver):
+    """The controller; output 1 drives the light.
 
-    clock: Returns the time in seconds.
-    drive: Called with the new state of the light on output 1 whenever it changes.
     version: Answer to ``VR``.
     """
 
@@ -73,10 +72,8 @@ class GardasoftRt:
         drive: Callable[[LightState], None] = lambda _state: None,
         version: str = "RT460-20 (HW02) V031",
     ) -> None:
-        self._clock = clock
-        self._drive = drive
+        super().__init__(clock, drive, ends=b"\r", ignored=b"\n", longest=_MAX_MESSAGE)
         self._version = version
-        self._buffer = b""
         self.outputs = {channel: Output() for channel in range(1, _CHANNELS + 1)}
         self._trigger = False
         self._period_ms = 20.0
@@ -85,7 +82,6 @@ class GardasoftRt:
         self._pending_events = ""
         self._tripped = False
         self._max_percent = _MAX_PERCENT
-        self._light = LightState(origin_s=clock())
         self._commands: dict[str, Callable[[list[str]], str]] = {
             "VR": lambda _words: self._version,
             "TT": self._set_trigger,
@@ -100,21 +96,9 @@ class GardasoftRt:
         }
         self._publish()
 
-    @property
-    def baud(self) -> int:
-        """Baud rate of the serial port."""
-        return 115_200
-
-    def receive(self, data: bytes) -> bytes:
-        """See `Dialect.receive`."""
-        *lines, self._buffer = (self._buffer + data).replace(b"\n", b"").split(b"\r")
-        self._buffer = self._buffer[-_MAX_MESSAGE:]
-        said = ""
-        for line in lines:
-            for command in line.decode("ascii", "replace").replace(" ", "").split(";"):
-                said += self._execute(command.upper())
-            said += ">"
-        return said.encode("ascii")
+    def _answer(self, message: bytes) -> bytes:
+        commands = message.decode("ascii", "replace").replace(" ", "").split(";")
+        return f"{''.join(self._execute(command.upper()) for command in commands)}>".encode("ascii")
 
     def unsolicited(self) -> bytes:
         """See `Dialect.unsolicited`. These are events, if the host has enabled them."""
@@ -122,10 +106,7 @@ class GardasoftRt:
         return said.encode("ascii")
 
     def clip(self, most_v: float | None) -> None:
-        """Limit brightness values that are set from now on.
-
-        most_v: Limit as a drive voltage, V, where `FULL_DRIVE_V` is 100 %; None restores the normal limit.
-        """
+        """See `LightDriver.clip`."""
         self._max_percent = _MAX_PERCENT if most_v is None else 100.0 * most_v / FULL_DRIVE_V
 
     def trip(self, event: int = OVER_TEMPERATURE) -> None:
@@ -140,10 +121,7 @@ class GardasoftRt:
         self._publish()
 
     def exchange(self, serial: str) -> None:
-        """Replace the controller by another one, fresh from power-up.
-
-        serial: Ignored: this controller does not report a serial number.
-        """
+        """See `LightDriver.exchange`. This controller does not report a serial number."""
         del serial
         self.outputs = {channel: Output() for channel in range(1, _CHANNELS + 1)}
         self._trigger = self._events_enabled = self._tripped = False
@@ -226,22 +204,19 @@ class GardasoftRt:
 
     def _publish(self) -> None:
         """Publish the state of the light; a period begins with the edge of the internal trigger."""
-        now, one = self._clock(), self.outputs[1]
-        frequency = 1000.0 / self._period_ms
+        one = self.outputs[1]
         level = one.percent / 100.0 * FULL_DRIVE_V
         flickers = one.mode == PULSE and self._trigger
         steady = one.mode == CONTINUOUS
-        self._light = LightState(
+        self._show(
+            1000.0 / self._period_ms,
             waveform="square",
-            frequency_hz=frequency,
             duty_percent=min(99.0, 100.0 * one.width_ms / self._period_ms),
             low_v=level if steady else 0.0,
             high_v=level if steady or flickers else 0.0,
             output=level > 0.0 and (steady or flickers) and not self._tripped,
             sync=self._trigger,
-            origin_s=now - self._light.phase_at(now) / frequency,
         )
-        self._drive(self._light)
 
 
 def _unknown(_words: list[str]) -> str:

@@ -15,6 +15,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Final
 
+from simulators.lights.driver import LightDriver
 from simulators.world.world import FULL_DRIVE_V, LightState
 
 _CLOCK_HZ: Final = 16_000_000
@@ -34,11 +35,10 @@ class _Refused(Exception):
         super().__init__(f"err {number}")
 
 
-class MicrocontrollerLight:
-    """The light, as a dialect of a serial line.
+class MicrocontrollerLight(LightDriver):
+    """The light.
 
     serial: Answer to ``SERIAL?``.
-    clock: Returns the time in seconds.
     """
 
     def __init__(
@@ -47,11 +47,9 @@ class MicrocontrollerLight:
         clock: Callable[[], float],
         drive: Callable[[LightState], None] = lambda _state: None,
     ) -> None:
+        super().__init__(clock, drive, ignored=b"\r", longest=_MAX_LINE)
         self._serial = serial
-        self._clock = clock
-        self._drive = drive
         self._most_percent = 100.0
-        self._light = LightState(origin_s=clock())
         self._power_up()
 
     def _power_up(self) -> None:
@@ -66,17 +64,10 @@ class MicrocontrollerLight:
         self._heard_s = self._clock()
         self._publish()
 
-    @property
-    def baud(self) -> int:
-        """Baud rate of the serial port."""
-        return 115_200
-
     def receive(self, data: bytes) -> bytes:
         """See `Dialect.receive`."""
         self._watch()
-        *lines, self._buffer = (self._buffer + data).replace(b"\r", b"").split(b"\n")
-        self._buffer = self._buffer[-_MAX_LINE:]
-        return b"".join(self._answer(line) for line in lines if line)
+        return super().receive(data)
 
     def unsolicited(self) -> bytes:
         """See `Dialect.unsolicited`. The light says nothing unasked; its watchdog runs."""
@@ -84,10 +75,7 @@ class MicrocontrollerLight:
         return b""
 
     def clip(self, most_v: float | None) -> None:
-        """Limit levels that are set from now on.
-
-        most_v: Limit as a drive voltage, V, where `FULL_DRIVE_V` is 100 %; None restores the normal limit.
-        """
+        """See `LightDriver.clip`."""
         self._most_percent = 100.0 if most_v is None else 100.0 * most_v / FULL_DRIVE_V
 
     def trip(self) -> None:
@@ -97,13 +85,15 @@ class MicrocontrollerLight:
         self._publish()
 
     def exchange(self, serial: str) -> None:
-        """Replace the light by another one, fresh from power-up."""
+        """See `LightDriver.exchange`."""
         self._serial = serial
         self._power_up()
 
     # ------------------------------------------------------------------ commands
-    def _answer(self, line: bytes) -> bytes:
-        body, star, digits = line.rpartition(b"*")
+    def _answer(self, message: bytes) -> bytes:
+        if not message:
+            return b""
+        body, star, digits = message.rpartition(b"*")
         if not star or digits != b"%02X" % _xor(body):
             return _framed(f"? err {BAD_CHECKSUM}")
         self._heard_s = self._clock()
@@ -199,20 +189,16 @@ class MicrocontrollerLight:
             self._publish()
 
     def _publish(self) -> None:
-        now = self._clock()
         level_v = self._level / 100.0 * FULL_DRIVE_V
-        frequency = self._frequency_hz()
-        self._light = LightState(
+        self._show(
+            self._frequency_hz(),
             waveform="square",
-            frequency_hz=frequency,
             duty_percent=100.0 * self._high_ticks / self._ticks,
             low_v=level_v if self._steady else 0.0,
             high_v=level_v,
             output=self._on,
             sync=self._on and self._sync and not self._steady,
-            origin_s=now - self._light.phase_at(now) / frequency,
         )
-        self._drive(self._light)
 
 
 def _framed(text: str) -> bytes:

@@ -12,15 +12,70 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import replace
-from typing import cast
+from dataclasses import dataclass, replace
+from typing import Literal, NamedTuple, cast
 
-from simulators.stages.mechanics import Mechanics
-from simulators.stages.motion_faults import MotionEvent, MotionFault, Noticed
 from simulators.world.trajectory import LoadTrajectory, MotorTrajectory
 
 #: Distance that homing runs past the sensor before it returns to it, degrees.
 _HOMING_OVERRUN_DEG = 0.1
+
+FaultKind = Literal[
+    "stall", "limit", "twist", "restart", "stop_short", "no_progress", "slip", "creep", "unplug", "press_stop"
+]
+
+Noticed = Literal["stall", "limit", "twist", "restart"]
+
+
+@dataclass(frozen=True)
+class Mechanics:
+    """Mechanical properties of an axis.
+
+    counts_per_deg: Motor counts (microsteps or encoder counts) per degree of the load.
+    lowest_deg, highest_deg: End stops of the load, degrees.
+    home_deg: Angle of the reference sensor, degrees; homing sets the counter to 0 there.
+    start_deg: Angle at power-up, degrees. The controller does not know it: its counter starts at 0.
+    settle_s: Time constant with which the load follows the motor, s; after a ramp the rest decays as exp(-t /
+      settle_s).
+    backlash_deg: Backlash of the gear, degrees: the load stands half of it behind the motor, on the side that
+      it came from.
+    stall_detection: Whether the controller notices a stalled motor and stops. Otherwise its counter
+      continues.
+    """
+
+    counts_per_deg: float
+    lowest_deg: float
+    highest_deg: float
+    home_deg: float = 0.0
+    start_deg: float = 0.0
+    settle_s: float = 0.02
+    backlash_deg: float = 0.0
+    stall_detection: bool = True
+
+
+@dataclass(frozen=True)
+class MotionFault:
+    """A fault of a motion to come."""
+
+    # ``stall``: the motor is blocked. ``limit``: a limit switch closes. ``twist``: the two axes of a lockstep
+    # pair lose their alignment. ``restart``: the controller reboots. ``stop_short``: it stops as if it had
+    # arrived. ``no_progress``: it stops and keeps reporting busy. ``slip``: the motor stands still, the
+    # counter continues. ``creep``: the motor drifts after it has arrived, and the counter does not follow.
+    # ``unplug``, ``press_stop``: an event outside the controller, which ``then`` causes.
+    kind: FaultKind
+    # Time of the fault, as a share of the motion's duration; ``creep`` begins at the end whatever the share.
+    share: float = 0.5
+    creep_deg_s: float = 0.01  # Speed of the drift, degrees/s
+    skip: int = 0  # Number of motions that pass unchanged first
+    # Called when the motion begins, with the time at which the fault happens, s.
+    then: Callable[[float], None] | None = None
+
+
+class MotionEvent(NamedTuple):
+    """An event that the controller notices."""
+
+    kind: Noticed
+    t_s: float  # Time of the event, s
 
 
 class Axis:

@@ -17,17 +17,60 @@ import re
 from collections import deque
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import Final
 
-from simulators.stages.axis_motion import Axis
-from simulators.stages.esp301_errors import EspError, error_text
-from simulators.stages.mechanics import Mechanics
+from simulators.stages.axis_motion import Axis, Mechanics, MotionEvent
+from simulators.stages.controller import AxisOfController, Controller
 from simulators.world.trajectory import LoadTrajectory
 
 _COMMAND: Final = re.compile(r"\s*(\d*)\s*([A-Z]{2})\s*(.*?)\s*", re.IGNORECASE)
 _NUMBER: Final = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[Ee][+-]?\d)?")
 _QUEUE_LENGTH: Final = 10
 _MAX_LINE: Final = 256
+_BOOT_S: Final = 1.0
+
+_ERROR_TEXTS: Final = {
+    0: "NO ERROR DETECTED",
+    4: "EMERGENCY STOP ACTIVATED",
+    6: "COMMAND DOES NOT EXIST",
+    7: "PARAMETER OUT OF RANGE",
+    9: "AXIS NUMBER OUT OF RANGE",
+    37: "AXIS NUMBER MISSING",
+    38: "COMMAND PARAMETER MISSING",
+}
+_AXIS_ERROR_TEXTS: Final = {
+    1: "PARAMETER OUT OF RANGE",
+    3: "FOLLOWING ERROR THRESHOLD EXCEEDED",
+    4: "POSITIVE HARDWARE LIMIT DETECTED",
+    5: "NEGATIVE HARDWARE LIMIT DETECTED",
+    6: "POSITIVE SOFTWARE LIMIT DETECTED",
+    7: "NEGATIVE SOFTWARE LIMIT DETECTED",
+    10: "MAXIMUM VELOCITY EXCEEDED",
+    11: "MAXIMUM ACCELERATION EXCEEDED",
+    13: "MOTOR NOT ENABLED",
+    20: "HOMING ABORTED",
+    30: "COMMAND NOT ALLOWED DURING HOMING",
+}
+
+
+class EspError(Exception):
+    """A refused command.
+
+    number: Number of a controller error or of an axis error, depending on where it is raised.
+    """
+
+    def __init__(self, number: int) -> None:
+        self.number = number
+        super().__init__(str(number))
+
+
+def error_text(number: int) -> str:
+    """Return the text of an error, as ``TB?`` answers it.
+
+    number: Number of a controller error, or axis * 100 + number of an axis error.
+    """
+    return _AXIS_ERROR_TEXTS[number % 100] if number >= 100 else _ERROR_TEXTS[number]
 
 
 @dataclass(frozen=True)
@@ -49,40 +92,30 @@ class EspAxisModel:
 
 
 @dataclass
-class EspAxis:
+class EspAxis(AxisOfController):
     """State of one axis: its mechanics and its settings in the controller."""
 
-    controller: EspController
     number: int  # Number of the axis, from 1
     model: EspAxisModel
-    axis: Axis
-    # motor_on, homing: Whether the motor is on, and whether the axis is homing.
     motor_on: bool = False
     homing: bool = False
     settings: dict[str, float] = field(default_factory=dict)
 
-    def restart(self, t_s: float) -> None:
-        """See `AxisController.restart`. The restart affects all axes."""
-        self.controller.restart(t_s)
-
-    def emergency_stop(self, t_s: float, *, released: bool = False) -> None:
-        """See `AxisController.emergency_stop`. The stop affects all axes."""
-        self.controller.emergency_stop(t_s, released=released)
-
     def exchange(self, serial: str, t_s: float) -> None:
-        """Replace the stage by another one of this model, and restart the controller.
-
-        t_s: Time, s.
-        """
+        """Replace the stage by another one of this model, and restart the controller."""
         self.model = replace(self.model, serial=serial)
         self.controller.restart(t_s)
 
+    @property
+    def scale(self) -> float:
+        """Counts per degree."""
+        return self.model.mechanics.counts_per_deg
 
-class EspController:
-    """The controller, as a dialect of a serial line.
+
+class EspController(Controller):
+    """The controller.
 
     models: Its axes, from number 1.
-    clock: Returns the time in seconds.
     baud: Baud rate of the port: 19200 on RS-232, 921600 on USB.
     """
 
@@ -93,23 +126,20 @@ class EspController:
         publish: Callable[[int, LoadTrajectory], None] = lambda _number, _pointing: None,
         baud: int = 19_200,
     ) -> None:
-        self._clock = clock
-        self.baud = baud
-
-        def publisher(number: int) -> Callable[[LoadTrajectory], None]:
-            return lambda pointing: publish(number, pointing)
-
+        moved = {
+            n: Axis(model.mechanics, clock(), partial(publish, n)) for n, model in enumerate(models, start=1)
+        }
+        super().__init__(moved.values(), clock, baud=baud, boot_s=_BOOT_S)
         self.axes = {
-            number: EspAxis(self, number, model, Axis(model.mechanics, clock(), publisher(number)))
+            number: EspAxis(self, moved[number], number, model)
             for number, model in enumerate(models, start=1)
         }
         self._stop_pressed = False
-        self._boot_ends_s = clock()
-        self._power_up()
+        self._power_up(clock())
         self._axis_commands = self._known_axis_commands()
 
-    def _power_up(self) -> None:
-        """Set the state after power-up."""
+    def _power_up(self, t_s: float) -> None:
+        del t_s
         self._buffer = b""
         self._commands: deque[str] = deque()
         self._waiting_for: EspAxis | None = None
@@ -129,12 +159,8 @@ class EspController:
             }
 
     # ------------------------------------------------------------------ the line
-    def receive(self, data: bytes) -> bytes:
-        """See `Dialect.receive`."""
-        now = self._clock()
-        if now < self._boot_ends_s:
-            return b""
-        *lines, self._buffer = (self._buffer + data).replace(b"\n", b"").split(b"\r")
+    def _answer(self, now: float) -> bytes:
+        *lines, self._buffer = self._buffer.replace(b"\n", b"").split(b"\r")
         self._buffer = self._buffer[-_MAX_LINE:]
         for line in lines:
             self._commands.extend(line.decode("ascii", "replace").split(";"))
@@ -142,11 +168,12 @@ class EspController:
 
     def unsolicited(self) -> bytes:
         """See `Dialect.unsolicited`. These are answers of commands that had to wait."""
-        return self._run_pending(self._clock())
+        now = self._clock()
+        self.take_events(now)
+        return self._run_pending(now)
 
     def _run_pending(self, now: float) -> bytes:
-        """Process events, then execute commands in order until one has to wait."""
-        self._take_events(now)
+        """Execute commands in order until one has to wait."""
         said = ""
         while self._commands:
             if self._waiting_for is not None and self._waiting_for.axis.reports_busy(now):
@@ -213,13 +240,9 @@ class EspController:
     def _known_axis_commands(self) -> Mapping[str, Callable[[EspAxis, str, float], str | None]]:
         return {
             "ID": lambda one, _rest, _now: f"{one.model.name}, SN{one.model.serial}",
-            "TP": lambda one, _rest, now: f"{one.axis.encoder(now) / one.model.mechanics.counts_per_deg:.5f}",
-            "DP": lambda one, _rest, now: (
-                f"{one.axis.rest_counter(now) / one.model.mechanics.counts_per_deg:.5f}"
-            ),
-            "TV": lambda one, _rest, now: (
-                f"{one.axis.velocity(now) / one.model.mechanics.counts_per_deg:.5f}"
-            ),
+            "TP": lambda one, _rest, now: f"{one.axis.encoder(now) / one.scale:.5f}",
+            "DP": lambda one, _rest, now: f"{one.axis.rest_counter(now) / one.scale:.5f}",
+            "TV": lambda one, _rest, now: f"{one.axis.velocity(now) / one.scale:.5f}",
             "MD": lambda one, _rest, now: str(int(not one.axis.reports_busy(now))),
             "MO": self._motor_on,
             "MF": self._motor_off,
@@ -267,12 +290,10 @@ class EspController:
         return None
 
     def _move_by(self, one: EspAxis, rest: str, now: float) -> str | None:
-        return self._move(
-            one, rest, now, start=one.axis.rest_counter(now) / one.model.mechanics.counts_per_deg
-        )
+        return self._move(one, rest, now, start=one.axis.rest_counter(now) / one.scale)
 
     def _move(self, one: EspAxis, rest: str, now: float, *, start: float) -> str | None:
-        scale = one.model.mechanics.counts_per_deg
+        scale = one.scale
         if rest == "?":
             return f"{one.axis.rest_counter(now) / scale:.5f}"
         target = start + _number(rest)
@@ -289,7 +310,7 @@ class EspController:
         if rest not in {"", "0", "1", "2", "3", "4"}:
             raise EspError(1)
         self._require_motion_allowed(one)
-        scale = one.model.mechanics.counts_per_deg
+        scale = one.scale
         speed = one.settings["OH"] * scale
         one.homing = True
         one.axis.home(now, speed, speed / 10.0, one.settings["AC"] * scale)
@@ -304,14 +325,14 @@ class EspController:
     def _define_home(self, one: EspAxis, rest: str, now: float) -> str | None:
         if rest == "?":
             return "0.00000"
-        value = (_number(rest) if rest else 0.0) * one.model.mechanics.counts_per_deg
+        value = (_number(rest) if rest else 0.0) * one.scale
         one.axis.set_counter(value, now)
         one.axis.set_encoder(value, now)
         return None
 
     def _stop(self, one: EspAxis, now: float) -> None:
         if one.axis.busy(now):
-            one.axis.stop(now, one.settings["AG"] * one.model.mechanics.counts_per_deg)
+            one.axis.stop(now, one.settings["AG"] * one.scale)
         if one.homing:
             one.homing = False
             self._errors.append(one.number * 100 + 20)
@@ -320,30 +341,17 @@ class EspController:
         self._waiting_for = one
 
     # ------------------------------------------------------------------ events outside the protocol
-    def _take_events(self, now: float) -> None:
-        """Process the events of the motions so far."""
+    def take_events(self, t_s: float) -> None:
+        """See `Unit.take_events`. A homing that has ended is no longer one."""
         for one in self.axes.values():
-            if one.homing and not one.axis.busy(now):
-                one.homing = False
-            event = one.axis.take_event(now)
-            if event is None:
-                continue
-            if event.kind == "restart":
-                self.restart(event.t_s)
-                return
-            one.motor_on = False
-            limit = 4 if one.axis.counter(now) > 0.0 else 5
-            self._errors.append(one.number * 100 + (limit if event.kind == "limit" else 3))
+            one.homing = one.homing and one.axis.busy(t_s)
+        super().take_events(t_s)
 
-    def restart(self, t_s: float) -> None:
-        """Reboot: no answers for 1 s, then motors off and counters at 0.
-
-        t_s: Time of the reboot, s.
-        """
-        for one in self.axes.values():
-            one.axis.restart(t_s)
-        self._power_up()
-        self._boot_ends_s = t_s + 1.0
+    def _notice(self, axis: Axis, event: MotionEvent, t_s: float) -> None:
+        (one,) = (one for one in self.axes.values() if one.axis is axis)
+        one.motor_on = False
+        limit = 4 if axis.counter(t_s) > 0.0 else 5
+        self._errors.append(one.number * 100 + (limit if event.kind == "limit" else 3))
 
     def emergency_stop(self, t_s: float, *, released: bool = False) -> None:
         """Press the emergency stop, which switches all motors off, or release it; the motors then stay off.

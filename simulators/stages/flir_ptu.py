@@ -18,10 +18,11 @@ import re
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Final
 
-from simulators.stages.axis_motion import Axis
-from simulators.stages.mechanics import Mechanics
+from simulators.stages.axis_motion import Axis, Mechanics, MotionEvent
+from simulators.stages.controller import AxisOfController, Controller
 from simulators.world.trajectory import LoadTrajectory
 
 _COMMAND: Final = re.compile(r"([A-Z]+?)(-?\d+)?")
@@ -49,13 +50,11 @@ class PtuAxisModel:
 
 
 @dataclass
-class PtuAxis:
+class PtuAxis(AxisOfController):
     """State of one axis."""
 
-    unit: PtuController
     letter: str
     model: PtuAxisModel
-    axis: Axis
     settings: dict[str, int] = field(default_factory=dict)  # Values by the letters after the axis's letter
 
     def power_up(self) -> None:
@@ -74,28 +73,17 @@ class PtuAxis:
             "XU": end,
         }
 
-    def restart(self, t_s: float) -> None:
-        """See `AxisController.restart`. The restart affects both axes."""
-        self.unit.restart(t_s)
-
-    def emergency_stop(self, t_s: float, *, released: bool = False) -> None:
-        """See `AxisController.emergency_stop`. The button cuts the power of the unit."""
-        self.unit.cut_power(t_s, restored=released)
-
     def exchange(self, serial: str, t_s: float) -> None:
-        """Replace the unit by another one, fresh from power-up.
-
-        t_s: Time, s.
-        """
-        self.unit.serial = serial
-        self.unit.restart(t_s)
+        """Replace the unit by another one, fresh from power-up."""
+        assert isinstance(self.controller, PtuController)
+        self.controller.serial = serial
+        self.controller.restart(t_s)
 
 
-class PtuController:
-    """The unit, as a dialect of a serial line.
+class PtuController(Controller):
+    """The unit.
 
     serial: Answer to ``VS``.
-    clock: Returns the time in seconds.
     """
 
     def __init__(
@@ -106,24 +94,19 @@ class PtuController:
         publish: Callable[[str, LoadTrajectory], None] = lambda _letter, _pointing: None,
         baud: int = 9600,
     ) -> None:
-        self._clock = clock
-        self.serial = serial
-        self.baud = baud
-
-        def publisher(letter: str) -> Callable[[LoadTrajectory], None]:
-            return lambda pointing: publish(letter, pointing)
-
-        self.axes = {
-            letter: PtuAxis(self, letter, model, Axis(model.mechanics, clock(), publisher(letter)))
-            for letter, model in models.items()
+        moved = {
+            letter: Axis(one.mechanics, clock(), partial(publish, letter)) for letter, one in models.items()
         }
-        self._powered = True
-        self._boot_ends_s = clock()
+        super().__init__(moved.values(), clock, baud=baud, boot_s=_BOOT_S)
+        self.serial = serial
+        self.axes = {letter: PtuAxis(self, moved[letter], letter, model) for letter, model in models.items()}
+        self._power_up(clock())
         self._banner = b""
-        self._power_up()
 
-    def _power_up(self) -> None:
-        self._buffer = ""
+    def _power_up(self, t_s: float) -> None:
+        del t_s
+        self._buffer = b""
+        self._banner = b"### Pan-Tilt Controller ###\r\n"
         self._waiting: deque[str] = deque()
         self._resetting: tuple[str, list[PtuAxis]] | None = None
         self._pending = b""
@@ -133,32 +116,27 @@ class PtuController:
             one.power_up()
 
     # ------------------------------------------------------------------ the line
-    def receive(self, data: bytes) -> bytes:
-        """See `Dialect.receive`."""
-        if not self._powered or self._clock() < self._boot_ends_s:
-            return b""
-        *commands, rest = re.split(r"[ \r\n]", self._buffer + data.decode("ascii", "replace"))
-        self._buffer = rest[-_MAX_LINE:]
+    def _answer(self, now: float) -> bytes:
+        *commands, rest = re.split(r"[ \r\n]", self._buffer.decode("ascii", "replace"))
+        self._buffer = rest[-_MAX_LINE:].encode("ascii", "replace")
         halting = [command for command in commands if command.upper() in {"H", "HP", "HT"}]
         if halting and self._resetting is not None:
             self._waiting.clear()
             self._resetting = None
         self._waiting.extend(command for command in commands if command)
-        return self._run()
+        return self._run(now)
 
     def unsolicited(self) -> bytes:
         """See `Dialect.unsolicited`. These are limit switches, ends of resets, and the banner."""
-        if not self._powered or self._clock() < self._boot_ends_s:
+        now = self._clock()
+        self.take_events(now)
+        if not self.awake(now):
             return b""
         said, self._banner = self._banner, b""
-        return said + self._run()
+        return said + self._run(now)
 
-    def _run(self) -> bytes:
-        now = self._clock()
-        self._take_events(now)
+    def _run(self, now: float) -> bytes:
         said, self._pending = self._pending, b""
-        if now < self._boot_ends_s:
-            return b""
         while True:
             if self._resetting is not None:
                 _, axes = self._resetting
@@ -175,14 +153,14 @@ class PtuController:
     def _execute(self, command: str, now: float) -> bytes:
         echo = f"{command} " if self._echo else ""
         try:
-            answer = self._answer(command.upper(), now)
+            answer = self._said(command.upper(), now)
         except _PtuError as error:
             answer = f"! {error}"
         end = "" if self._resetting is not None else "\r\n"
         return f"{echo}{answer}{end}".encode("ascii", "replace")
 
     # ------------------------------------------------------------------ commands
-    def _answer(self, command: str, now: float) -> str:
+    def _said(self, command: str, now: float) -> str:
         if command in {"EE", "ED", "FV", "FT", "LE", "LD", "LU", "CI", "I", "RD", "RE"}:
             return self._set_mode(command)
         if command in {"R", "RP", "RT"}:
@@ -305,37 +283,7 @@ class PtuController:
         return "*"
 
     # ------------------------------------------------------------------ events outside the protocol
-    def _take_events(self, now: float) -> None:
-        for one in self.axes.values():
-            event = one.axis.take_event(now)
-            if event is None:
-                continue
-            if event.kind == "restart":
-                self.restart(event.t_s)
-                return
-            self._pending += f"!{one.letter}".encode("ascii", "replace")
-
-    def restart(self, t_s: float) -> None:
-        """Reboot: no answers for 2 s, then a banner; all settings are those of a power-up, counters are 0.
-
-        t_s: Time of the reboot, s.
-        """
-        for one in self.axes.values():
-            one.axis.restart(t_s)
-        self._power_up()
-        self._boot_ends_s = t_s + _BOOT_S
-        self._banner = b"### Pan-Tilt Controller ###\r\n"
-
-    def cut_power(self, t_s: float, *, restored: bool = False) -> None:
-        """Cut the power of the unit, or restore it.
-
-        t_s: Time, s.
-        restored: Whether the power comes back; nothing happens if it was never cut.
-        """
-        if restored and not self._powered:
-            self._powered = True
-            self.restart(t_s)
-        elif not restored:
-            self._powered = False
-            for one in self.axes.values():
-                one.axis.halt(t_s)
+    def _notice(self, axis: Axis, event: MotionEvent, t_s: float) -> None:
+        del event, t_s
+        (one,) = (one for one in self.axes.values() if one.axis is axis)
+        self._pending += f"!{one.letter}".encode("ascii", "replace")

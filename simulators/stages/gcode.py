@@ -11,7 +11,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import Final
 
-_NUMBER: Final = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)")
+NUMBER: Final = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)")
 _COMMENT: Final = re.compile(r"\([^)]*(?:\)|$)|;.*")
 
 #: Accepted codes without effect here: plane, work offset, units per minute, spindle and coolant off.
@@ -102,7 +102,7 @@ def _words(text: str) -> Iterator[tuple[str, float]]:
         letter, text = text[0], text[1:]
         if not "A" <= letter <= "Z":
             raise GcodeError(1)
-        match = _NUMBER.match(text)
+        match = NUMBER.match(text)
         if match is None:
             raise GcodeError(2)
         text = text[match.end() :]

@@ -15,11 +15,11 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Final, NamedTuple
 
-from simulators.stages.axis_motion import Axis
+from simulators.stages.axis_motion import Axis, MotionEvent
+from simulators.stages.controller import AxisOfController, Unit
 from simulators.stages.gcode import Block, GcodeError, parse_block, strip_line
 from simulators.stages.grbl_commands import HOMING_ENABLED, SOFT_LIMITS, Answered, State, SystemCommands
-from simulators.stages.grbl_planner import GrblAxisModel, Motion, Planner
-from simulators.stages.grbl_settings import factory_settings
+from simulators.stages.grbl_planner import GrblAxisModel, Motion, Planner, factory_settings
 from simulators.world.trajectory import LoadTrajectory
 
 _RESET_BYTE: Final = 0x18
@@ -41,15 +41,16 @@ class _Pause(NamedTuple):
     restarts: bool  # Whether it restarts then; otherwise it waits for a reset
 
 
-class GrblController(SystemCommands):
-    """The controller, as a dialect of a serial line.
+class GrblController(SystemCommands, Unit):
+    """The controller.
 
     models: Its axes by letter: X, Y and Z in this order.
-    clock: Returns the time in seconds.
     pull_off_deg: Distance from the switch at which homing ends, degrees.
     name: Name that a user has given it by ``$I=``.
     settings: Values of the ``$`` settings, by number.
     """
+
+    baud = 115_200
 
     def __init__(
         self,
@@ -63,6 +64,7 @@ class GrblController(SystemCommands):
         self._factory = factory_settings(models, pull_off_deg)
         self.settings = dict(self._factory)
         self._planner = Planner(models, self.settings, clock(), publish)
+        super().__init__(self._planner.axes.values(), clock())
         self._letters = "".join(models)
         self._in_reset = False
         self._reports = 0
@@ -75,11 +77,6 @@ class GrblController(SystemCommands):
             _RESET_BYTE: self._reset,
             0x85: self._cancel_jog,
         }
-
-    @property
-    def baud(self) -> int:
-        """Baud rate of GRBL."""
-        return 115_200
 
     @property
     def axes(self) -> Mapping[str, Axis]:
@@ -218,13 +215,7 @@ class GrblController(SystemCommands):
             restarts, self._pause = self._pause.restarts, None
             if restarts:
                 self._reset_state("Alarm")
-        for axis in self.axes.values():
-            event = axis.take_event(now)
-            if event is not None and event.kind == "restart":
-                self.restart(event.t_s)
-            elif event is not None:
-                self._planner.halt(now)
-                self._alarm(1)
+        self.take_events(now)
         self._planner.go_on(now)
         if self._state == "Home" and not self._planner.moving(now):
             self._finish_homing(now)
@@ -303,13 +294,13 @@ class GrblController(SystemCommands):
         self._reset_state("Alarm" if self._state in {"Alarm", "Sleep"} else "Idle")
 
     # ------------------------------------------------------------------ events outside the protocol
-    def restart(self, t_s: float) -> None:
-        """Power-cycle the controller: position 0, locked until homed.
+    def _notice(self, axis: Axis, event: MotionEvent, t_s: float) -> None:
+        del axis, event
+        self._planner.halt(t_s)
+        self._alarm(1)
 
-        t_s: Time of the restart, s.
-        """
-        for axis in self.axes.values():
-            axis.restart(t_s)
+    def _power_up(self, t_s: float) -> None:
+        del t_s
         self._reset_state("Alarm" if self.settings[HOMING_ENABLED] else "Idle")
 
     def exchange(self, name: str, t_s: float) -> None:
@@ -337,30 +328,11 @@ class GrblController(SystemCommands):
             self._output = ""
 
 
-@dataclass(frozen=True)
-class GrblAxis:
+@dataclass
+class GrblAxis(AxisOfController):
     """One axis of a controller, for fault injection."""
 
-    controller: GrblController
-    letter: str
-
-    @property
-    def axis(self) -> Axis:
-        """Motion of the axis."""
-        return self.controller.axes[self.letter]
-
-    def restart(self, t_s: float) -> None:
-        """See `AxisController.restart`. The restart affects all axes."""
-        self.controller.restart(t_s)
-
-    def emergency_stop(self, t_s: float, *, released: bool = False) -> None:
-        """See `AxisController.emergency_stop`. The stop affects all axes."""
-        self.controller.emergency_stop(t_s, released=released)
-
     def exchange(self, serial: str, t_s: float) -> None:
-        """Replace the board by another one.
-
-        serial: Name of the new board: GRBL has no serial number, but a name that a user gives it by ``$I=``.
-        t_s: Time, s.
-        """
+        """Replace the board by another one: GRBL has no serial number, but a name that a user gives it by ``$I=``."""
+        assert isinstance(self.controller, GrblController)
         self.controller.exchange(serial, t_s)

@@ -10,8 +10,7 @@ from collections.abc import Callable, Mapping
 from typing import Final, Literal
 
 from simulators.stages.gcode import GcodeError
-from simulators.stages.grbl_planner import must_be_positive
-from simulators.stages.grbl_settings import format_setting, parse_setting
+from simulators.stages.grbl_planner import format_setting, must_be_positive, parse_setting
 
 State = Literal["Idle", "Run", "Jog", "Home", "Alarm", "Check", "Sleep"]
 

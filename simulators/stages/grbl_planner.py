@@ -11,14 +11,18 @@ import math
 from collections import deque
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import partial
 from typing import Final, NamedTuple
 
-from simulators.stages.axis_motion import Axis
-from simulators.stages.mechanics import Mechanics
+from simulators.stages.axis_motion import Axis, Mechanics
+from simulators.stages.gcode import NUMBER, GcodeError
 from simulators.world.trajectory import LoadTrajectory
 
 HOMING_FEED, HOMING_SEEK, PULL_OFF = 24, 25, 27
 STEPS, MAX_RATE, ACCELERATION, MAX_TRAVEL = 100, 110, 120, 130
+
+#: Settings with decimals, apart from those of the axes.
+_WITH_DECIMALS: Final = {11, 12, 24, 25, 27}
 
 #: Time that a motor runs on when it is stopped in full motion, s; the counter does not notice, so steps are lost.
 _RUN_ON_S: Final = 0.005
@@ -42,6 +46,67 @@ class GrblAxisModel:
     # max_rate_deg_s, acceleration_deg_s2: Ramp settings at the factory, degrees/s and degrees/s^2.
     max_rate_deg_s: float = 40.0
     acceleration_deg_s2: float = 200.0
+
+
+def factory_settings(models: Mapping[str, GrblAxisModel], pull_off_deg: float) -> dict[int, float]:
+    """Return the factory settings of a board with these axes.
+
+    models: Axes by letter: X, Y and Z in this order.
+    pull_off_deg: Distance from the switch at which homing ends, degrees.
+    Returns: Values by number, in rising order.
+    """
+    settings = {
+        0: 10.0,
+        1: 255.0,
+        2: 0.0,
+        3: 0.0,
+        4: 0.0,
+        5: 0.0,
+        6: 0.0,
+        10: 1.0,
+        11: 0.01,
+        12: 0.002,
+        13: 0.0,
+    }
+    settings |= {20: 1.0, 21: 1.0, 22: 1.0, 23: 0.0, 24: 120.0, 25: 1200.0, 26: 250.0, 27: pull_off_deg}
+    settings |= {30: 1000.0, 31: 0.0, 32: 0.0}
+    for number, model in enumerate(models.values()):
+        settings |= {
+            STEPS + number: model.mechanics.counts_per_deg,
+            MAX_RATE + number: model.max_rate_deg_s * 60.0,
+            ACCELERATION + number: model.acceleration_deg_s2,
+            MAX_TRAVEL + number: model.travel_deg,
+        }
+    return dict(sorted(settings.items()))
+
+
+def format_setting(number: int, value: float) -> str:
+    """Format a setting as GRBL prints it: whole-number settings without decimals, all others with three."""
+    return f"{value:.3f}" if number in _WITH_DECIMALS or number >= STEPS else f"{value:.0f}"
+
+
+def parse_setting(command: str) -> tuple[int, float]:
+    """Parse the change of a setting.
+
+    command: The line after its ``$``, without blanks.
+    Raises GcodeError: 2 bad number, 3 not a setting.
+
+    Examples
+    --------
+    >>> parse_setting("110=2400.5")
+    (110, 2400.5)
+    """
+    number = NUMBER.match(command)
+    if number is None:
+        raise GcodeError(2)
+    if command[number.end() : number.end() + 1] != "=":
+        raise GcodeError(3)
+    value = NUMBER.match(command, number.end() + 1)
+    if value is None:
+        raise GcodeError(2)
+    if value.end() < len(command) or float(number[0]) > 255:
+        raise GcodeError(3)
+    return int(float(number[0])), float(value[0])
 
 
 class Motion(NamedTuple):
@@ -70,10 +135,9 @@ class Planner:
         self._settings = settings
         self._order = list(models)
 
-        def publisher(letter: str) -> Callable[[LoadTrajectory], None]:
-            return lambda pointing: publish(letter, pointing)
-
-        self.axes = {one: Axis(model.mechanics, now_s, publisher(one)) for one, model in models.items()}
+        self.axes = {
+            one: Axis(model.mechanics, now_s, partial(publish, one)) for one, model in models.items()
+        }
         self.held = False
         self._queue: deque[Motion] = deque()
         self._current: Motion | None = None

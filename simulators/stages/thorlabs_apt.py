@@ -19,8 +19,8 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Final
 
-from simulators.stages.axis_motion import Axis
-from simulators.stages.mechanics import Mechanics
+from simulators.stages.axis_motion import Axis, Mechanics, MotionEvent
+from simulators.stages.controller import Controller
 from simulators.world.trajectory import LoadTrajectory
 
 _COMPUTER: Final = 0x01
@@ -69,11 +69,8 @@ class AptModel:
         return 53.68, 1.0 / 90.9
 
 
-class AptController:
-    """The controller, as a dialect of a serial line.
-
-    clock: Returns the time in seconds.
-    """
+class AptController(Controller):
+    """The controller."""
 
     def __init__(
         self,
@@ -82,13 +79,12 @@ class AptController:
         publish: Callable[[LoadTrajectory], None] = lambda _pointing: None,
     ) -> None:
         self.model = model
-        self._clock = clock
         self.axis = Axis(model.mechanics, clock(), publish)
-        self._powered = True
-        self._boot_ends_s = self._received_at_s = clock()
-        self._power_up()
+        super().__init__([self.axis], clock, boot_s=model.boot_s, byte_timeout_s=_BYTE_TIMEOUT_S)
+        self._power_up(clock())
 
-    def _power_up(self) -> None:
+    def _power_up(self, t_s: float) -> None:
+        del t_s  # updates count from the moment at which the restart is noticed
         self._buffer = b""
         self._kept = {number: bytes(length) for number, length in _KEPT.items()}
         speed, acceleration = self.model.speed_units()
@@ -103,22 +99,8 @@ class AptController:
         self._does_not_follow = False
         self._motion = ""
 
-    @property
-    def baud(self) -> int:
-        """Baud rate of all APT controllers."""
-        return 115_200
-
     # ------------------------------------------------------------------ the line
-    def receive(self, data: bytes) -> bytes:
-        """See `Dialect.receive`."""
-        now = self._clock()
-        self._take_events(now)
-        if not self._powered or now < self._boot_ends_s:
-            return b""
-        if now - self._received_at_s > _BYTE_TIMEOUT_S:
-            self._buffer = b""
-        self._received_at_s = now
-        self._buffer += data
+    def _answer(self, now: float) -> bytes:
         answers = b""
         while len(self._buffer) >= 6:
             number, first, second, destination, source = struct.unpack_from("<HBBBB", self._buffer)
@@ -135,8 +117,8 @@ class AptController:
     def unsolicited(self) -> bytes:
         """See `Dialect.unsolicited`. These are ends of motions, and updates of the status."""
         now = self._clock()
-        self._take_events(now)
-        if not self._powered or now < self._boot_ends_s:
+        self.take_events(now)
+        if not self.awake(now):
             return b""
         said = b""
         if self._motion and not self.axis.reports_busy(now):
@@ -268,34 +250,8 @@ class AptController:
         return bits | (_DOES_NOT_FOLLOW if self._does_not_follow else 0)
 
     # ------------------------------------------------------------------ events outside the protocol
-    def restart(self, t_s: float) -> None:
-        """Reboot: no answers for a while, then no reference, counter 0, and the settings of a power-up.
-
-        t_s: Time of the reboot, s.
-        """
-        self.axis.restart(t_s)
-        self._power_up()
-        self._boot_ends_s = t_s + self.model.boot_s
-
-    def emergency_stop(self, t_s: float, *, released: bool = False) -> None:
-        """Cut the power of the controller, or restore it; nothing happens if it was never cut.
-
-        t_s: Time, s.
-        released: True restores it.
-        """
-        if released and not self._powered:
-            self._powered = True
-            self.restart(t_s)
-        elif not released:
-            self._powered = False
-            self.axis.halt(t_s)
-
     def exchange(self, serial: str, t_s: float) -> None:
-        """Replace the controller by another one of this model, fresh from power-up.
-
-        serial: Serial number of the new controller; 0 is used if it is not a number.
-        t_s: Time, s.
-        """
+        """Replace the controller by another one of this model; serial number 0 if the given one is not a number."""
         self.model = replace(self.model, serial=int(serial) if serial.isdigit() else 0)
         self.restart(t_s)
 
@@ -306,16 +262,10 @@ class AptController:
         """
         self._enable(False, t_s)
 
-    def _take_events(self, now: float) -> None:
-        """Process the events of the motion so far."""
-        event = self.axis.take_event(now)
-        if event is None:
-            return
-        if event.kind == "restart":
-            self.restart(event.t_s)
-        elif event.kind == "limit":
-            self._switches = _FORWARD_SWITCH if self.axis.counter(now) > 0.0 else _REVERSE_SWITCH
+    def _notice(self, axis: Axis, event: MotionEvent, t_s: float) -> None:
+        if event.kind == "limit":
+            self._switches = _FORWARD_SWITCH if axis.counter(t_s) > 0.0 else _REVERSE_SWITCH
         else:
             self._does_not_follow = True
             self._enabled = False
-            self.axis.forget_reference()
+            axis.forget_reference()

@@ -18,19 +18,34 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Final
 
-from simulators.stages.axis_motion import Axis
-from simulators.stages.mechanics import Mechanics
-from simulators.stages.ximc_protocol import (
-    COMMAND_NUMBERS,
-    LAYOUTS,
-    MICROSTEPS,
-    ErrorReply,
-    crc16,
-    data_length,
-    to_counts,
-    to_steps,
-)
+from simulators.stages.axis_motion import Axis, Mechanics, MotionEvent
+from simulators.stages.controller import Controller
 from simulators.world.trajectory import LoadTrajectory
+
+#: Microsteps per step; positions use them in each mode of the motor.
+MICROSTEPS: Final = 256
+
+#: Number of each command in the status field "last command" (MvCmdSts).
+COMMAND_NUMBERS: Final = {
+    "move": 1,
+    "movr": 2,
+    "left": 3,
+    "rigt": 4,
+    "stop": 5,
+    "home": 6,
+    "loft": 7,
+    "sstp": 8,
+}
+
+#: Layouts of settings, by the letters that follow g (get) or s (set); padding bytes are reserved.
+LAYOUTS: Final = {
+    "mov": (struct.Struct("<IBHHIBB9x"), 24),
+    "eng": (struct.Struct("<HHIBHhBH12x"), 28),
+    "ent": (struct.Struct("<BB6x"), 8),
+    "eds": (struct.Struct("<BBihih6x"), 20),
+    "hom": (struct.Struct("<IBIBihH9x"), 27),
+    "fbs": (struct.Struct("<HBBI4x"), 12),
+}
 
 _BYTE_TIMEOUT_S: Final = 0.4
 
@@ -41,6 +56,76 @@ _ERROR_FLAGS: Final = {b"errc": 0x01, b"errd": 0x02, b"errv": 0x04}
 _RIGHT_EDGE, _LEFT_EDGE = 0x01, 0x02
 _STOP_LEFT, _STOP_RIGHT = 0x02, 0x04
 _IGNORE_POSITION, _IGNORE_ENCODER = 0x01, 0x02
+
+
+class ErrorReply(Exception):
+    """An error answer.
+
+    letters: ``errc`` (unknown command), ``errd`` (wrong CRC) or ``errv`` (wrong value).
+    """
+
+    def __init__(self, letters: bytes) -> None:
+        self.letters = letters
+        super().__init__(letters.decode())
+
+
+def crc16(data: bytes) -> int:
+    """Return the cyclic redundancy check with polynomial 0xA001 (reflected) and start value 0xFFFF.
+
+    data: Data of a command or an answer, without the four letters.
+    Returns: The CRC, 16 bit.
+
+    Examples
+    --------
+    >>> hex(crc16(b"123456789"))
+    '0x4b37'
+    """
+    crc = 0xFFFF
+    for byte in data:
+        crc ^= byte
+        for _ in range(8):
+            crc = (crc >> 1) ^ (0xA001 if crc & 1 else 0)
+    return crc
+
+
+def data_length(letters: bytes) -> int:
+    """Return the number of bytes after the letters of a command.
+
+    Returns: Length of the data, CRC included; 0 for a command without data.
+    """
+    name = letters.decode("latin-1")
+    if name in {"move", "movr"}:
+        return 14
+    if name == "spos":
+        return 22
+    if name[0] == "s" and name[1:] in LAYOUTS:
+        return LAYOUTS[name[1:]][1] + 2
+    return 0
+
+
+def to_counts(steps: int, fraction: int) -> int:
+    """Combine whole steps and 1/256 steps.
+
+    steps, fraction: Whole steps and 1/256 steps, with the same sign.
+    Returns: Position, 1/256 steps.
+    """
+    return steps * MICROSTEPS + fraction
+
+
+def to_steps(counts: int) -> tuple[int, int]:
+    """Split a position into whole steps and 1/256 steps, both with the same sign.
+
+    counts: Position, 1/256 steps.
+    Returns: Whole steps and 1/256 steps.
+
+    Examples
+    --------
+    >>> to_steps(-257)
+    (-1, -1)
+    """
+    sign = -1 if counts < 0 else 1
+    whole, fraction = divmod(abs(counts), MICROSTEPS)
+    return sign * whole, sign * fraction
 
 
 @dataclass(frozen=True)
@@ -60,11 +145,8 @@ class XimcModel:
     boot_s: float = 0.5  # Time without answers after a restart, s
 
 
-class XimcController:
-    """The controller, as a dialect of a serial line.
-
-    clock: Returns the time in seconds.
-    """
+class XimcController(Controller):
+    """The controller."""
 
     def __init__(
         self,
@@ -73,34 +155,21 @@ class XimcController:
         publish: Callable[[LoadTrajectory], None] = lambda _pointing: None,
     ) -> None:
         self.model = model
-        self._clock = clock
         self.axis = Axis(model.mechanics, clock(), publish)
-        self._buffer = b""
-        self._received_at_s = self._boot_ends_s = clock()
+        super().__init__([self.axis], clock, boot_s=model.boot_s, byte_timeout_s=_BYTE_TIMEOUT_S)
         self._settings = self._factory_settings()
-        self._command = 0
-        self._failed = False
-        self._flags = 0
-        self._edges = 0
         self._stop_pressed = False
         self._commands = self._known_commands()
+        self._power_up(clock())
 
-    @property
-    def baud(self) -> int:
-        """Baud rate of the 8SMC family."""
-        return 115_200
+    def _power_up(self, t_s: float) -> None:
+        del t_s
+        self._buffer = b""
+        self._command = self._flags = self._edges = 0
+        self._failed = False
 
     # ------------------------------------------------------------------ the line
-    def receive(self, data: bytes) -> bytes:
-        """See `Dialect.receive`."""
-        now = self._clock()
-        self._take_events(now)
-        if now < self._boot_ends_s:
-            return b""
-        if now - self._received_at_s > _BYTE_TIMEOUT_S:
-            self._buffer = b""
-        self._received_at_s = now
-        self._buffer += data
+    def _answer(self, now: float) -> bytes:
         answers = b""
         while self._buffer:
             if self._buffer[0] == 0:
@@ -114,14 +183,10 @@ class XimcController:
             if len(self._buffer) < 4 + length:
                 break
             content, self._buffer = self._buffer[4 : 4 + length], self._buffer[4 + length :]
-            answers += self._answer(letters, content, now)
+            answers += self._reply(letters, content, now)
         return answers
 
-    def unsolicited(self) -> bytes:
-        """See `Dialect.unsolicited`. The controller sends nothing unasked."""
-        return b""
-
-    def _answer(self, letters: bytes, content: bytes, now: float) -> bytes:
+    def _reply(self, letters: bytes, content: bytes, now: float) -> bytes:
         try:
             data = self._execute(letters.decode("latin-1"), content, now)
         except ErrorReply as error:
@@ -264,17 +329,6 @@ class XimcController:
         return to_counts(*self._settings["eds"][2 + 2 * side : 4 + 2 * side])
 
     # ------------------------------------------------------------------ events outside the protocol
-    def restart(self, t_s: float) -> None:
-        """Reboot: no answers for a while, then no reference and counter 0.
-
-        t_s: Time of the reboot, s.
-        """
-        self.axis.restart(t_s)
-        self._buffer = b""
-        self._command = self._flags = self._edges = 0
-        self._failed = False
-        self._boot_ends_s = t_s + self.model.boot_s
-
     def emergency_stop(self, t_s: float, *, released: bool = False) -> None:
         """Press the emergency input, which halts the axis and raises the alarm, or release it; the alarm stays.
 
@@ -288,29 +342,18 @@ class XimcController:
             self._flags |= _ALARM
 
     def exchange(self, serial: str, t_s: float) -> None:
-        """Replace the controller by another one of this model, fresh from power-up.
-
-        serial: Serial number of the new controller; 0 is used if it is not a number.
-        t_s: Time, s.
-        """
+        """Replace the controller by another one of this model; serial number 0 if the given one is not a number."""
         self.model = replace(self.model, serial=int(serial) if serial.isdigit() else 0)
         self._settings = self._factory_settings()
         self.restart(t_s)
 
-    def _take_events(self, now: float) -> None:
-        """Process the events of the motion so far."""
-        event = self.axis.take_event(now)
-        if event is None:
-            return
-        if event.kind == "restart":
-            self.restart(event.t_s)
-        elif event.kind in {"stall", "twist"}:
-            self._flags |= _SLIPPED | _ALARM
-            self._failed = True
-            self.axis.forget_reference()
+    def _notice(self, axis: Axis, event: MotionEvent, t_s: float) -> None:
+        self._failed = True
+        if event.kind == "limit":
+            self._edges = _RIGHT_EDGE if axis.counter(t_s) > 0.0 else _LEFT_EDGE
         else:
-            self._failed = True
-            self._edges = _RIGHT_EDGE if self.axis.counter(now) > 0.0 else _LEFT_EDGE
+            self._flags |= _SLIPPED | _ALARM
+            axis.forget_reference()
 
     def _factory_settings(self) -> dict[str, tuple[int, ...]]:
         model, scale = self.model, self.model.mechanics.counts_per_deg

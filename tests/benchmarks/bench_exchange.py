@@ -23,14 +23,13 @@ from drivers.stage import Stage
 from drivers.stage.zaber_chain import ZaberChain
 from drivers.stage.zaber_protocol import parse_reply, request
 from drivers.wire_log import WireLogFile
-from simulators.assembly.stages import make_stage
+from simulators.assembly import make_stage
 from simulators.config import bench_config
 from simulators.ports.pseudo_terminal import PseudoTerminal
 from simulators.ports.serial_device import Dialect, SerialDevice
-from simulators.stages.mechanics import Mechanics
+from simulators.stages.axis_motion import Mechanics
 from simulators.stages.zaber import ZaberChain as SimulatedChain
-from simulators.stages.zaber_controller import ZaberController
-from simulators.stages.zaber_model import ZaberModel
+from simulators.stages.zaber import ZaberController, ZaberModel
 from tests.hil.holder import OPENED
 
 ROUNDS = 2000

@@ -23,12 +23,10 @@ from simulators.faults.fault_injection import AxisController, BenchParts, fault_
 from simulators.faults.line_faults import FaultLine
 from simulators.ports.pseudo_terminal import PseudoTerminal
 from simulators.ports.serial_device import Dialect, SerialDevice
+from simulators.stages.axis_motion import Mechanics
 from simulators.stages.esp301 import EspAxisModel, EspController
-from simulators.stages.mechanics import Mechanics
 from simulators.stages.ximc import XimcController, XimcModel
-from simulators.stages.zaber import ZaberChain
-from simulators.stages.zaber_controller import ZaberController
-from simulators.stages.zaber_model import ZaberModel
+from simulators.stages.zaber import ZaberChain, ZaberController, ZaberModel
 from tests.hil.mutated import XIMC, ZABER, Change, Mutated
 
 PATIENCE_S = 15.0

@@ -12,11 +12,12 @@ from drivers.light import Light
 from drivers.light.gardasoft import GardasoftLight
 from drivers.light.scpi import ScpiLight
 from drivers.light.text import TextLight
-from simulators.assembly.lights import LightDriver, make_light
+from simulators.assembly import make_light
 from simulators.config import LightConfig
 from simulators.faults.catalogue import fault_order_from_text
 from simulators.faults.fault_injection import BenchParts, fault_action
 from simulators.faults.line_faults import FaultLine
+from simulators.lights.driver import LightDriver
 from simulators.lights.lamp import Lamp
 from simulators.world.world import LightState
 from tests.hil.direct_stages import DirectLine, VirtualClock

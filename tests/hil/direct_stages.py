@@ -23,19 +23,16 @@ from drivers.stage.zaber import ZaberAxis, ZaberStage
 from simulators.faults.catalogue import fault_order_from_text
 from simulators.faults.fault_injection import AxisController, BenchParts, fault_action
 from simulators.faults.line_faults import FaultLine
-from simulators.stages.dynamixel import DynamixelBus
-from simulators.stages.dynamixel_servo import ServoModel
+from simulators.stages.axis_motion import Mechanics
+from simulators.stages.dynamixel import DynamixelBus, ServoModel
 from simulators.stages.esp301 import EspAxisModel, EspController
 from simulators.stages.flir_ptu import PtuAxisModel, PtuController
 from simulators.stages.grbl import GrblAxis as BoardAxis
 from simulators.stages.grbl import GrblController
 from simulators.stages.grbl_planner import GrblAxisModel
-from simulators.stages.mechanics import Mechanics
 from simulators.stages.thorlabs_apt import AptController, AptModel
 from simulators.stages.ximc import XimcController, XimcModel
-from simulators.stages.zaber import ZaberChain
-from simulators.stages.zaber_controller import ZaberController
-from simulators.stages.zaber_model import ZaberModel
+from simulators.stages.zaber import ZaberChain, ZaberController, ZaberModel
 
 LIMITS = AxisLimits(-15.0, 15.0, 20.0, 100.0)
 
@@ -166,7 +163,9 @@ def grbl(clock: VirtualClock, rng: np.random.Generator) -> DirectStage:
     axis = GrblAxis(name="pan", letter="X", steps_per_deg=640.0, zero_deg=16.0, limits=LIMITS)
     board.name = "GIMBAL"
     line = DirectLine(FaultLine(board, clock.monotonic, rng), clock)
-    return DirectStage(GrblStage(line, [axis], serial="gimbal", clock=clock), line, BoardAxis(board, "X"))
+    return DirectStage(
+        GrblStage(line, [axis], serial="gimbal", clock=clock), line, BoardAxis(board, board.axes["X"])
+    )
 
 
 def esp(clock: VirtualClock, rng: np.random.Generator) -> DirectStage:

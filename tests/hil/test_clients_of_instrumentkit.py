@@ -15,11 +15,11 @@ import numpy as np
 import pytest
 
 from simulators.faults.line_faults import FaultLine
-from simulators.lights.scpi_generator import GeneratorModel, ScpiGenerator
+from simulators.lights.generators import GeneratorModel, ScpiGenerator
 from simulators.ports.pseudo_terminal import PseudoTerminal
 from simulators.ports.serial_device import SerialDevice
+from simulators.stages.axis_motion import Mechanics
 from simulators.stages.esp301 import EspAxisModel, EspController
-from simulators.stages.mechanics import Mechanics
 from simulators.stages.thorlabs_apt import AptController, AptModel
 from simulators.world.world import World
 from tests.hil.direct_stages import K10CR1_COUNTS_PER_DEG

@@ -12,10 +12,8 @@ import pytest
 from drivers.stage import dynamixel_protocol as ours
 from simulators.ports.pseudo_terminal import PseudoTerminal
 from simulators.ports.serial_device import SerialDevice
-from simulators.stages.dynamixel import DynamixelBus
-from simulators.stages.dynamixel_packets import crc_of, status_packet, unstuffed
-from simulators.stages.dynamixel_servo import ServoModel
-from simulators.stages.mechanics import Mechanics
+from simulators.stages.axis_motion import Mechanics
+from simulators.stages.dynamixel import DynamixelBus, ServoModel, crc_of, status_packet, unstuffed
 
 sdk = pytest.importorskip("dynamixel_sdk", reason="pip install dynamixel-sdk")
 SUCCESS = 0

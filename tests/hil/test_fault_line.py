@@ -13,10 +13,8 @@ import serial
 
 from simulators.ports.pseudo_terminal import PseudoTerminal
 from simulators.ports.serial_device import SerialDevice
-from simulators.stages.mechanics import Mechanics
-from simulators.stages.zaber import ZaberChain
-from simulators.stages.zaber_controller import ZaberController
-from simulators.stages.zaber_model import ZaberModel
+from simulators.stages.axis_motion import Mechanics
+from simulators.stages.zaber import ZaberChain, ZaberController, ZaberModel
 
 
 @pytest.fixture

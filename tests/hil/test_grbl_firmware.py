@@ -21,9 +21,9 @@ from drivers.clock import SystemClock
 from drivers.errors import DriverError, MoveFailed, NotHomed, OutsideLimits
 from drivers.stage import AxisLimits
 from drivers.stage.grbl import GrblAxis, GrblStage
+from simulators.stages.axis_motion import Mechanics
 from simulators.stages.grbl import GrblController
 from simulators.stages.grbl_planner import GrblAxisModel
-from simulators.stages.mechanics import Mechanics
 from tests.hil.grbl_firmware.board import FACTORY, SOURCE, STEPS_PER_DEG, NativeBoard, compile_board
 
 pytestmark = [

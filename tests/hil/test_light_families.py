@@ -16,9 +16,8 @@ from drivers.light.gardasoft import GardasoftLight
 from drivers.light.scpi import ScpiLight
 from drivers.light.text import TextLight
 from simulators.lights.gardasoft import GardasoftRt
+from simulators.lights.generators import GeneratorModel, ScpiGenerator, SiglentGenerator
 from simulators.lights.microcontroller import MicrocontrollerLight
-from simulators.lights.scpi_generator import GeneratorModel, ScpiGenerator
-from simulators.lights.siglent_generator import SiglentGenerator
 from simulators.ports.pseudo_terminal import PseudoTerminal
 from simulators.ports.serial_device import SerialDevice
 from tests.hil.direct_lights import MICROCONTROLLER

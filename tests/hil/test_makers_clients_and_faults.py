@@ -11,12 +11,9 @@ import pytest
 from drivers.errors import DriverError
 from simulators.ports.pseudo_terminal import PseudoTerminal
 from simulators.ports.serial_device import SerialDevice
-from simulators.stages.mechanics import Mechanics
-from simulators.stages.motion_faults import MotionFault
+from simulators.stages.axis_motion import Mechanics, MotionFault
 from simulators.stages.ximc import XimcController, XimcModel
-from simulators.stages.zaber import ZaberChain
-from simulators.stages.zaber_controller import ZaberController
-from simulators.stages.zaber_model import ZaberModel
+from simulators.stages.zaber import ZaberChain, ZaberController, ZaberModel
 from tests.hil.holder import OPENED
 
 MECHANICS = {"zaber": Mechanics(6400, -17.0, 17.0), "ximc": Mechanics(25600, -17.0, 17.0)}

@@ -21,10 +21,8 @@ from drivers.stage import thorlabs_protocol as apt
 from drivers.stage.dynamixel import DynamixelAxis, DynamixelStage
 from drivers.stage.thorlabs import ThorlabsAxis, ThorlabsStage
 from simulators.faults.line_faults import FaultLine, LineFault
-from simulators.stages.dynamixel import DynamixelBus
-from simulators.stages.dynamixel_packets import status_packet
-from simulators.stages.dynamixel_servo import ServoModel
-from simulators.stages.mechanics import Mechanics
+from simulators.stages.axis_motion import Mechanics
+from simulators.stages.dynamixel import DynamixelBus, ServoModel, status_packet
 from simulators.stages.thorlabs_apt import AptController, AptModel
 from tests.hil.direct_stages import (
     FAMILIES,

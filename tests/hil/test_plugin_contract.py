@@ -13,10 +13,9 @@ from bench.plugin_tests import CameraContract, FrameCameraContract, LightContrac
 from simulators.cameras.evk4 import SimulatedEvk4
 from simulators.cameras.frame_camera import SimulatedFrameCamera
 from simulators.lights.microcontroller import MicrocontrollerLight
-from simulators.stages.dynamixel import DynamixelBus
-from simulators.stages.dynamixel_servo import ServoModel
+from simulators.stages.axis_motion import Mechanics
+from simulators.stages.dynamixel import DynamixelBus, ServoModel
 from simulators.stages.flir_ptu import PtuAxisModel, PtuController
-from simulators.stages.mechanics import Mechanics
 from simulators.stages.thorlabs_apt import AptController, AptModel
 from simulators.world.world import LightState, World
 from tests.hil.direct_stages import K10CR1_COUNTS_PER_DEG

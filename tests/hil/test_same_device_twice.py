@@ -22,10 +22,8 @@ from sequences.reader import check_document
 from simulators.ports.pseudo_terminal import PseudoTerminal
 from simulators.ports.serial_device import SerialDevice
 from simulators.ports.tcp_port import TcpPort
-from simulators.stages.mechanics import Mechanics
-from simulators.stages.zaber import ZaberChain
-from simulators.stages.zaber_controller import ZaberController
-from simulators.stages.zaber_model import ZaberModel
+from simulators.stages.axis_motion import Mechanics
+from simulators.stages.zaber import ZaberChain, ZaberController, ZaberModel
 
 HOLD = """
 import sys

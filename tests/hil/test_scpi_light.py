@@ -12,7 +12,7 @@ from drivers.clock import SystemClock
 from drivers.errors import ReplyError, SettingRefused, WrongDevice
 from drivers.light import LightSettings
 from drivers.light.scpi import ScpiLight
-from simulators.lights.scpi_generator import GeneratorModel, ScpiGenerator
+from simulators.lights.generators import GeneratorModel, ScpiGenerator
 from simulators.ports.pseudo_terminal import PseudoTerminal
 from simulators.ports.serial_device import SerialDevice
 

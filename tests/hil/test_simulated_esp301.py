@@ -9,9 +9,8 @@ import pytest
 
 from simulators.ports.pseudo_terminal import PseudoTerminal
 from simulators.ports.serial_device import SerialDevice
+from simulators.stages.axis_motion import Mechanics, MotionFault
 from simulators.stages.esp301 import EspAxisModel, EspController
-from simulators.stages.mechanics import Mechanics
-from simulators.stages.motion_faults import MotionFault
 
 SCALE = 10_000.0
 

@@ -10,8 +10,8 @@ import pytest
 
 from simulators.ports.pseudo_terminal import PseudoTerminal
 from simulators.ports.serial_device import SerialDevice
+from simulators.stages.axis_motion import Mechanics
 from simulators.stages.flir_ptu import PtuAxisModel, PtuController
-from simulators.stages.mechanics import Mechanics
 
 
 class Turned:

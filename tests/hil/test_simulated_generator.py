@@ -7,8 +7,7 @@ import math
 import pytest
 import serial
 
-from simulators.lights.scpi_generator import GeneratorModel, ScpiGenerator
-from simulators.lights.siglent_generator import SiglentGenerator
+from simulators.lights.generators import GeneratorModel, ScpiGenerator, SiglentGenerator
 from simulators.ports.pseudo_terminal import PseudoTerminal
 from simulators.ports.serial_device import SerialDevice
 from simulators.world.world import LightState, World

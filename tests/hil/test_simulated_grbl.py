@@ -13,11 +13,10 @@ from hypothesis import strategies as st
 
 from simulators.ports.pseudo_terminal import PseudoTerminal
 from simulators.ports.serial_device import SerialDevice
+from simulators.stages.axis_motion import Mechanics, MotionFault
 from simulators.stages.gcode import GcodeError, parse_block
 from simulators.stages.grbl import GrblAxis, GrblController
 from simulators.stages.grbl_planner import GrblAxisModel
-from simulators.stages.mechanics import Mechanics
-from simulators.stages.motion_faults import MotionFault
 
 BANNER = "\r\nGrbl 1.1h ['$' for help]\r\n"
 LOCKED = "[MSG:'$H'|'$X' to unlock]\r\n"
@@ -364,7 +363,7 @@ def test_a_restart_in_motion_shows_its_banner_and_has_lost_its_position(homed: B
 def test_a_stop_button_holds_the_board_in_reset(homed: Board):
     homed.say("G0 X-21")
     homed.wait(0.3)
-    handle = GrblAxis(homed.device, "X")
+    handle = GrblAxis(homed.device, homed.device.axes["X"])
     handle.emergency_stop(homed.now_s)
     assert homed.press(b"?") == ""
     handle.emergency_stop(homed.now_s, released=True)

@@ -9,10 +9,8 @@ import pytest
 
 from simulators.ports.pseudo_terminal import PseudoTerminal
 from simulators.ports.serial_device import SerialDevice
-from simulators.stages.mechanics import Mechanics
-from simulators.stages.motion_faults import MotionFault
-from simulators.stages.ximc import XimcController, XimcModel
-from simulators.stages.ximc_protocol import crc16
+from simulators.stages.axis_motion import Mechanics, MotionFault
+from simulators.stages.ximc import XimcController, XimcModel, crc16
 
 SCALE = 25_600
 

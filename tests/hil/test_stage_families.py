@@ -37,21 +37,16 @@ from simulators.faults.line_faults import FaultLine, LineFault
 from simulators.ports.pseudo_terminal import PseudoTerminal
 from simulators.ports.serial_device import SerialDevice
 from simulators.ports.tcp_port import TcpPort
-from simulators.stages.axis_motion import Axis
-from simulators.stages.dynamixel import DynamixelBus
-from simulators.stages.dynamixel_servo import ServoModel
+from simulators.stages.axis_motion import Axis, Mechanics, MotionFault
+from simulators.stages.dynamixel import DynamixelBus, ServoModel
 from simulators.stages.esp301 import EspAxisModel, EspController
 from simulators.stages.flir_ptu import PtuAxisModel, PtuController
 from simulators.stages.grbl import GrblAxis as BoardAxis
 from simulators.stages.grbl import GrblController
 from simulators.stages.grbl_planner import GrblAxisModel
-from simulators.stages.mechanics import Mechanics
-from simulators.stages.motion_faults import MotionFault
 from simulators.stages.thorlabs_apt import AptController, AptModel
 from simulators.stages.ximc import XimcController, XimcModel
-from simulators.stages.zaber import ZaberChain
-from simulators.stages.zaber_controller import ZaberController
-from simulators.stages.zaber_model import ZaberModel
+from simulators.stages.zaber import ZaberChain, ZaberController, ZaberModel
 from tests.hil.direct_stages import FLIR_PTU, K10CR1_COUNTS_PER_DEG, SERVO_COUNTS_PER_DEG
 
 ENDS = {"pan": 15.0, "tilt": 10.0}
@@ -161,7 +156,7 @@ def grbl(plug: Callable) -> Rig:
         ]
         return GrblStage.open(device.address, axes, serial=serial, baudrate=baudrate, clock=SystemClock())
 
-    controllers = {"pan": BoardAxis(board, "X"), "tilt": BoardAxis(board, "Y")}
+    controllers = {"pan": BoardAxis(board, board.axes["X"]), "tilt": BoardAxis(board, board.axes["Y"])}
     return Rig(opened, [device], [line], {n: c.axis for n, c in controllers.items()}, controllers)
 
 

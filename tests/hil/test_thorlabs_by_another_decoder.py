@@ -16,7 +16,7 @@ from drivers.stage import thorlabs_protocol as ours
 from drivers.stage.thorlabs_protocol import FAMILIES, Information, Status
 from simulators.ports.pseudo_terminal import PseudoTerminal
 from simulators.ports.serial_device import SerialDevice
-from simulators.stages.mechanics import Mechanics
+from simulators.stages.axis_motion import Mechanics
 from simulators.stages.thorlabs_apt import AptController, AptModel
 from tests.hil.direct_stages import (
     K10CR1_COUNTS_PER_DEG,

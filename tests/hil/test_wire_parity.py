@@ -17,15 +17,13 @@ from drivers.stage import AxisLimits, Stage
 from drivers.stage.esp import EspAxis, EspStage
 from drivers.stage.ximc import XimcAxis, XimcStage
 from drivers.stage.zaber import ZaberAxis, ZaberStage
-from simulators.lights.scpi_generator import GeneratorModel, ScpiGenerator
+from simulators.lights.generators import GeneratorModel, ScpiGenerator
 from simulators.ports.pseudo_terminal import PseudoTerminal
 from simulators.ports.serial_device import SerialDevice
+from simulators.stages.axis_motion import Mechanics
 from simulators.stages.esp301 import EspAxisModel, EspController
-from simulators.stages.mechanics import Mechanics
 from simulators.stages.ximc import XimcController, XimcModel
-from simulators.stages.zaber import ZaberChain
-from simulators.stages.zaber_controller import ZaberController
-from simulators.stages.zaber_model import ZaberModel
+from simulators.stages.zaber import ZaberChain, ZaberController, ZaberModel
 
 LIMITS = AxisLimits(-15.0, 15.0, 20.0, 100.0)
 

@@ -9,9 +9,7 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from simulators.stages.axis_motion import Axis
-from simulators.stages.mechanics import Mechanics
-from simulators.stages.motion_faults import MotionEvent, MotionFault
+from simulators.stages.axis_motion import Axis, Mechanics, MotionEvent, MotionFault
 from simulators.world.trajectory import SETTLED_DEG, ramp
 
 SCALE = 6400.0

@@ -9,12 +9,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from simulators.assembly.lights import make_light
-from simulators.assembly.stages import make_stage
+from simulators.assembly import make_light, make_stage
 from simulators.config import LIGHT_KINDS, STAGE_KINDS, BenchConfig, LightConfig, bench_config
 from simulators.ports.serial_device import Dialect
-from simulators.stages.dynamixel_packets import crc_of
-from simulators.stages.ximc_protocol import crc16
+from simulators.stages.dynamixel import crc_of
+from simulators.stages.ximc import crc16
 
 
 def with_crc(letters: bytes, data: bytes) -> bytes:

@@ -9,8 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from simulators.assembly.lights import make_light
-from simulators.assembly.stages import make_stage
+from simulators.assembly import make_light, make_stage
 from simulators.cameras.stream_faults import StreamFaults
 from simulators.config import BenchConfig
 from simulators.errors import ConfigError

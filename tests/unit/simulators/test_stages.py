@@ -6,10 +6,10 @@ import struct
 
 import pytest
 
-from simulators.assembly.stages import Stage, make_stage
+from simulators.assembly import Stage, make_stage
 from simulators.config import bench_config
 from simulators.ports.serial_device import Dialect
-from simulators.stages.ximc_protocol import crc16
+from simulators.stages.ximc import crc16
 from simulators.world.trajectory import LoadTrajectory
 
 

@@ -1,7 +1,7 @@
-"""Builds the simulated stages from their configuration.
+"""Builds the simulated stages and the driver of the light from their configuration.
 
 This module knows which controllers each kind of stage has, on which ports they answer, and which controller moves
-which axis; the controllers' protocols are in `simulators.stages`.
+which axis; and which device each kind of light stands for.
 """
 
 from __future__ import annotations
@@ -11,23 +11,24 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Final
 
-from simulators.config import AxisConfig
+from simulators.config import AxisConfig, LightConfig
 from simulators.faults.fault_injection import AxisController
+from simulators.lights.driver import LightDriver
+from simulators.lights.gardasoft import GardasoftRt
+from simulators.lights.generators import GeneratorModel, ScpiGenerator, SiglentGenerator
+from simulators.lights.microcontroller import MicrocontrollerLight
 from simulators.ports.serial_device import Dialect
-from simulators.stages.dynamixel import DynamixelBus
-from simulators.stages.dynamixel_servo import ServoModel
+from simulators.stages.axis_motion import Mechanics
+from simulators.stages.dynamixel import DynamixelBus, ServoModel
 from simulators.stages.esp301 import EspAxisModel, EspController
 from simulators.stages.flir_ptu import PtuAxisModel, PtuController
 from simulators.stages.grbl import GrblAxis, GrblController
 from simulators.stages.grbl_planner import GrblAxisModel
-from simulators.stages.mechanics import Mechanics
 from simulators.stages.thorlabs_apt import AptController, AptModel
 from simulators.stages.ximc import XimcController, XimcModel
-from simulators.stages.zaber import ZaberChain
-from simulators.stages.zaber_controller import ZaberController
-from simulators.stages.zaber_model import ZaberModel
+from simulators.stages.zaber import ZaberChain, ZaberController, ZaberModel
 from simulators.world.trajectory import LoadTrajectory
-from simulators.world.world import AxisName
+from simulators.world.world import AxisName, LightState
 
 #: Distance of the end stops beyond the soft limits, degrees.
 _STOP_MARGIN_DEG: Final = 2.0
@@ -138,7 +139,7 @@ def _grbl(axes: Axes, clock: Clock, publish: Publish) -> Stage:
     board = GrblController(
         models, clock, lambda letter, pointing: publish(names[letter], pointing), _PULL_OFF_DEG
     )
-    controllers = {str(name): GrblAxis(board, letter) for letter, name in names.items()}
+    controllers = {str(name): GrblAxis(board, board.axes[letter]) for letter, name in names.items()}
     return Stage({"gimbal": board}, controllers, dict.fromkeys(axes, "gimbal"))
 
 
@@ -219,3 +220,30 @@ _MAKERS: Final[Mapping[str, Callable[[Axes, Clock, Publish], Stage]]] = {
     "thorlabs_apt": _thorlabs_apt,
     "dynamixel": _dynamixel,
 }
+
+
+def make_light(
+    config: LightConfig, clock: Callable[[], float], drive: Callable[[LightState], None]
+) -> LightDriver:
+    """Build the driver of a light.
+
+    clock: Returns the time in seconds.
+    """
+    if config.kind == "gardasoft":
+        return GardasoftRt(clock, drive)
+    if config.kind == "microcontroller":
+        return MicrocontrollerLight(config.serial, clock, drive)
+    if config.kind == "siglent":
+        return SiglentGenerator(config.serial, clock, drive)
+    if config.kind == "rigol":
+        model = GeneratorModel(
+            config.serial,
+            "Rigol Technologies",
+            "DG4062",
+            "00.01.12",
+            config.error_queue,
+            numbered_channels=True,
+        )
+    else:
+        model = GeneratorModel(config.serial, error_queue=config.error_queue)
+    return ScpiGenerator(model, clock, drive)

@@ -1,1 +1,0 @@
-"""Builders of the simulated stages and lights, from the configuration."""

@@ -1,0 +1,532 @@
+"""Function generators of three makes: the instrument, and its command languages.
+
+The generator has one output with a square wave, a sine wave or a constant level. A value out of range is clipped to the
+nearest possible one. Ranges follow the Keysight 33250A: at most 80 MHz, duty cycle 20 to 80 %, 10 V into an open
+circuit, 50 ohm source (its user's guide).
+
+`ScpiGenerator` is a Keysight 33250A, or a Rigol DG4000, which numbers its channels. References: Keysight 33250A user's
+guide, remote interface reference; Rigol DG4000 programming guide. `SiglentGenerator` sets several values at once:
+
+    C1:BSWV WVTP,SQUARE,FRQ,60HZ,...       waveform of channel 1: a name and a value for each setting
+    C1:BSWV?                               answered by the same header and all settings
+    C1:OUTP ON,LOAD,HZ                     output and load
+
+Reference: programming guide of Siglent's SDG series.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from abc import abstractmethod
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from typing import Final, Literal
+
+from simulators.lights.driver import LightDriver
+from simulators.lights.scpi import (
+    CommandTree,
+    ErrorQueue,
+    ScpiError,
+    boolean,
+    choice,
+    expect_no_arguments,
+    number,
+    only_argument,
+)
+from simulators.world.world import LightState, SyncLine
+
+Shape = Literal["square", "sine", "dc"]
+"""Waveforms; ``dc`` is a constant level at the offset."""
+Setting = Literal["frequency", "duty", "amplitude", "offset", "high", "low"]
+
+#: Reason why a value was clipped; empty if it was not.
+ClipReason = Literal["", "lower limit", "upper limit", "conflict"]
+
+#: Output resistance, ohm: the voltage into an open circuit is twice the voltage into 50 ohm.
+SOURCE_OHM: Final = 50.0
+
+_FREQUENCY_HZ: Final = (1e-6, 80e6)
+_DUTY_PERCENT: Final = (20.0, 80.0)
+
+#: Largest level and smallest amplitude into an open circuit, V.
+_MAX_V: Final = 10.0
+_MIN_AMPLITUDE_V: Final = 0.002
+
+#: Size of the input buffer, bytes.
+_MAX_MESSAGE: Final = 2048
+
+
+@dataclass(frozen=True)
+class Settings:
+    """All settings; the defaults are those after a reset."""
+
+    shape: Shape = "sine"
+    frequency_hz: float = 1000.0  # Frequency, Hz
+    duty_percent: float = 50.0  # Duty cycle of the square wave, percent
+    # low_v, high_v: Levels at the load that is set, V.
+    low_v: float = -0.05
+    high_v: float = 0.05
+    load_ohm: float = SOURCE_OHM
+    # output, sync: Whether the output and the sync output are on.
+    output: bool = False
+    sync: bool = True
+    sync_inverted: bool = False  # Whether the sync output falls where it otherwise rises
+
+    @property
+    def amplitude_v(self) -> float:
+        """Peak-to-peak amplitude, V."""
+        return self.high_v - self.low_v
+
+    @property
+    def offset_v(self) -> float:
+        """Mean of the two levels, V."""
+        return (self.high_v + self.low_v) / 2.0
+
+
+class Generator(LightDriver):
+    """A function generator with one output, without its command language.
+
+    most_v: Largest level into an open circuit, V, for values that are set from now on.
+    """
+
+    def __init__(self, clock: Callable[[], float], drive: Callable[[LightState], None], baud: int) -> None:
+        super().__init__(clock, drive, baud=baud, longest=_MAX_MESSAGE)
+        self.most_v = _MAX_V
+        self.settings = Settings()
+        self._publish()
+
+    @abstractmethod
+    def _execute(self, message: str) -> list[str]:
+        """Execute a message and return its answers, one a line."""
+
+    def _answer(self, message: bytes) -> bytes:
+        answers = self._execute(message.decode("ascii", "replace"))
+        return b"".join(f"{answer}\n".encode("ascii") for answer in answers)
+
+    # ------------------------------------------------------------------ settings
+    def reset(self) -> None:
+        """Restore the settings of a reset."""
+        self._apply(Settings())
+
+    def set_shape(self, shape: Shape) -> None:
+        """Set the waveform."""
+        self._apply(replace(self.settings, shape=shape))
+
+    def switch(self, *, output: bool | None = None, sync: bool | None = None) -> None:
+        """Switch the output or the sync output.
+
+        output, sync: New states; None leaves a state as it is.
+        """
+        now = self.settings
+        self._apply(
+            replace(
+                now, output=now.output if output is None else output, sync=now.sync if sync is None else sync
+            )
+        )
+
+    def invert_sync(self, inverted: bool) -> None:
+        """Set the polarity of the sync output.
+
+        inverted: Whether it is inverted.
+        """
+        self._apply(replace(self.settings, sync_inverted=inverted))
+
+    def set_load(self, ohm: float) -> None:
+        """Set the load for which voltages are shown; the output itself stays as it is."""
+        scale = _voltage_share(ohm) / _voltage_share(self.settings.load_ohm)
+        low_v, high_v = self.settings.low_v * scale, self.settings.high_v * scale
+        self._apply(replace(self.settings, load_ohm=ohm, low_v=low_v, high_v=high_v))
+
+    def set(self, name: Setting, value: float) -> ClipReason:
+        """Set a value, clipped to its range.
+
+        value: New value: Hz, percent or V.
+        Returns: Why the value was clipped; empty if it was not.
+        """
+        lowest, highest = self.bounds(name)
+        held: ClipReason = "lower limit" if value < lowest else "upper limit" if value > highest else ""
+        value = min(max(value, lowest), highest)
+        now = self.settings
+        if name == "frequency":
+            self._apply(replace(now, frequency_hz=round(value, 6)))
+        elif name == "duty":
+            self._apply(replace(now, duty_percent=round(value, 1)))
+        else:
+            moved = self._set_level(name, value)
+            held = held or moved
+        return held
+
+    def bounds(self, name: Setting) -> tuple[float, float]:
+        """Return the range of a setting, which depends on the other settings.
+
+        Returns: Lowest and highest value: Hz, percent or V.
+        """
+        share = _voltage_share(self.settings.load_ohm)
+        most, least = self.most_v * share, _MIN_AMPLITUDE_V * share
+        half = self.settings.amplitude_v / 2.0
+        ranges: dict[Setting, tuple[float, float]] = {
+            "frequency": _FREQUENCY_HZ,
+            "duty": _DUTY_PERCENT,
+            "amplitude": (least, 2.0 * most),
+            "offset": (-most, most) if self.settings.shape == "dc" else (half - most, most - half),
+            "high": (least - most, most),
+            "low": (-most, most - least),
+        }
+        return ranges[name]
+
+    def clip(self, most_v: float | None) -> None:
+        """See `LightDriver.clip`; the voltage is that into an open circuit."""
+        self.most_v = _MAX_V if most_v is None else most_v
+
+    def trip(self) -> None:
+        """Let the overload protection switch the output off, without a message."""
+        self.switch(output=False)
+
+    # ------------------------------------------------------------------ inside
+    def _set_level(self, name: Setting, value: float) -> ClipReason:
+        """Set both levels from amplitude, offset, high or low level; the other level gives way if necessary."""
+        now, share = self.settings, _voltage_share(self.settings.load_ohm)
+        least = _MIN_AMPLITUDE_V * share
+        if name == "offset" and now.shape == "dc":
+            # The amplitude has no effect on DC; it shrinks so that offset and amplitude fit the range later.
+            half = min(now.amplitude_v / 2.0, max(self.most_v * share - abs(value), least / 2.0))
+            self._apply(replace(now, low_v=value - half, high_v=value + half))
+            return ""
+        low_v, high_v = {
+            "amplitude": (now.offset_v - value / 2.0, now.offset_v + value / 2.0),
+            "offset": (value - now.amplitude_v / 2.0, value + now.amplitude_v / 2.0),
+            "high": (min(now.low_v, value - least), value),
+            "low": (value, max(now.high_v, value + least)),
+        }[name]
+        most = self.most_v * share
+        conflict = low_v < -most - 1e-9 or high_v > most + 1e-9
+        conflict |= (name == "high" and low_v < now.low_v) or (name == "low" and high_v > now.high_v)
+        self._apply(replace(now, low_v=round(max(low_v, -most), 4), high_v=round(min(high_v, most), 4)))
+        return "conflict" if conflict else ""
+
+    def _apply(self, settings: Settings) -> None:
+        self.settings = settings
+        self._publish()
+
+    def _publish(self) -> None:
+        """Publish the state of the light."""
+        settings = self.settings
+        levels = (settings.offset_v,) * 2 if settings.shape == "dc" else (settings.low_v, settings.high_v)
+        # The lamp's input is an open circuit: it gets the source voltage, whatever load is set.
+        open_circuit = 1.0 / _voltage_share(settings.load_ohm)
+        self._show(
+            settings.frequency_hz,
+            waveform="sine" if settings.shape == "sine" else "square",
+            duty_percent=settings.duty_percent,
+            low_v=levels[0] * open_circuit,
+            high_v=levels[1] * open_circuit,
+            output=settings.output,
+            sync=settings.sync and settings.shape != "dc",
+            sync_line=SyncLine(inverted=settings.sync_inverted),
+        )
+
+
+def _voltage_share(load_ohm: float) -> float:
+    """Return the voltage at a load as a share of the source voltage (voltage divider)."""
+    return 1.0 if math.isinf(load_ohm) else load_ohm / (load_ohm + SOURCE_OHM)
+
+
+# ---------------------------------------------------------------- SCPI
+
+_HERTZ: Final = {"UHZ": 1e-6, "HZ": 1.0, "KHZ": 1e3, "MHZ": 1e6}
+_VOLTS: Final = {"MV": 1e-3, "V": 1.0, "VPP": 1.0, "MVPP": 1e-3}
+_PERCENT: Final = {"PCT": 1.0, "%": 1.0}
+_OHMS: Final = {"OHM": 1.0, "KOHM": 1e3}
+_LOAD_OHM: Final = (1.0, 10_000.0)
+
+_SHAPES: Final[Mapping[str, Shape]] = {"SINusoid": "sine", "SQUare": "square", "DC": "dc"}
+
+_CLIP_ERRORS: Final = {
+    "lower limit": (-222, "value clipped to lower limit"),
+    "upper limit": (-222, "value clipped to upper limit"),
+    "conflict": (-221, "the other level has been adjusted"),
+}
+
+
+@dataclass(frozen=True)
+class GeneratorModel:
+    """Identity of a generator, and its variant of the language."""
+
+    # serial, maker, name, firmware: Fields of the answer to ``*IDN?``.
+    serial: str = "SG0042"
+    maker: str = "Keysight Technologies"
+    name: str = "33250A"
+    firmware: str = "2.05-1.01-2.00-03-2"
+    error_queue: bool = True  # Whether it answers ``SYST:ERR?``; some generators do not
+    # Whether headers carry a channel number (``SOUR1:FREQ``, ``OUTP1``), and the state of the output is read
+    # as ON or OFF instead of 1 or 0.
+    numbered_channels: bool = False
+    baud: int = 9600
+
+
+class ScpiGenerator(Generator):
+    """A generator that speaks SCPI; a value out of range is clipped, and only the error queue says so."""
+
+    def __init__(
+        self,
+        model: GeneratorModel,
+        clock: Callable[[], float],
+        drive: Callable[[LightState], None] = lambda _state: None,
+    ) -> None:
+        super().__init__(clock, drive, model.baud)
+        self.model = model
+        self._tree = CommandTree(ErrorQueue())
+        self._register_commands()
+
+    def exchange(self, serial: str) -> None:
+        """See `LightDriver.exchange`."""
+        self.model = replace(self.model, serial=serial)
+        self._tree.errors.clear()
+        self.reset()
+
+    # ------------------------------------------------------------------ commands
+    def _execute(self, message: str) -> list[str]:
+        answer = self._tree.answer(message)
+        return [] if answer is None else [answer]
+
+    def _register_commands(self) -> None:
+        tree, model = self._tree, self.model
+        source, output = ("[:SOURce#]", "OUTPut#") if model.numbered_channels else ("[:SOURce]", "OUTPut")
+        tree.add("*IDN", None, lambda _: self._identity())
+        tree.add("*RST", self._reset_all, None)
+        tree.add("*CLS", lambda _: tree.errors.clear(), None)
+        tree.add("*OPC", expect_no_arguments, lambda _: "1")
+        tree.add("*WAI", expect_no_arguments, None)
+        if model.error_queue:
+            tree.add("SYSTem:ERRor[:NEXT]", None, lambda _: tree.errors.next())
+        for word in ("REMote", "LOCal", "RWLock"):
+            tree.add(f"SYSTem:{word}", expect_no_arguments, None)
+        tree.add(f"{source}:FUNCtion[:SHAPe]", self._set_shape, lambda _: self._shape())
+        self._register_value(f"{source}:FREQuency", "frequency", _HERTZ, lambda: self.settings.frequency_hz)
+        self._register_value(
+            f"{source}:FUNCtion:SQUare:DCYCle", "duty", _PERCENT, lambda: self.settings.duty_percent
+        )
+        self._register_value(f"{source}:VOLTage", "amplitude", _VOLTS, lambda: self.settings.amplitude_v)
+        self._register_value(f"{source}:VOLTage:OFFSet", "offset", _VOLTS, lambda: self.settings.offset_v)
+        self._register_value(f"{source}:VOLTage:HIGH", "high", _VOLTS, lambda: self.settings.high_v)
+        self._register_value(f"{source}:VOLTage:LOW", "low", _VOLTS, lambda: self.settings.low_v)
+        tree.add(f"{source}:VOLTage:UNIT", self._set_unit, lambda _: "VPP")
+        tree.add(
+            f"{output}[:STATe]",
+            lambda words: self.switch(output=boolean(only_argument(words))),
+            lambda _: self._format_switch(self.settings.output),
+        )
+        tree.add(
+            f"{output}:SYNC[:STATe]",
+            lambda words: self.switch(sync=boolean(only_argument(words))),
+            lambda _: self._format_switch(self.settings.sync),
+        )
+        if model.numbered_channels:
+            tree.add(
+                f"{output}:SYNC:POLarity",
+                lambda words: self.invert_sync(
+                    choice(only_argument(words), self._sync_words()) in {"INV", "NEG"}
+                ),
+                lambda _: choice(self._sync_words()[self.settings.sync_inverted], self._sync_words()),
+            )
+        tree.add(
+            f"{output}:LOAD",
+            self._set_load,
+            lambda _: _format_number(min(self.settings.load_ohm, 9.9e37)),
+        )
+
+    def _register_value(
+        self, header: str, name: Setting, unit_factors: dict[str, float], read: Callable[[], float]
+    ) -> None:
+        """Register a number: command, query, and query of a bound, as in ``FREQ? MAX``."""
+
+        def set_value(arguments: list[str]) -> None:
+            word = only_argument(arguments)
+            bound = _bound(word)
+            lowest_highest = self.bounds(name)
+            value = number(word, unit_factors) if bound is None else lowest_highest[bound]
+            _raise_if_clipped(self.set(name, value))
+
+        def read_value(arguments: list[str]) -> str:
+            if not arguments:
+                return _format_number(read())
+            bound = _bound(only_argument(arguments))
+            if bound is None:
+                raise ScpiError(-224)
+            return _format_number(self.bounds(name)[bound])
+
+        self._tree.add(header, set_value, read_value)
+
+    def _identity(self) -> str:
+        model = self.model
+        return f"{model.maker},{model.name},{model.serial},{model.firmware}"
+
+    def _reset_all(self, arguments: list[str]) -> None:
+        expect_no_arguments(arguments)
+        self.reset()
+
+    def _set_unit(self, arguments: list[str]) -> None:
+        """Take the unit of the amplitude; Vrms and dBm are not simulated."""
+        choice(only_argument(arguments), ["VPP"])
+
+    def _set_shape(self, arguments: list[str]) -> None:
+        word = choice(only_argument(arguments), list(_SHAPES))
+        self.set_shape(next(shape for name, shape in _SHAPES.items() if name.startswith(word)))
+
+    def _shape(self) -> str:
+        return {"square": "SQU", "sine": "SIN", "dc": "DC"}[self.settings.shape]
+
+    def _set_load(self, arguments: list[str]) -> None:
+        word = only_argument(arguments)
+        if word.upper() in {"INF", "INFINITY"}:
+            self.set_load(math.inf)
+            return
+        asked = number(word, _OHMS)
+        self.set_load(min(max(asked, _LOAD_OHM[0]), _LOAD_OHM[1]))
+        _raise_if_clipped(
+            "lower limit" if asked < _LOAD_OHM[0] else "upper limit" if asked > _LOAD_OHM[1] else ""
+        )
+
+    def _sync_words(self) -> list[str]:
+        """Return the words for the polarities of the sync output: of Rigol's DG series, or of Keysight's 33500B."""
+        if self.model.maker.upper().startswith("RIGOL"):
+            return ["POSitive", "NEGative"]
+        return ["NORMal", "INVerted"]
+
+    def _format_switch(self, on: bool) -> str:
+        if self.model.numbered_channels:
+            return "ON" if on else "OFF"
+        return str(int(on))
+
+
+def _bound(word: str) -> int | None:
+    """Return 0 for the word that means the lower bound, 1 for the upper bound, None for any other word."""
+    if word.upper() in {"MIN", "MINIMUM"}:
+        return 0
+    return 1 if word.upper() in {"MAX", "MAXIMUM"} else None
+
+
+def _raise_if_clipped(held: ClipReason) -> None:
+    """Raise the SCPI error that reports a clipped value; the command tree queues it."""
+    if held:
+        raise ScpiError(*_CLIP_ERRORS[held])
+
+
+def _format_number(value: float) -> str:
+    """Format a number as the 33250A does."""
+    return f"{value:+.13E}"
+
+
+# ---------------------------------------------------------------- Siglent
+
+_HEADER: Final = re.compile(r"C1:(BSWV|OUTP|SYNC)(\?)?(?:\s+(.*))?", re.IGNORECASE)
+_SIGLENT_NUMBER: Final = re.compile(
+    r"([+-]?[0-9.]+(?:E[+-]?[0-9]+)?)(UHZ|MHZ|KHZ|HZ|MV|V|VPP|%|OHM)?", re.IGNORECASE
+)
+_FACTORS: Final = {"UHZ": 1e-6, "KHZ": 1e3, "MHZ": 1e6, "MV": 1e-3}
+
+_SIGLENT_SHAPES: Final[Mapping[str, Shape]] = {"SQUARE": "square", "SINE": "sine", "DC": "dc"}
+_VALUES: Final[Mapping[str, Setting]] = {
+    "FRQ": "frequency",
+    "DUTY": "duty",
+    "AMP": "amplitude",
+    "OFST": "offset",
+    "HLEV": "high",
+    "LLEV": "low",
+}
+
+
+class SiglentGenerator(Generator):
+    """A generator of Siglent's SDG series: it ignores unknown commands and clips values, and reports neither."""
+
+    def __init__(
+        self,
+        serial: str,
+        clock: Callable[[], float],
+        drive: Callable[[LightState], None] = lambda _state: None,
+    ) -> None:
+        super().__init__(clock, drive, 9600)
+        self._serial = serial
+
+    def exchange(self, serial: str) -> None:
+        """See `LightDriver.exchange`."""
+        self._serial = serial
+        self.reset()
+
+    # ------------------------------------------------------------------ commands
+    def _execute(self, message: str) -> list[str]:
+        answers = (self._said(command.strip()) for command in message.split(";"))
+        return [answer for answer in answers if answer]
+
+    def _said(self, command: str) -> str:
+        if command.upper() == "*IDN?":
+            return f"Siglent Technologies,SDG1032X,{self._serial},1.01.01.33R6"
+        if command.upper() == "*OPC?":
+            return "1"
+        if command.upper() == "*RST":
+            self.reset()
+            return ""
+        match = _HEADER.fullmatch(command)
+        if match is None:
+            return ""
+        name, asks, words = (
+            match[1].upper(),
+            match[2],
+            [word.strip().upper() for word in (match[3] or "").split(",")],
+        )
+        if asks:
+            return {"BSWV": self._wave, "OUTP": self._output, "SYNC": self._sync_output}[name]()
+        {"BSWV": self._set_wave, "OUTP": self._set_output, "SYNC": self._set_sync}[name](words)
+        return ""
+
+    def _set_wave(self, words: list[str]) -> None:
+        for name, value in zip(words[::2], words[1::2], strict=False):
+            number = _siglent_number(value)
+            if name == "WVTP" and value in _SIGLENT_SHAPES:
+                self.set_shape(_SIGLENT_SHAPES[value])
+            elif name in _VALUES and number is not None:
+                self.set(_VALUES[name], number)
+
+    def _set_output(self, words: list[str]) -> None:
+        if words[0] in {"ON", "OFF"}:
+            self.switch(output=words[0] == "ON")
+        if "LOAD" in words[:-1]:
+            load = words[words.index("LOAD") + 1]
+            ohm = math.inf if load == "HZ" else _siglent_number(load)
+            if ohm is not None and ohm >= 1.0:
+                self.set_load(ohm)
+
+    def _set_sync(self, words: list[str]) -> None:
+        if words[0] in {"ON", "OFF"}:
+            self.switch(sync=words[0] == "ON")
+
+    def _wave(self) -> str:
+        now = self.settings
+        if now.shape == "dc":
+            return f"C1:BSWV WVTP,DC,OFST,{now.offset_v:g}V"
+        shape = "SQUARE" if now.shape == "square" else "SINE"
+        duty = f",DUTY,{now.duty_percent:g}" if now.shape == "square" else ""
+        return (
+            f"C1:BSWV WVTP,{shape},FRQ,{now.frequency_hz:.10g}HZ,PERI,{1.0 / now.frequency_hz:.6g}S,"
+            f"AMP,{now.amplitude_v:g}V,OFST,{now.offset_v:g}V,HLEV,{now.high_v:g}V,LLEV,{now.low_v:g}V,PHSE,0{duty}"
+        )
+
+    def _output(self) -> str:
+        now = self.settings
+        load = "HZ" if math.isinf(now.load_ohm) else f"{now.load_ohm:g}"
+        return f"C1:OUTP {'ON' if now.output else 'OFF'},LOAD,{load},PLRT,NOR"
+
+    def _sync_output(self) -> str:
+        return f"C1:SYNC {'ON' if self.settings.sync else 'OFF'}"
+
+
+def _siglent_number(text: str) -> float | None:
+    """Read a number with an optional unit; None if the text is no number."""
+    match = _SIGLENT_NUMBER.fullmatch(text)
+    if match is None:
+        return None
+    try:
+        return float(match[1]) * _FACTORS.get((match[2] or "").upper(), 1.0)
+    except ValueError:
+        return None
