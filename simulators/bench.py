@@ -6,6 +6,9 @@ When all devices answer, the program prints one line of JSON: the ports, the pat
 process id. It runs until SIGTERM or SIGINT arrives, or, with ``--until-eof``, until standard input ends; then it
 removes its ports. Each line on standard input is an order for a fault (see `faults`), answered by a line of JSON.
 The truth file is for the final comparison only; no estimate may use it.
+
+While it runs, a file tells how much time the process could use, so that another program can tell a busy computer from
+a fault: its first 8 bytes are that time as a little-endian double, in seconds (`Pulse`).
 """
 
 from __future__ import annotations
@@ -13,12 +16,15 @@ from __future__ import annotations
 import argparse
 import json
 import math
+import mmap
 import os
 import signal
+import struct
 import sys
 import threading
+import time
 from collections.abc import Sequence
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from functools import partial
 from pathlib import Path
 from types import TracebackType
@@ -32,19 +38,53 @@ from simulators.cameras.frame_camera import SimulatedFrameCamera
 from simulators.config import BenchConfig, bench_config
 from simulators.errors import ConfigError, SimulatorError
 from simulators.faults.camera_hands import HAND_DEVICES, CameraHands
-from simulators.faults.catalogue import FaultOrder, fault_order, fault_order_from_text
+from simulators.faults.catalogue import (
+    FaultOrder,
+    allow_background,
+    fault_order,
+    fault_order_from_text,
+    print_answer,
+    take_orders,
+)
 from simulators.faults.fault_injection import BenchParts, fault_action
 from simulators.faults.line_faults import FaultLine
-from simulators.faults.orders import allow_background, print_answer, take_orders
 from simulators.lights.lamp import Lamp
 from simulators.optics.lens_focus import truth_record
 from simulators.pixels.sensor_stream import CameraState, SensorStream
-from simulators.ports.serial_device import Dialect, Port, SerialDevice
-from simulators.ports.tcp_port import TcpPort
-from simulators.pulse import Pulse
+from simulators.ports.serial_device import Dialect, Port, SerialDevice, TcpPort
 from simulators.world.trajectory import LoadTrajectory
 from simulators.world.truth import Truth
 from simulators.world.world import AxisMotion, AxisName, LightState, World, with_setup
+
+PERIOD_S = 0.02
+"""The thread asks to be woken after this time, s."""
+
+
+class Pulse:
+    """The time that this process could use, in a file."""
+
+    def __init__(self, path: Path) -> None:
+        path.write_bytes(bytes(8))
+        with path.open("r+b") as file:
+            self._shared = mmap.mmap(file.fileno(), 8)
+        self._ended = threading.Event()
+        self._thread = threading.Thread(target=self._beat, name="pulse", daemon=True)
+        self._thread.start()
+
+    def _beat(self) -> None:
+        lived_s, last_s = 0.0, time.monotonic()
+        while not self._ended.wait(PERIOD_S):
+            now_s = time.monotonic()
+            lived_s += min(now_s - last_s, 2.0 * PERIOD_S)
+            last_s = now_s
+            struct.pack_into("<d", self._shared, 0, lived_s)
+
+    def close(self) -> None:
+        """End the thread; the file remains."""
+        self._ended.set()
+        self._thread.join()
+        with suppress(BufferError):
+            self._shared.close()
 
 
 class Bench:

@@ -23,10 +23,9 @@ from typing import Any
 import numpy as np
 
 from simulators.errors import SimulatorError
-from simulators.faults.catalogue import fault_order_from_text
+from simulators.faults.catalogue import allow_background, fault_order_from_text, print_answer, take_orders
 from simulators.faults.fault_injection import line_fault_action
 from simulators.faults.line_faults import FaultLine, SerialBridge
-from simulators.faults.orders import allow_background, print_answer, take_orders
 from simulators.ports.pseudo_terminal import PseudoTerminal
 from simulators.ports.serial_device import SerialDevice
 

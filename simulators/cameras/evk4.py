@@ -1,8 +1,8 @@
 """The simulated EVK4: it answers commands on a TCP socket and streams EVT3 words.
 
-``docs/protocols/simulated-evk4.md`` defines the wire protocol. This module handles connections, commands and
-settings; `sensor_stream` produces the EVT3 words. One host at a time holds the camera. A second host gets a fault
-notification, and its connection is closed.
+``docs/protocols/simulated-evk4.md`` defines the wire protocol and its error codes. This module handles connections,
+commands and settings; `sensor_stream` produces the EVT3 words. One host at a time holds the camera. A second host gets
+a fault notification, and its connection is closed.
 """
 
 from __future__ import annotations
@@ -16,16 +16,73 @@ from collections.abc import Callable, Mapping
 from contextlib import suppress
 from typing import Any, Final
 
-from simulators.cameras.evk4_requests import Refusal, parse_request, read_enabled, read_frames, read_name
-from simulators.cameras.keep_alive import KeepAlive
-from simulators.cameras.stream_faults import StreamFaults
-from simulators.cameras.time_base import TimeBase
+from simulators.cameras.streaming import KeepAlive, StreamFaults, TimeBase
 from simulators.errors import SimulatorError
 from simulators.optics.lens_focus import brightness
 from simulators.pixels.biases import ALLOWED, FACTORY, PixelSettings
 from simulators.pixels.event_filters import FILTERS
 from simulators.pixels.sensor_stream import CameraState, SensorStream
 from simulators.world.world import World
+
+
+class Refusal(Exception):
+    """A refused command.
+
+    code: Error code of the protocol, e.g. ``bad_value``.
+    """
+
+    def __init__(self, code: str, message: str) -> None:
+        self.code = code
+        super().__init__(message)
+
+
+def parse_request(payload: bytes) -> dict[str, Any]:
+    """Parse the payload of a request.
+
+    Raises Refusal: ``bad_request``: the payload is not JSON, or not a JSON object.
+    """
+    try:
+        request = json.loads(payload)
+    except (ValueError, RecursionError) as error:
+        raise Refusal("bad_request", f"The request is no JSON: {error}.") from error
+    if not isinstance(request, dict):
+        raise Refusal("bad_request", "The request is no JSON object.")
+    return request
+
+
+def read_name(what: str, name: object, known: Mapping[str, Any]) -> str:
+    """Check that a request names something that exists.
+
+    what: Kind of the name: ``command``, ``bias`` or ``filter``.
+    Raises Refusal: ``unknown_command``, ``unknown_bias`` or ``unknown_filter``.
+    """
+    if not isinstance(name, str) or name not in known:
+        raise Refusal(f"unknown_{what}", f"There is no {what} {name!r}; there are {', '.join(known)}.")
+    return name
+
+
+def read_enabled(request: Mapping[str, Any]) -> bool:
+    """Read ``enabled`` from a request.
+
+    Raises Refusal: ``bad_value``: ``enabled`` is missing or not a boolean.
+    """
+    enabled = request.get("enabled")
+    if not isinstance(enabled, bool):
+        raise Refusal("bad_value", f'"enabled" is true or false, not {enabled!r}.')
+    return enabled
+
+
+def read_frames(request: Mapping[str, Any]) -> int | None:
+    """Read from a stop request how many frames the host has kept.
+
+    Returns: Number of frames; None if the request does not say.
+    Raises Refusal: ``bad_value``: ``frames`` is not a whole number from 0 on.
+    """
+    frames = request.get("frames")
+    if frames is not None and (isinstance(frames, bool) or not isinstance(frames, int) or frames < 0):
+        raise Refusal("bad_value", f"A number of frames is a whole one, not {frames!r}.")
+    return frames
+
 
 HEADER: Final = struct.Struct("<cI")
 """Frame header: type (one ASCII letter) and payload length in bytes."""

@@ -1,21 +1,26 @@
-"""Catalogue of the faults that the simulated bench can inject, and the format of an order for a fault.
+"""Catalogue of the faults that the simulated bench can inject, and orders for them.
 
 An order is a mapping with ``device`` (an axis: pan, tilt, roll; a port: gimbal, light; camera, frame-camera, mount,
 lens or board), ``fault``, optionally ``after_s``, and parameters of the fault. The same order as text:
-``pan stall share=0.3``. This module checks orders against the catalogue; `fault_injection` carries them out.
+``pan stall share=0.3``. Orders come on a process's standard input, one a line; each is answered by one line of JSON.
+This module checks orders against the catalogue; `fault_injection` carries them out.
 """
 
 from __future__ import annotations
 
+import json
 import math
+import os
 import shlex
-from collections.abc import Mapping
+import signal
+import sys
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any, Final
 
 from simulators.cameras.frame_camera import FRAME_CAMERA_FAULTS
-from simulators.cameras.stream_faults import STREAM_FAULTS
-from simulators.errors import ConfigError
+from simulators.cameras.streaming import STREAM_FAULTS
+from simulators.errors import ConfigError, SimulatorError
 from simulators.faults.line_faults import REPLY_FAULTS, REQUEST_FAULTS
 from simulators.lights.lamp import LAMP_FAULTS
 
@@ -255,3 +260,48 @@ def _like(default: Parameter, value: object, where: str) -> Parameter:
         return type(default)(value)
     except (ValueError, OverflowError):
         raise ConfigError(f"Expected a number, got {value!r}.", where=where) from None
+
+
+def print_answer(content: Mapping[str, Any]) -> None:
+    """Write one line of JSON to standard output, and flush it."""
+    sys.stdout.write(json.dumps(content) + "\n")
+    sys.stdout.flush()
+
+
+def allow_background() -> None:
+    """Let a background process of a terminal run on without orders.
+
+    Otherwise the terminal would stop it when it reads its standard input. Call this function
+    from the main thread, before orders are read.
+    """
+    if hasattr(signal, "SIGTTIN"):
+        signal.signal(signal.SIGTTIN, signal.SIG_IGN)
+
+
+def take_orders(carry_out: Callable[[str], Mapping[str, Any]], ended: Callable[[], None]) -> None:
+    """Read orders until standard input ends.
+
+    carry_out: Carries out one order and returns what was done. If it raises SimulatorError or ValueError, the
+      answer is the error's text.
+    """
+    waiting = b""
+    while heard := _read():
+        *lines, waiting = (waiting + heard).split(b"\n")
+        for line in lines:
+            text = line.decode("utf-8", "replace").strip()
+            if not text:
+                continue
+            try:
+                print_answer({"ok": True, **carry_out(text)})
+            except (SimulatorError, ValueError) as error:
+                print_answer({"ok": False, "error": str(error)})
+    ended()
+
+
+def _read() -> bytes:
+    """Read from standard input; return nothing if it cannot be read."""
+    try:
+        # Not sys.stdin: this thread would hold its lock while the interpreter shuts down.
+        return os.read(0, 4096)
+    except OSError:
+        return b""

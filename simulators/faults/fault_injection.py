@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Protocol, cast
 
-from simulators.cameras.stream_faults import StreamFault, StreamFaults
+from simulators.cameras.streaming import StreamFault, StreamFaults
 from simulators.errors import ConfigError
 from simulators.faults.camera_hands import HAND_DEVICES, CameraHands
 from simulators.faults.catalogue import LIGHT_FAULTS, FaultOrder, Parameter

@@ -29,11 +29,19 @@ from simulators.optics.collimator_errors import (
     radius_fraction,
     radius_fractions,
 )
-from simulators.optics.coverage import empty_picture, join_cells, spread_kernel
+from simulators.optics.drawing import (
+    Cells,
+    Projection,
+    draw,
+    empty_picture,
+    image_points,
+    join_cells,
+    plane_points,
+    spread_kernel,
+)
 from simulators.optics.lens import lens_of, ray_grid
 from simulators.optics.lens_focus import blur_px, camera_of, reach_px, spread_over_disc
-from simulators.optics.print_outline import black_polygons
-from simulators.optics.projection import Cells, Projection, draw, image_points, plane_points
+from simulators.optics.outlines import black_polygons
 from simulators.world.gimbal import GimbalTruth, gimbal_rotation, rotation_matrix
 from simulators.world.truth import CollimatorTruth, OpticsTruth, Truth
 

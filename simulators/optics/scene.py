@@ -14,12 +14,15 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from simulators.errors import SimulationMisuse
 from simulators.optics import board_scene
 from simulators.optics import picture as optics
-from simulators.optics.board_blur import plane_blur, spread_unevenly
-from simulators.optics.lens_focus import brightness, camera_of, reach_px
-from simulators.optics.screen import Checkerboard, project_board, project_outline, render_board
-from simulators.world.truth import ScreenTruth, Truth
+from simulators.optics.board_scene import PlacedBoard, lit_share
+from simulators.optics.drawing import image_points
+from simulators.optics.lens_focus import brightness
+from simulators.optics.outlines import bright_areas, points_mm
+from simulators.world.board import BoardTruth
+from simulators.world.truth import Truth
 
 FloatArray = NDArray[np.float64]
 
@@ -35,7 +38,8 @@ def picture(truth: Truth, angles_deg: Mapping[Any, float], *, subsamples: int = 
     if truth.board.present:
         image = board_scene.picture(truth, angles_deg, subsamples=subsamples)
     elif truth.screen.columns:
-        image = _screen_picture(truth, optics.true_rotation(angles_deg, truth), subsamples)
+        shown, placed = _screen(truth, angles_deg)
+        image = lit_share(shown, placed, subsamples) + np.float32(truth.optics.stray)
     else:
         image = optics.render(truth, optics.true_rotation(angles_deg, truth), subsamples=subsamples)
     light = brightness(truth)
@@ -57,18 +61,6 @@ def _kept_picture(truth: Truth, angles_deg: tuple[tuple[str, float], ...]) -> ND
     return picture(truth, dict(angles_deg))
 
 
-def _screen_picture(truth: Truth, rotation: FloatArray, subsamples: int) -> NDArray[np.float32]:
-    """Return the picture of the checkerboard, each part of it blurred as its distance demands."""
-    board, (turn, position) = board_of(truth.screen), board_pose(_screen_of(truth), rotation)
-    camera, psf = camera_of(truth), truth.optics.psf_px
-    seen = project_outline(board, camera, turn, position)
-    blur = plane_blur(truth, seen, turn, position)
-    image = render_board(
-        board, camera, turn, position, psf_px=psf, subsamples=subsamples, margin_px=reach_px(blur.largest_px)
-    )
-    return np.asarray(spread_unevenly(image, blur) + np.float32(truth.optics.stray))
-
-
 def corners(truth: Truth, angles_deg: Mapping[Any, float]) -> FloatArray:
     """Return the image points of the board in a pose: its inner corners, circles, dots or stars.
 
@@ -77,33 +69,36 @@ def corners(truth: Truth, angles_deg: Mapping[Any, float]) -> FloatArray:
     """
     if truth.board.present:
         return board_scene.points(truth, angles_deg)
+    shown, placed = _screen(truth, angles_deg)
+    on_board = np.ascontiguousarray(points_mm(shown.board, truth.target))
+    return np.asarray(image_points(on_board, placed.projection(shown)))
+
+
+def _screen(truth: Truth, angles_deg: Mapping[Any, float]) -> tuple[Truth, PlacedBoard]:
+    """Return the checkerboard on the screen as a board, and where the camera sees it: X_cam = R P + t.
+
+    Own derivation: with the rotation G of the camera's pose, the board's own rotation B, its place p and middle m,
+    R = G B and t = G (p - B m). The screen stands against the camera's shift.
+
+    Raises SimulationMisuse: If the board is not wholly in front of the camera.
+    """
+    screen = truth.screen
+    board = BoardTruth(
+        kind="checkerboard",
+        columns=screen.columns,
+        rows=screen.rows,
+        pitch_mm=screen.square_mm,
+        surface="screen",
+        black=0.0,
+    )
+    shown = replace(truth, board=board)
     rotation = optics.true_rotation(angles_deg, truth)
-    return project_board(board_of(truth.screen), camera_of(truth), *board_pose(_screen_of(truth), rotation))
-
-
-def _screen_of(truth: Truth) -> ScreenTruth:
-    """Return the screen as the shifted camera sees it: it stands against the camera's shift."""
-    (x, y), (right, down, away) = truth.mount.shift_mm, truth.screen.position_mm
-    return replace(truth.screen, position_mm=(right - x, down - y, away))
-
-
-def board_of(screen: ScreenTruth) -> Checkerboard:
-    """Return the board on a screen.
-
-    screen: True size and pose of the board.
-    """
-    return Checkerboard(screen.columns, screen.rows, screen.square_mm)
-
-
-def board_pose(screen: ScreenTruth, rotation: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return the pose of the board in the camera's frame: X_cam = R P + t.
-
-    Own derivation: with the board's own rotation R0, position p and middle m, R = R_pose R0 and t = R_pose (p - R0 m).
-
-    screen: True pose of the board at zero angles.
-    rotation: (3, 3) of the camera's pose, from the axes at zero angles.
-    Returns: Rotation R, (3, 3), and position t, (3,) mm.
-    """
     own = np.asarray(cv2.Rodrigues(np.radians(np.asarray(screen.turn_deg, np.float64)))[0], np.float64)
     middle = 0.5 * screen.square_mm * np.array([screen.columns - 1.0, screen.rows - 1.0, 0.0])
-    return rotation @ own, rotation @ (np.asarray(screen.position_mm, np.float64) - own @ middle)
+    (x, y), (right, down, away) = truth.mount.shift_mm, screen.position_mm
+    place = np.asarray((right - x, down - y, away), np.float64)
+    placed = PlacedBoard(rotation @ own, rotation @ (place - own @ middle))
+    (outline,) = bright_areas(board, truth.target, pixels=False)
+    if not (placed.depth_mm(outline.reshape(-1, 2)) > 0.0).all():
+        raise SimulationMisuse("The board is not wholly in front of the camera.", where="position")
+    return shown, placed

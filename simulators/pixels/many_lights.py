@@ -16,8 +16,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from simulators.optics import board_lights
-from simulators.optics.board_lights import ImageOfLight
+from simulators.optics.board_scene import ImageOfLight, has_many_lights, images_of_lights
 from simulators.pixels import sensor_state
 from simulators.pixels.biases import PixelSettings
 from simulators.pixels.sensor import Events, Sensor
@@ -131,7 +130,7 @@ class ManyLightsSensor:
         quiet = replace(NOISE_LEVELS["none"], reset_noise=self._noise.reset_noise)
         gains = self._whole.gains
         self.parts = []
-        for light in board_lights.images_of_lights(self._truth, self._angles):
+        for light in images_of_lights(self._truth, self._angles):
             height, width = light.share.shape
             sensor = self._sensor(width, height, quiet)
             sensor.take_gains(gains[light.top : light.top + height, light.left : light.left + width])
@@ -172,7 +171,7 @@ def make_sensor(
     seed: np.random.SeedSequence,
 ) -> Sensor | ManyLightsSensor:
     """Return the sensor that a scene needs."""
-    if board_lights.has_many_lights(truth):
+    if has_many_lights(truth):
         return ManyLightsSensor(truth, angles_deg, settings=settings, camera_seed=camera_seed, seed=seed)
     width, height = truth.camera.width, truth.camera.height
     return Sensor(width, height, noise=truth.noise, settings=settings, camera_seed=camera_seed, seed=seed)

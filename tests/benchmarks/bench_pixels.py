@@ -27,10 +27,10 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
+from ideal_readout import ideal_slices
 
 from simulators.optics import picture as optics
 from simulators.pixels.evt3_writer import Evt3Writer
-from simulators.pixels.ideal_readout import ideal_slices
 from simulators.pixels.sensor import Events, Sensor
 from simulators.world.truth import NOISE_LEVELS, NoiseTruth, Truth
 from simulators.world.world import LightState

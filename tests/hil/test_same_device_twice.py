@@ -20,8 +20,7 @@ from drivers.device_hold import FOLDER_VARIABLE, DeviceHold
 from drivers.errors import PortBusy
 from sequences.reader import check_document
 from simulators.ports.pseudo_terminal import PseudoTerminal
-from simulators.ports.serial_device import SerialDevice
-from simulators.ports.tcp_port import TcpPort
+from simulators.ports.serial_device import SerialDevice, TcpPort
 from simulators.stages.axis_motion import Mechanics
 from simulators.stages.zaber import ZaberChain, ZaberController, ZaberModel
 

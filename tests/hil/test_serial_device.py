@@ -9,8 +9,7 @@ import serial
 
 from simulators.errors import SimulatorError
 from simulators.ports.pseudo_terminal import PseudoTerminal
-from simulators.ports.serial_device import SerialDevice
-from simulators.ports.tcp_port import TcpPort
+from simulators.ports.serial_device import SerialDevice, TcpPort
 
 
 class Parrot:

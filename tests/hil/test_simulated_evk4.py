@@ -8,7 +8,7 @@ import threading
 import pytest
 
 from simulators.cameras.evk4 import SimulatedEvk4
-from simulators.cameras.stream_faults import StreamFault
+from simulators.cameras.streaming import StreamFault
 from simulators.pixels.sensor_stream import SensorStream
 from simulators.world.truth_config import truth_from_config
 from simulators.world.world import World

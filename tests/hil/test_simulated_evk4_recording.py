@@ -16,7 +16,7 @@ from drivers.camera.simulated_evk4 import SimulatedEvk4Camera
 from drivers.clock import SystemClock
 from drivers.errors import CameraError, CameraLost, CameraSettingRefused
 from simulators.cameras.evk4 import SimulatedEvk4
-from simulators.cameras.stream_faults import StreamFault
+from simulators.cameras.streaming import StreamFault
 from simulators.world.truth_config import truth_from_config
 from simulators.world.world import LightState, World
 

@@ -14,7 +14,7 @@ from bench.stations.target.cad_files import GDS_CELL, GDS_OPAQUE, GDS_OUTLINE, O
 from bench.stations.target.draw import drawing_file
 from bench.stations.target.shapes import draw_target
 from calib.stars.detect import detect_stars
-from simulators.optics.print_outline import black_polygons
+from simulators.optics.outlines import black_polygons
 
 PX_PER_MM = 8
 SETTINGS = {"squares": (26, 24), "pitch_mm": 4.0138889, "tag_square": (11, 10), "serial": "r-0042"}

@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 
 from simulators.config import bench_config
-from simulators.optics import board_outline, board_scene, scene
+from simulators.optics import board_scene, scene
 from simulators.optics.board_scene import blur_of, placed_boards
 from simulators.optics.lens_focus import camera_of, focus_of
+from simulators.optics.outlines import points_mm
 from simulators.world.board import BoardState
 
 PIXEL_MM = 4.86e-3
@@ -100,7 +101,7 @@ def in_camera(placed, points_mm):
 def test_points_of_a_tilted_near_board_lie_and_blur_as_traced_rays(focus_m, f_number):
     truth = truth_of({**DOTS, "placements": [NEAR]}, {"focus_distance_m": focus_m, "f_number": f_number})
     placed = placed_boards(truth, {})[0]
-    points = board_outline.points_mm(truth.board, truth.target)
+    points = points_mm(truth.board, truth.target)
     filled, edge = traced(truth, in_camera(placed, points))
     seen = scene.corners(truth, {})
     assert np.abs(filled.mean(axis=1) - seen).max() < 0.01
@@ -119,9 +120,7 @@ def test_dots_of_the_rendered_picture_lie_and_blur_as_traced_rays():
     placed = placed_boards(truth, {})[0]
     dot, _ = stop_points(DOTS["dot_mm"], rings=8, spokes=24)
     v, u = np.mgrid[: CAMERA["height"], : CAMERA["width"]]
-    for point, seen in zip(
-        board_outline.points_mm(truth.board, truth.target), scene.corners(truth, {}), strict=True
-    ):
+    for point, seen in zip(points_mm(truth.board, truth.target), scene.corners(truth, {}), strict=True):
         hits = traced(truth, in_camera(placed, point + dot))[0].reshape(-1, 2)
         near = np.hypot(u - seen[0], v - seen[1]) < 45
         weight = image[near] / image[near].sum()
@@ -150,7 +149,7 @@ def test_the_points_lie_where_opencv_projects_them(kind):
     if kind != "stars":
         board |= {"columns": 4, "rows": 5, "pitch_mm": 8}
     truth = truth_of(board, camera={**CAMERA, "k1": 0.1, "k2": -0.4})
-    points = board_outline.points_mm(truth.board, truth.target)
+    points = points_mm(truth.board, truth.target)
     middle = truth.target.tag_centre_mm if kind == "stars" else 0.5 * (points.min(0) + points.max(0))
     around = np.column_stack([points - middle, np.zeros(len(points))])
     matrix = np.array([[CAMERA["fx"], 0, CAMERA["cx"]], [0, CAMERA["fy"], CAMERA["cy"]], [0, 0, 1.0]])

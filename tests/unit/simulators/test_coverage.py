@@ -8,8 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from calib.target import StarTarget
-from simulators.optics.coverage import add_edge, empty_picture, join_cells, spread_kernel
-from simulators.optics.print_outline import black_polygons
+from simulators.optics.drawing import add_edge, empty_picture, join_cells, spread_kernel
+from simulators.optics.outlines import black_polygons
 
 PLACE = st.tuples(st.floats(-3.0, 12.0), st.floats(-3.0, 9.0))
 

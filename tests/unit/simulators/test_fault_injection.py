@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from simulators.assembly import make_light, make_stage
-from simulators.cameras.stream_faults import StreamFaults
+from simulators.cameras.streaming import StreamFaults
 from simulators.config import BenchConfig
 from simulators.errors import ConfigError
 from simulators.faults.camera_hands import CameraHands

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from ideal_readout import EVENT, WARM_UP, ideal_events, ideal_slices
 
 from simulators.errors import SimulationMisuse
 from simulators.pixels.biases import PixelSettings
-from simulators.pixels.ideal_readout import EVENT, WARM_UP, ideal_events, ideal_slices
 from simulators.world.world import LightState
 from tests.unit.simulators.ode_pixel import solve_step_by_step
 

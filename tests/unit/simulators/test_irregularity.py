@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from simulators.optics.irregularity import (
+from simulators.optics.collimator_errors import (
     DEGREE,
     MONOMIALS,
     POWER,

@@ -3,7 +3,7 @@
 import struct
 import time
 
-from simulators.pulse import Pulse
+from simulators.bench import Pulse
 
 
 def test_the_pulse_runs_and_never_faster_than_the_clock(tmp_path):

@@ -8,31 +8,36 @@ from drivers.camera.evt3 import Evt3Decoder
 from simulators.config import bench_config
 from simulators.errors import SimulationMisuse
 from simulators.optics import scene
-from simulators.optics.screen import Checkerboard, project_board, render_board
 from simulators.pixels.biases import FACTORY
 from simulators.pixels.sensor_stream import CameraState, SensorStream
-from simulators.world.truth import CameraTruth
+from simulators.world.truth import CameraTruth, OpticsTruth, ScreenTruth, Truth
 from simulators.world.world import AxisMotion, LightState, World
 
 CAMERA = CameraTruth(fx=420.0, fy=421.0, cx=159.0, cy=91.0, k1=-0.1, k2=0.05, width=320, height=180)
-BOARD = Checkerboard(columns=7, rows=4, square_mm=20.0)
-TILTED = cv2.Rodrigues(np.array([0.2, -0.3, 0.1]))[0]
-PLACE = np.array([-55.0, -30.0, 300.0])
+TURN_DEG = tuple(np.degrees([0.2, -0.3, 0.1]).tolist())
+MIDDLE = (5.0, -3.0, 300.0)
 
 
-def test_corners_lie_where_opencv_projects_them():
-    points = np.column_stack([BOARD.corners_mm, np.zeros(28)])
-    matrix = np.array([[CAMERA.fx, 0, CAMERA.cx], [0, CAMERA.fy, CAMERA.cy], [0, 0, 1.0]])
-    distortion = np.array([CAMERA.k1, CAMERA.k2, 0.0, 0.0])
-    expected, _ = cv2.projectPoints(points, cv2.Rodrigues(TILTED)[0], PLACE, matrix, distortion)
-    np.testing.assert_allclose(
-        project_board(BOARD, CAMERA, TILTED, PLACE), expected.reshape(-1, 2), atol=1e-9
+def screen(middle_mm=MIDDLE):
+    return Truth(
+        camera=CAMERA,
+        screen=ScreenTruth(7, 4, 20.0, middle_mm, TURN_DEG),
+        optics=OpticsTruth(mounting_deg=(0.0, 0.0, 0.0)),
     )
 
 
+def test_corners_lie_where_opencv_projects_them():
+    x, y = np.meshgrid(20.0 * np.arange(7) - 60.0, 20.0 * np.arange(4) - 30.0)
+    points = np.column_stack([x.ravel(), y.ravel(), np.zeros(28)])
+    matrix = np.array([[CAMERA.fx, 0, CAMERA.cx], [0, CAMERA.fy, CAMERA.cy], [0, 0, 1.0]])
+    distortion = np.array([CAMERA.k1, CAMERA.k2, 0.0, 0.0])
+    expected, _ = cv2.projectPoints(points, np.radians(TURN_DEG), np.array(MIDDLE), matrix, distortion)
+    np.testing.assert_allclose(scene.corners(screen(), {}), expected.reshape(-1, 2), atol=1e-9)
+
+
 def test_opencv_refines_the_rendered_corners_to_their_true_places():
-    picture = render_board(BOARD, CAMERA, TILTED, PLACE)
-    true = project_board(BOARD, CAMERA, TILTED, PLACE)
+    picture = scene.picture(screen(), {})
+    true = scene.corners(screen(), {})
     eight_bit = np.uint8(np.round(255 * picture))
     criteria = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_MAX_ITER, 100, 1e-4)
     start = (true + 0.4).astype(np.float32).reshape(-1, 1, 2)
@@ -44,20 +49,25 @@ def test_opencv_refines_the_rendered_corners_to_their_true_places():
 
 
 def test_the_screen_is_dark_around_the_board():
-    picture = render_board(BOARD, CAMERA, TILTED, PLACE)
-    corners = project_board(BOARD, CAMERA, TILTED, PLACE)
-    assert picture[:, : int(corners[:, 0].min()) - 40].max() == 0.0
+    corners = scene.corners(screen(), {})
+    assert scene.picture(screen(), {})[:, : int(corners[:, 0].min()) - 40].max() == 0.0
 
 
 def test_a_board_behind_the_camera_is_refused():
     with pytest.raises(SimulationMisuse):
-        render_board(BOARD, CAMERA, TILTED, -PLACE)
+        scene.picture(screen((5.0, -3.0, -300.0)), {})
 
 
 def test_the_camera_streams_the_board_that_its_station_puts_before_it():
     camera = {"fx": 420, "fy": 421, "cx": 159, "cy": 91, "k1": -0.1, "k2": 0.05, "width": 320, "height": 180}
-    screen = {"columns": 7, "rows": 4, "square_mm": 20, "position_mm": [5, -3, 300], "turn_deg": [10, -15, 6]}
-    truth = bench_config({"camera": camera, "screen": screen, "noise": "none"}).truth
+    section = {
+        "columns": 7,
+        "rows": 4,
+        "square_mm": 20,
+        "position_mm": [5, -3, 300],
+        "turn_deg": [10, -15, 6],
+    }
+    truth = bench_config({"camera": camera, "screen": section, "noise": "none"}).truth
     world = World(truth)
     world.set_axis("pan", AxisMotion.resting(2.0, 12_800))
     world.set_light(LightState(output=True))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from simulators.cameras.stream_faults import StreamFault, StreamFaults
+from simulators.cameras.streaming import StreamFault, StreamFaults
 from simulators.errors import SimulatorError
 
 FRAME = np.array([0x8123, 0x6001, 0x0010, 0x2005, 0x8005, 0x6002], "<u2")
