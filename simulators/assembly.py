@@ -58,7 +58,6 @@ def make_stage(kind: str, axes: Axes, clock: Clock, publish: Publish) -> Stage:
 
     kind: A key of `simulators.config.STAGE_KINDS`; the configuration has checked it.
     axes: Its axes, in the order of their addresses.
-    clock: Returns the time in seconds.
     """
     return _MAKERS[kind](axes, clock, publish)
 
@@ -225,10 +224,7 @@ _MAKERS: Final[Mapping[str, Callable[[Axes, Clock, Publish], Stage]]] = {
 def make_light(
     config: LightConfig, clock: Callable[[], float], drive: Callable[[LightState], None]
 ) -> LightDriver:
-    """Build the driver of a light.
-
-    clock: Returns the time in seconds.
-    """
+    """Build the driver of a light."""
     if config.kind == "gardasoft":
         return GardasoftRt(clock, drive)
     if config.kind == "microcontroller":

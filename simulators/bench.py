@@ -149,11 +149,7 @@ class Bench:
         return self
 
     def inject(self, order: FaultOrder) -> None:
-        """Inject a fault, at once or after the order's delay.
-
-        order: The order.
-        Raises ConfigError: If this bench has no such device, or a parameter is invalid.
-        """
+        """Inject a fault, at once or after the order's delay."""
         action = fault_action(order, self._bench_parts)
         if order.after_s <= 0.0:
             action()
@@ -257,7 +253,6 @@ def _execute(bench: Bench, line: str) -> dict[str, Any]:
 def main(words: Sequence[str] | None = None) -> int:
     """Run the bench until it is told to stop.
 
-    words: Command line; None for `sys.argv`.
     Returns: Exit status: 0, or 2 if the bench cannot start; one line on standard error then gives the reason.
     """
     arguments = _arguments(words)

@@ -33,7 +33,6 @@ from simulators.ports.serial_device import SerialDevice
 def main(words: Sequence[str] | None = None) -> int:
     """Run the line until it is told to stop.
 
-    words: Command line; None for `sys.argv`.
     Returns: Exit status: 0, or 2 if the line cannot start; one line on standard error then gives the reason.
     """
     parser = argparse.ArgumentParser(

@@ -42,7 +42,6 @@ class VirtualCamera:
     section: As the ``simulation`` section of a station file.
     seed: Seed of the gimbal's errors, of the mounting if the section does not state it, and of the camera's
       pixels.
-    Raises ConfigError: If the section is not valid.
     """
 
     def __init__(self, section: Mapping[str, Any], seed: int) -> None:
@@ -59,10 +58,7 @@ class VirtualCamera:
         return truth_record(self._truth)
 
     def board_corners_px(self) -> NDArray[np.float64]:
-        """Return the true image points of the inner corners of the board on the screen, at zero angles.
-
-        Returns: Image points, px, row by row.
-        """
+        """Return the true image points of the inner corners of the board on the screen, at zero angles."""
         return scene.corners(self._truth, {})
 
     def capture(
@@ -71,7 +67,6 @@ class VirtualCamera:
         """Turn the camera and record whole periods of the light.
 
         angles_deg: Readings of the axes, degrees; the loads stand behind the play of their gears.
-        light_hz: Frequency of the light, Hz.
         """
         for axis, angle in angles_deg.items():
             moved = angle - self._last.get(axis, 0.0)
@@ -108,10 +103,7 @@ class VirtualCamera:
 
         board_at: Returns position, mm, and turn, degrees, of the board at a time in us, as the section
           ``screen`` has them.
-        duration_us: Length of the recording, us.
         frame_us: Length of a step, us.
-        Returns: The events; there is no flicker, so ``light_hz`` is 0.
-        Raises SimulationMisuse: If the board is not wholly in front of the camera.
         """
         camera, light = self._truth.camera, _STEADY_LIGHT
         sensor = Sensor(
@@ -131,7 +123,6 @@ class VirtualCamera:
         """Return the true image points of the inner corners of a board that was moved, at zero angles.
 
         placed: Position, mm, and turn, degrees, of the board.
-        Returns: Image points, px, row by row.
         """
         return scene.corners(self._moved(placed), {})
 

@@ -75,7 +75,6 @@ def read_enabled(request: Mapping[str, Any]) -> bool:
 def read_frames(request: Mapping[str, Any]) -> int | None:
     """Read from a stop request how many frames the host has kept.
 
-    Returns: Number of frames; None if the request does not say.
     Raises Refusal: ``bad_value``: ``frames`` is not a whole number from 0 on.
     """
     frames = request.get("frames")
@@ -103,7 +102,6 @@ class _HostGone(Exception):
 class SimulatedEvk4:
     """The simulated camera; it accepts one host at a time.
 
-    host, port: Address to listen on; port 0 takes a free port.
     paced: Whether the stream arrives at the sensor's own rate; False sends it as fast as it is computed.
     """
 

@@ -78,7 +78,6 @@ class PictureMaker:
     def expose(self, rng: np.random.Generator) -> NDArray[np.uint8]:
         """Expose one picture, beginning now.
 
-        rng: Source of the picture's noise.
         Returns: ``(height, width) uint8``, grey values.
         """
         begin_s = self._world.now_s()
@@ -101,11 +100,7 @@ class PictureMaker:
 
 
 def mean_brightness(light: LightState, begin_s: float, exposure_s: float) -> float:
-    """Return the mean brightness of the light over an exposure.
-
-    begin_s: Start of the exposure, s.
-    exposure_s: Duration of the exposure, s.
-    """
+    """Return the mean brightness of the light over an exposure."""
     if not light.output:
         return 0.0
     instants = begin_s + (np.arange(LIGHT_SAMPLES) + 0.5) / LIGHT_SAMPLES * exposure_s
@@ -127,10 +122,7 @@ FRAME_CAMERA_FAULTS: Final = {
 
 
 class SimulatedFrameCamera:
-    """The simulated frame camera; it serves one host after another.
-
-    host, port: Address to listen on; port 0 takes a free port.
-    """
+    """The simulated frame camera; it serves one host after another."""
 
     def __init__(self, world: World, *, host: str = "127.0.0.1", port: int = 0) -> None:
         self._pictures = PictureMaker(world)

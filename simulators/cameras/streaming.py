@@ -54,10 +54,7 @@ class StreamFaults:
         """Whether the sensor's event rate controller drops events from the next start on, whatever its setting."""
 
     def inject(self, fault: StreamFault) -> None:
-        """Add a fault for frames to come.
-
-        Raises SimulatorError: If the kind of the fault is unknown.
-        """
+        """Add a fault for frames to come."""
         if fault.kind not in STREAM_FAULTS:
             raise SimulatorError(
                 f"Unknown stream fault {fault.kind!r}.", remedy=f"Use one of: {', '.join(STREAM_FAULTS)}."
@@ -74,7 +71,6 @@ class StreamFaults:
     def apply(self, frame: bytes) -> bytes:
         """Apply the faults that are due to the next frame.
 
-        frame: EVT3 words, 16 bit, little endian.
         Returns: What the host receives; empty if nothing arrives.
         """
         with self._lock:
@@ -192,19 +188,12 @@ class TimeBase:
         self.start(0)
 
     def start(self, at_us: int) -> None:
-        """Begin a stream.
-
-        at_us: Sensor time at which the stream begins, us.
-        """
+        """Begin a stream."""
         self.now_us = at_us
         self._sent_us = [at_us]
 
     def advance(self, until_us: int, *, sent: bool) -> None:
-        """Advance the clock to the end of a frame.
-
-        until_us: Sensor time at the end of the frame, us.
-        sent: Whether the frame was sent to the host.
-        """
+        """Advance the clock to the end of a frame."""
         self.now_us = until_us
         if sent:
             self._sent_us.append(until_us)

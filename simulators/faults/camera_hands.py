@@ -38,7 +38,6 @@ class CameraHands:
 
         order: Order for one of `HAND_DEVICES`.
         Returns: Changes the setup at once.
-        Raises ConfigError: If a parameter is invalid, or there is no board.
         """
         start = self._world.truth
         if order.device == "board":

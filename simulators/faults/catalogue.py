@@ -172,7 +172,6 @@ def faults_of(device: str) -> Mapping[str, Fault]:
     """Return the faults of a device.
 
     device: Name of the device, e.g. ``pan`` or ``light``.
-    Raises ConfigError: If there is no such device.
     """
     by_device: dict[str, Mapping[str, Fault]] = {
         **dict.fromkeys(("pan", "tilt", "roll"), AXIS_FAULTS),
@@ -193,9 +192,6 @@ def faults_of(device: str) -> Mapping[str, Fault]:
 
 def fault_order_from_text(text: str) -> FaultOrder:
     """Read an order from text.
-
-    Returns: The checked order.
-    Raises ConfigError: If the text is not an order, or names something unknown.
 
     Examples
     --------
@@ -222,7 +218,6 @@ def fault_order(given: Mapping[str, Any]) -> FaultOrder:
     """Check an order.
 
     given: The order as a mapping; values may be text.
-    Returns: The checked order.
     Raises ConfigError: If a key is missing or unknown, or a value is invalid; ``where`` names the key.
     """
     for key in ("device", "fault"):

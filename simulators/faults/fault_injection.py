@@ -87,12 +87,7 @@ class BenchParts:
 
 
 def fault_action(order: FaultOrder, parts: BenchParts) -> Callable[[], None]:
-    """Return the call that injects a fault.
-
-    order: The order; its delay is not applied here.
-    Returns: Injects the fault at once.
-    Raises ConfigError: If this bench has no such device, or a parameter is invalid.
-    """
+    """Return the call that injects a fault."""
     if order.device in parts.ports:
         return _on_port(order, parts)
     if order.device == "camera":
@@ -156,12 +151,7 @@ def _on_port(order: FaultOrder, parts: BenchParts) -> Callable[[], None]:
 
 
 def line_fault_action(order: FaultOrder, port: SerialDevice, line: FaultLine) -> Callable[[], None]:
-    """Return the call that injects a fault of a line.
-
-    order: The order.
-    Returns: Injects the fault at once.
-    Raises ConfigError: If a parameter is invalid.
-    """
+    """Return the call that injects a fault of a line."""
     if order.fault in {"unplug", "replug"}:
         return port.unplug if order.fault == "unplug" else port.replug
     act = _on_line(order, line)

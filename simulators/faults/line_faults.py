@@ -163,10 +163,7 @@ _DRAWN: Final = ("lost", "late", "truncated", "garbled", "nul", "doubled", "spli
 
 
 class FaultLine:
-    """A line with injected faults, in front of a device.
-
-    clock: Returns the time in seconds.
-    """
+    """A line with injected faults, in front of a device."""
 
     def __init__(self, device: Dialect, clock: Callable[[], float], rng: np.random.Generator) -> None:
         self._device = device
@@ -189,10 +186,7 @@ class FaultLine:
         return tuple(self._faults)
 
     def inject(self, fault: LineFault) -> None:
-        """Add a fault for messages to come.
-
-        Raises SimulatorError: If the kind of the fault is unknown.
-        """
+        """Add a fault for messages to come."""
         known = [*REPLY_FAULTS, *REQUEST_FAULTS, "stale", "any"]
         if fault.kind not in known:
             raise SimulatorError(
@@ -209,10 +203,7 @@ class FaultLine:
         self._other_baud = baud
 
     def schedule(self, t_s: float, act: Callable[[], None]) -> None:
-        """Schedule an action; it runs between two exchanges.
-
-        t_s: Time from which the action is due, s.
-        """
+        """Schedule an action; it runs between two exchanges."""
         self._scheduled.append((t_s, act))
 
     def clear(self) -> None:

@@ -12,7 +12,6 @@ from simulators.world.world import LightState
 class LightDriver(ABC):
     """A driver of the bench's light, as a dialect of a serial line.
 
-    clock: Returns the time in seconds.
     drive: Called with the new state of the light whenever it changes.
     ends, ignored: Byte at the end of a message, and bytes that are dropped.
     longest: Length of the input buffer, bytes.

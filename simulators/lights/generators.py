@@ -114,10 +114,7 @@ class Generator(LightDriver):
         self._apply(replace(self.settings, shape=shape))
 
     def switch(self, *, output: bool | None = None, sync: bool | None = None) -> None:
-        """Switch the output or the sync output.
-
-        output, sync: New states; None leaves a state as it is.
-        """
+        """Switch the output or the sync output."""
         now = self.settings
         self._apply(
             replace(
@@ -126,10 +123,7 @@ class Generator(LightDriver):
         )
 
     def invert_sync(self, inverted: bool) -> None:
-        """Set the polarity of the sync output.
-
-        inverted: Whether it is inverted.
-        """
+        """Set the polarity of the sync output."""
         self._apply(replace(self.settings, sync_inverted=inverted))
 
     def set_load(self, ohm: float) -> None:
@@ -139,11 +133,7 @@ class Generator(LightDriver):
         self._apply(replace(self.settings, load_ohm=ohm, low_v=low_v, high_v=high_v))
 
     def set(self, name: Setting, value: float) -> ClipReason:
-        """Set a value, clipped to its range.
-
-        value: New value: Hz, percent or V.
-        Returns: Why the value was clipped; empty if it was not.
-        """
+        """Set a value, clipped to its range."""
         lowest, highest = self.bounds(name)
         held: ClipReason = "lower limit" if value < lowest else "upper limit" if value > highest else ""
         value = min(max(value, lowest), highest)
@@ -158,10 +148,7 @@ class Generator(LightDriver):
         return held
 
     def bounds(self, name: Setting) -> tuple[float, float]:
-        """Return the range of a setting, which depends on the other settings.
-
-        Returns: Lowest and highest value: Hz, percent or V.
-        """
+        """Return the range of a setting, which depends on the other settings."""
         share = _voltage_share(self.settings.load_ohm)
         most, least = self.most_v * share, _MIN_AMPLITUDE_V * share
         half = self.settings.amplitude_v / 2.0

@@ -73,10 +73,7 @@ class Lamp:
         self._effect = _Effect()
 
     def drive(self, state: LightState) -> None:
-        """Set the light that the driver produces from now on.
-
-        state: The driver's light.
-        """
+        """Set the light that the driver produces from now on."""
         self._driven = state
         effect = self._effect
         self._show(
@@ -101,7 +98,6 @@ class Lamp:
         kind: One of `LAMP_FAULTS`.
         factor: Factor of brightness, frequency or duty cycle; number of periods; or share of a period. Faults
           without a factor ignore it.
-        Raises SimulatorError: If the kind is unknown or the factor is not positive.
         """
         if kind not in LAMP_FAULTS:
             raise SimulatorError(

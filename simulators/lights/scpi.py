@@ -87,8 +87,6 @@ class Unit(NamedTuple):
 def units(message: str) -> Iterator[Unit]:
     """Split a message at its semicolons; a header without a leading colon continues the path of the one before.
 
-    message: Message without its line end.
-
     Examples
     --------
     >>> [unit.header for unit in units("VOLT:HIGH 5;LOW 0;:FREQ 60;*OPC?")]
@@ -112,7 +110,6 @@ def header_pattern(specification: str) -> re.Pattern[str]:
 
     specification: Header: capitals are the short form, brackets enclose optional nodes, # stands for an
       optional channel number 1.
-    Returns: Pattern that matches absolute headers in capitals.
 
     Examples
     --------
@@ -146,8 +143,6 @@ class CommandTree:
         """Register a header as a command, a query, or both.
 
         specification: Header, as `header_pattern` takes it.
-        setter: Executes the command; None if there is no command.
-        getter: Answers the query; None if there is no query.
         """
         self._entries.append(_Entry(header_pattern(specification), setter, getter))
 
@@ -157,7 +152,6 @@ class CommandTree:
         Errors go to the queue. A command error (-1xx) ends the message; an
         execution error (-2xx) does not.
 
-        message: Message without its line end.
         Returns: Answers of all queries, separated by semicolons; None if there are none.
         """
         answers: list[str] = []
@@ -186,7 +180,6 @@ class CommandTree:
 def only_argument(arguments: Sequence[str]) -> str:
     """Return the only argument.
 
-    arguments: Arguments of a command.
     Raises ScpiError: -109 without an argument, -108 with several.
     """
     if not arguments:
@@ -199,7 +192,6 @@ def only_argument(arguments: Sequence[str]) -> str:
 def expect_no_arguments(arguments: Sequence[str]) -> None:
     """Check that a command has no arguments.
 
-    arguments: Arguments of a command.
     Raises ScpiError: -108 if there are any.
     """
     if arguments:
@@ -226,10 +218,7 @@ def number(word: str, unit_factors: dict[str, float]) -> float:
 
 
 def boolean(word: str) -> bool:
-    """Read ON, OFF or a number; only 0 is off.
-
-    Returns: Whether it is on.
-    """
+    """Read ON, OFF or a number; only 0 is off."""
     if word.upper() in {"ON", "OFF"}:
         return word.upper() == "ON"
     return number(word, {}) != 0.0

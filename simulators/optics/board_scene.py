@@ -80,7 +80,6 @@ def plane_blur(truth: Truth, seen_px: FloatArray, rotation: FloatArray, position
 
     seen_px: (N, 2), image points of the board's outline.
     rotation, position: R, (3, 3), and t, (3,) mm: X_cam = R P + t.
-    Returns: Diameters, px.
     """
     normal = rotation[:, 2]
     distance = float(normal @ position)
@@ -169,7 +168,6 @@ def placed_boards(truth: Truth, angles_deg: Mapping[Any, float]) -> tuple[Placed
     Own derivation: with the rotation G of the camera from its axes at zero angles, the board's own rotation B, its
     middle at p and m on the board, R = G B and t = G (p - B m).
 
-    angles_deg: Angles of the axes by name; missing = 0.
     Returns: The first one is that of the placement.
     """
     at_zero = optics.pose_rotation({}, truth.optics, truth.gimbal)
@@ -190,7 +188,6 @@ def points(truth: Truth, angles_deg: Mapping[Any, float]) -> FloatArray:
 
     Projection: Hartley and Zisserman (2004), section 6.1.
 
-    angles_deg: Angles of the axes by name; missing = 0.
     Returns: Image points, px, in the order of `points_mm`; nan behind the camera.
     """
     placed = placed_boards(truth, angles_deg)[0]
@@ -201,7 +198,6 @@ def points(truth: Truth, angles_deg: Mapping[Any, float]) -> FloatArray:
 def moved_px(before: Truth, after: Truth, angles_deg: Mapping[Any, float]) -> float:
     """Return how far the points of the board have moved in the image.
 
-    angles_deg: Angles of the axes by name; missing = 0.
     Returns: Largest distance, px; infinite if a point comes from behind the camera.
     """
     distance = np.linalg.norm(points(after, angles_deg) - points(before, angles_deg), axis=1)
@@ -213,8 +209,6 @@ def picture(truth: Truth, angles_deg: Mapping[Any, float], *, subsamples: int = 
 
     Areas: Levien (2016). Own model of the point spread: see `coverage.spread_kernel`.
 
-    angles_deg: Angles of the axes by name; missing = 0.
-    subsamples: Cells along each side of a pixel.
     Returns: Without the brightness of the lens's aperture.
     """
     board, camera = truth.board, truth.camera
@@ -226,10 +220,7 @@ def picture(truth: Truth, angles_deg: Mapping[Any, float], *, subsamples: int = 
 
 
 def blur_of(truth: Truth, placed: PlacedBoard) -> BoardBlur:
-    """Return the diameters of the blur over the image of a board.
-
-    Returns: Diameters, px.
-    """
+    """Return the diameters of the blur over the image of a board."""
     outline = bright_areas(truth.board, truth.target, pixels=False)[0].reshape(-1, 2)
     ahead = outline[placed.depth_mm(outline) > NEAREST_MM]
     seen = np.asarray(image_points(np.ascontiguousarray(ahead), placed.projection(truth)))
@@ -303,7 +294,6 @@ def has_many_lights(truth: Truth) -> bool:
 def images_of_lights(truth: Truth, angles_deg: Mapping[Any, float]) -> list[ImageOfLight]:
     """Return the images of all lights of the board, or of both boards.
 
-    angles_deg: Angles of the axes by name; missing = 0.
     Returns: Only those in view. A pixel belongs to one light at most: to that of the nearer dot.
     """
     flickers = is_flickering(truth.board, view_of(truth.board, truth.target))

@@ -63,7 +63,6 @@ def field_coefficients(axis: tuple[float, float], rms: float, rim_rms: float, se
     Zernike polynomials: Noll (1976). Random functions: Shinozuka and Deodatis (1991). The field at the rim is this
     project's own.
 
-    axis: Tangents of the camera's turn.
     rms: Root mean square displacement over the disc and over poses, mm.
     rim_rms: Root mean square displacement of the rim's field at the disc's edge, in x and in y, mm.
     Returns: Coefficients in mm, for ``displacement_field``. First those of u^p v^q, p outermost, with
@@ -85,8 +84,6 @@ def random_functions(axis: tuple[float, float], count: int, seed: int) -> FloatA
 
     Each is a sum of sinusoids with random wave vectors and phases (spectral representation; Shinozuka and Deodatis
     1991).
-
-    axis: Tangents of the camera's turn.
     """
     waves, phases = _waves(count, seed)
     return np.asarray(math.sqrt(2.0 / WAVES) * np.sin(waves @ np.array(axis) + phases).sum(axis=1))
@@ -263,7 +260,6 @@ def disc_of(collimator: CollimatorTruth, rotation: FloatArray) -> Disc:
     to 5 periods around it. Own model: the centre lies at (x, y) + offset + walk * tangents + wander * random function,
     and the radius is r tan(half angle) (1 + breathing * random function).
 
-    rotation: (3, 3), camera <- target.
     Returns: Centre, mean radius and edge, mm.
     """
     along = _axis(rotation)
@@ -309,8 +305,6 @@ def radius_fraction(x_mm: float, y_mm: float, disc: Disc) -> float:
     """Return the distance of a target point from the disc's centre, as a fraction of the radius in that direction.
 
     Own definition: the distance divided by the radius in that direction.
-
-    Returns: 0 at the centre, 1 at the edge.
     """
     x, y = x_mm - disc.x, y_mm - disc.y
     away = math.sqrt(x * x + y * y)
@@ -324,7 +318,6 @@ def radius_fractions(points_mm: FloatArray, disc: Disc) -> FloatArray:
     """Return ``radius_fraction`` for several points.
 
     points_mm: (N, 2) float64, points of the target plane.
-    Returns: 0 at the centre, 1 at the edge.
     """
     out = np.empty(points_mm.shape[0])
     for i in range(points_mm.shape[0]):
@@ -349,9 +342,6 @@ def aberrations_of(
     """Return the errors of the collimator and its reticle in a pose.
 
     Own definition: b = (disc centre - (x, y)) / r, as in the head of the module.
-
-    rotation: (3, 3), camera <- target.
-    Returns: Everything that ``displacement`` needs.
     """
     disc = disc_of(collimator, rotation)
     return Aberrations(
@@ -390,7 +380,6 @@ def apparent_points(points_mm: FloatArray, aberrations: Aberrations) -> FloatArr
     Own addition to P of `displacement`; the third-order terms are those of Born and Wolf, section 5.3.
 
     points_mm: (N, 2), true positions on the target plane.
-    Returns: Apparent positions, mm.
     """
     return np.asarray(_apparent_points(np.ascontiguousarray(points_mm, np.float64), aberrations))
 
@@ -402,7 +391,6 @@ def displacement(x_mm: float, y_mm: float, e: Aberrations) -> tuple[float, float
     Third-order terms: Born and Wolf, Principles of Optics, section 5.3.
 
     x_mm, y_mm: True position on the target plane.
-    Returns: dx and dy, mm.
     """
     larger_x, larger_y = e.print_scale * (x_mm - e.x), e.print_scale * (y_mm - e.y)
     x_mm, y_mm = x_mm + larger_x, y_mm + larger_y
@@ -425,8 +413,6 @@ def reticle_point(x_mm: float, y_mm: float, e: Aberrations) -> tuple[float, floa
     """Return the reticle point that appears at (x, y): the inverse of ``apparent_points``, to about 1e-6 mm.
 
     Own derivation: the fixed point of P <- (x, y) - displacement(P).
-
-    Returns: True position, mm.
     """
     p_x, p_y = x_mm, y_mm
     for _ in range(6):
@@ -437,10 +423,7 @@ def reticle_point(x_mm: float, y_mm: float, e: Aberrations) -> tuple[float, floa
 
 @njit(cache=True, nogil=True)
 def is_ideal(e: Aberrations) -> bool:
-    """Return whether the collimator displaces no point.
-
-    Returns: True if all coefficients are zero.
-    """
+    """Return whether the collimator displaces no point."""
     return (
         e.defocus == 0.0
         and e.spherical == 0.0

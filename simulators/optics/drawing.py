@@ -29,10 +29,7 @@ REACH_SIGMAS: Final = 3.6
 
 
 def empty_picture(width: int, height: int, cells: int, margin: int) -> NDArray[np.float32]:
-    """Return an empty picture.
-
-    cells: Cells along a pixel's side.
-    """
+    """Return an empty picture."""
     return np.zeros(((height + 2 * margin) * cells, (width + 2 * margin) * cells + 1), np.float32)
 
 
@@ -95,7 +92,6 @@ def spread_kernel(sigma_px: float, cells: int) -> FloatArray:
     Own derivation: a cell at x has the weight Phi((x + 1/2) / s) - Phi((x - 1/2) / s), in pixels, where s^2 is sigma^2
     minus 1/12 of the cell's squared width.
 
-    cells: Cells along a pixel's side.
     Returns: Weights of the pixel's cells and of n cells to either side; they sum to 1. The width of a cell
       counts as part of the point spread.
     """
@@ -130,7 +126,6 @@ def join_cells(
     light: (height + 2 margin + 1, width + 2 margin + 1) float32 brightness at the corners of pixels; linear
       between.
     kernel: (cells + 2 n,) float64, weights of ``spread_kernel``.
-    cells: Cells along a pixel's side.
     """
     height, width = steps.shape[0] // cells - 2 * margin, (steps.shape[1] - 1) // cells - 2 * margin
     before = margin * cells - (kernel.size - cells) // 2  # cells of the margin beyond the kernel's reach
@@ -222,7 +217,6 @@ def image_points(points_mm: FloatArray, projection: Projection) -> FloatArray:
     """Return the image points of points of the plane.
 
     points_mm: (N, 2) float64, points of the plane.
-    Returns: Image points, px; NaN behind the camera.
     """
     out = np.empty((points_mm.shape[0], 2))
     for i in range(points_mm.shape[0]):
@@ -237,7 +231,6 @@ def plane_points(rays: FloatArray, projection: Projection) -> FloatArray:
     Own derivation: a ray d = [x y 1] meets the plane at c + s R^T d, with s such that Z = 0.
 
     rays: (rows, columns, 2) undistorted normalised coordinates.
-    Returns: Points of the plane, mm; NaN for a ray that leads away from it.
     """
     out = np.empty_like(rays)
     r, c = projection.rotation, projection.centre

@@ -43,10 +43,7 @@ class Lens(NamedTuple):
 
 
 def lens_of(camera: CameraTruth) -> Lens:
-    """Return the lens of a camera.
-
-    camera: True parameters of the camera.
-    """
+    """Return the lens of a camera."""
     c = camera
     return Lens(c.fx, c.fy, c.cx, c.cy, c.k1, c.k2, c.k3, c.k4, c.p1, c.p2, camera.projection == "fisheye")
 
@@ -60,7 +57,6 @@ def distort(xn: float, yn: float, lens: Lens) -> tuple[float, float]:
     theta (1 + k1 theta^2 + k2 theta^4 + k3 theta^6 + k4 theta^8).
 
     xn, yn: Undistorted normalised coordinates x/z and y/z.
-    Returns: Distorted normalised coordinates.
     """
     r2 = xn * xn + yn * yn
     if lens.fisheye:
@@ -84,7 +80,6 @@ def image_point(x: float, y: float, z: float, lens: Lens) -> tuple[float, float]
     Pinhole projection: Hartley and Zisserman (2004), section 6.1. Distortion: Brown (1971), or Kannala and Brandt
     (2006), as in `distort`.
 
-    x, y, z: Point in the camera's frame, in any unit.
     Returns: u and v, px; NaN if the point does not lie in front of the camera.
     """
     if not z > 0.0:
@@ -100,7 +95,6 @@ def undistort(xd: FloatArray, yd: FloatArray, camera: CameraTruth) -> tuple[Floa
     (x_d - distort(x)) for the pinhole model.
 
     xd, yd: Distorted normalised coordinates, two arrays of one shape (...,).
-    camera: True parameters of the camera.
     Returns: Undistorted normalised coordinates x/z and y/z.
     Raises ConfigError: If the distortion cannot be inverted there: the radial polynomial decreases inside the
       image.
@@ -126,7 +120,6 @@ def distort_arrays(xn: FloatArray, yn: FloatArray, lens: Lens) -> tuple[FloatArr
     """Return ``distort`` for arrays.
 
     xn, yn: Undistorted normalised coordinates, two arrays of one shape (...,).
-    Returns: Distorted normalised coordinates.
     """
     flat = _distort(np.column_stack([np.ravel(xn), np.ravel(yn)]), lens)
     return flat[:, 0].reshape(xn.shape), flat[:, 1].reshape(xn.shape)
@@ -175,7 +168,6 @@ def ray_grid(camera: CameraTruth, margin_px: int = 0) -> FloatArray:
 
     Own derivation: the inverse of `image_point`, ((u - cx) / fx, (v - cy) / fy) without distortion.
 
-    camera: True parameters of the camera.
     margin_px: How far the grid extends beyond the image's border.
     Returns: Undistorted normalised coordinates. The grid divides the image evenly, from the outer edges of
       its outermost pixels (or of the margin's).

@@ -109,7 +109,6 @@ def blur_px(truth: Truth, vergence_per_m: float | None = None) -> float:
     Source: circle of confusion, Potmesil and Chakravarty (1981).
 
     vergence_per_m: Reciprocal of the point's distance; None: that of the pattern behind the collimator.
-    Returns: Diameter, px; 0 if the lens is focused as delivered.
     """
     return abs(signed_blur_px(truth, vergence_per_m))
 
@@ -136,8 +135,6 @@ def brightness(truth: Truth) -> float:
     """Return the light on the sensor, relative to that of the bench as delivered.
 
     Source: the light grows with the square of aperture over image distance (Hecht, Optics, section 5.3).
-
-    Returns: 1 as delivered.
     """
     return (DELIVERED_F_NUMBER / truth.lens.f_number / focus_of(truth).stretch) ** 2
 

@@ -103,10 +103,7 @@ def beam_of(truth: Truth) -> CollimatorTruth:
 
 
 def projection_of(truth: Truth, rotation: FloatArray) -> Projection:
-    """Return the projection of a pose.
-
-    rotation: (3, 3), camera <- target.
-    """
+    """Return the projection of a pose."""
     c = beam_of(truth)
     return Projection(
         lens_of(camera_of(truth)),
@@ -122,8 +119,6 @@ def project(points_mm: FloatArray, rotation: FloatArray, truth: Truth) -> FloatA
     Spherical motion: arXiv:2512.16092, eq. 2. Projection: Hartley and Zisserman (2004), section 6.1.
 
     points_mm: (N, 2), points of the target plane.
-    rotation: (3, 3), camera <- target.
-    Returns: Image points, px; NaN behind the camera.
     """
     return np.asarray(
         image_points(np.ascontiguousarray(points_mm, np.float64), projection_of(truth, rotation))
@@ -137,7 +132,6 @@ def star_centres(
 
     Own rule of visibility; projection as in `project`.
 
-    rotation: (3, 3), camera <- target.
     clearance: A star is visible if it lies at least that many squares inside the bright part of the disc ...
     border_px: ... and at least that far inside the image's edge.
     Returns: (N,) int64, increasing.
@@ -169,9 +163,6 @@ def render(truth: Truth, rotation: FloatArray, *, subsamples: int = 4) -> NDArra
 
     Own model of the image; the head of the module describes it. The areas are exact (Levien, 2016).
 
-    rotation: (3, 3), camera <- target.
-    subsamples: Cells along each side of a pixel. The black area of a cell is exact; the point spread weighs
-      whole cells.
     Returns: About 0 to 1: printed brightness x disc x illumination, after the point spread.
     """
     optics, camera, disc = truth.optics, camera_of(truth), disc_of(beam_of(truth), rotation)

@@ -30,8 +30,6 @@ FloatArray = NDArray[np.float64]
 def picture(truth: Truth, angles_deg: Mapping[Any, float], *, subsamples: int = 4) -> NDArray[np.float32]:
     """Return the share of the full light that reaches each pixel in a pose.
 
-    angles_deg: Angles of the axes by name; missing = 0.
-    subsamples: Cells along each side of a pixel.
     Returns: About 0 to 1 at the brightness of the lens as delivered.
     Raises SimulationMisuse: If a screen is not wholly in front of the camera.
     """
@@ -49,7 +47,6 @@ def picture(truth: Truth, angles_deg: Mapping[Any, float], *, subsamples: int = 
 def still_picture(truth: Truth, angles_deg: Mapping[Any, float]) -> NDArray[np.float32]:
     """Return the picture of a camera that stands still; the last two are kept, as one pose is recorded often.
 
-    angles_deg: Angles of the axes by name; missing = 0.
     Returns: As `picture`; the array may be shared, so do not change it.
     """
     return _kept_picture(truth, tuple(sorted(angles_deg.items())))
@@ -62,11 +59,7 @@ def _kept_picture(truth: Truth, angles_deg: tuple[tuple[str, float], ...]) -> ND
 
 
 def corners(truth: Truth, angles_deg: Mapping[Any, float]) -> FloatArray:
-    """Return the image points of the board in a pose: its inner corners, circles, dots or stars.
-
-    angles_deg: Angles of the axes by name; missing = 0.
-    Returns: Image points, px, row by row.
-    """
+    """Return the image points of the board in a pose: its inner corners, circles, dots or stars."""
     if truth.board.present:
         return board_scene.points(truth, angles_deg)
     shown, placed = _screen(truth, angles_deg)
@@ -79,8 +72,6 @@ def _screen(truth: Truth, angles_deg: Mapping[Any, float]) -> tuple[Truth, Place
 
     Own derivation: with the rotation G of the camera's pose, the board's own rotation B, its place p and middle m,
     R = G B and t = G (p - B m). The screen stands against the camera's shift.
-
-    Raises SimulationMisuse: If the board is not wholly in front of the camera.
     """
     screen = truth.screen
     board = BoardTruth(

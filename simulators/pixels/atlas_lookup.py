@@ -38,12 +38,7 @@ _NEXT: Final = np.uint32(1)
 
 @njit(inline="always", **JIT)
 def smooth_level(drive: Drive, level: Any, phase: float, bent: bool) -> Any:
-    """Return u of a pixel at a phase, interpolated on the atlas.
-
-    level: Level of the pixel on the atlas; negative if too dark ever to fire.
-    phase: Phase below one period, us.
-    bent: Whether the atlas has uneven bins, that is, the light is square.
-    """
+    """Return u of a pixel at a phase, interpolated on the atlas."""
     x = _bin_at(drive, np.float32(phase), bent)
     i = np.int32(x)
     g = x - np.float32(i)
@@ -142,11 +137,7 @@ def _tabulated_crossing(d: Drive, j: Any, f: Any, target: Any, bright: Any, dark
 
 @njit(inline="always", **JIT)
 def branch_crossing(d: Drive, level: Any, target: Any, off: Any) -> Any:
-    """Return the phase at which a pixel's ln u meets a target on one branch of the atlas.
-
-    off: Whether the branch rises (OFF); else it falls (ON).
-    Returns: Phase, us; may exceed a period.
-    """
+    """Return the phase at which a pixel's ln u meets a target on one branch of the atlas."""
     j = np.uint32(np.int32(level))
     f = level - np.float32(j)
     bright, dark = between(d.turns[LN_BRIGHT], j, f), between(d.turns[LN_DARK], j, f)
@@ -164,9 +155,6 @@ def near_crossing(
     it. With ``exact_crossing`` the two halves of a crossing are two short loops over many pixels: a processor then
     waits for the memory of several pixels at once.
 
-    level: Level of the pixel on the atlas; negative if too dark ever to fire.
-    phase: Phase from which on crossings count, below one period, us.
-    bent: Whether the atlas has uneven bins, that is, the light is square; the crossing is then exact.
     Returns: Phase of the crossing on its branch, us; ln u there; the earliest phase that it may have, us;
       what is to be added to it, us (inf = it never crosses); and its polarity (1.0 = ON).
     """
@@ -200,9 +188,7 @@ def exact_crossing(
 ) -> Any:
     """Return the phase of a pixel's next crossing.
 
-    level: Level of the pixel on the atlas; negative if too dark ever to fire.
     near, target, earliest, shift: From ``near_crossing``.
-    bent: Whether the atlas has uneven bins.
     Returns: Phase of the crossing, us; may exceed a period; inf = none.
     """
     cross = near
@@ -219,9 +205,6 @@ def smooth_crossing(
 ) -> tuple[Any, Any]:
     """Return phase and polarity of a pixel's next crossing.
 
-    level: Level of the pixel on the atlas; negative if too dark ever to fire.
-    phase: Phase from which on crossings count, below one period, us.
-    bent: Whether the atlas has uneven bins, that is, the light is square.
     Returns: Phase of the crossing in us (may exceed a period, inf = none) and its polarity (1.0 = ON).
     """
     near, target, earliest, shift, is_on = near_crossing(d, level, on_at, off_at, phase, bent)

@@ -281,7 +281,6 @@ def crossing_bin(curve: NDArray[np.float64], first: int, last: int, target: floa
 
     curve: (bins + 1,) float64, values at the bins' edges.
     first, last: Bins between which the curve is monotone; the last may exceed one period.
-    off: Whether the branch rises (OFF); else it falls (ON).
     """
     bins = curve.size - 1
     low, high = first, last

@@ -95,7 +95,6 @@ class Evt3Writer:
           of time, and uint8 (1 = rising), to which twice the number of the channel is added.
         entered_t: (K,) int64 us, times of the events that entered the rate controller; None: those of the
           slice.
-        Returns: EVT3 words.
         Raises SimulationMisuse: If an event lies outside the slice or the sensor.
         """
         none_t, none_value = np.empty(0, np.int64), np.empty(0, np.uint8)

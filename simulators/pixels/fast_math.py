@@ -55,8 +55,6 @@ def exp32(x: Any) -> Any:
 
     x = n ln 2 + r with |r| <= ln 2 / 2, ln 2 in two parts (Cody and Waite 1980); Taylor's series of exp(r) to the
     seventh order, times 2^n.
-
-    x: Exponent, float32 scalar.
     """
     y = max(np.float32(x), _LOWEST)
     n = np.floor(y * _LOG2_E + np.float32(0.5))
@@ -76,8 +74,6 @@ def log32(x: Any) -> Any:
     """Return the natural logarithm of a positive, finite, normal float32.
 
     x = 2^n m with m in (sqrt(1/2), sqrt(2)]; ln m = 2 artanh(s), s = (m - 1) / (m + 1), by its series.
-
-    x: Argument, float32 scalar.
     """
     bits = np.int32(np.float32(x).view(np.int32) - _SQRT_HALF_BITS)
     n = np.float32(bits >> np.int32(23))

@@ -170,7 +170,6 @@ def lowest_bit(bits: Any) -> Any:
     """Return the place of the lowest bit that is set.
 
     bits: Unsigned integer, not 0.
-    Returns: Place, 0 for the lowest.
     """
     wide = np.uint64(bits)
     return np.int64(count_bits(~wide & (wide - np.uint64(1))))

@@ -86,7 +86,6 @@ class ManyLightsSensor:
     ) -> None:
         """Start under a picture and a light; see `Sensor.begin`.
 
-        picture: (height, width) float32, share of the light that reaches each pixel.
         light: Light of the board as a whole; it drives the lines of a screen. Dots have lights of their own.
         phase: Its phase at ``at_us``, in periods.
         """
@@ -98,11 +97,7 @@ class ManyLightsSensor:
     def change(
         self, picture: NDArray[np.float32] | None, light: LightState, phase: float, step_us: float
     ) -> None:
-        """Apply a new picture or light now; see `Sensor.change`.
-
-        picture: (height, width) float32, share of the light that reaches each pixel; None: unchanged.
-        step_us: Pixels that the change itself carries beyond a threshold fire within this time.
-        """
+        """Apply a new picture or light now; see `Sensor.change`."""
         self._for_each(picture, light, phase, lambda sensor, *seen: sensor.change(*seen, step_us))
 
     def look_again(self, truth: Truth, angles_deg: Mapping[Any, float]) -> None:
@@ -112,7 +107,6 @@ class ManyLightsSensor:
     def run(self, until_us: float) -> Events:
         """Return the events up to a time; see `Sensor.run`.
 
-        until_us: Time of the sensor's clock, exclusive.
         Returns: In order of time.
         """
         found = [self._whole.run(until_us)]

@@ -70,7 +70,6 @@ def period_start(drive: Drive, epoch: float, t: float) -> float:
 def stored_light(drive: Drive, light: float) -> float:
     """Return the number by which a pixel's light is stored.
 
-    light: Share of the light's drive that reaches the pixel.
     Returns: The share itself under a square light; else its level on the atlas, -1 if too dark ever to fire.
     """
     if drive.kind == SQUARE:
@@ -95,11 +94,7 @@ def steady_state(d: Drive, placed: Any) -> tuple[Any, Any]:
 
 @njit(**KERNEL)
 def fill_steady_states(drive: Drive, batch: NDArray[np.float32], n: int) -> None:
-    """Fill in U_RISE and U_FALL of each pixel from its stored light.
-
-    batch: (N_BATCH, columns) float32, changed in place.
-    n: Number of pixels in the batch.
-    """
+    """Fill in U_RISE and U_FALL of each pixel from its stored light."""
     if drive.kind != SQUARE:
         for k in range(n):
             batch[U_RISE, k] = batch[LIGHT, k]
@@ -110,12 +105,7 @@ def fill_steady_states(drive: Drive, batch: NDArray[np.float32], n: int) -> None
 
 @njit(inline="always", **JIT)
 def level_at(d: Drive, light: Any, u_rise: Any, u_fall: Any, phase: float) -> Any:
-    """Return u of one pixel at a phase.
-
-    light: Stored light of the pixel, from ``stored_light``.
-    u_rise, u_fall: From ``steady_state``.
-    phase: Phase below one period, us.
-    """
+    """Return u of one pixel at a phase."""
     if d.kind != SQUARE:
         return smooth_level(d, u_rise, phase, d.kind == BENT)
     return _square_level(d, light, u_rise, u_fall, phase)
@@ -125,9 +115,6 @@ def level_at(d: Drive, light: Any, u_rise: Any, u_fall: Any, phase: float) -> An
 def crossing(d: Drive, light: Any, u_rise: Any, u_fall: Any, on_at: Any, off_at: Any, phase: float) -> Any:
     """Return the first crossing of one pixel at or after a phase.
 
-    light: Stored light of the pixel, from ``stored_light``.
-    u_rise, u_fall: From ``steady_state``.
-    phase: Phase below one period, us.
     Returns: Phase of the crossing in us (may exceed a period, inf = none) and its polarity (1.0 = ON).
     """
     if d.kind != SQUARE:
@@ -137,12 +124,7 @@ def crossing(d: Drive, light: Any, u_rise: Any, u_fall: Any, on_at: Any, off_at:
 
 @njit(**KERNEL)
 def fill_levels(drive: Drive, batch: NDArray[np.float32], n: int, phase: float) -> None:
-    """Fill in U of each pixel at a phase.
-
-    batch: (N_BATCH, columns) float32, changed in place.
-    n: Number of pixels in the batch.
-    phase: Phase below one period, us.
-    """
+    """Fill in U of each pixel at a phase."""
     if drive.kind == SMOOTH:
         for k in range(n):
             batch[U, k] = smooth_level(drive, batch[U_RISE, k], phase, False)
@@ -156,12 +138,7 @@ def fill_levels(drive: Drive, batch: NDArray[np.float32], n: int, phase: float) 
 
 @njit(**KERNEL)
 def fill_crossings(drive: Drive, batch: NDArray[np.float32], n: int, phase: float) -> None:
-    """Fill in T and IS_ON of each pixel: the first crossing of ON_AT or OFF_AT at or after a phase.
-
-    batch: (N_BATCH, columns) float32, changed in place.
-    n: Number of pixels in the batch.
-    phase: Phase below one period, us.
-    """
+    """Fill in T and IS_ON of each pixel: the first crossing of ON_AT or OFF_AT at or after a phase."""
     if drive.kind == SMOOTH:
         for k in range(n):
             found = near_crossing(drive, batch[U_RISE, k], batch[ON_AT, k], batch[OFF_AT, k], phase, False)

@@ -46,20 +46,13 @@ def _next_bits(random: NDArray[np.uint64]) -> Any:
 
 @njit(inline="always", **JIT)
 def uniform(random: NDArray[np.uint64]) -> float:
-    """Return the next random number, uniform in (0, 1).
-
-    random: (2,) uint64, generator; its counter advances.
-    """
+    """Return the next random number, uniform in (0, 1)."""
     return (np.int64(_next_bits(random) >> np.uint64(11)) + 0.5) * (1.0 / 9007199254740992.0)
 
 
 @njit(inline="always", **JIT)
 def reset_error(normals: NDArray[np.float32], spread: float, random: NDArray[np.uint64]) -> Any:
-    """Return the next random factor on u of a new reference: the noise of a reset in log intensity, to first order.
-
-    normals: (4096,) float32, normal deviates to choose from.
-    random: (2,) uint64, generator; its counter advances, unless the spread is 0.
-    """
+    """Return the next random factor on u of a new reference: the noise of a reset in log intensity, to first order."""
     if spread == 0.0:
         return np.float32(1.0)
     return np.float32(1.0) + np.float32(spread) * normals[_next_bits(random) >> np.uint64(52)]
@@ -75,8 +68,6 @@ def reset_errors(
 ) -> None:
     """Multiply n values by the next factors of ``reset_error``.
 
-    normals: (4096,) float32, normal deviates to choose from.
-    random: (2,) uint64, generator; its counter advances by n, unless the spread is 0.
     values: (N,) float32, the first n are changed in place.
     """
     if spread == 0.0:
@@ -95,8 +86,6 @@ def earlier_reset_error(
 ) -> Any:
     """Return a factor that ``reset_error`` or ``reset_errors`` drew before.
 
-    normals: (4096,) float32, normal deviates to choose from.
-    random: (2,) uint64, generator; not changed.
     back: 1 for the last factor drawn, 2 for the one before it, ...
     """
     if spread == 0.0:
@@ -121,7 +110,6 @@ def draw_arrivals(
     alias: (pixels,) uint64, Walker's alias table of the pixels' rates, from ``fill_alias``.
     rate_us: Rate of all pixels together, events per us.
     after: Time of the last event drawn, us.
-    random: (2,) uint64, generator; its counter advances.
     times: (N,) float64, filled in: times, us.
     where: (N,) int64, filled in: pixel number times 2, plus 1 if ON.
     """

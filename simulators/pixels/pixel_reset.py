@@ -95,11 +95,7 @@ def _store(
 
 @njit(**JIT)
 def cross_exactly(px: Pixels, drive: Drive, r: int, c: int, u: float, phase: float, start: float) -> None:
-    """Set a pixel's next crossing by a reference in double precision, and store the reference with its lower digits.
-
-    phase: Phase from which on crossings count, us.
-    start: Start of the light's period, us after the epoch.
-    """
+    """Set a pixel's next crossing by a reference in double precision, and store the reference with its lower digits."""
     on_gain, off_gain = _gains_of(px.gains[r, c, GAINS])
     cross, on = tail.crossing(drive, px.cell[r, c, STORED_LIGHT], u * on_gain, u / off_gain, phase)
     px.cell[r, c, U_REF] = u
@@ -121,8 +117,6 @@ def reset_pixel(
     """Set one pixel's new reference at a phase, and its next crossing: ``reset_row`` for a single pixel.
 
     phase: Phase of the reset, us.
-    start: Start of the light's period, us after the epoch.
-    random: (2,) uint64, generator; its counter advances.
     """
     light = px.cell[r, c, STORED_LIGHT]
     u_rise, u_fall = pr.steady_state(drive, light)
@@ -147,10 +141,7 @@ def reset_at_once(
 
     They are one pixel, unless several are alike.
 
-    px: Pixels, changed in place; ``column`` lists those of the row.
     t: Time of request and read, us after the epoch.
-    start: Start of a period of the light, us after the epoch.
-    random: (2,) uint64, generator; its counter advances.
     """
     for k in range(n):
         c = np.int64(px.column[k])
@@ -172,10 +163,7 @@ def reset_row(
 ) -> None:
     """Set the new references of the listed pixels of a row, at the end of the dead time, and their next crossings.
 
-    px: Pixels, changed in place; ``column`` lists those of the row.
     t: Time at which the row is read, us after the epoch.
-    start: Start of a period of the light not after ``t``, us after the epoch.
-    random: (2,) uint64, generator; its counter advances.
     """
     t_live = t + ro.dead_us
     start += floor((t_live - start) / drive.period_us) * drive.period_us
@@ -217,11 +205,7 @@ def set_picture(px: Pixels, drive: Drive, picture: NDArray[np.float32]) -> None:
 def start_pixels(
     px: Pixels, drive: Drive, ro: Readout, width: int, state: NDArray[np.float64], random: NDArray[np.uint64]
 ) -> None:
-    """Reset every pixel as if its dead time ended now, at ``state[FREE]``.
-
-    state: (N_STATE,) float64, state of the loop.
-    random: (2,) uint64, generator; its counter advances.
-    """
+    """Reset every pixel as if its dead time ended now, at ``state[FREE]``."""
     t = state[FREE] - ro.dead_us
     start = period_start(drive, state[EPOCH], t)
     for r in range(px.t_next.shape[0]):
@@ -246,8 +230,6 @@ def apply_change(
     A pixel that the change itself carries beyond its threshold requests at a random time within the step.
 
     t: Time of the change, us after the epoch.
-    state: (N_STATE,) float64, state of the loop.
-    random: (2,) uint64, generator; its counter advances.
     """
     batch = px.batch
     start = period_start(drive, state[EPOCH], t)

@@ -76,7 +76,6 @@ def draw_noise(px: Pixels, ro: Readout, width: int, after: float, random: NDArra
 
     px: Pixels; ``noise_t`` and ``noise_at`` are filled in.
     after: Time of the last event drawn, us after the epoch.
-    random: (2,) uint64, generator; its counter advances.
     """
     draw_arrivals(ro.alias, ro.noise_rate_us, after, random, px.noise_t, px.noise_at)
     columns = px.t_next.shape[1]
@@ -277,12 +276,8 @@ def read_rows(
 ) -> int:
     """Run the sensor's loop up to a time, or until the output is nearly full.
 
-    state: (N_STATE,) float64, state of the loop, changed in place. ``state[FULL]`` is 1 if the output was
-      nearly full before ``until``.
-    random: (2,) uint64, generator; its counter advances.
     until: End, us after the epoch, exclusive.
     out: t (int64, sensor time), x, y (uint16), p (uint8): arrays of equal length, filled from the start.
-    Returns: Number of events written. The next call continues exactly there.
     """
     room = out[0].size - width - BLOCK
     start = period_start(drive, state[EPOCH], state[FREE])

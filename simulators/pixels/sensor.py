@@ -207,9 +207,7 @@ class Sensor:
         The pixels run through two periods of the light before that, at most 100 ms. They then begin in the state of a
         sensor that has seen the light for long.
 
-        picture: (height, width) float32, share of the light's drive that reaches each pixel.
         phase: Phase of the light at ``at_us``, in periods.
-        Raises SimulationMisuse: If the picture's shape is not that of the sensor.
         """
         warmup_us = min(2.0 * light.period_us, 1e5) if light.high > light.low else 1000.0
         begin_us = at_us - warmup_us
@@ -234,12 +232,7 @@ class Sensor:
     def change(
         self, picture: NDArray[np.float32] | None, light: LightState, phase: float, step_us: float
     ) -> None:
-        """Apply a new picture or light now.
-
-        picture: (height, width) float32, share of the light's drive that reaches each pixel; None: unchanged.
-        step_us: Pixels that the change itself carries beyond a threshold fire within this time.
-        Raises SimulationMisuse: If the picture's shape is not that of the sensor.
-        """
+        """Apply a new picture or light now."""
         self._drive = make_drive(light, self._now_us - phase * light.period_us, self.settings)
         self._set_picture(picture)
         t = self._now_us - self._state[sensor_state.EPOCH]
@@ -256,12 +249,7 @@ class Sensor:
         pixel_reset.set_picture(self._pixels, self._drive, self._picture)
 
     def run(self, until_us: float) -> Events:
-        """Return the events from the end of the last call to a time.
-
-        until_us: Time of the sensor's clock, exclusive.
-        Returns: In the order in which they are read.
-        Raises SimulationMisuse: If no picture has been shown yet.
-        """
+        """Return the events from the end of the last call to a time."""
         if self._drive is None:
             raise SimulationMisuse("The sensor has not been shown a picture yet.", remedy="Call begin first.")
         expected = int(1.1 * self._rate_us * (until_us - self._now_us))
@@ -354,11 +342,9 @@ def simulate(
 ) -> Events:
     """Return the events of a still picture under a flickering light, from time 0 to ``duration_us``.
 
-    picture: (height, width) float32, share of the light's drive that reaches each pixel (``optics.render``).
     duration_us: End, exclusive.
     phase: Phase of the light at time 0, in periods.
     noise, settings, camera_seed, seed, link: As ``Sensor`` takes them.
-    Returns: In the order in which they are read.
     """
     height, width = picture.shape
     sensor = Sensor(

@@ -134,10 +134,7 @@ def row_at(px: Pixels, oldest: float) -> int:
 
 @njit(**JIT)
 def move_epoch(px: Pixels, state: NDArray[np.float64], by_us: float) -> None:
-    """Move the epoch to a later time, so that float32 keeps resolving the times.
-
-    state: (N_STATE,) float64, state of the loop, changed in place.
-    """
+    """Move the epoch to a later time, so that float32 keeps resolving the times."""
     shift = np.float32(by_us)
     rows, columns = px.t_next.shape
     for r in range(rows):

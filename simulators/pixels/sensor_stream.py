@@ -71,7 +71,6 @@ VIEW_LASTS_S: Final = 5.0
 class SensorStream:
     """A stream in progress.
 
-    camera: The camera's settings; they hold for the whole stream.
     repeats: Number of earlier streams with the same pose and settings, by ``stream_key``; this stream is
       added to it.
     clock_us: State of the sensor's clock, us, not wrapped.
@@ -126,7 +125,6 @@ class SensorStream:
     def go_on(self, camera: CameraState, clock_us: int) -> bool:
         """Begin the next preview with the sensor as it stands.
 
-        camera: The camera's settings.
         clock_us: State of the sensor's clock, us, not wrapped.
         Returns: False if light, settings or clock are others than at the end of this stream: a new one is
           needed.
@@ -277,9 +275,6 @@ def stream_key(world: World, camera: CameraState, at_s: float) -> str:
 
     It holds resting pose, light and camera settings; also temperature, drift and shift of the mount, if they are
     simulated, and what a person has changed at the camera since the start.
-
-    camera: The camera's settings.
-    Returns: JSON with sorted keys.
     """
     key: dict[str, Any] = {
         "microsteps": dict(world.resting_microsteps(at_s)),

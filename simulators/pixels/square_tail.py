@@ -41,11 +41,7 @@ def tail_width(d: Drive) -> float:
 
 @njit(inline="always", **JIT)
 def limit_distance(d: Drive, light: Any, on_at: Any, off_at: Any) -> Any:
-    """Return how near the nearer of a pixel's two targets is to the limit of u in its part of the period, relatively.
-
-    light: Share of the light's drive that reaches the pixel.
-    Returns: Relative distance.
-    """
+    """Return how near the nearer of a pixel's two targets is to the limit of u in its part of the period."""
     i_high = np.float32(d.ambient) + light * np.float32(d.w_high)
     i_low = np.float32(d.ambient) + light * np.float32(d.w_low)
     return min(abs(on_at * i_high - np.float32(1.0)), abs(off_at * i_low - np.float32(1.0)))
@@ -55,8 +51,6 @@ def limit_distance(d: Drive, light: Any, on_at: Any, off_at: Any) -> Any:
 def fill_limit_distance(drive: Drive, batch: NDArray[np.float32], n: int) -> Any:
     """Fill in ``LIMIT_DISTANCE`` of each pixel under a square light.
 
-    batch: (N_BATCH, columns) float32, changed in place.
-    n: Number of pixels in the batch.
     Returns: The smallest distance, at most 1.
     """
     for k in range(n):
@@ -80,11 +74,7 @@ def _steady(d: Drive, light: float) -> tuple[float, float]:
 
 @njit(**JIT)
 def level(d: Drive, light: float, phase: float) -> float:
-    """Return u of a pixel at a phase.
-
-    light: Share of the light's drive that reaches the pixel.
-    phase: Phase below one period, us.
-    """
+    """Return u of a pixel at a phase."""
     u_rise, u_fall = _steady(d, light)
     rising = phase >= d.high_us  # u rises in the low part
     i = d.ambient + light * (d.w_low if rising else d.w_high)
@@ -96,8 +86,6 @@ def level(d: Drive, light: float, phase: float) -> float:
 def crossing(d: Drive, light: float, on_at: float, off_at: float, phase: float) -> tuple[float, bool]:
     """Return the first crossing at or after a phase.
 
-    light: Share of the light's drive that reaches the pixel.
-    phase: Phase below one period, us.
     Returns: Phase of the crossing in us (inf = none), and whether it is ON.
     """
     u_rise, u_fall = _steady(d, light)
@@ -122,11 +110,8 @@ def request_time(d: Drive, light: float, target: float, on: bool, t: float, star
     On a steep slope the target determines the moment better than the stored time does. The light that the pixel
     receives at the end of its dead time sets the next reference.
 
-    light: Share of the light's drive that reaches the pixel.
     on: Whether the request is ON.
     t: Stored time of the request, us after the epoch.
-    start: Start of a period of the light, us after the epoch.
-    Returns: Time, us after the epoch; ``t`` itself if the request was not a crossing.
     """
     begin = start + floor((t - start) / d.period_us) * d.period_us + (0.0 if on else d.high_us)
     u_rise, u_fall = _steady(d, light)

@@ -27,7 +27,6 @@ class PseudoTerminal:
     """The device's end of a serial line.
 
     link: Path of the symlink to the client's end, as in ``/dev/serial/by-id``.
-    Raises SimulatorError: If the symlink cannot be created.
     """
 
     def __init__(self, link: Path) -> None:
@@ -51,10 +50,7 @@ class PseudoTerminal:
         return self._master
 
     def plug(self) -> None:
-        """Create the terminal and its symlink; replace a symlink that a dead process left behind.
-
-        Raises SimulatorError: If the symlink cannot be created.
-        """
+        """Create the terminal and its symlink; replace a symlink that a dead process left behind."""
         self._master, self._slave = os.openpty()
         # Raw mode first: a cooked terminal would echo the client's first bytes as if the device had sent them.
         tty.setraw(self._slave)

@@ -35,17 +35,11 @@ class Dialect(Protocol):
         ...
 
     def receive(self, data: bytes) -> bytes:
-        """Take bytes as they arrive and return the answers.
-
-        Returns: Answers that are ready now; may be empty.
-        """
+        """Take bytes as they arrive and return the answers."""
         ...
 
     def unsolicited(self) -> bytes:
-        """Return messages that the device sends without a request, and late answers.
-
-        Returns: Messages since the last call; may be empty.
-        """
+        """Return messages that the device sends without a request, and late answers."""
         ...
 
 
@@ -63,10 +57,7 @@ class Port(Protocol):
         ...
 
     def fileno(self) -> int:
-        """Return the file descriptor to wait on.
-
-        Returns: The descriptor; -1 while unplugged.
-        """
+        """Return the file descriptor to wait on."""
         ...
 
     def plug(self) -> None:
@@ -78,10 +69,7 @@ class Port(Protocol):
         ...
 
     def read(self) -> bytes:
-        """Return what the client has sent.
-
-        Returns: Bytes since the last read; may be empty.
-        """
+        """Return what the client has sent."""
         ...
 
     def write(self, data: bytes) -> None:
@@ -89,10 +77,7 @@ class Port(Protocol):
         ...
 
     def client_baud(self) -> int | None:
-        """Return the baud rate that the client has set.
-
-        Returns: Baud rate; None if it is unknown.
-        """
+        """Return the baud rate that the client has set."""
         ...
 
     def close(self) -> None:

@@ -84,7 +84,6 @@ class Axis:
     Commands take the time at which they arrive; queries take the time that they ask about. Times are in seconds,
     on the caller's clock.
 
-    now_s: Time of power-up, s.
     publish: Called with each new trajectory of the load; this is how the world learns where the axis points.
     commanded: Trajectory that the controller commands, motor counts from the true zero of the load.
     motor: Trajectory of the shaft, in the same counts.
@@ -114,52 +113,31 @@ class Axis:
 
     # ------------------------------------------------------------------ queries
     def counter(self, t_s: float) -> float:
-        """Return the controller's counter.
-
-        t_s: Time, s.
-        Returns: Counts.
-        """
+        """Return the controller's counter."""
         self._finish_homing(t_s)
         return self.commanded.position(t_s) - self._origin
 
     def encoder(self, t_s: float) -> float:
-        """Return the count of an encoder on the shaft; it is set to 0 together with the counter.
-
-        t_s: Time, s.
-        Returns: Counts.
-        """
+        """Return the count of an encoder on the shaft; it is set to 0 together with the counter."""
         self._finish_homing(t_s)
         return self.motor.position(t_s) - self._encoder_origin
 
     def rest_counter(self, t_s: float) -> float:
-        """Return the counter at which the present command ends.
-
-        t_s: Time, s.
-        Returns: Counts.
-        """
+        """Return the counter at which the present command ends."""
         self._finish_homing(t_s)
         return self.commanded.rest - self._origin
 
     def velocity(self, t_s: float) -> float:
-        """Return the commanded velocity.
-
-        t_s: Time, s.
-        Returns: Velocity, counts/s.
-        """
+        """Return the commanded velocity."""
         return self.commanded.velocity(t_s)
 
     def busy(self, t_s: float) -> bool:
-        """Return whether a ramp is under way; settling of the load does not count.
-
-        t_s: Time, s.
-        Returns: Whether the motor is moving.
-        """
+        """Return whether a ramp is under way; settling of the load does not count."""
         return t_s < self.commanded.end_s
 
     def reports_busy(self, t_s: float) -> bool:
         """Return what the controller reports: the truth, unless a fault of reporting is set.
 
-        t_s: Time, s.
         Returns: The reported state. Each false "idle" is reported once.
         """
         busy = self.busy(t_s)
@@ -169,18 +147,13 @@ class Axis:
         return busy or self.stuck_busy
 
     def referenced(self, t_s: float) -> bool:
-        """Return whether homing has set the reference.
-
-        t_s: Time, s.
-        Returns: Whether the axis has a reference.
-        """
+        """Return whether homing has set the reference."""
         self._finish_homing(t_s)
         return self._referenced
 
     def take_event(self, t_s: float) -> MotionEvent | None:
         """Return, once, the event that the controller must have noticed by now.
 
-        t_s: Time, s.
         Returns: The event; None if there is none.
         """
         event = self._event
@@ -191,21 +164,12 @@ class Axis:
 
     # ------------------------------------------------------------------ commands
     def move_to(self, target: float, t_s: float, speed: float, acceleration: float) -> None:
-        """Ramp to a counter value from the present position and velocity.
-
-        target: Target, counts.
-        t_s: Time of the command, s.
-        speed, acceleration: Limits of the ramp, counts/s and counts/s^2.
-        """
+        """Ramp to a counter value from the present position and velocity."""
         self._abandon_homing(t_s)
         self._ramp_through(t_s, [(target + self._origin, speed)], acceleration)
 
     def stop(self, t_s: float, acceleration: float) -> None:
-        """Brake to a halt on a whole count; this aborts homing, without a reference.
-
-        t_s: Time of the command, s.
-        acceleration: Deceleration, counts/s^2.
-        """
+        """Brake to a halt on a whole count; this aborts homing, without a reference."""
         self._abandon_homing(t_s)
         velocity = self.commanded.velocity(t_s)
         rest = self.commanded.position(t_s) + velocity * abs(velocity) / (2.0 * acceleration)
@@ -213,10 +177,7 @@ class Axis:
         self._ramp_through(t_s, [(rest, max(abs(velocity), 1.0))], acceleration)
 
     def halt(self, t_s: float) -> None:
-        """Stop at once, as if the motor's current were cut.
-
-        t_s: Time of the command, s.
-        """
+        """Stop at once, as if the motor's current were cut."""
         self._abandon_homing(t_s)
         self._event = None
         load, offset = self._load(t_s)
@@ -229,9 +190,7 @@ class Axis:
     ) -> None:
         """Find the reference sensor: run past it at full speed, then return to it slowly from below.
 
-        t_s: Time of the command, s.
         speed, slow: Speed of the first and of the second part, counts/s.
-        acceleration: Acceleration, counts/s^2.
         set_counter: Whether homing sets counter and encoder to 0 at the sensor.
         """
         self._finish_homing(t_s)
@@ -243,10 +202,7 @@ class Axis:
         self._ramp_through(t_s, [(below, speed), (sensor, slow)], acceleration)
 
     def restart(self, t_s: float) -> None:
-        """Power-cycle the controller: the axis halts, counter and encoder become 0, and the reference is lost.
-
-        t_s: Time of the restart, s.
-        """
+        """Power-cycle the controller: the axis halts, counter and encoder become 0, and the reference is lost."""
         self.halt(t_s)
         self._referenced = False
         self._origin = self.commanded.rest
@@ -257,44 +213,26 @@ class Axis:
         self._referenced = False
 
     def set_counter(self, value: float, t_s: float) -> None:
-        """Assign another counter value to the present position.
-
-        value: New counter value, counts.
-        t_s: Time of the command, s.
-        """
+        """Assign another counter value to the present position."""
         self._finish_homing(t_s)
         self._origin = self.commanded.position(t_s) - value
 
     def set_encoder(self, value: float, t_s: float) -> None:
-        """Assign another encoder value to the present position.
-
-        value: New encoder value, counts.
-        t_s: Time of the command, s.
-        """
+        """Assign another encoder value to the present position."""
         self._finish_homing(t_s)
         self._encoder_origin = self.motor.position(t_s) - value
 
     # ------------------------------------------------------------------ faults
     def arm(self, fault: MotionFault | None) -> None:
-        """Arm a fault for a motion to come; it replaces an armed one.
-
-        fault: The fault; None disarms.
-        """
+        """Arm a fault for a motion to come; it replaces an armed one."""
         self._armed = fault
 
     def report_false_idle(self, times: int) -> None:
-        """Let the controller report idle although the axis moves.
-
-        times: Number of false reports.
-        """
+        """Let the controller report idle although the axis moves."""
         self._false_idle_replies = times
 
     def push(self, counts: float, t_s: float) -> None:
-        """Turn the shaft from outside; the counter does not notice.
-
-        counts: Rotation of the shaft, counts.
-        t_s: Time, s.
-        """
+        """Turn the shaft from outside; the counter does not notice."""
         load, offset = self._load(t_s)
         pieces = [piece._replace(position=piece.position + counts) for piece in self.motor.pieces]
         begun = [piece for piece in pieces if piece.start_s > t_s]

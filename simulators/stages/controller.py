@@ -69,7 +69,6 @@ class Unit(ABC):
 class Controller(Unit):
     """A controller with a line of its own, as a dialect of that line.
 
-    clock: Returns the time in seconds.
     byte_timeout_s: After this silence, s, the beginning of a message is dropped.
     """
 

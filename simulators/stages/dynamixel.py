@@ -179,10 +179,7 @@ class DynamixelServo(Unit):
         return round(self.axis.motor.position(t_s)) + _MIDDLE + _TURN * self._turns
 
     def table(self, t_s: float) -> bytes:
-        """Return the whole control table.
-
-        t_s: Time, s.
-        """
+        """Return the whole control table."""
         table = bytearray(_TABLE_BYTES)
         struct.pack_into("<HIB", table, 0, self._model_number, 0, 45)
         for address, field in _FIELDS.items():
@@ -206,7 +203,6 @@ class DynamixelServo(Unit):
         """Write whole fields; all of them are checked before one is changed.
 
         first: Address of the first byte.
-        t_s: Time, s.
         Raises AccessError: An address is read-only, or cannot be written while the torque is on.
         """
         values: list[tuple[int, int]] = []
@@ -276,10 +272,7 @@ class DynamixelServo(Unit):
             self.axis.halt(t_s)
 
     def clear_turns(self, t_s: float) -> None:
-        """Count turns from the present one.
-
-        t_s: Time, s.
-        """
+        """Count turns from the present one."""
         if not self.axis.busy(t_s):
             self._turns = 0
             self._turns = -(self._position(t_s) // _TURN)
@@ -288,7 +281,6 @@ class DynamixelServo(Unit):
         """Replace the servo by one of another model, fresh from power-up: servos have no serial number.
 
         serial: Model number, if it is that of a servo; else that of an XM430-W350.
-        t_s: Time, s.
         """
         known = serial.isdigit() and 1000 <= int(serial) < 2000
         self._model_number = int(serial) if known else 1020
@@ -298,7 +290,6 @@ class DynamixelServo(Unit):
 class DynamixelBus:
     """The servos on one line, as a dialect.
 
-    clock: Returns the time in seconds.
     publish: Called with the id of a servo and each new trajectory of it.
     """
 
@@ -446,7 +437,6 @@ class DynamixelBus:
     def cut_power(self, t_s: float, *, restored: bool = False) -> None:
         """Cut the power of the bus, or restore it; nothing happens if it was never cut.
 
-        t_s: Time, s.
         restored: Whether the power comes back.
         """
         for servo in self.servos.values():

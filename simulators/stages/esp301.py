@@ -116,7 +116,6 @@ class EspController(Controller):
     """The controller.
 
     models: Its axes, from number 1.
-    baud: Baud rate of the port: 19200 on RS-232, 921600 on USB.
     """
 
     def __init__(
@@ -354,11 +353,7 @@ class EspController(Controller):
         self._errors.append(one.number * 100 + (limit if event.kind == "limit" else 3))
 
     def emergency_stop(self, t_s: float, *, released: bool = False) -> None:
-        """Press the emergency stop, which switches all motors off, or release it; the motors then stay off.
-
-        t_s: Time, s.
-        released: True releases the button.
-        """
+        """Press the emergency stop, which switches all motors off, or release it; the motors then stay off."""
         self._stop_pressed = not released
         if released:
             return

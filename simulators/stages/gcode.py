@@ -61,7 +61,6 @@ def parse_block(line: str, axes: str = "XYZ") -> Block:
     """Parse a block.
 
     line: The block, with or without comments and blanks.
-    Returns: Content of the block.
     Raises GcodeError: 1 letter expected, 2 bad number, 4 negative value, 20 unsupported code, 21 two codes of
       one group, 23 code is not a whole number, 24 two codes need the axes, 25 repeated letter, 28 dwell time
       missing.

@@ -304,21 +304,14 @@ class GrblController(SystemCommands, Unit):
         self._reset_state("Alarm" if self.settings[HOMING_ENABLED] else "Idle")
 
     def exchange(self, name: str, t_s: float) -> None:
-        """Replace the board by another one with factory settings.
-
-        t_s: Time, s.
-        """
+        """Replace the board by another one with factory settings."""
         self.name = name
         self.settings.clear()
         self.settings.update(self._factory)
         self.restart(t_s)
 
     def emergency_stop(self, t_s: float, *, released: bool = False) -> None:
-        """Hold the board in reset, as a stop button on its reset pin does, or release it.
-
-        t_s: Time, s.
-        released: True releases the button.
-        """
+        """Hold the board in reset, as a stop button on its reset pin does, or release it."""
         self._in_reset = not released
         if released:
             self._reset_state("Alarm")

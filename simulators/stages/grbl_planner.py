@@ -29,10 +29,7 @@ _RUN_ON_S: Final = 0.005
 
 
 def must_be_positive(number: int) -> bool:
-    """Return whether a setting is a scale, speed or acceleration: zero would make motion impossible.
-
-    Returns: Whether zero is not allowed.
-    """
+    """Return whether a setting is a scale, speed or acceleration: zero would make motion impossible."""
     return STEPS <= number < MAX_TRAVEL or number in {HOMING_FEED, HOMING_SEEK}
 
 
@@ -121,7 +118,6 @@ class Planner:
 
     models: Axes by letter: X, Y and Z in this order.
     settings: Settings of the controller, by number; they may change while all axes rest.
-    now_s: Time of power-up, s.
     held: Whether a feed hold is in force.
     """
 
@@ -144,25 +140,16 @@ class Planner:
 
     # ------------------------------------------------------------------ queries
     def moving(self, now: float) -> bool:
-        """Return whether an axis moves, or keeps reporting busy.
-
-        now: Time, s.
-        Returns: Whether one does.
-        """
+        """Return whether an axis moves, or keeps reporting busy."""
         return any(axis.busy(now) or axis.stuck_busy for axis in self.axes.values())
 
     def reports_false_idle(self, now: float) -> bool:
-        """Return whether a moving axis reports idle this once.
-
-        now: Time, s.
-        Returns: Whether one does.
-        """
+        """Return whether a moving axis reports idle this once."""
         return any(axis.busy(now) and not axis.reports_busy(now) for axis in self.axes.values())
 
     def done(self, now: float) -> bool:
         """Return whether nothing moves and the queue is empty.
 
-        now: Time, s.
         Returns: False during a hold too.
         """
         return not self._queue and not self.held and not self.moving(now)
@@ -170,78 +157,50 @@ class Planner:
     def position(self, now: float) -> list[float]:
         """Return the machine position of three axes.
 
-        now: Time, s.
         Returns: Units; 0 for missing axes.
         """
         found = [axis.counter(now) / self._steps(letter) for letter, axis in self.axes.items()]
         return found + [0.0] * (3 - len(found))
 
     def feed(self, now: float) -> float:
-        """Return the present speed along the path.
-
-        now: Time, s.
-        Returns: Speed, units/min.
-        """
+        """Return the present speed along the path."""
         speeds = [axis.velocity(now) / self._steps(letter) for letter, axis in self.axes.items()]
         return 60.0 * math.sqrt(sum(speed * speed for speed in speeds))
 
     def final_target(self, now: float) -> dict[str, float]:
-        """Return where all queued motions end.
-
-        now: Time, s.
-        Returns: Machine coordinates by axis letter, units.
-        """
+        """Return where all queued motions end."""
         return dict(self._queue[-1].targets) if self._queue else self._rest_targets(now)
 
     def inside(self, targets: Mapping[str, float]) -> bool:
-        """Return whether targets lie within the travel of all axes.
-
-        targets: Machine coordinates by axis letter, units.
-        Returns: Whether all do.
-        """
+        """Return whether targets lie within the travel of all axes."""
         return all(-self._setting(MAX_TRAVEL, one) <= target <= 0.0 for one, target in targets.items())
 
     # ------------------------------------------------------------------ commands
     def add(self, motion: Motion, now: float) -> None:
-        """Append a motion to the queue.
-
-        now: Time, s.
-        """
+        """Append a motion to the queue."""
         self._queue.append(motion)
         self.go_on(now)
 
     def go_on(self, now: float) -> None:
-        """Start the next motion if the last one has ended.
-
-        now: Time, s.
-        """
+        """Start the next motion if the last one has ended."""
         while self._queue and not self.held and not self.moving(now):
             self._current = self._queue.popleft()
             self._start(self._current, now)
 
     def hold(self, now: float) -> None:
-        """Brake, and keep the rest of the queue (feed hold).
-
-        now: Time, s.
-        """
+        """Brake, and keep the rest of the queue (feed hold)."""
         if self._current is not None and not self.held:
             self._queue.appendleft(self._current)
         self.held = True
         self._brake(now)
 
     def resume(self, now: float) -> None:
-        """Continue after a hold.
-
-        now: Time, s.
-        """
+        """Continue after a hold."""
         self.held = False
         self.go_on(now)
 
     def cancel(self, now: float) -> None:
-        """Brake, and empty the queue.
-
-        now: Time, s.
-        """
+        """Brake, and empty the queue."""
         self.forget()
         self._brake(now)
 
@@ -251,10 +210,7 @@ class Planner:
         self.held = False
 
     def halt(self, now: float) -> None:
-        """Cut the current of the motors: they run on a little, and steps are lost.
-
-        now: Time, s.
-        """
+        """Cut the current of the motors: they run on a little, and steps are lost."""
         self.forget()
         for axis in self.axes.values():
             velocity = axis.velocity(now)
@@ -262,10 +218,7 @@ class Planner:
             axis.push(float(round(velocity * _RUN_ON_S)), now)
 
     def home(self, now: float) -> None:
-        """Seek the switches with all axes at once.
-
-        now: Time, s.
-        """
+        """Seek the switches with all axes at once."""
         for letter, axis in self.axes.items():
             scale = self._steps(letter)
             seek, feed = (self._settings[number] / 60.0 * scale for number in (HOMING_SEEK, HOMING_FEED))
@@ -274,7 +227,6 @@ class Planner:
     def homed(self, now: float) -> bool:
         """Set the counters after homing.
 
-        now: Time, s.
         Returns: False if a switch was not found.
         """
         for letter, axis in self.axes.items():

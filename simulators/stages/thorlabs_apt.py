@@ -256,10 +256,7 @@ class AptController(Controller):
         self.restart(t_s)
 
     def switch_off_channel(self, t_s: float) -> None:
-        """Switch the channel off at the panel.
-
-        t_s: Time, s.
-        """
+        """Switch the channel off at the panel."""
         self._enable(False, t_s)
 
     def _notice(self, axis: Axis, event: MotionEvent, t_s: float) -> None:

@@ -72,9 +72,6 @@ class ErrorReply(Exception):
 def crc16(data: bytes) -> int:
     """Return the cyclic redundancy check with polynomial 0xA001 (reflected) and start value 0xFFFF.
 
-    data: Data of a command or an answer, without the four letters.
-    Returns: The CRC, 16 bit.
-
     Examples
     --------
     >>> hex(crc16(b"123456789"))
@@ -104,19 +101,12 @@ def data_length(letters: bytes) -> int:
 
 
 def to_counts(steps: int, fraction: int) -> int:
-    """Combine whole steps and 1/256 steps.
-
-    steps, fraction: Whole steps and 1/256 steps, with the same sign.
-    Returns: Position, 1/256 steps.
-    """
+    """Combine whole steps and 1/256 steps."""
     return steps * MICROSTEPS + fraction
 
 
 def to_steps(counts: int) -> tuple[int, int]:
     """Split a position into whole steps and 1/256 steps, both with the same sign.
-
-    counts: Position, 1/256 steps.
-    Returns: Whole steps and 1/256 steps.
 
     Examples
     --------
@@ -330,11 +320,7 @@ class XimcController(Controller):
 
     # ------------------------------------------------------------------ events outside the protocol
     def emergency_stop(self, t_s: float, *, released: bool = False) -> None:
-        """Press the emergency input, which halts the axis and raises the alarm, or release it; the alarm stays.
-
-        t_s: Time, s.
-        released: True releases the input.
-        """
+        """Press the emergency input, which halts the axis and raises the alarm, or release it; the alarm stays."""
         self._stop_pressed = not released
         if not released:
             self.axis.halt(t_s)

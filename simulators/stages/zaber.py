@@ -107,10 +107,7 @@ class _State:
 
 
 class ZaberController(Unit):
-    """A controller with one axis.
-
-    now_s: Time of power-up, s.
-    """
+    """A controller with one axis."""
 
     def __init__(
         self,
@@ -130,19 +127,11 @@ class ZaberController(Unit):
         return super().awake(t_s)
 
     def status(self, t_s: float) -> str:
-        """Return the status word of a reply.
-
-        t_s: Time, s.
-        Returns: BUSY during a ramp, otherwise IDLE.
-        """
+        """Return the status word of a reply."""
         return "BUSY" if self.axis.reports_busy(t_s) else "IDLE"
 
     def warnings(self, t_s: float) -> list[str]:
-        """Return all active warning flags.
-
-        t_s: Time, s.
-        Returns: Flags by rank, the highest first.
-        """
+        """Return all active warning flags."""
         flags = set(self._state.flags)
         if not self.axis.referenced(t_s):
             flags.add("WR")
@@ -154,11 +143,7 @@ class ZaberController(Unit):
         return bool(self._state.settings["comm.checksum"])
 
     def came_to_rest(self, t_s: float) -> bool:
-        """Return whether an alert is due: a motion has ended since the last call, and alerts are enabled.
-
-        t_s: Time, s.
-        Returns: Whether an alert is due.
-        """
+        """Return whether an alert is due: a motion has ended since the last call, and alerts are enabled."""
         busy = self.axis.busy(t_s)
         ended = self._state.was_busy and not busy
         self._state.was_busy = busy
@@ -170,7 +155,6 @@ class ZaberController(Unit):
 
         axis: Addressed axis; 0 for the controller and all its axes.
         words: Words of the command; empty to read the status only.
-        t_s: Time of its arrival, s.
         Raises CommandRejected: If the reply is a rejection.
         """
         if axis > 1:
@@ -328,11 +312,7 @@ class ZaberController(Unit):
 
     # ------------------------------------------------------------------ events outside the protocol
     def emergency_stop(self, t_s: float, *, released: bool = False) -> None:
-        """Press the emergency stop, which halts and holds the axis, or release it.
-
-        t_s: Time, s.
-        released: True releases the button.
-        """
+        """Press the emergency stop, which halts and holds the axis, or release it."""
         if released:
             self._state.flags.discard("FH")
             return
@@ -340,10 +320,7 @@ class ZaberController(Unit):
         self._state.flags.add("FH")
 
     def exchange(self, serial: str, t_s: float) -> None:
-        """Replace the controller by another one of this model, fresh from power-up.
-
-        t_s: Time, s.
-        """
+        """Replace the controller by another one of this model, fresh from power-up."""
         self.model = replace(self.model, serial=serial)
         self._state = self._as_delivered()
         self.restart(t_s)
@@ -411,8 +388,6 @@ class Request(NamedTuple):
 def checksum(body: str) -> str:
     """Return the longitudinal redundancy check (LRC) of a message.
 
-    body: Message without its first character, ASCII.
-
     Examples
     --------
     >>> checksum("1 1 03 home")
@@ -424,7 +399,6 @@ def checksum(body: str) -> str:
 def parse_request(line: bytes) -> Request | None:
     """Parse a line.
 
-    line: Line without its end.
     Returns: None if a controller does not answer the line: noise, or a wrong checksum.
 
     Examples
@@ -453,7 +427,6 @@ class ZaberChain:
     """Controllers on one line, as a dialect of it.
 
     controllers: Controllers in the order of their addresses, from 1.
-    clock: Returns the time in seconds.
     """
 
     def __init__(self, controllers: Sequence[ZaberController], clock: Callable[[], float]) -> None:

@@ -357,7 +357,6 @@ class HandShake:
     def at(self, t_s: float) -> tuple[float, float, float, float, float, float]:
         """Return the displacement at a time.
 
-        t_s: Time since the recording's start.
         Returns: Three mm and three degrees, as `BoardTruth.shake`.
         """
         waves = np.sin(2.0 * math.pi * (self._hz * t_s + self._phases)).sum(axis=1) * math.sqrt(2.0 / _WAVES)

@@ -27,8 +27,6 @@ STEP_C: Final = 0.01
 def temperature_c(thermal: ThermalTruth, on_s: float) -> float:
     """Return the temperature of the camera at a time after it was switched on.
 
-    Returns: Temperature in steps of `STEP_C`, degrees Celsius.
-
     Examples
     --------
     >>> temperature_c(ThermalTruth(warm_up_min=10.0), 600.0)
@@ -62,10 +60,7 @@ def lamp_brightness(thermal: ThermalTruth, at_c: float) -> float:
 
 
 def has_effect(thermal: ThermalTruth) -> bool:
-    """Return whether anything depends on the temperature.
-
-    Returns: True if the focal lengths or the lamp's light do.
-    """
+    """Return whether anything depends on the temperature."""
     return thermal.focal_ppm_per_c != 0.0 or thermal.lamp_percent_per_c != 0.0
 
 
@@ -73,28 +68,17 @@ STEP_ARCSEC: Final = 0.05
 
 
 def has_motion(mount: MountTruth) -> bool:
-    """Return whether the mount moves at all.
-
-    mount: True motion of the mount.
-    Returns: True if it vibrates or drifts.
-    """
+    """Return whether the mount moves at all."""
     return vibrates(mount) or mount.drift_arcsec_per_min != (0.0, 0.0)
 
 
 def vibrates(mount: MountTruth) -> bool:
-    """Return whether the mount vibrates.
-
-    mount: True motion of the mount.
-    Returns: True if amplitude and frequency are positive.
-    """
+    """Return whether the mount vibrates."""
     return mount.vibration_arcsec > 0.0 and mount.vibration_hz > 0.0
 
 
 def drift_since_on_arcsec(mount: MountTruth, on_s: float) -> tuple[float, float]:
-    """Return the drift since the bench was switched on, in whole steps of `STEP_ARCSEC`.
-
-    mount: True motion of the mount.
-    """
+    """Return the drift since the bench was switched on, in whole steps of `STEP_ARCSEC`."""
     pan, tilt = (
         round(round(rate * on_s / 60.0 / STEP_ARCSEC) * STEP_ARCSEC, 2) for rate in mount.drift_arcsec_per_min
     )
@@ -110,11 +94,9 @@ def moved_angles_deg(
 ) -> dict[_Axis, float]:
     """Return the angles at which the camera really points.
 
-    mount: True motion of the mount.
     start_drift_arcsec: Drift of pan and tilt at the recording's start, arc seconds, from
       ``drift_since_on_arcsec``.
     phases: Phases of the vibration about pan and tilt at the recording's start, in periods.
-    t_s: Time since the recording's start.
     Returns: Angles by name, degrees, with drift and vibration added.
     """
     angles = dict(angles_deg)

@@ -31,9 +31,7 @@ def ramp(
 
     An axis that runs the wrong way, or too fast to stop in time, brakes to a halt first.
 
-    position, velocity: State of the axis at the start, counts and counts/s.
     target: Position at which it comes to rest, counts.
-    speed, acceleration: Limits of the ramp, positive, counts/s and counts/s^2.
     Returns: At most four; empty if the axis already rests at the target.
 
     Examples
@@ -76,20 +74,12 @@ class Piece(NamedTuple):
     acceleration: float  # Constant acceleration, counts/s^2
 
     def position_at(self, t_s: float) -> float:
-        """Return the position at a time.
-
-        t_s: Time; before the start, the position is that of the start.
-        Returns: Position, counts.
-        """
+        """Return the position at a time."""
         s = max(0.0, t_s - self.start_s)
         return self.position + self.velocity * s + self.acceleration * s * s / 2.0
 
     def velocity_at(self, t_s: float) -> float:
-        """Return the velocity at a time.
-
-        t_s: Time; before the start, the velocity is that of the start.
-        Returns: Velocity, counts/s.
-        """
+        """Return the velocity at a time."""
         return self.velocity + self.acceleration * max(0.0, t_s - self.start_s)
 
 
@@ -102,10 +92,7 @@ class MotorTrajectory:
 
     @classmethod
     def resting(cls, t_s: float, position: float) -> Self:
-        """Return the trajectory of a motor that stands still.
-
-        position: Where it stands, counts.
-        """
+        """Return the trajectory of a motor that stands still."""
         return cls((Piece(t_s, position, 0.0, 0.0),))
 
     @classmethod
@@ -119,9 +106,7 @@ class MotorTrajectory:
     ) -> Self:
         """Plan ramps through several positions, with a stop at each.
 
-        position, velocity: State of the motor at that time, counts and counts/s.
         stations: Positions in counts, each with the speed limit of the ramp to it, counts/s.
-        acceleration: Acceleration of all ramps, counts/s^2.
         """
         pieces: list[Piece] = []
         for station, speed in stations:
@@ -149,10 +134,7 @@ class MotorTrajectory:
         return self.pieces[-1].position
 
     def index(self, t_s: float) -> int:
-        """Return the index of the piece at a time.
-
-        Returns: Index into ``pieces``.
-        """
+        """Return the index of the piece at a time."""
         return max(0, bisect_right(self.pieces, t_s, key=lambda piece: piece.start_s) - 1)
 
     def at(self, t_s: float) -> Piece:
@@ -163,24 +145,15 @@ class MotorTrajectory:
         return self.pieces[self.index(t_s)]
 
     def position(self, t_s: float) -> float:
-        """Return the motor's position at a time.
-
-        Returns: Position, counts.
-        """
+        """Return the motor's position at a time."""
         return self.at(t_s).position_at(t_s)
 
     def velocity(self, t_s: float) -> float:
-        """Return the motor's velocity at a time.
-
-        Returns: Velocity, counts/s.
-        """
+        """Return the motor's velocity at a time."""
         return self.at(t_s).velocity_at(t_s)
 
     def until(self, t_s: float, creep: float = 0.0) -> Self:
-        """Return the trajectory that stops abruptly at a time, on a whole count.
-
-        creep: Velocity of a slow drift from there on, counts/s.
-        """
+        """Return the trajectory that stops abruptly at a time, on a whole count."""
         if t_s >= self.end_s and creep == 0.0:
             return self
         kept = [piece for piece in self.pieces if piece.start_s < t_s]
@@ -189,7 +162,6 @@ class MotorTrajectory:
     def first_beyond(self, lowest: float, highest: float) -> float | None:
         """Return the time at which the trajectory first leaves a range.
 
-        lowest, highest: Limits of the range, counts.
         Returns: Time; None if the trajectory stays inside.
         """
         for index, piece in enumerate(self.pieces):
@@ -238,14 +210,7 @@ class LoadTrajectory:
         counts_per_deg: float,
         settle_s: float,
     ) -> Self:
-        """Return the trajectory of a load on a motor.
-
-        load: Position of the load at the start, counts.
-        offset: Load minus motor at the start, counts, from the play of the gear.
-        backlash: Play of the gear, counts.
-        counts_per_deg: Scale, motor counts per degree of the load.
-        settle_s: Time constant of the lag; 0 for none.
-        """
+        """Return the trajectory of a load on a motor."""
         offsets: list[float] = []
         loads: list[float] = [load]
         ends = [piece.start_s for piece in motor.pieces[1:]]
@@ -273,18 +238,12 @@ class LoadTrajectory:
         return self.motor.end_s + self.settle_s * math.log(residual / SETTLED_DEG)
 
     def load(self, t_s: float) -> float:
-        """Return the position of the load at a time.
-
-        Returns: Position, counts.
-        """
+        """Return the position of the load at a time."""
         index = self.motor.index(t_s)
         return _follow(self.motor.pieces[index], self.offsets[index], self.loads[index], t_s, self.settle_s)
 
     def angle_deg(self, t_s: float) -> float:
-        """Return the angle of the load at a time.
-
-        Returns: Angle; exactly the final one once the load has settled.
-        """
+        """Return the angle of the load at a time."""
         load = self.rest if t_s >= self.settled_from_s else self.load(t_s)
         return load / self.counts_per_deg
 

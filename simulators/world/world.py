@@ -131,10 +131,7 @@ class LightState:
         return self.duty_percent / 100.0 if self.waveform == "square" else 0.5
 
     def phase_at(self, t_s: float) -> float:
-        """Return the light's phase at a time.
-
-        Returns: Phase in periods, 0 <= phase < 1.
-        """
+        """Return the light's phase at a time."""
         phase = ((t_s - self.origin_s) * self.frequency_hz) % 1.0
         return phase if phase < 1.0 else 0.0  # just below a whole period, the remainder rounds up to 1
 
@@ -210,10 +207,7 @@ class AxisMotion:
 
     @classmethod
     def resting(cls, angle_deg: float, microsteps: int) -> AxisMotion:
-        """Return the motion of an axis that stands still.
-
-        angle_deg: Where it stands.
-        """
+        """Return the motion of an axis that stands still."""
         return cls(angle_at=lambda _t_s: angle_deg, settled_from_s=-math.inf, microsteps=microsteps)
 
 
@@ -228,11 +222,7 @@ class History(Generic[_State]):
         self._states: list[_State] = [first]
 
     def append(self, since_s: float, state: _State) -> None:
-        """Set the state from a moment on.
-
-        state: State until the next one is appended.
-        Raises SimulationMisuse: If the moment is earlier than that of the previous state.
-        """
+        """Set the state from a moment on."""
         if since_s < self._since[-1]:
             raise SimulationMisuse(
                 f"A state at {since_s} s cannot follow one at {self._since[-1]} s.",
@@ -242,10 +232,7 @@ class History(Generic[_State]):
         self._states.append(state)
 
     def at(self, t_s: float) -> _State:
-        """Return the state at a moment.
-
-        Returns: The last one that was appended for this moment or an earlier one.
-        """
+        """Return the state at a moment."""
         return self._states[bisect_right(self._since, t_s) - 1]
 
     @property
@@ -290,10 +277,7 @@ class World:
         self._setup = History(setup_of(self.truth))
 
     def now_s(self) -> float:
-        """Return the world time.
-
-        Returns: Seconds of the world's clock.
-        """
+        """Return the world time."""
         return self._clock()
 
     # ------------------------------------------------------------- written by stages and lights
@@ -301,7 +285,6 @@ class World:
     def set_axis(self, name: AxisName, motion: AxisMotion, *, since_s: float | None = None) -> None:
         """Set the motion of an axis; an axis that was never set stands at zero.
 
-        motion: Its motion until the next one is set.
         since_s: World time at which the motion begins; None: now. A time before the previous motion's is
           refused with `SimulationMisuse`.
         """
@@ -316,7 +299,6 @@ class World:
     def set_light(self, state: LightState, *, since_s: float | None = None) -> None:
         """Set the state of the light.
 
-        state: Its state until the next one is set.
         since_s: World time at which the state begins; None: now. A time before the previous state's is
           refused with `SimulationMisuse`.
         """
@@ -353,10 +335,7 @@ class World:
     # ------------------------------------------------------------- read by the camera
 
     def camera_shift_mm(self, t_s: float) -> tuple[float, float]:
-        """Return where the camera stands across the beam at a time.
-
-        Returns: Displacement along the target's X and Y, mm.
-        """
+        """Return where the camera stands across the beam at a time."""
         return self.camera_setup(t_s).shift_mm
 
     def camera_setup(self, t_s: float) -> CameraSetup:
@@ -376,10 +355,7 @@ class World:
         return angles
 
     def is_settled(self, t_s: float) -> bool:
-        """Return whether no axis moves at a time.
-
-        Returns: True if all axes have settled.
-        """
+        """Return whether no axis moves at a time."""
         with self._lock:
             return all(h.at(t_s).settled_from_s <= t_s for h in self._axes.values())
 
@@ -413,10 +389,7 @@ class World:
         return t_s - self._on_since_s
 
     def temperature_c(self, t_s: float) -> float:
-        """Return the temperature of the camera at a time.
-
-        Returns: Degrees Celsius, in steps of 0.01.
-        """
+        """Return the temperature of the camera at a time."""
         return drift.temperature_c(self.truth.thermal, self.on_s(t_s))
 
     def truth_at(self, t_s: float) -> Truth:
