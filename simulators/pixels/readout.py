@@ -18,30 +18,18 @@ from numpy.typing import NDArray
 
 from simulators.pixels.drive import SQUARE, Drive
 from simulators.pixels.fast_math import JIT
-from simulators.pixels.lanes import (
-    BLOCK,
-    FEWEST_BITS,
-    MOST_BITS,
-    bits_at_most,
-    count_bits,
-    list_bits,
-    lowest_bit,
-    prefetch,
-    smallest,
-    waiting,
-)
 from simulators.pixels.photoreceptor import period_start
 from simulators.pixels.pixel_noise import draw_arrivals
 from simulators.pixels.pixel_reset import reset_at_once, reset_pixel, reset_row
 from simulators.pixels.sensor_state import (
     AHEAD,
+    BLOCK,
     EPOCH,
     FIFO,
     FIFO_T,
     FREE,
     FULL,
     GROUP,
-    N_CELL,
     NOISE,
     QUEUE,
     STALL,
@@ -50,6 +38,7 @@ from simulators.pixels.sensor_state import (
     Readout,
     retime,
     row_at,
+    smallest,
 )
 
 VECTOR_FROM: Final = 5
@@ -68,29 +57,13 @@ EventArrays = tuple[NDArray[np.int64], NDArray[np.uint16], NDArray[np.uint16], N
 
 
 @njit(**JIT)
-def draw_noise(px: Pixels, ro: Readout, width: int, after: float, random: NDArray[np.uint64]) -> None:
+def draw_noise(px: Pixels, ro: Readout, after: float, random: NDArray[np.uint64]) -> None:
     """Draw the next background and hot-pixel events.
-
-    Many are drawn at a time, and the memory of their pixels and blocks is asked for at once: it is in the cache when
-    the events come.
 
     px: Pixels; ``noise_t`` and ``noise_at`` are filled in.
     after: Time of the last event drawn, us after the epoch.
     """
     draw_arrivals(ro.alias, ro.noise_rate_us, after, random, px.noise_t, px.noise_at)
-    columns = px.t_next.shape[1]
-    for k in range(AHEAD):
-        r, c = (px.noise_at[k] >> 1) // width, (px.noise_at[k] >> 1) % width
-        prefetch(px.cell, (r * columns + c) * N_CELL)
-        _prefetch_block(px, r * columns + c // BLOCK * BLOCK)
-
-
-@njit(forceinline=True, **JIT)
-def _prefetch_block(px: Pixels, first: int) -> None:
-    """Ask for the memory of the requests of a block, which begins at pixel ``first`` of the sensor."""
-    prefetch(px.t_next, first)
-    prefetch(px.t_next, first + BLOCK // 2)
-    prefetch(px.is_on, first)
 
 
 @njit(forceinline=True, **JIT)
@@ -117,26 +90,17 @@ def _block_words(n: int) -> int:
 
 @njit(forceinline=True, **JIT)
 def _find_blocks(px: Pixels, r: int, t32: Any) -> int:
-    """List the blocks of a row in which pixels wait in ``px.asked``, and ask for their memory; return their number.
+    """List the blocks of a row in which pixels wait in ``px.asked``; return their number.
 
     The earliest requests of these blocks, of the row and of its group become infinite: `_update_blocks` sets them
     again. Set so early, they do not delay the search for the earliest ones.
     """
     n, blocks = 0, px.block_min[r]
-    if FEWEST_BITS <= blocks.size <= MOST_BITS:
-        bits = bits_at_most(blocks, t32)
-        while bits:
-            px.asked[n] = lowest_bit(bits)
-            bits &= bits - np.uint64(1)
-            n += 1
-    else:
-        for k in range(blocks.size):
-            px.asked[n] = k
-            n += blocks[k] <= t32
+    for b in range(blocks.size):
+        px.asked[n] = b
+        n += blocks[b] <= t32
     for k in range(n):
-        b = np.int64(px.asked[k])
-        _prefetch_block(px, r * px.t_next.shape[1] + b * BLOCK)
-        blocks[b] = np.inf
+        blocks[np.int64(px.asked[k])] = np.inf
     px.row_min[r] = np.inf
     px.group_min[r // GROUP] = np.inf
     return n
@@ -152,17 +116,15 @@ def _gather_row(px: Pixels, r: int, t32: Any, blocks: int, xs: NDArray[np.uint16
     t_next, is_on = px.t_next[r], px.is_on[r]
     for k in range(blocks):
         first = np.int64(px.asked[k]) * BLOCK
-        asking, on = waiting(t_next[first : first + BLOCK], is_on[first : first + BLOCK], t32)
-        here, on_here = np.int64(count_bits(asking)), np.int64(count_bits(on))
-        if here == 1:
-            px.column[n] = xs[n_on] = px.off_column[n - n_on] = first + lowest_bit(asking)
-        else:
-            off = asking & ~on
-            list_bits(asking, np.uint64(first), px.column, np.uint64(n))
-            list_bits(on, np.uint64(first), xs, np.uint64(n_on))
-            list_bits(off, np.uint64(first), px.off_column, np.uint64(n - n_on))
-        n += here
-        n_on += on_here
+        before, before_on = n, n_on
+        for c in range(first, first + BLOCK):
+            # Written without a branch: a column that does not wait is overwritten by the next one.
+            asks = np.int64(t_next[c] <= t32)
+            on = np.int64(is_on[c] & np.uint8(1)) & asks
+            px.column[n] = xs[n_on] = px.off_column[n - n_on] = c
+            n += asks
+            n_on += on
+        here, on_here = n - before, n_on - before_on
         words += _block_words(on_here) + _block_words(here - on_here)
     return n, n_on, words
 
@@ -214,13 +176,11 @@ def _update_blocks(px: Pixels, r: int, blocks: int) -> Any:
 
 
 @njit(forceinline=True, **JIT)
-def _next_noise(
-    px: Pixels, ro: Readout, width: int, state: NDArray[np.float64], random: NDArray[np.uint64]
-) -> None:
+def _next_noise(px: Pixels, ro: Readout, state: NDArray[np.float64], random: NDArray[np.uint64]) -> None:
     """Advance to the next background or hot-pixel event."""
     queue = int(state[QUEUE])
     if queue + 1 == AHEAD:
-        draw_noise(px, ro, width, state[NOISE], random)
+        draw_noise(px, ro, state[NOISE], random)
         queue = -1
     state[QUEUE] = queue + 1
     state[NOISE] = px.noise_t[queue + 1]
@@ -303,7 +263,7 @@ def read_rows(
                 oldest32 = smallest(px.group_min)
             else:
                 oldest32 = min(oldest32, _place_noise(px, at, width, state[NOISE]))
-            _next_noise(px, ro, width, state, random)
+            _next_noise(px, ro, state, random)
             continue
         r = row_at(px, oldest32)
         blocks = _find_blocks(px, r, np.float32(t))

@@ -26,10 +26,9 @@ from simulators.errors import SimulationMisuse
 from simulators.pixels import pixel_reset, readout, sensor_state
 from simulators.pixels.biases import PixelSettings
 from simulators.pixels.drive import Drive, make_drive
-from simulators.pixels.lanes import BLOCK
 from simulators.pixels.photoreceptor import N_BATCH
 from simulators.pixels.pixel_noise import fill_alias
-from simulators.pixels.sensor_state import GROUP, Pixels, Readout
+from simulators.pixels.sensor_state import BLOCK, GROUP, Pixels, Readout
 from simulators.world.truth import NOISE_LEVELS, NoiseTruth
 from simulators.world.world import LightState
 
@@ -219,9 +218,7 @@ class Sensor:
         state[sensor_state.FREE] = state[sensor_state.FIFO_T] = begin_us - epoch
         state[sensor_state.NOISE] = math.inf
         if self._readout.noise_rate_us > 0.0:
-            readout.draw_noise(
-                self._pixels, self._readout, self.width, state[sensor_state.FREE], self._random
-            )
+            readout.draw_noise(self._pixels, self._readout, state[sensor_state.FREE], self._random)
             state[sensor_state.NOISE] = self._pixels.noise_t[0]
         self._set_picture(picture)
         pixel_reset.start_pixels(self._pixels, self._drive, self._readout, self.width, state, self._random)

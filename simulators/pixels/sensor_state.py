@@ -7,15 +7,16 @@ are microseconds after the epoch, the moment to which the float32 times of the p
 
 from __future__ import annotations
 
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
 from simulators.pixels.fast_math import JIT
-from simulators.pixels.lanes import BLOCK, first_equal, smallest
 
+BLOCK: Final = 32
+"""Pixels of a block: one vector triple of the EVT3 format."""
 GROUP: Final = 24
 """Rows of a group; groups speed up the search for the oldest request."""
 AHEAD: Final = 256
@@ -84,6 +85,24 @@ class Readout(NamedTuple):
 
 
 @njit(forceinline=True, **JIT)
+def smallest(values: Any) -> Any:
+    """Return the smallest of at least one float32; none is NaN."""
+    found = values[0]
+    for k in range(1, values.size):
+        found = min(found, values[k])
+    return found
+
+
+@njit(forceinline=True, **JIT)
+def _first_equal(values: Any, wanted: Any) -> Any:
+    """Return the index of the first number that equals the wanted one; 0 if none does."""
+    for k in range(values.size):
+        if values[k] == wanted:
+            return np.int64(k)
+    return np.int64(0)
+
+
+@njit(forceinline=True, **JIT)
 def update_row(px: Pixels, r: int) -> None:
     """Update the earliest request of a row and of its group from those of its blocks."""
     px.row_min[r] = smallest(px.block_min[r])
@@ -128,8 +147,8 @@ def row_at(px: Pixels, oldest: float) -> int:
 
     oldest: Time of the earliest request, us after the epoch.
     """
-    g = first_equal(px.group_min, oldest)
-    return g * GROUP + first_equal(px.row_min[g * GROUP : (g + 1) * GROUP], oldest)
+    g = _first_equal(px.group_min, oldest)
+    return g * GROUP + _first_equal(px.row_min[g * GROUP : (g + 1) * GROUP], oldest)
 
 
 @njit(**JIT)

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from simulators.pixels import photoreceptor as pr
 from simulators.pixels.drive import SQUARE, Drive
 from simulators.pixels.fast_math import JIT, KERNEL
-from simulators.pixels.lanes import smallest
+from simulators.pixels.sensor_state import smallest
 
 STEEP: Final = 3e-5
 """Smallest change of ln u per microsecond at which float32 is good to some hundredths of a microsecond."""
