@@ -12,7 +12,6 @@ from collections.abc import Sequence as List
 from dataclasses import dataclass, replace
 from typing import Any
 
-from sequences.errors import DocumentFaults
 from sequences.reader import Located
 from sequences.schema import (
     Grid,
@@ -55,19 +54,6 @@ POSES_FAILED = 10
 """An ``until`` ends when this number of its chosen poses failed all attempts."""
 MOST_FAULTS = 1000
 """Faults that are collected at most: each round of a repeat has the same faults again."""
-
-
-def flatten(document: Located[Sequence]) -> tuple[Step, ...]:
-    """Unfold a sequence into the steps to run, numbered from 1.
-
-    Returns: The steps in the order in which they run.
-    Raises DocumentFaults: With every fault: an unknown set of poses, a ``move`` without a pose, a ``record``
-      before any move, too many steps.
-    """
-    steps, faults = unfold(document)
-    if faults:
-        raise DocumentFaults(faults)
-    return steps
 
 
 def unfold(document: Located[Sequence]) -> tuple[tuple[Step, ...], list[Fault]]:

@@ -218,13 +218,6 @@ class FocusCourse:
         self._best_here_px = self.best_edge_width_px = None
         self.best_sharpness = self.best_coarse_detail = None
 
-    def edge_widths(self) -> list[tuple[float, float]]:
-        """Return the course of the edge width.
-
-        Returns: Time, s, and edge width, px.
-        """
-        return [(t, width) for t, width, *_ in self._course if width is not None]
-
     def trend(self, *, over_s: float = 4.0) -> str:
         """Return where the focus goes: ``better``, ``worse``, or an empty text if it does not change.
 

@@ -102,8 +102,6 @@ class LiveLoop:
         """The newest picture."""
         self.failure: Failure | None = None
         """Why there is no new picture; None while pictures come."""
-        self.last_facts: Recorded | None = None
-        """What the driver stated about the newest slice."""
         self._threads = [
             threading.Thread(target=target, name=name, daemon=True)
             for target, name in ((self._record, "align-record"), (self._measure, "align-measure"))
@@ -249,7 +247,6 @@ class LiveLoop:
             path.unlink(missing_ok=True)
             return None
         took_ms = (time.monotonic() - started_s) * 1e3
-        self.last_facts = facts
         reading_deg = dict(self._reading_deg())
         return _Slice(path, setting, facts, reading_deg, started_s, took_ms, shows_signal, moving)
 

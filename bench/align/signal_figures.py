@@ -182,7 +182,7 @@ def _assumed(events: int, duration_s: float, expected_hz: float | None) -> Flick
     if expected_hz is None or not events or duration_s * expected_hz > _SHORT_PERIODS:
         return None
     nan = float("nan")
-    return Flicker(1e6 / expected_hz, 0.0, nan, nan, 0, 0, 0, "events")
+    return Flicker(1e6 / expected_hz, 0.0, nan, nan, 0, "events")
 
 
 def _shows_period(triggers: Triggers) -> bool:

@@ -7,7 +7,6 @@ document is the date of issue, and the clock and the fonts of the computer are n
 from __future__ import annotations
 
 import json
-import re
 from collections.abc import Mapping
 from datetime import datetime
 from importlib import resources
@@ -43,7 +42,6 @@ _KINDS = {
 }
 _HEADER = 120
 """Most characters of the laboratory's name in the head of a page."""
-_RENDERED = re.compile(rb"<pdf:Keywords>[^<]{0,2000}?rendered by ([ -~]{1,100})</pdf:Keywords>")
 _OTHER = ("application/octet-stream", "supplement", "Supplement to this certificate")
 
 
@@ -69,15 +67,6 @@ def render_pdf(
     shown = pictures(certificate, draw_plots(results) if plots is None else plots, words_of(results))
     files = {one.file: one.svg for one in shown}
     return _compiled(_document(certificate, shown, attachments), files, attachments)
-
-
-def rendered_by(data: bytes) -> str:
-    """Return the programs that rendered a PDF, as its metadata state them. Only the same ones give the same bytes.
-
-    Returns: Names and versions; empty if the file does not state them.
-    """
-    found = _RENDERED.search(data)
-    return found[1].decode("ascii", "replace") if found else ""
 
 
 def _keywords(certificate: Certificate) -> list[str]:

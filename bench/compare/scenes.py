@@ -249,7 +249,7 @@ def _event_image(camera: Any, angles_deg: Mapping[str, float], seed: int) -> NDA
     """Record and gather two periods of the light in the best event image."""
     seen = camera.capture(angles_deg, seed=seed)
     period_us = 1e6 / seen.light_hz
-    flicker = Flicker(period_us, seen.first_edge_us, 0.5, 0.0, 2, 0, 0, "triggers")
+    flicker = Flicker(period_us, seen.first_edge_us, 0.5, 0.0, 0, "triggers")
     events = seen.events
     images = make_images(
         events.t, events.x, events.y, events.p, seen.image_size, flicker, window_us=(0.0, seen.duration_us)

@@ -69,18 +69,12 @@ class RunModel:
         self.held_since_utc = ""
         self.gate_failures: dict[str, int] = {}
         """How many recordings each gate has rejected."""
-        self.first_light: Mapping[str, Any] = {}
-        self._light_utc = self._stored_utc = self._checked_utc = self._asked_utc = ""
+        self._stored_utc = self._asked_utc = ""
 
     @property
     def stored_utc(self) -> str:
         """Time of the last recording."""
         return self._stored_utc
-
-    @property
-    def checked_utc(self) -> str:
-        """Time of the last verdict."""
-        return self._checked_utc
 
     @property
     def asked_utc(self) -> str:
@@ -187,7 +181,7 @@ class RunModel:
 
     def _keep_check(self, entry: Entry) -> None:
         data = entry.data
-        self.last_checked, self._checked_utc = data, entry.utc
+        self.last_checked = data
         place = int(data["pose"]), int(data["attempt"])
         measured = data.get("measured", {})
         if measured.get("expected_grid") is not None and place in self.places:

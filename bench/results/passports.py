@@ -21,16 +21,6 @@ from calib.engine import Calibration
 from calib.model.passport import Passport
 
 
-def read_passport(path: Path) -> Passport:
-    """Read a passport file.
-
-    Returns: The collimator's parameters and their covariance.
-    Raises UsageError: When there is no such file, or it is not a passport; the message says why.
-    Raises StorageError: When it cannot be read.
-    """
-    return read_passport_file(path)[0]
-
-
 def write_passport(path: Path, passport: Passport, key: BenchKey | None = None) -> None:
     """Write a passport to a new file.
 

@@ -103,12 +103,6 @@ class Station(StrictModel):
         return {**print_, **given, "reticle": merged}
 
     @property
-    def bounds_parallax(self) -> bool:
-        """Whether the station states the uncertainty of the gimbal's readings and bounds their parallax."""
-        gimbal, defocus = self.gimbal, self.collimator.defocus
-        return gimbal is not None and gimbal.pupil_off_pivot_mm is not None and defocus is not None
-
-    @property
     def is_simulated(self) -> bool:
         """Whether a run measures no real camera: a device is simulated, or recordings are replayed."""
         return self.needs_simulated_bench or isinstance(

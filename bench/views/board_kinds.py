@@ -28,7 +28,6 @@ _LEAST_SHARE = 0.5
 class EventBoardKind(EventKind):
     """An event camera in front of a board.
 
-    own_hz: Frequency of the board's own flicker, Hz; None if the station's light drives it.
     roi: Region of interest: the only part of the sensor that sends events; None for the whole sensor.
     """
 
@@ -36,11 +35,10 @@ class EventBoardKind(EventKind):
         self,
         biases: Mapping[str, int],
         board: Board,
-        own_hz: float | None,
         roi: tuple[int, int, int, int] | None = None,
     ) -> None:
         super().__init__(biases, roi)
-        self._board, self._own_hz = board, own_hz
+        self._board = board
 
     def measure(
         self,

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from contextlib import suppress
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,13 +28,6 @@ from drivers.errors import RecordingFileError
 
 _LEAST_LIT = 1e-3
 """Share of the pixels that fire at an edge of the light; below it, nothing in view flickers."""
-
-
-class BoardSource(NamedTuple):
-    """How a board was recorded."""
-
-    board: Board
-    own_hz: float | None = None  # Frequency of its own flicker, Hz; None if the station's light drives it
 
 
 def measure_board(

@@ -1,8 +1,8 @@
 """The origin of image points: the centre of the first pixel, or its corner, half a pixel away.
 
-Views alone cannot show the origin: a common shift of all points moves the principal point, and nothing else changes. A
-known camera shows it (`origin_offset`), and so do the other views of a set, if only some of them are shifted
-(`find_other_origins`). A rotation of the camera imitates a shift to first order, so only good views decide.
+Views alone cannot show the origin: a common shift of all points moves the principal point, and nothing else changes.
+If only some views of a set are shifted, the others show it (`find_other_origins`). A rotation of the camera imitates a
+shift to first order, so only good views decide.
 """
 
 from __future__ import annotations
@@ -14,25 +14,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.adjustment.bundle import Bundle
-from calib.adjustment.levenberg_marquardt import Loss, refine
-from calib.adjustment.observations import Observations
 from calib.adjustment.parameters import AdjustmentParameters
 from calib.diagnosis.linearised import ShiftEquations, image_shifts, plain_bundle
 from calib.diagnosis.star_noise import typical_noise_px
-from calib.model.camera import CameraModel
-from calib.model.collimator import Collimator
-from calib.model.homography import view_homography
 from calib.model.median import median
-from calib.model.planar import poses_from_homographies
-from calib.model.spherical import rotations_from_centre
 from calib.view import View
 
 Array = NDArray[np.float64]
 
 HALF_PX = 0.5
-#: An offset is decided if it is known to this 1-sigma, px: half a pixel is 4 sigma. Agreement and contradiction are
+#: The offset of the views that have another origin must be known to this 1-sigma, px. Agreement and contradiction are
 #: judged in sigmas.
-MAX_SIGMA_PX = 0.125
+_MAX_SIGMA_PX = 0.25
 _AGREES = 3.0
 _CONTRADICTS = 5.0
 #: A view joins those with another origin if that lowers the weighted squares by this much.
@@ -41,52 +34,8 @@ _JOINS = 6.0
 #: so a view counts as this number of independent stars.
 _SYSTEMATIC = 1.3
 _INDEPENDENT = 10
-#: Limit of the robust loss in robust standard deviations per axis, and the number of times it is estimated.
-_LIMIT_SIGMAS = 2.5
-_ROUNDS = 2
 _RAYLEIGH_MEDIAN = 1.1774100225154747
 _STARS = 400
-
-
-@dataclass(frozen=True)
-class OriginOffset:
-    """A common offset of all image points against a known camera."""
-
-    # Offset along x (right) and y (down), px: points minus what the camera sees.
-    offset_px: tuple[float, float]
-    sigma_px: tuple[float, float]  # 1-sigma of both, px, that of the known camera included
-
-    @property
-    def decided(self) -> bool:
-        """Whether the offset is known well enough to see half a pixel."""
-        return max(self.sigma_px) <= MAX_SIGMA_PX
-
-    @property
-    def agrees(self) -> bool:
-        """Whether the points lie where the camera sees them."""
-        return self.decided and _distance(self.offset_px, (0.0, 0.0), self.sigma_px) <= _AGREES
-
-    @property
-    def half_pixel(self) -> bool:
-        """Whether the offset is half a pixel along both axes, in the same direction."""
-        return self.decided and bool(_half_pixel(self.offset_px, self.sigma_px))
-
-    @property
-    def sentence(self) -> str:
-        """Says where the points lie, and what to check."""
-        expanded = f"± {2.0 * max(self.sigma_px):.2g} px, k = 2"
-        if not self.decided:
-            return (
-                "These views cannot decide whether their points have the origin of this camera: a common offset is "
-                f"known only to ± {2.0 * max(self.sigma_px):.2g} px (k = 2), and the two origins differ by "
-                "half a pixel."
-            )
-        if self.agrees:
-            return f"The points lie where this camera sees them, to {_words(self.offset_px)} ({expanded})."
-        place = f"All points lie {_words(self.offset_px)} of where this camera sees them ({expanded})"
-        if self.half_pixel:
-            return f"{place}: check --origin."
-        return f"{place}. The principal point has moved, or the points come from another part of the image."
 
 
 @dataclass(frozen=True)
@@ -107,52 +56,6 @@ class OtherOrigin:
             f"(± {2.0 * self.sigma_px:.2g} px, k = 2): their origin seems to differ. "
             "Check --origin, and give all views the same."
         )
-
-
-def origin_offset(
-    views: Sequence[View],
-    camera: CameraModel,
-    collimator: Collimator | None = None,
-    *,
-    camera_sigma_px: tuple[float, float] = (0.0, 0.0),
-) -> OriginOffset:
-    """Estimate a common offset of all image points against a known camera.
-
-    The camera is held except for its principal point, whose movement is the offset. The rotations are free, and so is
-    the centre of the collimator if it is not given. A Huber loss is used (Huber, 1964), with a limit of 2.5 robust
-    standard deviations. If residuals are mostly systematic, a view counts as 10 independent stars in sigma. Own
-    procedure.
-
-    views: Views of the camera, without gross errors.
-    collimator: Centre of the collimator from a passport or another calibration, without aberrations; None if
-      it is not known.
-    camera_sigma_px: 1-sigma of the known cx and cy, px.
-    Returns: Offset with its uncertainty; undecided if half a pixel cannot be seen.
-    """
-    h = np.array([view_homography(view) for view in views])
-    names = ["cx", "cy"]
-    centre = collimator
-    if centre is None:
-        x, y, z = np.median(poses_from_homographies(h, camera.matrix)[1], axis=0)
-        centre = Collimator(float(x), float(y), float(-z))
-        names += ["x", "y", "r"]
-    centre = Collimator(centre.x, centre.y, centre.r)
-    rotations = rotations_from_centre(h, camera.matrix, centre.centre)
-    start = AdjustmentParameters(camera, centre, rotations, np.zeros((len(views), 3)))
-    bundle = Bundle(Observations.from_views(views), tuple(names))
-    end, loss = start, Loss("l2")
-    for _ in range(_ROUNDS):
-        end = refine(bundle, end, loss).parameters
-        loss = Loss("huber", _LIMIT_SIGMAS * max(_spread(bundle, end), 1e-12))
-    end = refine(bundle, end, loss).parameters
-    influence = bundle.weighted_residuals(end)
-    information = bundle.normal_equations(end, influence).reduced()
-    scale = 1.0 / np.sqrt(np.diag(information))
-    covariance = np.linalg.pinv(information * np.outer(scale, scale), hermitian=True) * np.outer(scale, scale)
-    variances = np.diag(covariance)[:2] * _variance_factor(views, bundle, end)
-    sigmas = np.sqrt(variances + np.square(camera_sigma_px))
-    offset = (end.camera.cx - camera.cx, end.camera.cy - camera.cy)
-    return OriginOffset(offset, (float(sigmas[0]), float(sigmas[1])))
 
 
 def find_other_origins(
@@ -183,7 +86,7 @@ def find_other_origins(
     normal = np.einsum("anx,nxmy,bmy->ab", pattern, equations.information, pattern)
     offset = np.linalg.solve(normal, np.einsum("anx,nx->a", pattern, equations.gradient))
     sigmas = np.sqrt(np.diag(np.linalg.inv(normal)) * factor)
-    if not (np.abs(offset - sign * HALF_PX) <= _AGREES * sigmas).all() or sigmas.max() > 2.0 * MAX_SIGMA_PX:
+    if not (np.abs(offset - sign * HALF_PX) <= _AGREES * sigmas).all() or sigmas.max() > _MAX_SIGMA_PX:
         return None
     names = tuple(views[i].name for i in members)
     return OtherOrigin(names, (float(offset[0]), float(offset[1])), float(sigmas.max()))
@@ -227,21 +130,6 @@ def _variance_factor(views: Sequence[View], bundle: Bundle, parameters: Adjustme
         return max(variance, noise**2)
     stars = len(bundle.observations.view) / len(bundle.observations.slices)
     return noise**2 + (variance - noise**2) * max(1.0, stars / _INDEPENDENT)
-
-
-def _half_pixel(offset: Sequence[float], sigmas: Sequence[float]) -> int:
-    """Return 1 for half a pixel right and down, -1 for left and up, 0 for anything else or if it may be zero."""
-    if _distance(offset, (0.0, 0.0), sigmas) < _CONTRADICTS:
-        return 0
-    for sign in (1, -1):
-        if _distance(offset, (sign * HALF_PX, sign * HALF_PX), sigmas) <= _AGREES:
-            return sign
-    return 0
-
-
-def _distance(offset: Sequence[float], other: Sequence[float], sigmas: Sequence[float]) -> float:
-    """Return the distance of two offsets, in sigmas."""
-    return float(np.hypot(*((np.array(offset) - other) / np.maximum(sigmas, 1e-12))))
 
 
 def _words(offset: Sequence[float]) -> str:

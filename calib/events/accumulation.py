@@ -73,7 +73,7 @@ def accumulate(
     size: tuple[int, int],
     start_us: float,
     period_us: float,
-) -> tuple[PixelSums, BurstWindow, BurstWindow]:
+) -> tuple[PixelSums, BurstWindow]:
     """Find the bursts within the period, and sum up the events of each pixel.
 
     The phase 0 of the lock-in sum is the phase at which the ON rate minus the OFF rate of the whole image is largest at
@@ -86,7 +86,7 @@ def accumulate(
     size: Width and height of the sensor, px.
     start_us: Start of the window, us.
     period_us: Period of the flicker, us.
-    Returns: (H, W) sums.
+    Returns: (H, W) sums, and the window of the ON burst.
     """
     times = event_times(t, p)
     off_rate, on_rate = folded_rate(times, start_us, period_us)
@@ -98,7 +98,7 @@ def accumulate(
     parts: tuple[Any, ...] = sums
     flat = PixelSums(*(part.ravel() for part in parts))
     _add_events(times, x, y, p, size[0], period_us, response_us, on_window, off_window, flat)
-    return sums, on_window, off_window
+    return sums, on_window
 
 
 @njit(cache=True, error_model="numpy")

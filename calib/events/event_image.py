@@ -67,7 +67,6 @@ class SliceFacts:
     end_us: float
     periods: int
     events: int
-    events_outside: int
     on_share: float
     lit_pixels: int  # Number of pixels that fire on at least the share `LIT_SHARE` of the edges
     events_per_edge: float
@@ -80,7 +79,6 @@ class SliceFacts:
     # Number of rows without any event between rows with lit pixels: rows that the readout missed.
     silent_rows: int
     on_window: BurstWindow
-    off_window: BurstWindow
 
 
 @dataclass(frozen=True)
@@ -229,9 +227,9 @@ def make_images(
             remedy="Check light and aperture.",
         )
     inside = slice(first, last)
-    sums, *windows = accumulate(t[inside], x[inside], y[inside], p[inside], size, start, flicker.period_us)
+    sums, on_window = accumulate(t[inside], x[inside], y[inside], p[inside], size, start, flicker.period_us)
     hot = _hot_pixels(sums, 2 * whole)
-    facts = _facts(sums, hot, (start, end, whole), (last - first, t.size - (last - first)), windows)
+    facts = _facts(sums, hot, (start, end, whole), last - first, on_window)
     return EventImages(
         last_polarity=sums.last_polarity,
         on_count=sums.on_count,
@@ -271,13 +269,13 @@ def _facts(
     sums: PixelSums,
     hot: NDArray[np.bool_],
     window: tuple[float, float, int],
-    events: tuple[int, int],
-    bursts: list[BurstWindow],
+    events: int,
+    on_window: BurstWindow,
 ) -> SliceFacts:
     """Collect the properties of the slice.
 
-    ``window`` is its start and end, us, and number of periods; ``events`` are those inside and outside; ``bursts`` are
-    the windows of the ON and the OFF burst. Own definitions, those of `SliceFacts`.
+    ``window`` is its start and end, us, and number of periods; ``events`` is the number of events in it. Own
+    definitions, those of `SliceFacts`.
     """
     start, end, periods = window
     lit = lit_pixels(sums, hot, LIT_SHARE * periods)
@@ -287,9 +285,8 @@ def _facts(
         start_us=start,
         end_us=end,
         periods=periods,
-        events=events[0],
-        events_outside=events[1],
-        on_share=float(lit.all_on) / events[0],
+        events=events,
+        on_share=float(lit.all_on) / events,
         lit_pixels=number,
         events_per_edge=(on + off) / 2.0,
         events_per_edge_on=on,
@@ -297,8 +294,7 @@ def _facts(
         first_on_spread_us=float(lit.latency_us.std()) if number else float("nan"),
         hot_pixels=int(np.count_nonzero(hot)),
         silent_rows=lit.silent_rows,
-        on_window=bursts[0],
-        off_window=bursts[1],
+        on_window=on_window,
     )
 
 

@@ -39,10 +39,7 @@ class Flicker:
     duty: float
     # Rms distance of the edges used from the fitted train, us; nan if there are too few edges.
     jitter_us: float
-    # Number of rising edges used. If the period comes from the events: number of periods covered.
-    edges: int
     missing: int  # Number of rising edges missing between the first and the last edge of the train
-    extra: int  # Number of edges of either direction that do not fit the train and were left out
     source: Literal["triggers", "events"]  # ``"triggers"`` or ``"events"``
 
     @property
@@ -59,8 +56,8 @@ class Flicker:
 
         Examples
         --------
-        >>> by_triggers = Flicker(1000.0, 250.0, 0.5, 0.0, 4, 0, 0, "triggers")
-        >>> by_events = Flicker(1001.0, 2240.0, 0.5, 0.0, 4, 0, 0, "events")
+        >>> by_triggers = Flicker(1000.0, 250.0, 0.5, 0.0, 0, "triggers")
+        >>> by_events = Flicker(1001.0, 2240.0, 0.5, 0.0, 0, "events")
         >>> by_events.lag_us(by_triggers)
         -10.0
         """
@@ -77,7 +74,7 @@ class Flicker:
 
         Examples
         --------
-        >>> flicker = Flicker(1000.0, 250.0, 0.5, 0.0, 4, 0, 0, "triggers")
+        >>> flicker = Flicker(1000.0, 250.0, 0.5, 0.0, 0, "triggers")
         >>> flicker.rising_edges_us(0, 2300).tolist()
         [250.0, 1250.0, 2250.0]
         """
@@ -93,7 +90,7 @@ def flicker_from_triggers(
 
     Rising edge k is expected at t = phase + k * period, and the falling edge after it at duty * period later. Period,
     phase and duty are fitted by least squares to the edges that fit. Missing edges are counted. Edges that do not fit
-    (bounces, crosstalk) are left out and counted. This model and the selection of the edges are this project's own.
+    (bounces, crosstalk) are left out. This model and the selection of the edges are this project's own.
 
     Parameters
     ----------
@@ -135,9 +132,7 @@ def flicker_from_triggers(
         phase_us=phase + period * float(k.min()),
         duty=float(((fall_phase - phase) / period) % 1.0),
         jitter_us=jitter,
-        edges=k.size,
         missing=int(k.max() - k.min()) + 1 - k.size,
-        extra=extra,
         source="triggers",
     )
 
@@ -196,9 +191,7 @@ def flicker_from_events(
         phase_us=start + on * period,
         duty=float((off - on) % 1.0),
         jitter_us=float("nan"),
-        edges=int(span / period),
         missing=0,
-        extra=0,
         source="events",
     )
 

@@ -58,7 +58,6 @@ class ReconstructedPicture:
     # Number of pixels that fired far more often than their surroundings; they are replaced by the median
     # around.
     hot_pixels: int
-    off_weight: float
 
     def require_motion(self) -> None:
         """Check that the camera moved.
@@ -181,7 +180,7 @@ class _OpenPicture:
         image = np.asarray((on - off_weight * off) * (0.5 if self._later is not None else 1.0), np.float32)
         hot = total > _HOT_FACTOR * cv2.medianBlur(total, 5) + _HOT_OFFSET
         image[hot] = cv2.medianBlur(image, 5)[hot]
-        return ReconstructedPicture(self.at_us, image, active, int(hot.sum()), off_weight)
+        return ReconstructedPicture(self.at_us, image, active, int(hot.sum()))
 
 
 def _ascending(pieces: Iterable[EventArrays]) -> Iterator[EventArrays]:

@@ -175,25 +175,6 @@ def visible_disc(view: View, expected: tuple[Array, Array] | None = None) -> Dis
     )
 
 
-def without_guard_band(view: View, disc: Disc, share: float) -> View:
-    """Return the view without the stars of the guard band, the outer part of the disc.
-
-    disc: The view's visible disc.
-    share: Stars within this share of the disc's radius are kept.
-    Returns: The view with the inner stars only; the same view if the share is 1 or more.
-    """
-    if share >= 1.0:
-        return view
-    kept = inside_guard_band(view, disc, share)
-    return replace(
-        view,
-        ids=view.ids[kept],
-        points_px=view.points_px[kept],
-        target_mm=view.target_mm[kept],
-        covariances_px2=view.covariances_px2[kept],
-    )
-
-
 def inside_guard_band(view: View, disc: Disc, share: float) -> NDArray[np.bool_]:
     """Tell which stars lie inside the guard band, that is, within a share of the disc's radius.
 

@@ -5,7 +5,7 @@ The principle is that of JCGM 101:2008. Each run has its own random seed, so tha
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -55,11 +55,6 @@ class MonteCarloStudy:
         return dict(zip(self.names, np.sqrt((z**2).mean(axis=0)).tolist(), strict=True))
 
     @property
-    def z_joint(self) -> float:
-        """Root mean square of all errors, weighted by the stated covariance: the sharpest test of it in this study."""
-        return float(np.sqrt(self.chi_squares.mean() / len(self.names)))
-
-    @property
     def coverage(self) -> Mapping[str, float]:
         """Share of runs in which value +- k sigma covers the truth."""
         covered = np.abs(self.values - self.truth) <= self.factors[:, None] * self.sigmas
@@ -86,39 +81,6 @@ class Repetition:
     failed: str = ""  # Why there is no calibration; empty if there is one
 
 
-def run_monte_carlo(
-    bench: ExpectedBench,
-    poses_deg: Sequence[Mapping[str, float]],
-    options: CalibrationOptions,
-    runs: int,
-    seed: int,
-    *,
-    drift_mm: float = 0.0,
-    outliers: float = 0.0,
-    progress: Callable[[int, int], None] | None = None,
-) -> MonteCarloStudy:
-    """Calibrate predicted views many times, each time with new noise.
-
-    Repeated draws from the stated distributions: JCGM 101:2008.
-
-    bench: True camera, collimator, beam and star noise.
-    poses_deg: For each pose ``pan_deg``, ``tilt_deg``, ``roll_deg``, degrees; missing angles are zero.
-    seed: Random seed of the study; with the number of a run it gives the seed of that run.
-    drift_mm: 1-sigma per axis of each view's centre about the shared one, mm.
-    outliers: Share of the stars that are outliers, with an error of 2 px (1 sigma per axis).
-    progress: Called after each run with the number of finished runs and the number of all runs.
-    Raises NotConverged: If no calibration has a result.
-    """
-    outcomes = []
-    for run in range(runs):
-        outcomes.append(
-            calibrate_once(bench, poses_deg, options, seed, run, drift_mm=drift_mm, outliers=outliers)
-        )
-        if progress:
-            progress(run + 1, runs)
-    return study_of(bench, outcomes)
-
-
 def calibrate_once(
     bench: ExpectedBench,
     poses_deg: Sequence[Mapping[str, float]],
@@ -131,9 +93,14 @@ def calibrate_once(
 ) -> Repetition:
     """Calibrate predicted views with the noise of one run of a study.
 
-    bench, poses_deg, options, seed: As for `run_monte_carlo`.
+    Draws from the stated distributions: JCGM 101:2008.
+
+    bench: True camera, collimator, beam and star noise.
+    poses_deg: For each pose ``pan_deg``, ``tilt_deg``, ``roll_deg``, degrees; missing angles are zero.
+    seed: Random seed of the study; with the number of a run it gives the seed of that run.
     run: Number of the run, from 0.
-    drift_mm, outliers: As for `run_monte_carlo`.
+    drift_mm: 1-sigma per axis of each view's centre about the shared one, mm.
+    outliers: Share of the stars that are outliers, with an error of 2 px (1 sigma per axis).
     Returns: The result, or why there is none.
     """
     truth = {**bench.camera.to_dict(), **bench.collimator.to_dict()}

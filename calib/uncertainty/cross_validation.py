@@ -49,13 +49,6 @@ class CrossValidation:
         """Root mean square residual of all stars of all views, px."""
         return float(np.sqrt((self.rms_px**2 * self.stars).sum() / self.stars.sum()))
 
-    @property
-    def jackknife(self) -> Array:
-        """(G, G) float64 jackknife covariance of P poses: (P - 1) / P sum (v - mean)(v - mean)^T (Efron, 1982)."""
-        n = len(self.values)
-        off = self.values - self.values.mean(axis=0)
-        return np.asarray((n - 1) / n * off.T @ off)
-
 
 def leave_one_out(bundle: Bundle, parameters: AdjustmentParameters, loss: Loss) -> CrossValidation:
     """Adjust without each pose in turn, from the optimum of all views.

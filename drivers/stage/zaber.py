@@ -98,17 +98,6 @@ class ZaberStage(WatchedStage[ZaberAxis]):
             if not zaber_protocol.is_informational(flag)
         ]
 
-    def park(self) -> None:
-        """Let every controller store its position, so that it outlasts a loss of power. Moves nothing.
-
-        A parked axis refuses all moves. The controller refuses to park an axis that moves (DeviceRefused).
-        """
-        self._command_each("tools parking park")
-
-    def unpark(self) -> None:
-        """End the parking of all axes. An axis moves to the nearest full step at most."""
-        self._command_each("tools parking unpark")
-
     def close(self) -> None:
         """See `Stage.close`."""
         self._chain.close()

@@ -29,11 +29,11 @@ import numpy as np
 from calib.engine import Calibration, CalibrationOptions, calibrate
 from calib.fit import fit_model
 from calib.model.passport import Passport
-from calib.studies.monte_carlo import run_monte_carlo
 from calib.view import View
 
 sys.path.append(str(Path(__file__).parents[1] / "support"))
-from paper_camera import NARROW, POSES  # in a folder that only pytest adds to the path
+from monte_carlo_runs import run_monte_carlo  # in a folder that only pytest adds to the path
+from paper_camera import NARROW, POSES
 
 SIZE, COUNT = (2448, 2048), 20
 FIELD, COMA = CalibrationOptions(model="field"), CalibrationOptions(model="coma")

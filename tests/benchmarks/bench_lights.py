@@ -82,7 +82,7 @@ def try_pose(row: dict[str, Any], angles_deg: dict[str, float], seed: int) -> di
         "waited": sensor.stalled_us / length_us,
     }
     edge_us = -phase * light.period_us % light.period_us
-    flicker = Flicker(light.period_us, edge_us, light.high_share, 0.0, 2, 0, 0, "triggers")
+    flicker = Flicker(light.period_us, edge_us, light.high_share, 0.0, 0, "triggers")
     size = truth.camera.width, truth.camera.height
     try:
         images = make_images(*events, size, flicker, window_us=(0.0, length_us), periods=periods)

@@ -59,7 +59,7 @@ def image_of(picture: NDArray[Any], kind: str, level: str, rng: np.random.Genera
             picture, light, WINDOW_US, phase=phase, noise=NOISE_LEVELS[level], camera_seed=7, seed=seed
         )
         edge = -phase * light.period_us % light.period_us
-        flicker = Flicker(light.period_us, edge, 0.5, 0.0, 2, 0, 0, "triggers")
+        flicker = Flicker(light.period_us, edge, 0.5, 0.0, 0, "triggers")
         size = picture.shape[1], picture.shape[0]
         made = make_images(events.t, events.x, events.y, events.p, size, flicker, window_us=(0.0, WINDOW_US))
         image = made.best().image

@@ -66,7 +66,7 @@ def simulated(truth: Truth, noise: str, waveform: Any, rotation: Any, seed: int)
 def record(truth: Truth, noise: str, waveform: Any, rotation: Any, seed: int) -> EventImages:
     """Return the event images of a simulated recording."""
     events, period_us, first_edge = simulated(truth, noise, waveform, rotation, seed)
-    flicker = Flicker(period_us, first_edge, 0.5, 0.0, 2, 0, 0, "triggers")
+    flicker = Flicker(period_us, first_edge, 0.5, 0.0, 0, "triggers")
     size = (truth.camera.width, truth.camera.height)
     return make_images(events.t, events.x, events.y, events.p, size, flicker, window_us=(0.0, WINDOW_US))
 

@@ -45,7 +45,7 @@ def seen(config, seed):
     picture = scene.picture(truth, {})
     phase = 0.37
     events = simulate(picture, LIGHT, WINDOW_US, phase=phase, noise=truth.noise, camera_seed=3, seed=seed)
-    flicker = Flicker(LIGHT.period_us, (1.0 - phase) * LIGHT.period_us, 0.5, 0.0, 2, 0, 0, "triggers")
+    flicker = Flicker(LIGHT.period_us, (1.0 - phase) * LIGHT.period_us, 0.5, 0.0, 0, "triggers")
     size = (truth.camera.width, truth.camera.height)
     images = make_images(events.t, events.x, events.y, events.p, size, flicker, window_us=(0.0, WINDOW_US))
     return images, scene.corners(truth, {})

@@ -32,9 +32,7 @@ def view_of(truth, rotation, seed):
     events = simulate(
         render(truth, rotation), light, WINDOW_US, phase=phase, noise=truth.noise, camera_seed=7, seed=seed
     )
-    flicker = Flicker(
-        light.period_us, -phase * light.period_us % light.period_us, 0.5, 0.0, 2, 0, 0, "triggers"
-    )
+    flicker = Flicker(light.period_us, -phase * light.period_us % light.period_us, 0.5, 0.0, 0, "triggers")
     size = (truth.camera.width, truth.camera.height)
     image = (
         make_images(events.t, events.x, events.y, events.p, size, flicker, window_us=(0.0, WINDOW_US))

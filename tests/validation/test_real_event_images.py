@@ -24,7 +24,7 @@ def recording(evk4_recording):
 def test_every_event_is_counted_in_its_pixel(recording):
     raw, events, _ = recording
     start, end = float(events.t[0]), float(events.t[-1]) + 1.0
-    whole = Flicker((end - start) / 50.0, start, 0.5, 0.0, 50, 0, 0, "events")
+    whole = Flicker((end - start) / 50.0, start, 0.5, 0.0, 0, "events")
     made = make_images(
         events.t, events.x, events.y, events.p, (raw.width, raw.height), whole, window_us=(start, end)
     )
@@ -39,7 +39,7 @@ def test_every_event_is_counted_in_its_pixel(recording):
 
 def test_a_steady_scene_is_no_target(recording):
     raw, events, _ = recording
-    light = Flicker(16_667.0, float(events.t[0]), 0.5, 0.0, 70, 0, 0, "events")
+    light = Flicker(16_667.0, float(events.t[0]), 0.5, 0.0, 0, "events")
     made = make_images(events.t, events.x, events.y, events.p, (raw.width, raw.height), light)
     for name in ("last-polarity", "count", "fired-per-edge", "lock-in"):
         with pytest.raises(TargetNotFound):

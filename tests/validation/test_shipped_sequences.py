@@ -9,12 +9,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from flat import flatten
 
 from calib.calibration import CalibrationOptions
 from calib.engine import calibrate
 from calib.target import StarTarget
 from calib.view import View
-from sequences.flatten import flatten
 from sequences.reader import read_document
 from sequences.schema import Sequence
 from sequences.script import RecordStep

@@ -40,7 +40,7 @@ def record(noise, waveform, pose, seed, truth=TRUTH):
         render(truth, rotation), light, WINDOW_US, phase=phase, noise=level, camera_seed=7, seed=seed
     )
     edge = -phase * light.period_us % light.period_us
-    return events, Flicker(light.period_us, edge, 0.5, 0.0, 2, 0, 0, "triggers"), rotation
+    return events, Flicker(light.period_us, edge, 0.5, 0.0, 0, "triggers"), rotation
 
 
 def images(events, flicker, window_us=(0.0, WINDOW_US)):

@@ -11,7 +11,6 @@ import zipfile
 import zlib
 from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
@@ -19,7 +18,7 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.camera.event_arrays import Events, Triggers, empty_events
+from drivers.camera.event_arrays import Events, Triggers
 from drivers.camera.formats import aedat4, ecf, prophesee_words, ros_bags
 from drivers.camera.formats.event_files import CD_TYPE
 from drivers.camera.formats.hdf5_reading import (
@@ -52,19 +51,6 @@ _UNREADABLE: Final = (
 """What HDF5 and NumPy raise for a damaged file, or one with another layout."""
 
 
-@dataclass(frozen=True)
-class ImportedEvents:
-    """The contents of an imported file."""
-
-    # events, triggers: In the order of the file.
-    events: Events
-    triggers: Triggers
-    # width, height: Size of the sensor, px.
-    width: int
-    height: int
-    header: Mapping[str, str]
-
-
 @contextmanager
 def open_events(path: Path | str) -> Iterator[EventSource]:
     """Open a file of events. Its contents decide the format, not its name.
@@ -92,24 +78,6 @@ def open_events(path: Path | str) -> Iterator[EventSource]:
                 yield from _checked(source.pieces(), source)
 
         yield EventSource(source.count, source.triggers, source.width, source.height, source.header, pieces)
-
-
-def import_events(path: Path | str) -> ImportedEvents:
-    """Read a file at once. Its contents decide the format, not its name.
-
-    Returns: All of it, in memory: 13 bytes an event.
-    Raises NotARecording, RecordingCorrupt, RecordingFileError: As `open_events`.
-    """
-    with open_events(path) as source:
-        with _told(Path(path)):
-            events = empty_events(source.count)
-        done = 0
-        for piece in source.pieces():
-            place = slice(done, done + len(piece.t))
-            events.t[place], events.x[place] = piece.t, piece.x
-            events.y[place], events.p[place] = piece.y, piece.p
-            done += len(piece.t)
-        return ImportedEvents(events, source.triggers, source.width, source.height, source.header)
 
 
 @contextmanager

@@ -6,13 +6,13 @@ from pathlib import Path
 import pytest
 import yaml
 from filled_stations import filled_example
+from flat import flatten
 from station_texts import PLAIN
 
 from bench.plan.plan import load_documents, make_plan
 from bench.plan.script_check import check_script
 from bench.stations.station import Station
 from bench.stations.station_target import DrawingConfig, TargetConfig
-from sequences.flatten import flatten
 from sequences.reader import check_document, read_document
 from sequences.schema import (
     DefaultConfig,

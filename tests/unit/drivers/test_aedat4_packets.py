@@ -5,10 +5,10 @@ import tracemalloc
 
 import numpy as np
 import pytest
+from imported import import_events
 
 from drivers.camera.formats import aedat4_packets
 from drivers.camera.formats.aedat4_packets import MOST_PACKET_BYTES, UnreadablePacket, checked_packets
-from drivers.camera.formats.event_import import import_events
 from drivers.errors import RecordingFileError
 
 NONE, LZ4, ZSTD = 0, 1, 3

@@ -11,13 +11,13 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from imported import import_events
 
 from drivers.camera.event_arrays import Events, Triggers, empty_events, empty_triggers
 from drivers.camera.evt3 import Evt3Decoder
 from drivers.camera.formats import event_conversion
 from drivers.camera.formats.event_conversion import KINDS, convert
 from drivers.camera.formats.event_files import export_numpy
-from drivers.camera.formats.event_import import import_events
 from drivers.camera.formats.evt3_encode import MAX_TIME_US, Evt3Encoder
 from drivers.camera.formats.new_file import new_file
 from drivers.camera.raw_file import RawFile

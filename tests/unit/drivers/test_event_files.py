@@ -3,6 +3,7 @@
 import h5py
 import numpy as np
 import pytest
+from imported import import_events
 
 from drivers.camera.formats.event_files import (
     CD_TYPE,
@@ -11,7 +12,6 @@ from drivers.camera.formats.event_files import (
     export_metavision,
     export_numpy,
 )
-from drivers.camera.formats.event_import import import_events
 from drivers.camera.raw_file import RawFile
 from drivers.errors import NotARecording, RecordingCorrupt, RecordingFileError
 

@@ -8,9 +8,10 @@ from pathlib import Path
 import h5py
 import numpy as np
 import pytest
+from imported import import_events
 
 from drivers.camera.formats.event_conversion import write_raw
-from drivers.camera.formats.event_import import import_events, open_events
+from drivers.camera.formats.event_import import open_events
 from drivers.camera.formats.hdf5_reading import MOST_CHUNK_BYTES
 from drivers.camera.whole_file import require_whole
 from drivers.errors import NotARecording, RecordingCorrupt, RecordingFileError

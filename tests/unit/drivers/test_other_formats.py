@@ -6,9 +6,10 @@ from datetime import UTC, datetime
 
 import numpy as np
 import pytest
+from imported import import_events
 
 from drivers.camera.formats.event_conversion import convert
-from drivers.camera.formats.event_import import import_events, open_events
+from drivers.camera.formats.event_import import open_events
 from drivers.camera.raw_file import RawFile
 from drivers.errors import RecordingFileError
 

@@ -4,11 +4,12 @@ from collections.abc import Sequence as List
 from itertools import pairwise
 
 import pytest
+from flat import flatten
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from sequences.errors import DocumentFaults
-from sequences.flatten import MOST_STEPS, flatten, unfold
+from sequences.flatten import MOST_STEPS, unfold
 from sequences.reader import check_document
 from sequences.schema import Sequence
 from sequences.script import (

@@ -1,9 +1,10 @@
 """The step `until`: its settings, the rounds that it unfolds into, and the faults of a wrong setting."""
 
 import pytest
+from flat import flatten
 
 from sequences.errors import DocumentFaults
-from sequences.flatten import POSES_FAILED, flatten, unfold
+from sequences.flatten import POSES_FAILED, unfold
 from sequences.reader import check_document
 from sequences.schema import Sequence
 from sequences.script import ChooseStep, LightStep, MoveStep, RecordStep, SettleStep

@@ -57,7 +57,7 @@ def test_the_jitter_of_the_sync_is_the_drawn_one():
 def test_the_jitter_of_the_bursts_is_the_drawn_one():
     random = np.random.default_rng(6)
     at = 4000 + PERIOD_US * np.arange(60) + random.normal(0.0, 80.0, 60)
-    flicker = Flicker(PERIOD_US, 4000.0, 0.5, 0.0, 60, 0, 0, "triggers")
+    flicker = Flicker(PERIOD_US, 4000.0, 0.5, 0.0, 0, "triggers")
     assert burst_jitter_us(events_of(at), flicker) == pytest.approx(80.0, rel=0.3)
     assert burst_jitter_us(events_of(at[:2]), flicker) is None
     assert burst_jitter_us(EMPTY, flicker) is None

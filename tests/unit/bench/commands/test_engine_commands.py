@@ -188,7 +188,7 @@ def test_a_study_finds_that_the_sigmas_hold_and_plots_them(capsys, tmp_path):
 def test_a_recording_is_converted_completely_and_never_overwrites_a_file(
     capsys, evk4_recording, tmp_path, kind
 ):
-    from drivers.camera.formats.event_import import import_events
+    from imported import import_events
 
     raw = evk4_recording
     assert "82469 events, 2 triggers" in say(capsys, "convert", raw, tmp_path / "out", "--as", kind)

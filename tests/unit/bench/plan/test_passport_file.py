@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 
 from bench.base.errors import EvidenceError, UsageError
 from bench.evidence.passport_seal import read_passport_seal, seal_passport
-from bench.plan.passport_file import parse_passport, passport_bytes
-from bench.results.passports import read_passport, seal_file, seals_of, write_passport
+from bench.plan.passport_file import parse_passport, passport_bytes, read_passport_file
+from bench.results.passports import seal_file, seals_of, write_passport
 from calib.model.passport import Passport
 
 NAMES = ("x", "y", "r")
@@ -143,7 +143,7 @@ def test_a_passport_without_a_seal_gets_one_in_a_new_file(tmp_path, key):
     seal_file(tmp_path / "hand.json", tmp_path / "sealed.json", key)
     data = (tmp_path / "sealed.json").read_bytes()
     assert read_passport_seal(data).fingerprint == key.fingerprint
-    assert read_passport(tmp_path / "sealed.json").to_dict() == passport().to_dict()
+    assert read_passport_file(tmp_path / "sealed.json")[0].to_dict() == passport().to_dict()
     with pytest.raises(UsageError, match="sealed already"):
         seal_file(tmp_path / "sealed.json", tmp_path / "again.json", key)
     write_passport(tmp_path / "plain.json", passport())

@@ -3,12 +3,12 @@
 from typing import get_args
 
 import pytest
+from flat import flatten
 
 from bench.plan.job import calibration_options
 from calib.calibration import LossName, ModelName
 from calib.model.camera import BROWN, DISTORTION_SETS, FISHEYE, SKEW
 from sequences import solve_schema as schema
-from sequences.flatten import flatten
 from sequences.reader import check_document
 from sequences.schema import Sequence
 

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from monte_carlo_runs import jackknife
 
 from calib.diagnosis.gross_stars import part_of
 from calib.engine import CalibrationOptions, calibrate
@@ -107,7 +108,7 @@ def test_from_five_views_on_sigmas_come_from_the_scores(bench, count):
     assert sum(known.budget.values()) == pytest.approx(np.diag(known.covariance))
     assert 1 < known.effective_degrees_of_freedom < count - 1
     # The jackknife is larger, the more so the fewer the views.
-    ratio = np.sqrt(np.diag(known.covariance) / np.diag(fitted.cross_validation.jackknife))
+    ratio = np.sqrt(np.diag(known.covariance) / np.diag(jackknife(fitted.cross_validation)))
     assert 0.3 < np.exp(np.log(ratio).mean()) < 1
     # Correlations are those from before the scores set the sigmas.
     correlation = known.covariance / np.sqrt(np.outer(*[np.diag(known.covariance)] * 2))

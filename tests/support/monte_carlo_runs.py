@@ -1,0 +1,24 @@
+"""A whole Monte Carlo study in this process, and what only tests ask of one; and the jackknife as a second opinion."""
+
+import numpy as np
+
+from calib.studies.monte_carlo import calibrate_once, study_of
+
+
+def run_monte_carlo(bench, poses_deg, options, runs, seed, **noise):
+    """The study of so many runs, one after another; ``noise`` is ``drift_mm`` and ``outliers``."""
+    return study_of(
+        bench, [calibrate_once(bench, poses_deg, options, seed, run, **noise) for run in range(runs)]
+    )
+
+
+def z_joint(study):
+    """Root mean square of all errors, weighted by the stated covariance: the sharpest test of it in a study."""
+    return float(np.sqrt(study.chi_squares.mean() / len(study.names)))
+
+
+def jackknife(cross_validation):
+    """(G, G) covariance from the estimates without each of P poses: (P - 1) / P sum (v - mean)(v - mean)^T (Efron, 1982)."""
+    n = len(cross_validation.values)
+    off = cross_validation.values - cross_validation.values.mean(axis=0)
+    return (n - 1) / n * off.T @ off
