@@ -14,7 +14,7 @@ from pathlib import Path
 
 from comparison.words import words_for
 
-PATIENCE_S = 900.0
+PATIENCE_S = 3600.0
 #: Calls `python -m bench` once for each command of a list, each in a fork of one process that has loaded all of it.
 _MANY = """
 import contextlib, importlib, json, os, pkgutil, runpy, sys
