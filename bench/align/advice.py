@@ -1,4 +1,4 @@
-"""What the operator should do next, from the figures of one live picture: plain sentences, the most important first.
+"""What the operator should do next, from what a live picture shows: plain sentences, the most important first.
 
 Each sentence says what was seen and what to do. Nothing is said that the figures do not show. The limits are those by
 which a run judges its recordings. Turns and focus come only when light and signal are good enough to see them.
@@ -7,17 +7,50 @@ which a run judges its recordings. Turns and focus come only when light and sign
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import dataclass
 from typing import Final
 
-from bench.align.live_setting import LiveSetting
-from bench.align.seen import Seen
+from bench.align.focus_figure import FocusFigures
+from bench.align.live_image import LiveImage, LiveSetting
 from bench.align.signal_figures import SignalFigures
 from bench.align.where_to_turn import TurnFigures
 from bench.views.frames import MOST_SATURATED
 from bench.views.gates import FILTERS_TO_DISABLE, FREQUENCY_TOLERANCE
 from calib.stars.beam import Beam
+from calib.stars.quick import QuickStars
 from drivers.camera import RecordingFacts
 from drivers.camera.frames import FrameFacts
+
+
+@dataclass(frozen=True)
+class Seen:
+    """Everything that the advice is made from."""
+
+    image: LiveImage
+    facts: RecordingFacts | FrameFacts | None  # What the driver states about it; None if unknown
+    beam: Beam  # The beam's disc
+    stars: QuickStars | None  # Tag and stars; None if they were not searched
+    other_tag: str  # What is wrong with the tags seen; empty if nothing is
+    focus: FocusFigures
+    best_edge_width_px: float | None  # Smallest edge width seen so far, px
+    best_sharpness: float | None
+    best_coarse_detail: float | None
+    # Best edge width since the camera was turned, px, if the present one is clearly worse; else None.
+    better_before_px: float | None
+    trend: str  # Where the focus goes: ``better``, ``worse`` or empty
+    contrast: float | None  # Contrast inside the beam; None without light
+    turn: TurnFigures  # Where to turn
+
+    @property
+    def count(self) -> int:
+        """Number of stars."""
+        return 0 if self.stars is None else len(self.stars.points_px)
+
+    @property
+    def tag_seen(self) -> bool:
+        """Whether the tag, or enough of it to identify the stars, is in view."""
+        return self.stars is not None and (self.stars.tag is not None or bool(self.stars.named_by))
+
 
 SHARP_PX: Final = 1.0
 """Edge width below which the lens counts as focused; up to 1.3 px every star is found."""

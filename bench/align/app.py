@@ -22,7 +22,7 @@ from starlette.responses import FileResponse, JSONResponse, Response
 from starlette.routing import Route
 from starlette.types import Receive, Scope, Send
 
-from bench.align.live_picture import LivePicture
+from bench.align.live_loop import LivePicture
 from bench.align.page_requests import PageFiles, actions, read_page
 from bench.align.session import Session
 from bench.base.errors import UsageError

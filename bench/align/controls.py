@@ -37,7 +37,7 @@ class StageState:
     goal_deg: Mapping[str, float] = field(default_factory=dict)
     homed: bool | None = None  # Whether every axis has a reference; None before it was asked
     work: Work | None = None  # ``move`` or ``home`` while the stage moves; None at rest
-    by: str = ""  # Id of the page that asked for the motion; empty for the terminal
+    by: str = ""  # Id of the page that asked for the motion; empty for this process
     faults: tuple[str, ...] = ()
     failure: Failure | None = None  # Why the last motion failed; None if nothing is wrong
 
@@ -122,7 +122,7 @@ class StageControl:
         """Turn axes by small steps. Steps given while the stage turns are added to its goal.
 
         steps_deg: Step of each axis that is to turn, degrees.
-        by: Id of the page that asks; empty for the terminal.
+        by: Id of the page that asks; empty for this process.
         Returns: Goal of each of these axes, degrees. The move itself goes on after the return.
         Raises ControlRefused: If a goal lies outside the limits, or the stage cannot move now. Nothing is
           moved.
@@ -155,7 +155,7 @@ class StageControl:
     def home(self, by: str = "") -> None:
         """Search the references of all axes. The search goes on after the return.
 
-        by: Id of the page that asks; empty for the terminal.
+        by: Id of the page that asks; empty for this process.
         Raises ControlRefused: If the stage moves, or is not open. Nothing is moved then.
         """
         with self._lock:

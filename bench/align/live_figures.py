@@ -1,4 +1,4 @@
-"""The figures of one live picture, as the align page and the terminal show them, and how a slice is measured.
+"""The figures of one live picture, as the align page shows them, and how a slice is measured.
 
 A slice is a short recording: an event camera's RAW file of whole flicker periods, or one picture of a frame camera.
 `measure_live` measures a single slice. `LiveMeter` measures one slice after the other: it keeps the course of the
@@ -15,15 +15,12 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from bench.align.advice import advice_for, dropped_share
+from bench.align.advice import Seen, advice_for, dropped_share
 from bench.align.focus_figure import FocusCourse, FocusFigures
-from bench.align.live_image import LiveImage, read_image, show
-from bench.align.live_setting import LiveSetting, LiveSlice
-from bench.align.seen import Seen
-from bench.align.seen_motion import SeenMotion
+from bench.align.live_image import LiveImage, LiveSetting, LiveSlice, read_image, show
 from bench.align.signal_figures import SignalFigures
 from bench.align.star_watch import Found, StarWatch, StopWatch
-from bench.align.where_to_turn import Bench, TurnFigures, where_to_turn
+from bench.align.where_to_turn import Bench, SeenMotion, TurnFigures, where_to_turn
 from calib.errors import CalibrationError
 from calib.stars.beam import Beam, find_beam
 from calib.stars.focus import contrast

@@ -1,28 +1,189 @@
-"""The live image: from a slice to grey values in which stars are searched, and to a picture for the screen.
+"""The live image: what is known of the bench, and a slice as grey values for the search of stars and for the screen.
 
-An event camera's slice becomes the event image of whole flicker periods; without a flicker, the number of events of
-each pixel is shown. A frame camera's slice becomes the mean of its frames. The module reads the slice's file and
-nothing else.
+An event camera's slice becomes the event image of whole flicker periods, counted while it is decoded: no list of events
+is made, which takes most of the time. Without a flicker, the number of events of each pixel is shown. A frame camera's
+slice becomes the mean of its frames. The module reads the slice's file and nothing else.
 """
 
 from __future__ import annotations
 
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Final, NamedTuple
+from typing import Final, Literal, NamedTuple
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from bench.align.live_counts import count_slice
-from bench.align.live_setting import LiveSetting
 from bench.align.signal_figures import SignalFigures, measure_signal, shows_flicker, signal_of_counts
+from bench.stations.station import Station
+from bench.stations.station_cameras import FrameCameraConfig
+from bench.stations.station_collimator import CertificateConfig
 from calib.errors import CalibrationError
 from calib.events.event_image import EventImages, make_images
 from calib.events.quick_image import make_quick_image
-from drivers.camera.event_arrays import Events
-from drivers.camera.frames import read_frames
+from calib.target import StarTarget
+from drivers.camera import RecordingFacts
+from drivers.camera.event_arrays import Events, Triggers, join_triggers
+from drivers.camera.evt3 import Evt3Decoder, StreamStatistics
+from drivers.camera.frames import FrameFacts, read_frames
 from drivers.camera.raw_file import RawFile
+from sequences.schema import GateConfig, Waveform
+from sequences.script import Gates
+
+
+@dataclass(frozen=True)
+class LiveSetting:
+    """What is known of the bench while slices are measured."""
+
+    target: StarTarget
+    camera: Literal["event", "frame"] = "event"
+    frequency_hz: float | None = None  # Frequency of the light's flicker as set, Hz; None if unknown
+    # Whether the light is on by its own read-back; None if unknown. It is used for the wording of the advice
+    # only.
+    light_on: bool | None = None
+    level_percent: float | None = None  # Level of the light as asked for, percent; None if unknown
+    # Lowest and highest angle of each axis of the stage, degrees.
+    limits_deg: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    focal_px: float | None = None  # Approximate focal length, px; None if the station does not state it
+    # Half angle of the beam, degrees; None if the station does not state it.
+    half_angle_deg: float | None = None
+    # Approximate focal length of the collimator, mm; None if the station does not state it.
+    r_mm: float | None = None
+    # Gates that the recordings of a run will have to pass.
+    gates: Gates = field(default_factory=lambda: Gates.from_settings(dict(GateConfig())))
+
+    @property
+    def beam_radius_px(self) -> float | None:
+        """Radius of the beam's disc in the image, px, by the expected values; None if one of them is not stated."""
+        if self.focal_px is None or self.half_angle_deg is None:
+            return None
+        return self.focal_px * math.tan(math.radians(self.half_angle_deg))
+
+    @property
+    def tag_side_px(self) -> float | None:
+        """Side of the tag in the image, px, by the expected values; None if one of them is not stated."""
+        if self.focal_px is None or self.r_mm is None:
+            return None
+        corners = self.target.tag_corners_mm
+        return float(np.hypot(*(corners[1] - corners[0]))) * self.focal_px / self.r_mm
+
+    @classmethod
+    def of_station(
+        cls,
+        station: Station,
+        *,
+        frequency_hz: float | None = None,
+        light_on: bool | None = None,
+        level_percent: float | None = None,
+        waveform: Waveform = "square",
+    ) -> LiveSetting:
+        """Take from a station file what the figures need.
+
+        frequency_hz: Frequency of the light's flicker as set, Hz; None if unknown.
+        light_on: Whether the light is on by its own read-back; None if unknown.
+        level_percent: Level of the light as asked for, percent; None if unknown.
+        Returns: With the gates that a sequence has by default.
+        """
+        expected, collimator = station.expected, station.collimator
+        r_mm = collimator.nominal_r_mm or (expected.r_mm if expected else None)
+        if isinstance(collimator.certificate, CertificateConfig):
+            r_mm = collimator.certificate.r_mm
+        return cls(
+            target=station.target.pattern(),
+            camera="frame" if isinstance(station.camera, FrameCameraConfig) else "event",
+            frequency_hz=frequency_hz,
+            light_on=light_on,
+            level_percent=level_percent,
+            limits_deg={name: axis.limits_deg for name, axis in station.axes.items()},
+            focal_px=expected.focal_px if expected else None,
+            half_angle_deg=expected.half_angle_deg if expected else None,
+            r_mm=r_mm,
+            gates=Gates.from_settings(dict(GateConfig()), waveform),
+        )
+
+
+@dataclass(frozen=True)
+class LiveSlice:
+    """A recorded slice."""
+
+    path: Path  # RAW file of an event camera, or picture file of a frame camera
+    # Time of the recording on any steady clock, s; the course of the focus is plotted over it.
+    time_s: float = 0.0
+    # What the driver states about the recording; None if unknown.
+    facts: RecordingFacts | FrameFacts | None = None
+    # Present angles of the stage by axis, degrees; empty if unknown.
+    reading_deg: Mapping[str, float] = field(default_factory=dict)
+    moving: bool = False  # Whether the stage turned meanwhile
+
+
+_TIME_LOW, _TIME_HIGH = 0x6, 0x8
+_CLOCK: Final = 1 << 24
+"""Number of microseconds after which the time words begin again."""
+_NEARLY: Final = 0.02
+"""Share of a period that may be missing at the end: time words come only with events."""
+
+
+class CountedSlice(NamedTuple):
+    """A slice as counted."""
+
+    # (2, H, W) uint16, number of OFF events, then of ON events, of each pixel in the whole periods, or in a
+    # slice that is shorter than one.
+    counts: NDArray[np.uint16]
+    periods: int  # Number of whole periods from the start of the slice on; 0 if it is shorter than one
+    triggers: Triggers  # Sync edges of the whole slice, with times from its first time word on
+    statistics: StreamStatistics  # Counts and times of the whole slice
+    data_bytes: int  # Length of the file without its header
+
+
+def count_slice(raw: RawFile, period_us: float) -> CountedSlice:
+    """Count the events of a slice.
+
+    period_us: Period of the flicker, us.
+    Returns: The counts.
+    Raises drivers.errors.RecordingFileError: If the file cannot be read, or a word is malformed.
+    """
+    pieces = list(raw.words())
+    words = pieces[0] if len(pieces) == 1 else np.concatenate([np.zeros(0, "<u2"), *pieces])
+    end, periods = whole_periods(words, period_us)
+    first_byte = raw.raw_header.size_bytes
+    end = end if periods else len(words)
+    decoder = Evt3Decoder(raw.width, raw.height, first_byte=first_byte, where=str(raw.path))
+    counts = np.zeros((2, raw.height, raw.width), np.uint16)
+    triggers = join_triggers([decoder.count(words[:end], counts), decoder.tally(words[end:])])
+    statistics = decoder.statistics()
+    triggers.t[:] -= max(statistics.first_t_us, 0)
+    return CountedSlice(counts, periods, triggers, statistics, 2 * len(words))
+
+
+def whole_periods(words: NDArray[np.uint16], period_us: float) -> tuple[int, int]:
+    """Return where the last whole period ends.
+
+    words: (N,) uint16, EVT3 words.
+    period_us: Period, us.
+    Returns: How many periods these are; 0 if there is no whole one.
+
+    Examples
+    --------
+    >>> words = np.array([0x8000, 0x6000, 0x2001, 0x6063, 0x2002, 0x6064, 0x2003], np.uint16)
+    >>> whole_periods(words, 100.0)
+    (5, 1)
+    """
+    kinds = words >> 12
+    low, high = np.flatnonzero(kinds == _TIME_LOW), np.flatnonzero(kinds == _TIME_HIGH)
+    above = np.searchsorted(high, low) - 1
+    low, above = low[above >= 0], above[above >= 0]
+    if not len(low):
+        return 0, 0
+    clock = (words[high[above]].astype(np.int64) & 0xFFF) << 12 | (words[low].astype(np.int64) & 0xFFF)
+    # A busy sensor's clock steps back by some microseconds now and then.
+    elapsed = np.maximum.accumulate((clock - clock[0] + 4096) % _CLOCK - 4096)
+    periods = int(elapsed[-1] / period_us + _NEARLY)
+    beyond = np.searchsorted(elapsed, periods * period_us)
+    return (int(low[beyond]) if beyond < len(low) else len(words)), periods
+
 
 GAMMA: Final = 0.6
 """Exponent of the tone map: a pattern at a tenth of the brightest light is shown at a quarter."""

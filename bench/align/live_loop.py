@@ -1,34 +1,162 @@
 """The live picture: one thread records short slices, another one measures the newest of them.
 
-Slices are recorded with the camera's normal driver into a private temporary folder, and removed as soon as they are
-measured. Only the newest picture is kept. While one slice is measured, the next one is recorded.
-Settings of the camera are changed between two slices, by the recording thread (`LiveLoop.on_camera`).
+Slices are recorded with the camera's normal driver into a private folder, in memory where there is room, and removed as
+soon as they are measured. A process that was killed leaves its folder behind; the next session removes it. Only the
+newest picture is kept. While one slice is measured, the next one is recorded. Settings of the camera are changed
+between two slices, by the recording thread (`LiveLoop.on_camera`).
 """
 
 from __future__ import annotations
 
 import math
+import os
+import re
 import shutil
+import tempfile
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from concurrent.futures import Future
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, TypeVar, cast
 
+import numpy as np
+from numpy.typing import NDArray
+
 from bench.align.live_figures import LiveFigures, LiveSetting, LiveSlice
-from bench.align.live_picture import LivePicture
-from bench.align.live_slices import learnt_s, rate_per_s, slice_duration_s, slice_periods, with_signal_of
 from bench.align.meter import Meter
-from bench.align.slice_folder import make_slice_folder
 from bench.base.clock import Aborted
 from bench.base.failure import Failure
 from bench.stations.devices import Camera
 from drivers.camera import EventCamera, PreviewCamera, RecordingFacts
 from drivers.camera.frames import FrameCamera, FrameFacts
 from drivers.errors import DriverError
+
+_MEMORY = Path("/dev/shm")  # noqa: S108 - only a folder of our own in it is used
+_ROOM = 500_000_000
+_NAME = re.compile(r"starbench-align-(\d+)-\w+")
+
+
+def make_slice_folder() -> Path:
+    """Make a folder that only this user can read; remove those of processes that have ended.
+
+    Returns: The new folder. In memory, if half a gigabyte is free there: hours of slices would wear out a
+      disk.
+    """
+    in_memory = _MEMORY.is_dir() and os.access(_MEMORY, os.W_OK) and shutil.disk_usage(_MEMORY).free > _ROOM
+    parent = _MEMORY if in_memory else Path(tempfile.gettempdir())
+    _remove_left_behind(parent)
+    return Path(tempfile.mkdtemp(prefix=f"starbench-align-{os.getpid()}-", dir=parent))
+
+
+def _remove_left_behind(parent: Path) -> None:
+    """Remove this user's folders of processes that have ended."""
+    for folder in parent.glob("starbench-align-*"):
+        found = _NAME.fullmatch(folder.name)
+        try:
+            if found and folder.lstat().st_uid == os.getuid() and not _is_alive(int(found[1])):
+                shutil.rmtree(folder, ignore_errors=True)
+        except OSError:  # another session removes it at the same time
+            continue
+
+
+def _is_alive(process: int) -> bool:
+    try:
+        os.kill(process, 0)
+    except ProcessLookupError:
+        return False
+    except (PermissionError, OverflowError):
+        return True
+    return True
+
+
+SHORT_S = 1 / 60
+"""Length of most slices, s, rounded to whole flicker periods, at least one. A short slice makes a quick picture."""
+LONGEST_SLICE_S = 4.0
+"""Longest slice, s. With a slower flicker, a slice holds no whole period."""
+_OF_THE_FLICKER = ("sync", "flicker is")
+"""Words of advice that only a slice of several periods can give."""
+_LEARNT = 0.3
+"""Weight of the newest duration in the expected ones."""
+_RATE_OVER_S = 4.0
+
+
+def slice_periods(setting: LiveSetting) -> int:
+    """Return how many flicker periods a short slice holds.
+
+    Returns: At least 1; 0 if there is no flicker.
+    """
+    if not setting.light_on or not setting.frequency_hz:
+        return 0
+    return max(1, round(SHORT_S * setting.frequency_hz))
+
+
+def with_signal_of(figures: LiveFigures, signal: LiveFigures) -> LiveFigures:
+    """Return the figures of a short slice, completed by the figures that need a longer slice.
+
+    signal: Figures of the last slice of at least `bench.align.live_loop.SIGNAL_PERIODS`.
+    """
+    kept = [one for one in signal.advice if any(word in one for word in _OF_THE_FLICKER)]
+    return replace(
+        figures,
+        trigger_hz=signal.trigger_hz,
+        event_hz=signal.event_hz,
+        jitter_us=signal.jitter_us,
+        event_jitter_us=signal.event_jitter_us,
+        advice=(*kept, *(one for one in figures.advice if one not in kept)),
+    )
+
+
+def learnt_s(known_s: float, newest_s: float) -> float:
+    """Return the expected duration after the newest one.
+
+    known_s: Expected duration so far, s; 0 if none is known.
+    newest_s: The newest duration, s.
+    Returns: Expected duration, s.
+    """
+    return newest_s if known_s == 0.0 else known_s + _LEARNT * (newest_s - known_s)
+
+
+def slice_duration_s(setting: LiveSetting, periods: float) -> float:
+    """Return the length of a slice.
+
+    periods: Flicker periods that it holds; 0 without flicker.
+    Returns: Length, s.
+    """
+    if periods == 0 or not setting.frequency_hz:
+        return SHORT_S
+    return min(periods / setting.frequency_hz, LONGEST_SLICE_S)
+
+
+def rate_per_s(times_s: Iterable[float]) -> float:
+    """Return how often something happened in the last seconds.
+
+    times_s: Times on the monotonic clock, s, in their order.
+    Returns: Times a second; 0 if it happened less than twice.
+    """
+    now_s = time.monotonic()
+    recent = [at for at in list(times_s) if now_s - at < _RATE_OVER_S]
+    if len(recent) < 2:
+        return 0.0
+    return (len(recent) - 1) / max(1e-6, now_s - recent[0])
+
+
+@dataclass(frozen=True)
+class LivePicture:
+    """The newest picture and its figures."""
+
+    number: int = 0  # Counts the pictures, from 1; 0 before the first one
+    # (H, W) uint8; white print is bright.
+    image: NDArray[np.uint8] = field(default_factory=lambda: np.zeros((1, 1), np.uint8))
+    jpeg: bytes = b""
+    figures: LiveFigures = field(default_factory=LiveFigures)
+    made_s: float = 0.0  # Time at which the picture was ready, s since 1970
+    # record_ms, measure_ms: Duration of the recording and of the measurement, ms.
+    record_ms: float = 0.0
+    measure_ms: float = 0.0
+
 
 SIGNAL_PERIODS = 4
 """Periods of a slice that shows the flicker itself: frequency by triggers and by events, and jitter. It holds three

@@ -1,27 +1,158 @@
 """Opens a station's devices with their controls for aligning, and leaves them safe at the end.
 
-Opening moves nothing and switches nothing on. Closing stops the stage, switches the light off and closes the camera.
-Each of these is done even if another one fails, and says what the device confirmed.
+Opening moves nothing and switches nothing on. Stage and light may open while the picture is shown: it is said when they
+are open, or why they are not. Closing stops the stage, switches the light off and closes the camera. Each of these is
+done even if another one fails, and says what the device confirmed. On the simulated bench, hands turn the focus ring,
+set the aperture and turn the camera, as a person does it on a real one.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import json
+import math
+import threading
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import partial
+from typing import Any
 
-from bench.align.camera_control import CameraControl
 from bench.align.controls import StageControl
-from bench.align.light_control import LightControl
+from bench.align.device_controls import CameraControl, LightControl
 from bench.align.live_figures import LiveSetting
 from bench.align.live_loop import LiveLoop
 from bench.align.meter import Meter
-from bench.align.simulated_hands import SimulatedHands
 from bench.base.clock import BenchClock
+from bench.base.errors import ControlRefused
 from bench.base.failure import FORESEEN, Failure
+from bench.simulated import SimulatedBench
 from bench.stations.devices import Devices
 from bench.stations.separate_devices import SeparateDevices
 from bench.stations.station import Station
 from bench.views.station_camera_kind import camera_kind
+from drivers.errors import StillOpening
+
+_ALL_OPEN = "All devices are open. Nothing was moved, and the light was not switched."
+
+
+def follow(bench: Bench, say: Callable[[str], None]) -> None:
+    """Say when stage and light are open too, or why they could not be opened.
+
+    say: Called with a sentence for the person, by any thread.
+    """
+    if not bench.devices.late:
+        say(_ALL_OPEN)
+    for name, device in bench.devices.late.items():
+        device.listen(partial(_ended, bench, say, name))
+
+
+def try_again(bench: Bench) -> bool:
+    """Begin to open again what could not be opened.
+
+    Returns: Whether there was anything.
+    """
+    failed = [device for device in bench.devices.late.values() if device.state == "failed"]
+    for device in failed:
+        device.start()
+    return bool(failed)
+
+
+def failures_of(bench: Bench) -> list[Failure]:
+    """Return why stage or light cannot be used now.
+
+    Returns: Empty if both answer, or are still being opened.
+    """
+    return [one for one in _failures(bench) if one.kind != StillOpening.__name__]
+
+
+def is_opening(bench: Bench) -> bool:
+    """Return whether stage or light is still being opened, or has not been read since.
+
+    Returns: False also if one of them could not be opened.
+    """
+    if any(device.state == "opening" for device in bench.devices.late.values()):
+        return True
+    return any(one.kind == StillOpening.__name__ for one in _failures(bench))
+
+
+def _failures(bench: Bench) -> list[Failure]:
+    return [one for one in (bench.stage.failure, bench.light.reading.failure) if one is not None]
+
+
+def _ended(bench: Bench, say: Callable[[str], None], name: str) -> None:
+    """Read a device that has just been opened, or say why it could not be."""
+    if name == "light":
+        bench.light.look()
+        failure = bench.light.reading.failure
+    else:
+        bench.stage.look_safely(thoroughly=True)
+        failure = bench.stage.failure
+    late = bench.devices.late
+    if late[name].state == "failed" and failure is not None:
+        say(f"The {name} could not be opened. {failure.message}")
+    elif all(one.state == "open" for one in late.values()):
+        say(_ALL_OPEN)
+
+
+ACTIONS: Mapping[str, tuple[str, ...]] = {
+    "lens turn": ("deg",),
+    "lens ring": ("deg",),
+    "lens aperture": ("f_number",),
+    "mount turn": ("pan_deg", "tilt_deg", "roll_deg"),
+}
+"""What the hands can do, with the numbers that each needs."""
+
+
+class SimulatedHands:
+    """Hands at the simulated camera.
+
+    simulation: The running simulated bench; None on a real bench.
+    """
+
+    def __init__(self, simulation: SimulatedBench | None) -> None:
+        self._simulation = simulation
+        self._lock = threading.Lock()
+        self.seen: dict[str, Any] | None = None
+        """What a person would see of lens and mount, after the last action; None before the first one."""
+
+    @property
+    def available(self) -> bool:
+        """Whether the bench is a simulated one."""
+        return self._simulation is not None
+
+    def do(self, action: str, numbers: Mapping[str, float]) -> dict[str, Any]:
+        """Do something with the hands.
+
+        action: One of `ACTIONS`.
+        numbers: The action's numbers by name.
+        Raises ControlRefused: On a real bench, and if there is no such action or the simulated bench refuses
+          it.
+        Raises SimulationError: If the simulated bench has ended.
+        """
+        if self._simulation is None:
+            raise ControlRefused(
+                "This bench is real: nothing can be turned from here.", remedy="Use your hands."
+            )
+        needed = ACTIONS.get(action)
+        if needed is None or not set(numbers) <= set(needed) or not all(map(math.isfinite, numbers.values())):
+            known = ", ".join(ACTIONS)
+            raise ControlRefused(
+                f"The hands cannot do {action!r} with {dict(numbers)}.", remedy=f"They can: {known}."
+            )
+        words = [action, *(f"{name}={value:g}" for name, value in numbers.items())]
+        with self._lock:
+            answer = self._simulation.order(" ".join(words))
+            try:
+                found = json.loads(answer)
+            except ValueError as error:
+                raise ControlRefused(
+                    "The simulated bench did not answer.", remedy="Press Try again."
+                ) from error
+            if not isinstance(found, dict) or "error" in found:
+                what = found.get("error") if isinstance(found, dict) else answer
+                raise ControlRefused(f"The simulated bench refused: {what}", remedy="Give another value.")
+            self.seen = found.get("now")
+        return self.seen or {}
+
 
 OpenDevices = Callable[[Station, int, BenchClock], Devices]
 

@@ -1,7 +1,7 @@
 """Who holds the controls of the align page: one page at a time, and any page may take them over.
 
 Each open page (tab) has an id that it makes itself, a number that people read, and a heartbeat. A stop needs no
-controls: any page, and the terminal, may stop the stage at any time. The module moves nothing and knows no device.
+controls: any page, and Ctrl-C, may stop the stage at any time. The module moves nothing and knows no device.
 """
 
 from __future__ import annotations

@@ -14,8 +14,14 @@ from typing import Any
 
 from bench.align.readiness import check_readiness
 from bench.align.session import Session
-from bench.align.station_values import plain_number, station_values
-from bench.align.write_down import Proposal, must_be_copied, propose_pose, propose_values
+from bench.align.write_down import (
+    Proposal,
+    must_be_copied,
+    plain_number,
+    propose_pose,
+    propose_values,
+    station_values,
+)
 from bench.base.errors import ControlRefused, UsageError
 from bench.plan.plan import SHIPPED_SEQUENCES
 from bench.stations.station import Station

@@ -13,7 +13,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Literal
 
-from bench.align.camera_control import ANSWER_S
+from bench.align.device_controls import ANSWER_S
 from bench.align.open_bench import Bench
 from bench.align.session import Session
 from bench.base.failure import FORESEEN, Failure

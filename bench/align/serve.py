@@ -1,4 +1,4 @@
-"""Run a session of aligning from the command line: on a page, or in the terminal.
+"""Run a session of aligning from the command line, on a page.
 
 Ctrl-C stops the stage at once, from the signal itself. Then the light goes off, the devices are closed, and what each
 device confirmed is printed.
@@ -78,35 +78,6 @@ def align_on_page(
         if opening.ident is not None:
             opening.join()
         status = leave(session)
-    return status
-
-
-def align_in_terminal(station: str, settings: Sequence[str] = (), *, seed: int = 1) -> int:
-    """Show the figures of a station in the terminal until Ctrl-C.
-
-    station: Station file, or name of a shipped one.
-    settings: Values that replace those of the file, as ``PATH=VALUE``.
-    Returns: Exit status: 0 if every device confirmed a safe state, 1 if not.
-    """
-    from bench.align.terminal_keys import HELP, TerminalKeys, keys_of_terminal
-    from bench.align.text_view import show_in_terminal
-
-    session = make_session(station, settings, seed=seed)
-    ended = threading.Event()
-    with _stopping_signals(session, ended.set):
-        try:
-            keys = TerminalKeys(session, ended.set)
-            # First: a key that is pressed while the devices open is neither echoed nor lost.
-            with keys_of_terminal(keys) as has_keys:
-                _print("Opening the devices. Nothing is moved.")
-                failure = session.open()
-                if failure is not None:
-                    _print(failure.message)
-                    return _NOT_CONFIRMED
-                tail = f"{HELP} Ctrl-C ends too." if has_keys else "Ctrl-C ends."
-                show_in_terminal(session, ended, notice=keys.notice, tail=tail)
-        finally:
-            status = leave(session)
     return status
 
 
@@ -195,23 +166,6 @@ def _stop_at_signals(session: Session) -> None:
                 before(received, frame)
 
         signal.signal(number, handle)
-
-
-@contextmanager
-def _stopping_signals(session: Session, ended: Callable[[], None]) -> Iterator[None]:
-    """Let a signal stop the stage and end the terminal's view, while the block runs."""
-
-    def handle(_number: int, _frame: FrameType | None) -> None:
-        _stop_soon(session)
-        ended()
-
-    numbers = [getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)]
-    before = {number: signal.signal(number, handle) for number in numbers}
-    try:
-        yield
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
 
 
 @contextmanager

@@ -1,4 +1,4 @@
-"""One session of aligning: the open devices, the live picture, and the controls, for a page or a terminal.
+"""One session of aligning: the open devices, the live picture, the controls, and the list of what happened, for a page.
 
 The session opens the station's devices and shows what they see. Nothing moves and no light goes on unless a method was
 called that asks for it. `Session.stop` reaches the stage's controllers from any thread. A stage that a page has set in
@@ -9,19 +9,29 @@ from __future__ import annotations
 
 import threading
 import time
+from collections import deque
 from collections.abc import Callable, Mapping
 from contextlib import suppress
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from bench.align.happened import Happened
-from bench.align.late import failures_of, follow, is_opening, try_again
 from bench.align.live_figures import LiveFigures, LiveSetting
-from bench.align.live_picture import LivePicture
+from bench.align.live_loop import LivePicture
 from bench.align.meter import Meter, MeterProcess
-from bench.align.open_bench import Bench, Confirmation, OpenDevices, close_bench, open_bench, open_devices
+from bench.align.open_bench import (
+    Bench,
+    Confirmation,
+    OpenDevices,
+    close_bench,
+    failures_of,
+    follow,
+    is_opening,
+    open_bench,
+    open_devices,
+    try_again,
+)
 from bench.align.owners import Owners
 from bench.base.errors import ControlRefused
 from bench.base.failure import FORESEEN, Failure
@@ -29,6 +39,52 @@ from bench.stations.station import Station
 from bench.web.stream import Changes
 from drivers.errors import DriverError
 from sequences.reader import Located
+
+KEPT: Final = 50
+SHOWN: Final = 20
+_SAME_S: Final = 10.0
+"""Time within which a further step replaces the entry of the one before, s."""
+
+
+class Happened:
+    """The list of what happened.
+
+    on_change: Called after each change, by any thread.
+    clock: Returns the time, s since 1970.
+    """
+
+    def __init__(self, on_change: Callable[[], None], clock: Callable[[], float] = time.time) -> None:
+        self._on_change = on_change
+        self._clock = clock
+        self._lock = threading.Lock()
+        self._entries: deque[dict[str, Any]] = deque(maxlen=KEPT)
+        self._topic = ""
+        self._count = 0
+
+    def say(self, text: str, topic: str = "") -> None:
+        """Add a sentence.
+
+        topic: What it is about and who did it. If the entry before has the same topic and is some seconds old
+          at most, this one takes its place. Empty for an entry of its own.
+        """
+        now_s = self._clock()
+        with self._lock:
+            last = self._entries[-1] if self._entries else None
+            if last is not None and topic and topic == self._topic and now_s - last["time_s"] < _SAME_S:
+                self._entries.pop()
+            self._topic = topic
+            self._count += 1
+            self._entries.append({"number": self._count, "time_s": now_s, "text": text})
+        self._on_change()
+
+    def as_data(self) -> list[dict[str, Any]]:
+        """Return the newest entries.
+
+        Returns: Number, time (s since 1970) and text of each, the newest last.
+        """
+        with self._lock:
+            return list(self._entries)[-SHOWN:]
+
 
 _WATCH_S = 0.05
 _LOOK_MOVING_S = 0.15
@@ -241,7 +297,7 @@ class Session:
         """Turn one axis by a small step. See `StageControl.move_by`.
 
         step_deg: Step, degrees.
-        by: Id of the page that asks; empty for the terminal.
+        by: Id of the page that asks; empty for this process.
         Returns: Goal of the axis, degrees.
         """
         return self.bench.stage.move_by({axis: step_deg}, by)
@@ -249,7 +305,7 @@ class Session:
     def home(self, by: str = "") -> None:
         """Search the references of the stage. See `StageControl.home`.
 
-        by: Id of the page that asks; empty for the terminal.
+        by: Id of the page that asks; empty for this process.
         """
         self.bench.stage.home(by)
 

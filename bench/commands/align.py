@@ -12,7 +12,7 @@ from bench.commands.options import SEED, STATION, ExistingFile, epilog
 @click.command(
     epilog=epilog(
         "starbench align --station my_bench.yaml",
-        "starbench align --station simulated --text",
+        "starbench align --station simulated --port 8800 --no-browser",
         status="0 ended, every device confirmed a safe state, 1 a device did not, 2 invalid argument or file.",
     )
 )
@@ -28,7 +28,6 @@ from bench.commands.options import SEED, STATION, ExistingFile, epilog
 )
 @click.option("--token-file", type=ExistingFile(), help="File with the token. Default: STARBENCH_PAGE_TOKEN.")
 @click.option("--no-browser", is_flag=True, help="Do not open a browser.")
-@click.option("--text", is_flag=True, help="Show the figures in the terminal instead of a page.")
 @click.option("--seed", type=SEED, metavar="N", default=1, help="Random seed of the simulated bench.")
 @click.option(
     "--set",
@@ -43,7 +42,6 @@ def align(
     host: str,
     token_file: Path | None,
     no_browser: bool,
-    text: bool,
     seed: int,
     settings: tuple[str, ...],
 ) -> int:
@@ -52,10 +50,8 @@ def align(
     The first line printed is the address of the page. Nothing moves and no light goes on until you ask for it. Ctrl-C
     stops the stage at once, switches the light off, and ends.
     """
-    from bench.align.serve import align_in_terminal, align_on_page
+    from bench.align.serve import align_on_page
 
-    if text:
-        return align_in_terminal(station, settings, seed=seed)
     return align_on_page(
         station, settings, seed=seed, host=host, port=port, token_file=token_file, open_browser=not no_browser
     )

@@ -11,12 +11,14 @@ from __future__ import annotations
 import threading
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol
 
 from bench.base.clock import BenchClock, Interrupted
 from bench.base.errors import InterlockHeld
-from bench.stations.station_interlocks import InterlockName
 from drivers.errors import DriverError
+
+if TYPE_CHECKING:
+    from bench.stations.station_interlocks import InterlockName
 
 DOOR: InterlockName = "door"
 DEVICE_LOST: InterlockName = "device_lost"

@@ -63,7 +63,7 @@ READERS = {
     "study-station": (("study", "three_pose", "--station", "{}", "--runs", "2"), "bad.yaml"),
     "draw-station": (("target", "--station", "{}", "--output", "out.svg"), "bad.yaml"),
     "simulate-station": (("simulate", "--station", "{}"), "bad.yaml"),
-    "align-station": (("align", "--station", "{}", "--text"), "bad.yaml"),
+    "align-station": (("align", "--station", "{}", "--no-browser"), "bad.yaml"),
     "batch-queue": (("batch", "{}", "--output", "out"), "bad.yaml"),
     "rehearse-queue": (("rehearse", "{}", "--output", "out"), "bad.yaml"),
     "calibrate-raw": (("calibrate", "{}"), "bad.raw"),

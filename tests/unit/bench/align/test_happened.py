@@ -2,7 +2,7 @@
 
 import pytest
 
-from bench.align.happened import KEPT, SHOWN, Happened
+from bench.align.session import KEPT, SHOWN, Happened
 
 
 @pytest.fixture

@@ -3,9 +3,7 @@
 import numpy as np
 import pytest
 
-from bench.align.live_counts import count_slice, whole_periods
-from bench.align.live_image import read_image
-from bench.align.live_setting import LiveSetting
+from bench.align.live_image import LiveSetting, count_slice, read_image, whole_periods
 from bench.stations.station import load_station
 from drivers.camera.raw_file import RawFile
 from simulators.pixels.evt3_writer import Evt3Writer

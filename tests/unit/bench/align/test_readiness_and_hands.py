@@ -6,8 +6,8 @@ import pytest
 from align_fakes import fake_session
 
 from bench.align import readiness
+from bench.align.open_bench import SimulatedHands
 from bench.align.readiness import check_readiness
-from bench.align.simulated_hands import SimulatedHands
 from bench.base.errors import ControlRefused
 from bench.views.gates import Gate
 from bench.views.measure import Measurement

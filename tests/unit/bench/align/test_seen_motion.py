@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from bench.align.seen_motion import SeenMotion
-from bench.align.where_to_turn import turn_to_centre
+from bench.align.where_to_turn import SeenMotion, turn_to_centre
 from calib.model.rotation import exp_map
 from simulators.optics.picture import TARGET, project, true_rotation
 from tests.support.live_slices import bench

@@ -9,7 +9,7 @@ from align_fakes import FakeDevices, fake_session, wait_until
 
 from bench.align import live_loop
 from bench.align.live_figures import LiveFigures
-from bench.align.live_slices import with_signal_of
+from bench.align.live_loop import with_signal_of
 from bench.base.errors import ControlRefused
 from drivers.errors import CameraBusy, CameraLost, DriverError, PortLost, StillOpening
 

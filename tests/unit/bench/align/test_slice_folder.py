@@ -4,7 +4,7 @@ import os
 import subprocess
 import sys
 
-from bench.align import slice_folder
+from bench.align import live_loop as slice_folder
 
 
 def test_a_folder_is_private_and_those_of_dead_processes_are_removed(tmp_path, monkeypatch):

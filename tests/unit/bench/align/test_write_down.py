@@ -8,8 +8,7 @@ from pathlib import Path
 import pytest
 from filled_stations import filled_example
 
-from bench.align.station_values import station_values
-from bench.align.write_down import must_be_copied, propose_pose, propose_values
+from bench.align.write_down import must_be_copied, propose_pose, propose_values, station_values
 from bench.base.errors import ControlRefused, ScriptError
 from bench.stations.station import SHIPPED_STATIONS, Station, load_station
 from sequences.reader import read_document

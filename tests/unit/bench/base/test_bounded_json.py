@@ -13,7 +13,7 @@ from bench.base.errors import StorageError
 from bench.records.reading import MOST_BYTES, read_bounded, read_json
 
 OWN_DATA = {
-    "align/simulated_hands.py",  # answers of the simulated bench, a process of our own
+    "align/open_bench.py",  # answers of the simulated bench, a process of our own
     "base/bounded_json.py",
     "base/lens_and_mount.py",  # an answer of the simulated bench
     "certificate/amend.py",  # text that was written a line before
