@@ -21,24 +21,8 @@ from sequences.errors import DocumentFaults
 from sequences.queue import JobConfig, JobFile, Queue
 from sequences.reader import Located, read_document
 
-_HEAD_BYTES = 4096
 WORKER_S = 2.5
 """Time to start a run's process and to seal its folder, s; measured on the simulated bench."""
-
-
-def is_queue(name: str) -> bool:
-    """Whether a file says that it is a queue; `read_queue` checks whether it is a valid one.
-
-    Returns: False also if the file cannot be read.
-    """
-    try:
-        if not Path(name).is_file():  # a pipe would never answer
-            return False
-        with Path(name).open("rb") as stream:
-            head = stream.read(_HEAD_BYTES)
-    except (OSError, ValueError):
-        return False
-    return b"starbench/queue/" in head
 
 
 def read_queue(path: Path) -> Located[Queue]:

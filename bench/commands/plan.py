@@ -30,6 +30,7 @@ _SMALLEST_SHARE = 0.005
 """Terms with a smaller share of the variance are not printed."""
 _SHOWN = ("fx", "cx", "cy", "r")
 _MOST_LINES = 80
+_HEAD_BYTES = 4096
 
 
 @click.command(
@@ -63,10 +64,9 @@ def plan(
     For a sequence, it shows all faults of both files, the steps, the time, the disk space and the expected uncertainty.
     For a queue, it shows when each run will begin and end, and which runs do not fit into the night.
     """
-    from bench.batch.batch_plan import is_queue
     from bench.plan.plan import load_documents, make_plan
 
-    if is_queue(sequence):
+    if _is_queue(sequence):
         if station or suggest:
             raise UsageError(
                 "A queue names its stations itself.",
@@ -77,6 +77,21 @@ def plan(
     if station is None:
         raise click.UsageError("Missing option '--station' / '-s'.")
     return _show_plan(make_plan(*load_documents(sequence, station, settings_of(settings))), suggest)
+
+
+def _is_queue(name: str) -> bool:
+    """Whether a file says that it is a queue; `read_queue` checks whether it is a valid one.
+
+    Returns: False also if the file cannot be read.
+    """
+    try:
+        if not Path(name).is_file():  # a pipe would never answer
+            return False
+        with Path(name).open("rb") as stream:
+            head = stream.read(_HEAD_BYTES)
+    except (OSError, ValueError):
+        return False
+    return b"starbench/queue/" in head
 
 
 def _show_plan(planned: Plan, suggest: int) -> int:

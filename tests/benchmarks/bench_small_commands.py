@@ -7,7 +7,8 @@ Usage::
 
 Each version first makes a run of its own on the simulated bench. The older commit is checked out into a temporary
 worktree and runs with this environment's packages. The commands take turns, so that a machine that becomes slower
-becomes slower for both. CPU time is user and system time of the process, by the operating system's account.
+becomes slower for both. CPU time is user and system time of the process, by the operating system's account. It is also
+stated over that of a process that only imports click, pydantic, PyYAML and rich, which depends less on the machine.
 """
 
 from __future__ import annotations
@@ -48,8 +49,15 @@ class Version:
 
     def cpu_s(self, *words: str) -> float:
         """Run a command; return its CPU time, s."""
+        return self._spent_s("-m", "bench", *words)
+
+    def bare_imports_s(self) -> float:
+        """Return the CPU time of a process that imports the libraries that small commands need, s."""
+        return self._spent_s("-c", "import click, pydantic, rich, yaml")
+
+    def _spent_s(self, *words: str) -> float:
         process = subprocess.Popen(
-            [sys.executable, "-m", "bench", *words],
+            [sys.executable, *words],
             env=self._environment,
             cwd=self._source,
             stdout=subprocess.DEVNULL,
@@ -89,11 +97,12 @@ def main() -> None:
             (folder / "then").mkdir()
             versions.append(Version(worktree, folder / "then"))
         try:
-            print(f"{'command':<18}{'CPU s':>8}{'then':>8}{'ratio':>8}")
+            bare = median(versions[0].bare_imports_s() for _ in range(chosen.rounds))
+            print(f"{'command':<18}{'CPU s':>8}{'/ bare':>8}{'then':>8}{'ratio':>8}")
             for label, words in COMMANDS:
                 now, *then = measure(versions, words, chosen.rounds)
                 beside = "".join(f"{old:>8.3f}{now / old:>8.2f}" for old in then)
-                print(f"{label:<18}{now:>8.3f}{beside}", flush=True)
+                print(f"{label:<18}{now:>8.3f}{now / bare:>8.1f}{beside}", flush=True)
         finally:
             if chosen.against:
                 subprocess.run(["git", "worktree", "remove", "--force", worktree], cwd=ROOT, check=False)
