@@ -14,7 +14,7 @@ from calib.adjustment.parameters import AdjustmentParameters
 from calib.adjustment.poses import poses_of
 from calib.calibration import CalibrationOptions
 from calib.joint import amplitudes as amp
-from calib.joint.equations import Bench, State, ViewStars
+from calib.joint.equations import Bench, State, ViewStars, turns_of
 from calib.joint.fields import FIELD_RADIUS, FieldBasis, basis_of
 from calib.joint.knowledge import gather, term_shapes, wavefront
 from calib.joint.layout import POSE_PLACES, Layout
@@ -29,7 +29,7 @@ from calib.view import View
 
 Array = NDArray[np.float64]
 
-ROUNDS = 25
+ROUNDS = 40
 
 
 def lens_names(chosen: Sequence[str]) -> tuple[str, ...]:
@@ -87,7 +87,12 @@ def posed(
     blocks = layout.random_blocks(hyper, knowledge.in_passport, parallax_known=knowledge.parallax_known)
     poses = np.array(poses_of(start.rotations), np.int64)
     bench = Bench(
-        layout, views[0].image_size, tuple(ViewStars.of(view, layout) for view in views), poses, readings
+        layout,
+        views[0].image_size,
+        tuple(ViewStars.of(view, layout) for view in views),
+        poses,
+        readings,
+        *turns_of(start.rotations, poses),
     )
     gimbal = readings.start(start.rotations) if readings else None
     state = State(shared, np.zeros((bench.n_poses, len(POSE_PLACES))), start.rotations, gimbal)
@@ -106,4 +111,4 @@ def adjust(views: Sequence[View], options: CalibrationOptions) -> Optimum:
         camera, Collimator(named["x"], named["y"], named["r"]), near.rotations, start.offsets
     )
     problem, state = posed(views, options, start, lens)
-    return search(problem, state, ROUNDS)
+    return search(problem, approached(problem, state, ROUNDS), ROUNDS)

@@ -43,14 +43,15 @@ FAMILIES = (
     Family((STAR,), (1.0,), 0.3, 0.0),
     Family((READING,), (1.0,), 0.4, 0.0),
     Family(POSE, (2e-6,) * 4, 1.3, 0.8),
-    Family((*COMMON, *TURN, *TURN_2), (*(8e-6,) * 5, *(3e-6,) * 2, *(1e-6,) * 2), 1.7, 0.8),
-    Family((RADIAL, PARALLAX), (0.05, 0.5), 2.0, 0.7),
-    Family((SHIFTED,), (1e-3,), 2.0, 0.0),
-    Family((SHIFTED_TURN,), (1e-4,), 2.0, 0.0),
-    Family((TANGENTIAL,), (3e-4,), 1.0, 0.0),
+    Family((*COMMON, *TURN, *TURN_2), (*(8e-6,) * 5, *(3e-6,) * 2, *(1e-6,) * 2), 1.3, 0.7),
+    Family((RADIAL, PARALLAX), (0.05, 0.5), 1.3, 0.7),
+    Family((SHIFTED, SHIFTED_TURN), (1e-3, 1e-4), 1.3, 0.7),
+    Family((TANGENTIAL,), (2e-4,), 0.5, 0.0),
 )
 #: Amplitudes are searched within this number of 1-sigma of the hyperprior.
-_REACH = 5.0
+_REACH = 3.0
+#: No field is larger: 1 px at 3345 px.
+_LARGEST_FIELD = 3e-4
 
 
 @dataclass(frozen=True)
@@ -70,7 +71,10 @@ class Hyperprior:
     def bounds(self) -> list[tuple[float, float]]:
         """Smallest and largest logarithm of each amplitude in the search."""
         reach = _REACH * np.sqrt(np.diag(self.covariance))
-        return list(zip((self.mean - reach).tolist(), (self.mean + reach).tolist(), strict=True))
+        high = self.mean + reach
+        fields = self.places((*POSE, *COMMON, *TURN, *TURN_2))
+        high[fields] = np.minimum(high[fields], np.log(_LARGEST_FIELD))
+        return list(zip((self.mean - reach).tolist(), high.tolist(), strict=True))
 
     def at(self, name: str) -> int:
         """Return the place of an amplitude."""

@@ -69,9 +69,10 @@ def _at_node(marginal: Marginal, node: Node, gradients: Array) -> dict[str, Arra
         loose = squares[hyper.at(amp.STAR)] * marginal.loose
         found[names.STARS] = found[names.STARS] + (pulled * (loose @ pulled)).sum(axis=(0, 1))
         found[names.READINGS] = marginal.reading_variance(squares) * (pulled**2).sum(axis=(0, 1))
+    faults = dict(node.faults)
     for one in marginal.problem.knowledge.statements:
         seen = one.rows @ x
-        part = (seen * (one.information(dict(node.faults).get(one.name, "")) @ seen)).sum(axis=0)
+        part = (seen * (one.information(faults.get(one.name, "")) @ seen)).sum(axis=0)
         found[one.group] = found.get(one.group, 0.0) + part
     for block in marginal.problem.blocks:
         seen = x[block.places]
@@ -98,12 +99,11 @@ def row_gradients(posterior: Posterior, camera_covariance: Array) -> Array:
     return gradients
 
 
-def budget_rows(posterior: Posterior, gradients: Array) -> tuple[BudgetRow, ...]:
+def budget_rows(posterior: Posterior, gradients: Array, parts: Mapping[str, Array]) -> tuple[BudgetRow, ...]:
     """Return the rows of the budget; the squares of their contributions add up to the variances of the posterior.
 
-    gradients: (5, S) from `row_gradients`.
+    gradients: (5, S) from `row_gradients`. parts: By group the (5,) variances, from `variances`.
     """
-    parts = variances(posterior, gradients)
     whole = sum(parts.values())
     statements = posterior.optimum.marginal.problem.knowledge.statements
     stated: dict[str, list[Statement]] = {}

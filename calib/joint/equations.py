@@ -9,7 +9,7 @@ cancels later: the stars say ``J' c = e'`` and, apart, ``w = w_e - G c``. A read
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -27,6 +27,8 @@ Array = NDArray[np.float64]
 
 #: Stars beyond this number of sigma lose their weight, with the sixth power of the distance.
 _LIMIT_SIGMAS = 3.5
+#: Steps to the best rotations.
+_ALIGNMENTS = 2
 #: Median length of a residual of two components over their sigma.
 _RAYLEIGH_MEDIAN = 1.1774
 
@@ -84,6 +86,15 @@ class Bench:
     stars: tuple[ViewStars, ...]
     poses: NDArray[np.int64]  # (m,) pose of each view
     readings: Readings | None
+    # turns, axes: (n, 2) tangents of each pose's turn along X and Y, and (n, 2, 2) the camera's x and y axes on the
+    # target. They are data, so that no step changes them.
+    turns: Array
+    axes: Array
+
+    @cached_property
+    def maps(self) -> Array:
+        """(n, B, S) what the shared unknowns do to the bases of the poses."""
+        return self.layout.maps(self.turns, self.axes)
 
     @cached_property
     def n_poses(self) -> int:
@@ -94,12 +105,6 @@ class Bench:
     def gimbal_places(self) -> NDArray[np.int64]:
         """Places of the gimbal's unknowns."""
         return self.layout.places(self.layout.gimbal)
-
-    def turns(self, rotations: Array) -> Array:
-        """Return (n, 2) the tangents of each pose's turn: those of its first view."""
-        first = np.unique(self.poses, return_index=True)[1]
-        axis = rotations[first][:, 2]
-        return np.asarray(axis[:, :2] / axis[:, 2:])
 
     def camera(self, shared: Array) -> CameraModel:
         """Return the camera of given shared unknowns."""
@@ -112,15 +117,15 @@ class Bench:
         """Return the gimbal's unknowns by name."""
         return dict(zip(self.layout.gimbal, shared[self.gimbal_places].tolist(), strict=True))
 
-    def fields(self, state: State, maps: Array) -> Array:
+    def fields(self, state: State) -> Array:
         """Return (n, 2, K) the coefficients of each pose's field; the shift by the centre is in it."""
-        whole = maps[:, len(self.layout.camera) + 1 :] @ state.shared
+        whole = self.maps[:, len(self.layout.camera) + 1 :] @ state.shared
         whole[:, self.layout.pose_places - len(self.layout.camera) - 1] += state.fields
-        return np.asarray(whole.reshape(len(maps), 2, -1))
+        return np.asarray(whole.reshape(self.n_poses, 2, -1))
 
     def points(self, state: State) -> list[Array]:
         """Return for each view (N, 3) its displaced stars, from the centre, in the target's axes, mm."""
-        fields = self.fields(state, self.layout.maps(self.turns(state.rotations)))
+        fields = self.fields(state)
         return [self._points(v, state, fields) for v in range(len(self.stars))]
 
     def _points(self, v: int, state: State, fields: Array) -> Array:
@@ -131,7 +136,7 @@ class Bench:
 
     def view_residuals(self, state: State, v: int) -> Array:
         """Return (N, 2) the residuals of one view, as `residuals`."""
-        fields = self.fields(state, self.layout.maps(self.turns(state.rotations)))
+        fields = self.fields(state)
         points = self._points(v, state, fields)
         return self.stars[v].points_px - self.camera(state.shared).project(points @ state.rotations[v].T)
 
@@ -150,6 +155,28 @@ class Bench:
             for one, e in zip(self.stars, self.residuals(state), strict=True)
         ]
 
+    def aligned(self, state: State, weights: Sequence[Array]) -> State:
+        """Return the state with the rotations that fit the stars best, all else as it is: steps of Gauss and Newton.
+
+        weights: For each view (N,) weights of the stars.
+        """
+        camera, points = self.camera(state.shared), self.points(state)
+        turned = []
+        for one, where, rotation, weight in zip(self.stars, points, state.rotations, weights, strict=True):
+            own = rotation
+            for _ in range(_ALIGNMENTS):
+                in_camera = where @ own.T
+                if not (in_camera[:, 2] > 0).all():
+                    break
+                predicted, by_point, _ = camera.project_with_jacobians(in_camera)
+                white = np.sqrt(weight)[:, None, None] * one.whitening
+                rows = (white @ (-by_point @ skew(in_camera))).reshape(-1, 3)
+                left = (white @ (one.points_px - predicted)[:, :, None]).reshape(-1)
+                turn: Array = np.asarray(np.linalg.solve(rows.T @ rows, rows.T @ left), np.float64)
+                own = exp_map(turn) @ own
+            turned.append(own)
+        return replace(state, rotations=np.array(turned))
+
     def readings_off(self, state: State) -> Array:
         """Return (m, 3) rotation vectors from the gimbal's predictions to the rotations, rad."""
         assert self.readings is not None
@@ -162,7 +189,6 @@ class Bench:
 
         limit: Sigma of the stars over the stated one, for the robust weights.
         """
-        maps = self.layout.maps(self.turns(state.rotations))
         camera = self.camera(state.shared)
         found = [
             self._view(v, points, state.rotations[v], camera, limit)
@@ -186,7 +212,7 @@ class Bench:
             np.array([one.turn for one in found]),
             np.array([one.coupling for one in found]),
             turned,
-            maps,
+            self.maps,
             off,
             jacobian,
             tuple(one.lengths for one in found),
@@ -268,3 +294,13 @@ def robust_weights(lengths: Array, limit: float) -> Array:
 def robust_sigma(lengths: Sequence[Array]) -> float:
     """Return the sigma of the stars over the stated one, from the median length of their residuals."""
     return float(np.median(np.concatenate(list(lengths)))) / _RAYLEIGH_MEDIAN
+
+
+def turns_of(rotations: Array, poses: NDArray[np.int64]) -> tuple[Array, Array]:
+    """Return turns and axes of each pose: those of its first view.
+
+    rotations: (m, 3, 3) of the views. poses: (m,) pose of each view.
+    """
+    first = np.unique(poses, return_index=True)[1]
+    own = rotations[first]
+    return own[:, 2, :2] / own[:, 2, 2:], own[:, :2, :2]

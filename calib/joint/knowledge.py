@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import partial
+from functools import cached_property, partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -68,11 +68,19 @@ class Statement:
     unit: str = ""
     term: TypeBTerm | None = None  # The type B term of the budget that it is
 
+    @cached_property
+    def _informations(self) -> dict[str, Array]:
+        """The inverse covariances by fault."""
+        return {fault: self._information(fault) for fault in ("", MISJUDGED, WRONG)}
+
     def information(self, fault: str = "") -> Array:
         """Return the (k, k) inverse covariance.
 
         fault: `MISJUDGED`, `WRONG`, or empty if the statement holds.
         """
+        return self._informations[fault]
+
+    def _information(self, fault: str) -> Array:
         covariance = self.covariance
         if self.free is not None and fault == MISJUDGED:
             covariance = MISJUDGED_TIMES**2 * covariance

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +23,9 @@ Places = NDArray[np.int64]
 
 CENTRE = ("x", "y", "r")
 RADIAL = ("radial", "radial_4")
+#: Errors |x|^2 e of the image that turn with the camera: thin prism distortion of the lens (Weng et al., 1992), or what
+#: misaligned collimators do to a pupil that turns. Without them p1 and p2 would take these, and move cx and cy.
+PRISM = ("prism_x", "prism_y")
 #: radial_4 is typically so many times radial.
 _RADIAL_RATIO = 20.0
 #: Change of scale that comes with radial errors, as a share of what they do at the edge of the field.
@@ -75,7 +78,7 @@ class Layout:
         fields = [f"common_{k}" for k in self.common]
         for turns, degree in ((_TURNS, _TURN_DEGREE), (_TURNS_2, _TURN_2_DEGREE)):
             fields += [f"{name}_{k}" for name in turns for k in both(degree >= DEGREES)]
-        return (*self.camera, *CENTRE, *RADIAL, *fields, *self.terms, *self.gimbal)
+        return (*self.camera, *CENTRE, *RADIAL, *PRISM, *fields, *self.terms, *self.gimbal)
 
     @cached_property
     def index(self) -> Mapping[str, int]:
@@ -96,10 +99,10 @@ class Layout:
         """Places of the pose's own field in its basis."""
         return POSE_PLACES + len(self.camera) + 1
 
-    def maps(self, turns: Array) -> Array:
+    def maps(self, turns: Array, axes: Array) -> Array:
         """Return (n, B, S) what the shared unknowns do to the bases of n poses.
 
-        turns: (n, 2) tangents of the turns along X and Y.
+        turns: (n, 2) tangents of the turns along X and Y. axes: (n, 2, 2) the camera's x and y axes on the target.
         """
         k, r_mm = len(self.camera), self.basis.reference[2]
         found = np.zeros((len(turns), self.size, len(self.names)))
@@ -113,6 +116,9 @@ class Layout:
             places = both((_TURN_DEGREE if name in _TURNS else _TURN_2_DEGREE) >= DEGREES)
             size = np.prod((turns / amp.UNIT_TURN) ** powers, axis=1)
             found[:, field + places, self.places([f"{name}_{j}" for j in places])] = size[:, None]
+        for pose, (turn, across) in enumerate(zip(turns, axes, strict=True)):
+            for name, axis in zip(PRISM, across, strict=True):
+                found[pose, field:, self.index[name]] = self.basis.shape(partial(_turning, turn, axis))
         for name, shape in self.terms.items():
             found[:, field:, self.index[name]] = shape
         return found
@@ -124,7 +130,7 @@ class Layout:
 
         known: Names that a passport states. parallax_known: Whether something bounds the parallax.
         """
-        tangential = [name for name in self.camera if name in ("p1", "p2")]
+        tangential = [*(name for name in self.camera if name in ("p1", "p2")), *PRISM]
         blocks = []
         if tangential:
             blocks.append(
@@ -206,6 +212,12 @@ PARALLAX_SHAPES = np.column_stack(
         0.2 * np.array([0.0, 1.0, -1.0, 0.0]),
     ]
 )
+
+
+def _turning(turn: Array, axis: Array, h: Array) -> Array:
+    """Return the field |x|^2 e of an image that is turned, on the target. h: (N, 2)."""
+    away = h - turn
+    return np.asarray((away * away).sum(axis=1, keepdims=True) * axis)
 
 
 def _of_degree(degrees: Places, degree: int) -> Array:

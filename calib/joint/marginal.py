@@ -38,6 +38,20 @@ class Problem:
     hyper: amp.Hyperprior
 
 
+def _inverse_of_one(matrix: Array) -> tuple[Array, float]:
+    """Return the inverse of a (K, K) positive definite matrix and the logarithm of its determinant."""
+    from scipy.linalg.lapack import dpotrf, dpotri
+
+    scale = 1.0 / np.sqrt(np.diag(matrix))
+    lower, fault = dpotrf(matrix * scale[:, None] * scale, lower=1)
+    if fault:
+        raise np.linalg.LinAlgError("not positive definite")
+    inverse = dpotri(lower, lower=1)[0]
+    inverse = np.tril(inverse) + np.tril(inverse, -1).T
+    logarithm = 2.0 * float((np.log(np.diag(lower)) - np.log(scale)).sum())
+    return np.asarray(inverse * scale[:, None] * scale), logarithm
+
+
 def _inverse(matrices: Array) -> tuple[Array, Array]:
     """Return the inverses of (..., K, K) positive definite matrices and the logarithms of their determinants."""
     scale = 1.0 / np.sqrt(np.diagonal(matrices, axis1=-2, axis2=-1))
@@ -87,6 +101,14 @@ class Marginal:
         """Numbers of poses, of coefficients of an own field, of shared unknowns."""
         return (*self.own_pull.shape, len(self.pull))
 
+    def _by_pose(self, values: Array) -> Array:
+        """Return (n, ...) the sums over the views of each pose of (m, ...) values."""
+        if len(values) == self.problem.bench.n_poses:
+            return values
+        return np.stack(
+            [values[self._poses == pose].sum(axis=0) for pose in range(self.problem.bench.n_poses)]
+        )
+
     # -- priors
     def prior(self, squares: Array, faults: Faults) -> tuple[Array, Array, float, float]:
         """Return information, right-hand side, cost and log-determinant of all priors of the shared unknowns.
@@ -97,12 +119,12 @@ class Marginal:
         information, pull, cost, logarithm = self._stated(faults)
         information, pull = information.copy(), pull.copy()
         for block in self.problem.blocks:
-            inside, own = _inverse(block.covariance(squares))
+            inside, own = _inverse_of_one(block.covariance(squares))
             at = block.places
             information[at[:, None], at] += inside
             pull[at] -= inside @ b[at]
             cost += float(b[at] @ inside @ b[at])
-            logarithm += float(own)
+            logarithm += own
         return information, pull, cost, logarithm
 
     def _stated(self, faults: Faults) -> tuple[Array, Array, float, float]:
@@ -142,7 +164,7 @@ class Marginal:
             off = one.values - one.rows @ b
             cost += float(off @ one.information() @ off)
         for block in self.problem.blocks:
-            inside, _ = _inverse(block.covariance(squares))
+            inside, _ = _inverse_of_one(block.covariance(squares))
             cost += float(b[block.places] @ inside @ b[block.places])
         return cost + float((self.own_information(squares) * state.fields**2).sum())
 
@@ -185,12 +207,13 @@ class Marginal:
             weights, extra = self.reading_weights(squares)
             logarithm += extra
             weighted, y = weights @ self.rows, equations.off
-            information += np.einsum("mas,mat->st", self.rows, weighted, optimize=True)
+            size = self.rows.shape[2]
+            information += self.rows.reshape(-1, size).T @ weighted.reshape(-1, size)
             pull += np.einsum("mas,ma->s", weighted, y)
             own_weighted = weights @ self.own_rows
-            np.add.at(own, self._poses, np.swapaxes(self.own_rows, 1, 2) @ own_weighted)
-            np.add.at(own_pull, self._poses, np.einsum("maf,ma->mf", own_weighted, y))
-            np.add.at(between, self._poses, np.swapaxes(own_weighted, 1, 2) @ self.rows)
+            own += self._by_pose(np.swapaxes(self.own_rows, 1, 2) @ own_weighted)
+            own_pull += self._by_pose(np.einsum("maf,ma->mf", own_weighted, y))
+            between += self._by_pose(np.swapaxes(own_weighted, 1, 2) @ self.rows)
             cost += float(np.einsum("ma,mab,mb->", y, weights, y))
         expected = self.own_information(squares)
         own[:, range(f), range(f)] += expected
@@ -204,11 +227,11 @@ class Marginal:
         information = information - between.reshape(n * f, -1).T @ flat
         pull = pull - own_pull.reshape(-1) @ flat
         cost -= float((own_pull * alone).sum())
-        covariance, last = _inverse(0.5 * (information + information.T))
+        covariance, last = _inverse_of_one(information)
         step = covariance @ pull
         cost -= float(pull @ step)
         away = eta - hyper.mean
-        value = cost + logarithm + float(logs.sum() + last + away @ hyper.information @ away)
+        value = cost + logarithm + last + float(logs.sum() + away @ hyper.information @ away)
         found = Solution(value, step, covariance, alone - follow @ step, inverse, follow, np.zeros(len(eta)))
         if not slope:
             return found
@@ -228,7 +251,7 @@ class Marginal:
             gradient[hyper.at(name)] += 2.0 * (n * np.count_nonzero(own) - share[own].sum())
         b = self.state.shared + found.step
         for block in self.problem.blocks:
-            inside, _ = _inverse(block.covariance(squares))
+            inside, _ = _inverse_of_one(block.covariance(squares))
             second = found.covariance[np.ix_(block.places, block.places)] + np.outer(
                 b[block.places], b[block.places]
             )

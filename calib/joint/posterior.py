@@ -34,6 +34,8 @@ _LEAST_CURVATURE = 0.1
 #: A fault is followed if its evidence may reach that of no fault within this logarithm.
 _FOLLOWED = 2.0
 _FAULT_STEPS = 40
+#: Within this number of sigma of the others, a larger uncertainty never makes a statement more probable.
+_AGREES = 1.0
 
 
 @dataclass(frozen=True)
@@ -66,6 +68,7 @@ class Posterior:
     nodes: tuple[Node, ...]
     spread: Array  # (A,) 1-sigma of the logarithms of the amplitudes
     faults: dict[str, float]  # Probability of a fault by name of the statement
+    largest: Node  # The mode with the largest share
 
     @cached_property
     def weights(self) -> Array:
@@ -108,24 +111,34 @@ class Posterior:
         return float(brentq(missing, 0.0, widest, xtol=1e-6 * widest))
 
     def innovations(self) -> list[Innovation]:
-        """Return the innovation of every statement that could be wrong, at the mode, in closed form."""
-        solution, marginal = self.optimum.solution, self.optimum.marginal
+        """Return the innovation of every statement that could be wrong, at the largest mode, in closed form."""
+        solution, faults = self.largest.solution, dict(self.largest.faults)
+        knowledge = self.optimum.marginal.problem.knowledge
         b = self.optimum.state.shared + solution.step
-        found = []
-        for name, one in marginal.problem.knowledge.witnesses.items():
-            own = one.rows @ solution.covariance @ one.rows.T
-            left = one.covariance - own  # covariance of stated minus estimated
-            off = one.values - one.rows @ b
-            values, vectors = np.linalg.eigh(left)
-            floor = 1e-9 * float(np.trace(one.covariance))
-            inverse = (vectors / np.maximum(values, floor)) @ vectors.T
-            gain = one.covariance @ inverse
-            others = one.values - gain @ off
-            sigma = np.sqrt(np.maximum(np.diag(gain @ one.covariance - one.covariance), 0.0))
-            z = float(np.sqrt(max(off @ inverse @ off, 0.0) / len(off)))
-            z *= float(np.sign(off[0])) if len(off) == 1 else 1.0
-            found.append(Innovation(name, one, others, sigma, z, self.faults.get(name, 0.0)))
-        return found
+        return [
+            _innovation(one, b, solution.covariance, faults.get(name, ""), self.faults.get(name, 0.0))
+            for name, one in knowledge.witnesses.items()
+        ]
+
+
+def _innovation(one: Statement, b: Array, covariance: Array, fault: str, probability: float) -> Innovation:
+    """Return what a statement says against what the posterior says without it.
+
+    b, covariance: Of the posterior with the statement. fault: With which it entered the posterior.
+    """
+    entered = np.linalg.inv(one.information(fault))
+    left = entered - one.rows @ covariance @ one.rows.T  # covariance of stated minus estimated
+    off = one.values - one.rows @ b
+    values, vectors = np.linalg.eigh(left)
+    inverse = (vectors / np.maximum(values, 1e-9 * float(np.trace(entered)))) @ vectors.T
+    gain = entered @ inverse
+    away = gain @ off
+    spread = gain @ entered - entered
+    whole = np.linalg.pinv(one.covariance + spread, rcond=1e-9, hermitian=True)
+    z = float(np.sqrt(max(away @ whole @ away, 0.0) / len(off)))
+    z *= float(np.sign(off[0])) if len(off) == 1 else 1.0
+    sigma = np.sqrt(np.maximum(np.diag(spread), 0.0))
+    return Innovation(one.name, one, one.values - away, sigma, z, probability)
 
 
 def posterior(optimum: Optimum) -> Posterior:
@@ -143,7 +156,10 @@ def posterior(optimum: Optimum) -> Posterior:
         for name, _ in faults:
             probabilities[name] = probabilities.get(name, 0.0) + share
     spread = np.sqrt(np.diag(np.linalg.inv(curvature)))
-    return Posterior(optimum, tuple(nodes), spread, probabilities)
+    faults, eta, solution, weight = max(modes, key=lambda one: one[3])
+    return Posterior(
+        optimum, tuple(nodes), spread, probabilities, Node(weight / whole, eta, faults, solution)
+    )
 
 
 def _curvature(marginal: Marginal, eta: Array, gradient: Array) -> Array:
@@ -164,8 +180,9 @@ def _samples(
     """Return the nodes about one mode; their weights add up to its share."""
     deviates = _STRETCH * np.random.default_rng(0).standard_normal((_PAIRS, len(eta)))
     found, logs = [(eta, solution)], [0.0]
+    bounds = np.array(marginal.problem.hyper.bounds).T
     for z in np.concatenate([deviates, -deviates]):
-        at = eta + np.linalg.solve(lower.T, z)
+        at = np.clip(eta + np.linalg.solve(lower.T, z), *bounds)
         try:
             one = marginal.solve(at, faults, slope=False)
         except np.linalg.LinAlgError:
@@ -173,7 +190,7 @@ def _samples(
         found.append((at, one))
         logs.append(0.5 * (solution.value - one.value) + 0.5 * float(z @ z) / _STRETCH**2)
     weights = np.exp(np.array(logs) - max(logs))
-    weights = np.minimum(weights, _LARGEST_WEIGHT * np.median(weights))
+    weights = np.minimum(weights, _LARGEST_WEIGHT * max(float(np.median(weights)), 1.0 / len(weights) ** 2))
     weights *= share / weights.sum()
     return [Node(float(w), at, faults, one) for w, (at, one) in zip(weights, found, strict=True)]
 
@@ -181,7 +198,7 @@ def _samples(
 def _faults(optimum: Optimum, curvature: Array) -> list[tuple[Faults, Array, Solution, float]]:
     """Return the faults that the views make more probable than they were: amplitudes, solution, odds against none."""
     marginal, found = optimum.marginal, []
-    for name in marginal.problem.knowledge.witnesses:
+    for name in _possible(optimum):
         for fault, probability in FAULTS.items():
             faults: Faults = ((name, fault),)
             try:
@@ -197,6 +214,12 @@ def _faults(optimum: Optimum, curvature: Array) -> list[tuple[Faults, Array, Sol
             if evidence > 1.0:
                 found.append((faults, eta, ended, probability * (evidence - 1.0)))
     return found
+
+
+def _possible(optimum: Optimum) -> list[str]:
+    """Return the statements that contradict the others by so much that a fault can be more probable than none."""
+    alone = Posterior(optimum, (), np.zeros(0), {}, Node(1.0, optimum.eta, NO_FAULT, optimum.solution))
+    return [one.name for one in alone.innovations() if abs(one.normalised) > _AGREES]
 
 
 def amplitude_table(posterior: Posterior) -> dict[str, tuple[float, float]]:

@@ -14,7 +14,7 @@ from calib.diagnosis.gross_stars import GrossStars, part_of
 from calib.joint import amplitudes as amp
 from calib.joint.adjust import adjust
 from calib.joint.budget import budget_rows, row_gradients, variances
-from calib.joint.equations import Bench, ViewStars, robust_weights
+from calib.joint.equations import ViewStars, robust_weights
 from calib.joint.fields import FIELD_RADIUS
 from calib.joint.knowledge import READINGS
 from calib.joint.layout import CENTRE, RADIAL
@@ -98,8 +98,10 @@ def _calibration(
     lengths = [np.linalg.norm(e[own], axis=1) for e, own in zip(residuals, used, strict=True)]
     together = np.concatenate(lengths)
     size = len(bench.layout.camera)
-    budget = {group: np.sqrt(np.maximum(part, 0.0)) for group, part in variances(found, unit).items()}
-    rows = budget_rows(found, row_gradients(found, found.covariance[:size, :size]))
+    gradients = row_gradients(found, found.covariance[:size, :size])
+    parts = variances(found, np.concatenate([unit, gradients]))
+    budget = {group: np.sqrt(np.maximum(part[: len(at)], 0.0)) for group, part in parts.items()}
+    rows = budget_rows(found, gradients, {group: part[len(at) :] for group, part in parts.items()})
     result = Calibration(
         model="joint",
         camera=parameters.camera,
@@ -152,13 +154,7 @@ def _residuals(
     """Return the residuals of all stars at the mean, and their weights; 0 for stars that were not used."""
     optimum = found.optimum
     bench, solution = optimum.marginal.problem.bench, optimum.solution
-    whole = Bench(
-        bench.layout,
-        bench.image_size,
-        tuple(ViewStars.of(view, bench.layout) for view in views),
-        bench.poses,
-        None,
-    )
+    whole = replace(bench, stars=tuple(ViewStars.of(view, bench.layout) for view in views), readings=None)
     state = replace(
         optimum.state,
         shared=optimum.state.shared + solution.step,

@@ -26,8 +26,14 @@ _SMALL_PX, _SMALL_SHARE = 1e-3, 0.02
 _NEAR = 0.003
 _HALVINGS = 6
 _QUICK, _LONG = 12, 60
+#: Before the state is found, a round changes no logarithm of an amplitude by more than this.
+_FARTHEST = 1.0
 #: No step moves a focal length or the radius by more than this share.
 _LONGEST = 0.3
+#: Amplitudes are taken if their step moves focal length and centre by less than this share.
+_TRUSTED = 0.01
+#: Beyond this share the rotations are found again after a step.
+_CURVED = 1e-3
 
 
 @dataclass(frozen=True)
@@ -52,22 +58,20 @@ def search(problem: Problem, start: State, rounds: int) -> Optimum:
     rounds: Largest number of linearisations.
     Raises NotConverged: If the equations cannot be solved.
     """
-    eta, state = problem.hyper.mean.copy(), start
+    eta, state = problem.hyper.mean, start
     bench = problem.bench
     limit = 3.0 * robust_sigma(bench.whitened(state))
-    found, equations, size = None, None, np.inf
+    found = None
     for k in range(rounds):
         equations = bench.linearised(state, limit)
         marginal = Marginal(problem, equations, state)
         if k >= _FIRST_ROUNDS:
-            eta = best_amplitudes(marginal, eta, steps=_QUICK if size > _SMALL_PX else _LONG)
+            eta = trusted_amplitudes(marginal, eta)
         found = solved(marginal, eta)
         if k > _FIRST_ROUNDS and small(marginal, found):
-            eta = best_amplitudes(marginal, eta, steps=_LONG)
+            eta = better_amplitudes(marginal, eta)
             return Optimum(marginal, eta, marginal.solve(eta), k + 1, converged=True)
-        before = state
         state = shortened(marginal, eta, found)
-        size = float(np.abs(state.shared - before.shared)[:4].max())
         spread = robust_sigma(bench.whitened(state))
         limit = spread if k else 3.0 * spread
         if k >= _FIRST_ROUNDS:
@@ -111,8 +115,38 @@ def small(marginal: Marginal, found: Solution) -> bool:
     return bool((steps[:4] < _SMALL_PX).all() or (steps < _SMALL_SHARE * sigmas).all())
 
 
-def best_amplitudes(marginal: Marginal, eta: Array, steps: int, faults: Faults = NO_FAULT) -> Array:
-    """Return the logarithms of the amplitudes of the largest posterior, from a start."""
+def trusted_amplitudes(marginal: Marginal, eta: Array) -> Array:
+    """Return better amplitudes whose step stays where the equations hold: half way back until it does."""
+    better = best_amplitudes(marginal, eta, _QUICK, farthest=_FARTHEST)
+    for _ in range(_HALVINGS):
+        if relative_step(marginal, solved(marginal, better)) < _TRUSTED:
+            return better
+        better = 0.5 * (better + eta)
+    return eta
+
+
+def relative_step(marginal: Marginal, found: Solution) -> float:
+    """Return the largest step of focal lengths and centre, as a share of the focal length and of the radius."""
+    layout, b = marginal.problem.bench.layout, marginal.state.shared
+    focal, centre = (
+        np.abs(found.step[layout.places(names)]).max() for names in (("fx", "fy"), ("x", "y", "r"))
+    )
+    return float(max(focal / abs(b[0]), centre / abs(b[layout.index["r"]])))
+
+
+def better_amplitudes(marginal: Marginal, eta: Array) -> Array:
+    """Return the better end of two searches: from a start, and from the expected amplitudes."""
+    ends = [best_amplitudes(marginal, start, steps=_LONG) for start in (eta, marginal.problem.hyper.mean)]
+    return min(ends, key=lambda one: marginal.solve(one, slope=False).value)
+
+
+def best_amplitudes(
+    marginal: Marginal, eta: Array, steps: int, faults: Faults = NO_FAULT, farthest: float = np.inf
+) -> Array:
+    """Return the logarithms of the amplitudes of the largest posterior, from a start.
+
+    farthest: Largest change of each.
+    """
     from scipy.optimize import minimize
 
     scale = 1.0 / np.sqrt(marginal.curvature)
@@ -125,7 +159,8 @@ def best_amplitudes(marginal: Marginal, eta: Array, steps: int, faults: Faults =
         return found.value, scale * found.gradient
 
     bounds = [
-        (low / s, high / s) for (low, high), s in zip(marginal.problem.hyper.bounds, scale, strict=True)
+        (max(low, own - farthest) / s, min(high, own + farthest) / s)
+        for (low, high), own, s in zip(marginal.problem.hyper.bounds, eta, scale, strict=True)
     ]
     ended = minimize(
         target,
@@ -140,14 +175,15 @@ def best_amplitudes(marginal: Marginal, eta: Array, steps: int, faults: Faults =
 
 def shortened(marginal: Marginal, eta: Array, found: Solution) -> State:
     """Return the state after a step, which is halved while the cost rises."""
-    layout, bench = marginal.problem.bench.layout, marginal.problem.bench
+    bench = marginal.problem.bench
     turns = marginal.rotation_steps(eta, found)
-    at = layout.places(["fx", "fy", "r"])
-    share = float(np.abs(found.step[at] / marginal.state.shared[at]).max())
+    share = relative_step(marginal, found)
     size = min(1.0, _LONGEST / share) if share > 0 else 1.0
     before = cost(marginal, eta, marginal.state, marginal.equations)
     for _ in range(_HALVINGS):
         state = bench.moved(marginal.state, size * found.step, size * found.fields, size * turns)
+        if size * share > _CURVED:  # a large step turns the views by more than its linear part
+            state = bench.aligned(state, marginal.equations.weights)
         after = cost(marginal, eta, state, marginal.equations)
         if after <= before * (1.0 + 1e-9):
             return state

@@ -66,7 +66,11 @@ def compared(answer: Answer, camera: Camera) -> dict[str, Any]:
     """Errors and expanded uncertainties, as numbers of a line."""
     k, names = answer.coverage_factor, list(answer.values)
     error = {name: answer.values[name] - camera.values[name] for name in CENTRE}
-    u = {name: k * float(np.sqrt(answer.covariance[i, i])) for i, name in enumerate(names) if name in CENTRE}
+    u = {
+        name: answer.factors.get(name, k) * float(np.sqrt(answer.covariance[i, i]))
+        for i, name in enumerate(names)
+        if name in CENTRE
+    }
     error["corner"], sigma = corner(answer, camera)
     u["corner"] = k * sigma
     return {

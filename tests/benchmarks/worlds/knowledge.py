@@ -5,6 +5,7 @@ If the engine's options change, only this module does.
 
 from __future__ import annotations
 
+import os
 from dataclasses import dataclass
 from typing import Any
 
@@ -22,6 +23,8 @@ Array = NDArray[np.float64]
 #: cr: certificate and bounded readings; c: certificate; r: bounded readings; 0: nothing.
 KNOWN = ("cr", "c", "r", "0")
 SOURCE = "drawn"
+#: The engine that is judged: ``auto`` or ``joint``.
+MODEL: Any = os.environ.get("STARBENCH_JUDGED_MODEL", "auto")
 
 
 @dataclass(frozen=True)
@@ -31,6 +34,7 @@ class Answer:
     values: dict[str, float]  # fx, fy, cx, cy and the lens's coefficients
     covariance: Array  # of the values, in their order
     coverage_factor: float
+    factors: dict[str, float]  # k of each value that has its own
     notes: tuple[str, ...]
     model: str
     rms_px: float
@@ -67,7 +71,7 @@ def options_for(
     if passport is None and "c" in known:
         passport = calib.Passport.of_radius(stated.r_mm, stated.r_sigma_mm)
     return calib.CalibrationOptions(
-        model="auto",
+        model=MODEL,
         distortion=_distortion(bench.camera.family, lens),
         passport=passport,
         passport_source="certificate" if known in ("cr", "c") else "passport" if passport else "",
@@ -117,6 +121,7 @@ def solve(bench: Bench, options: calib.CalibrationOptions) -> Answer:
         values,
         covariance,
         float(found.coverage_factor),
+        dict(found.coverage_factors),
         tuple(found.notes),
         found.model,
         float(found.rms_px),
