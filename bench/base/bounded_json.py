@@ -1,12 +1,14 @@
-"""Parse JSON that others may have written. Depth and number of values are bounded, so memory and stack are too.
+"""Parse JSON that others may have written: one reading only, and bounded, so that memory and stack are too.
 
-Files are read by `bench.records.reading`, which bounds their size.
+What two readers could read differently is refused: a key that stands twice, a byte-order mark, numbers that are not
+finite or too large, blanks behind the end. Files are read by `bench.records.reading`, which bounds their size.
 """
 
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
+import math
+from collections.abc import Sequence
 from typing import Any, Final
 
 MOST_LEVELS: Final = 100
@@ -15,26 +17,68 @@ MOST_VALUES: Final = 5_000_000
 """Most values that are read: the results of ten thousand poses have three million. Each needs about 100 bytes."""
 
 
-def parse_json(
-    data: bytes | str,
-    *,
-    object_pairs_hook: Callable[[list[tuple[str, Any]]], Any] | None = None,
-    parse_constant: Callable[[str], Any] | None = None,
-) -> Any:
-    """Parse JSON of a bounded depth and number of values.
+MOST_DIGITS: Final = 400
+"""Most digits of a whole number; a finite number of double precision has at most 309."""
 
-    object_pairs_hook, parse_constant: As for `json.loads`.
-    Raises ValueError: If it is not JSON, is nested too deeply, or has too many values; never RecursionError.
+
+def parse_json(data: bytes | str) -> Any:
+    """Parse JSON of a bounded depth and number of values, which every reader reads alike.
+
+    data: UTF-8; it may end with one line feed.
+    Raises ValueError: If it is not such JSON, is nested too deeply, or has too many values; never RecursionError.
     """
     marks: tuple[Any, ...] = (b",", b"[", b"{") if isinstance(data, bytes) else (",", "[", "{")
     if sum(data.count(mark) for mark in marks) > MOST_VALUES:
         raise ValueError(f"it has more than {MOST_VALUES} values")
+    text = data.decode("utf-8") if isinstance(data, bytes) else data
+    if text.removesuffix("\n")[-1:].isspace():
+        raise ValueError("blanks stand behind its end")
     try:
-        found = json.loads(data, object_pairs_hook=object_pairs_hook, parse_constant=parse_constant)
+        found = json.loads(
+            text,
+            object_pairs_hook=_without_doubles,
+            parse_constant=_refuse_constant,
+            parse_float=_finite,
+            parse_int=_whole,
+        )
     except RecursionError:
         raise _too_deep() from None
     _refuse_deep(found)
     return found
+
+
+def canonical_json(found: Any, *, ascii_only: bool = True) -> bytes:
+    """Return JSON as all files of a run, a certificate or of recalculated results hold it.
+
+    ascii_only: Whether other letters are escaped.
+    """
+    return (json.dumps(found, indent=1, allow_nan=False, ensure_ascii=ascii_only) + "\n").encode()
+
+
+def _without_doubles(pairs: Sequence[tuple[str, Any]]) -> dict[str, Any]:
+    found = dict(pairs)
+    if len(found) != len(pairs):
+        names = [name for name, _ in pairs]
+        double = next(name for name in names if names.count(name) > 1)
+        raise ValueError(f"the key {double[:40]!r} is there twice")
+    return found
+
+
+def _refuse_constant(text: str) -> float:
+    raise ValueError(f"{text} is not a number")
+
+
+def _finite(text: str) -> float:
+    value = float(text)
+    if not math.isfinite(value):
+        raise ValueError(f"{text[:60]} is too large a number")
+    return value
+
+
+def _whole(text: str) -> int:
+    if len(text) > MOST_DIGITS:
+        raise ValueError(f"{text[:60]} is too large a number")
+    return int(text)
 
 
 def _refuse_deep(found: Any) -> None:

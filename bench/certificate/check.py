@@ -6,12 +6,12 @@ run can give is compared with the run, if it still lies where the ledger says.
 
 from __future__ import annotations
 
-import re
 from pathlib import Path
 
 from bench.base.bounded_json import parse_json
 from bench.base.errors import BenchError, UsageError
 from bench.certificate.certificate_data import CERTIFICATE, Certificate, sha256
+from bench.certificate.check_run import is_statement
 from bench.certificate.compose import Identity, compose
 from bench.certificate.contradictions import faults_of_lab
 from bench.certificate.folder import DCC, LAB, PDF, PLOTS, certificate_files, require_libraries
@@ -21,7 +21,9 @@ from bench.certificate.sealed_run import run_of
 from bench.certificate.series_numbers import numbers
 from bench.certificate.written_with import other_writer
 from bench.evidence.findings import Findings
+from bench.evidence.ledger_check import is_sealed_by, own_public_keys, sealed_strangers
 from bench.records.ledger import Ledger
+from bench.records.ledger_file import LEDGER
 from bench.records.reading import read_bounded
 from bench.records.run_folder import MANIFEST, RESULTS
 from bench.records.storage import sha256_of
@@ -29,7 +31,6 @@ from sequences.errors import DocumentFaults
 from sequences.reader import Located
 
 _FILES = frozenset({CERTIFICATE, RESULTS, LAB, DCC, PDF, "VERIFY.txt"})
-_PLOT = re.compile(rf"{PLOTS}/[a-z]{{1,40}}\.svg")
 _KIND = "certificate"
 _UNREADABLE = (ValueError, LookupError, TypeError, AttributeError, ArithmeticError, RecursionError)
 
@@ -43,9 +44,6 @@ def check_certificate(folder: Path, ledger: Ledger | None = None) -> Findings:
     """
     found = Findings()
     names = {path.relative_to(folder).as_posix() for path in folder.rglob("*") if path.is_file()}
-    for name in sorted(names):
-        if name not in _FILES and not _PLOT.fullmatch(name) and not name.startswith("SHA256SUMS"):
-            found.fault(_KIND, name, "no certificate has this file")
     for name in sorted(_FILES - names):
         found.fault("missing", name, "a certificate has this file")
     if found.faults:
@@ -69,25 +67,31 @@ def _derive(folder: Path, certificate: Certificate, found: Findings) -> None:
     results = read_bounded(folder / RESULTS)
     if sha256(results) != certificate.run.results_sha256:
         found.fault(_KIND, RESULTS, "these are not the results that the certificate names")
-    stated = parse_json(results)
+    content = parse_json(results)
     try:
         lab = lab_of(read_bounded(folder / LAB), LAB)
     except DocumentFaults as error:
         found.fault(_KIND, LAB, "; ".join(str(fault) for fault in error.faults[:5]))
         return
-    for fault in faults_of_lab(lab, stated)[:5]:
+    for fault in faults_of_lab(lab, content)[:5]:
         found.fault(_KIND, LAB, str(fault))
     _check_number(certificate, lab.value, found)
+    other = other_writer(certificate.run.software)
+    stated = certificate.statement("verification")
+    if not other and not is_statement(stated):
+        found.fault(
+            _KIND, CERTIFICATE, "it does not state what was verified before the issue as issuing does"
+        )
     if found.faults:
         return
     run = run_of(
-        stated,
+        content,
         results,
         journal_head=certificate.run.journal_head,
         seal_sha256=certificate.run.seal_sha256,
         signer=certificate.run.signer,
         signer_fingerprint=certificate.run.signer_fingerprint,
-        written=certificate.run.software[len(stated["run"]["software"]) :],
+        written=certificate.run.software[len(content["run"]["software"]) :],
     )
     also = certificate.statement("also").partition("Reason: ")[2]
     identity = Identity(
@@ -96,10 +100,9 @@ def _derive(folder: Path, certificate: Certificate, found: Findings) -> None:
         run,
         certificate.amends,
         also,
-        certificate.statement("verification"),
+        stated,
     )
-    again = compose(stated, lab.value, identity)
-    other = other_writer(certificate.run.software)
+    again = compose(content, lab.value, identity)
     if again.to_json() != (folder / CERTIFICATE).read_bytes():
         where = _first_difference(certificate, again)
         if other and _same_numbers(certificate, again):
@@ -211,8 +214,14 @@ def _compare_with_ledger(folder: Path, certificate: Certificate, ledger: Ledger,
     except BenchError as error:
         found.not_compared.append(f"the ledger of this bench cannot be read: {error.what.rstrip('.')}")
         return
+    is_own = is_sealed_by(folder, own_public_keys(ledger.home))
+    if is_own:
+        _compare_with_breaks(ledger, found)
     one = known.get(certificate.number)
-    if one is None:
+    if one is None and is_own:
+        what = f"this bench has sealed {certificate.number}, but its ledger does not contain it; lines were removed"
+        found.fault("ledger", LEDGER, f"{what}, so nothing tells whether it was replaced or declared void")
+    elif one is None:
         found.remarks.append(
             f"{certificate.number} is not in the ledger of this bench, so nothing here tells whether it was replaced"
         )
@@ -234,6 +243,21 @@ def _compare_with_ledger(folder: Path, certificate: Certificate, ledger: Ledger,
     for run in runs:
         if run.seal == certificate.run.seal_sha256:
             _compare_with_run(folder, Path(run.folder), certificate, found)
+
+
+def _compare_with_breaks(ledger: Ledger, found: Findings) -> None:
+    """Tell what is missing in the ledger: a lost line may have replaced the certificate, or declared it void."""
+    faults, explained = ledger.breaks(None, sealed_strangers(ledger.home))
+    for what in faults:
+        found.fault(
+            "ledger",
+            LEDGER,
+            f"{what.rstrip('.')}; a lost line may have replaced this certificate or made it void",
+        )
+    found.not_compared += [
+        f"whether it was replaced or declared void: {str(one).rstrip('.')} ({one.by}: {one.reason})"
+        for one in explained
+    ]
 
 
 def _compare_with_run(folder: Path, run: Path, certificate: Certificate, found: Findings) -> None:

@@ -59,10 +59,19 @@ class Issued:
     completed: tuple[str, ...] = ()
 
 
-def issue(run: Path, lab_file: Path, folder: Path, laboratory: Laboratory, *, also: str = "") -> Issued:
+def issue(
+    run: Path,
+    lab_file: Path,
+    folder: Path,
+    laboratory: Laboratory,
+    *,
+    also: str = "",
+    accept_not_compared: bool = False,
+) -> Issued:
     """Issue the certificate of a sealed run.
 
     also: Why a second certificate of the run is needed; empty: a second one is refused.
+    accept_not_compared: Whether a run may have parts that could not be made again from the recordings.
     Raises DocumentFaults: With all faults of lab.yaml: clauses without an answer, and contradictions to the
       run.
     Raises EvidenceError: When the run is refused, it has a certificate already, or the series of numbers is
@@ -74,7 +83,7 @@ def issue(run: Path, lab_file: Path, folder: Path, laboratory: Laboratory, *, al
     refuse_occupied(folder)
     lab = read_lab(lab_file)
     _refuse_second_early(run, laboratory.ledger, also)
-    source = read_sealed_run(run, laboratory.verify)
+    source = read_sealed_run(run, laboratory.verify, accept_not_compared=accept_not_compared)
     return make_certificate(source, lab, folder, laboratory, also=also)
 
 

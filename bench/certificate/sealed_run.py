@@ -10,6 +10,7 @@ from typing import Any
 from bench.base.bounded_json import parse_json
 from bench.base.errors import EvidenceError
 from bench.certificate.certificate_data import Run, Software, sha256
+from bench.certificate.check_run import statement_of
 from bench.certificate.written_with import written_with
 from bench.evidence.findings import Verification
 from bench.records.events import Event
@@ -34,10 +35,11 @@ class Source:
     verified: str
 
 
-def read_sealed_run(folder: Path, verify: Verify) -> Source:
+def read_sealed_run(folder: Path, verify: Verify, *, accept_not_compared: bool = False) -> Source:
     """Verify a run, and read what a certificate needs.
 
     verify: Verifies a sealed folder, as the command `verify` does.
+    accept_not_compared: Whether a run may have parts that could not be made again.
     Raises EvidenceError: When the run is not sealed, does not verify, was not finished, is a rehearsal, or
       has no converged result.
     Raises RunFolderError, StorageError: When it is no run folder, or cannot be read.
@@ -50,6 +52,13 @@ def read_sealed_run(folder: Path, verify: Verify) -> Source:
         )
     verification = verify(folder)
     _refuse_unverified(folder, verification)
+    if verification.not_compared and not accept_not_compared:
+        raise EvidenceError(
+            f"Not all results of this run could be compared: {'; '.join(verification.not_compared[:_MOST_NAMED])}.",
+            where=str(folder),
+            remedy="Issue the certificate with the version that made the run. If its seal is enough for you, use"
+            " --accept-not-compared: the certificate then states it.",
+        )
     with storage_errors(folder):
         entries, _ = read_journal(folder / JOURNAL)
         _refuse_other_than_finished(folder, [(entry.event, entry.data) for entry in entries])
@@ -73,7 +82,7 @@ def read_sealed_run(folder: Path, verify: Verify) -> Source:
         signer_fingerprint=verification.fingerprint or "",
         written=written_with(),
     )
-    return Source(found, results, run, plots_of_run(folder, found), _covered(verification))
+    return Source(found, results, run, plots_of_run(folder, found), statement_of(verification))
 
 
 def run_of(
@@ -127,20 +136,6 @@ def _refuse_unverified(folder: Path, verification: Verification) -> None:
             where=str(folder),
             remedy="Check it with `starbench verify`.",
         )
-
-
-def _covered(verification: Verification) -> str:
-    """Return what was verified before the issue; a run of another version may not be derived again in all its parts."""
-    if verification.complete:
-        return (
-            "Before the issue the sealed run was verified: its seal, every file and its journal; results, exports and"
-            " report were derived again and are the same."
-        )
-    parts = "; ".join(verification.not_compared)
-    return (
-        "Before the issue the sealed run was verified: its seal, every file and its journal. Protected by the seal"
-        f" alone, not derived again: {parts}."
-    )
 
 
 def _refuse_other_than_finished(folder: Path, lines: list[tuple[str, Mapping[str, Any]]]) -> None:

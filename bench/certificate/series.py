@@ -7,7 +7,6 @@ person declares it void with a reason. Nothing is removed from the ledger.
 
 from __future__ import annotations
 
-import json
 import os
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -15,7 +14,6 @@ from dataclasses import dataclass, replace
 from datetime import datetime, timedelta
 from pathlib import Path
 
-from bench.base.bounded_json import parse_json
 from bench.base.errors import EvidenceError
 from bench.certificate.number_format import number_of, series_of
 from bench.certificate.series_numbers import ISSUED, LOST, RESERVED, VOIDED, Numbered, numbers, open_numbers
@@ -23,15 +21,11 @@ from bench.records.journal import Journal
 from bench.records.journal_entry import Entry
 from bench.records.ledger import Ledger
 from bench.records.ledger_breaks import highest_counts
-from bench.records.reading import read_bounded
-from bench.records.storage import make_folder, storage_errors, write_atomic
+from bench.records.storage import make_folder, storage_errors
 from drivers import file_lock
 
 LOCK = "certificates.lock"
-HIGHEST = "certificates_high"
-"""File with the highest count of each series: shows numbers that were lost with lines of the ledger."""
 _CLOCK_SLACK = timedelta(seconds=2)
-_MOST_BYTES = 1 << 20
 
 
 @dataclass(frozen=True)
@@ -80,9 +74,7 @@ def reserve(ledger: Ledger, wanted: Wanted, now: datetime) -> Numbered:
         refuse_second(found, wanted)
         if own is None:
             own = _next(ledger, journal, found, wanted, now)
-        reserved = _enter(journal, wanted, now, own)
-        _write_highest(ledger.home, own.series, own.count)
-        return reserved
+        return _enter(journal, wanted, now, own)
 
 
 def _next(
@@ -91,9 +83,8 @@ def _next(
     """Return the next number of the series; enter as lost those that were given and are not in the ledger."""
     series = series_of(wanted.number_format, year=now.year, simulated=wanted.simulated)
     last = sum(one.series == series for one in found.values())
-    # A break of the ledger may state what a second place knows, if the whole home folder is lost.
-    known = highest_counts(journal.entries).get(series, 0)
-    highest = max(_read_highest(ledger.home).get(series, 0), known)
+    # A break of the ledger states what its mark and the second place know of lines that were lost.
+    highest = highest_counts(journal.entries).get(series, 0)
     for count in range(last + 1, highest + 1):
         lost = number_of(series, year=now.year, number=count)
         journal.append(LOST, number=lost, series=series, count=count)
@@ -118,31 +109,6 @@ def _enter(journal: Journal, wanted: Wanted, now: datetime, one: Numbered) -> Nu
     }
     journal.append(RESERVED, number=one.number, series=one.series, count=one.count, **texts)
     return Numbered(one.number, one.series, one.count, "reserved", **texts)
-
-
-def _read_highest(home: Path) -> dict[str, int]:
-    """Return the highest count of each series; a file that was damaged is refused."""
-    path = home / HIGHEST
-    with storage_errors(path):
-        if not path.exists():
-            return {}
-        data = read_bounded(path, _MOST_BYTES)
-    try:
-        found = parse_json(data)
-        return {str(series): int(count) for series, count in found.items()}
-    except (ValueError, TypeError, AttributeError) as error:
-        raise EvidenceError(
-            "This file does not hold the highest numbers of the series of certificates.",
-            where=str(path),
-            remedy="Somebody changed it. Write it again: the highest number given, by series, as a JSON mapping.",
-        ) from error
-
-
-def _write_highest(home: Path, series: str, count: int) -> None:
-    found = _read_highest(home)
-    if found.get(series, 0) < count:
-        text = json.dumps({**found, series: count}, indent=1, sort_keys=True)
-        write_atomic(home / HIGHEST, f"{text}\n".encode())
 
 
 def _own_open_number(found: Mapping[str, Numbered], wanted: Wanted) -> Numbered | None:

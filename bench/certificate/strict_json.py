@@ -7,15 +7,13 @@ these. It touches no files.
 from __future__ import annotations
 
 import dataclasses
-import json
 import math
 import types
 import typing
-from collections.abc import Sequence
 from functools import cache
 from typing import Any, Literal, TypeVar, Union, get_args, get_origin
 
-from bench.base.bounded_json import parse_json
+from bench.base.bounded_json import canonical_json, parse_json
 from bench.base.errors import EvidenceError
 
 Data = TypeVar("Data")
@@ -28,9 +26,7 @@ def to_json(data: Any) -> bytes:
     Returns: JSON, UTF-8, with a line feed at its end.
     Raises ValueError: When a number is not finite.
     """
-    return (
-        json.dumps(dataclasses.asdict(data), indent=1, allow_nan=False, ensure_ascii=False) + "\n"
-    ).encode()
+    return canonical_json(dataclasses.asdict(data), ascii_only=False)
 
 
 def from_json(data: bytes, kind: type[Data], where: str) -> Data:
@@ -42,7 +38,7 @@ def from_json(data: bytes, kind: type[Data], where: str) -> Data:
     """
     faults: list[str] = []
     try:
-        found = parse_json(data, object_pairs_hook=_without_doubles, parse_constant=_refuse_constant)
+        found = parse_json(data)
         value = _read(found, kind, "", faults)
     except ValueError as error:
         faults = [f"it is not readable JSON ({error})"]
@@ -55,17 +51,6 @@ def from_json(data: bytes, kind: type[Data], where: str) -> Data:
             remedy="Another version of Starbench wrote it, or it was changed.",
         )
     return typing.cast("Data", value)
-
-
-def _without_doubles(pairs: Sequence[tuple[str, Any]]) -> dict[str, Any]:
-    found = dict(pairs)
-    if len(found) != len(pairs):
-        raise ValueError("a key stands twice in one mapping")
-    return found
-
-
-def _refuse_constant(text: str) -> float:
-    raise ValueError(f"{text} is not a number")
 
 
 @cache

@@ -1,12 +1,12 @@
 """Many sealed folders checked by workers: one piece of work each.
 
-Seals, trust and files are checked each time. Only what was derived again may be kept: it depends on nothing but the
-bytes of the folder and the program, and takes most of the time.
+Seals, trust and files are checked each time. Only what was made again may be kept: it depends on nothing but the bytes
+of the folder and the program, and takes most of the time.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from datetime import datetime
 from functools import partial
@@ -61,6 +61,7 @@ def check_one(folder: Path, check: Check, known: Mapping[str, Any] | None) -> Ch
         at=check.at,
         camera_serial=check.camera_serial,
         derivations={"run": [derive], "results": [derive], "certificate": [lambda _folder: Findings()]},
+        again=check.again,
     )
     last = made[-1] if made else Checked(found)
     return Checked(found, last.key, last.derived, last.before)
@@ -85,19 +86,21 @@ def _derive(folder: Path, *, check: Check, known: Mapping[str, Any] | None, made
 
 
 def derivations_of(folder: Path, *, again: bool) -> list[Derivation]:
-    """Return what derives the files of a run, or of recalculated results, again.
+    """Return what compares the files of a run, or of recalculated results, with each other and with their sources.
 
-    again: Whether to calibrate again from the recordings too.
+    again: Whether to make the results again from the recordings.
     Returns: In the order in which they are called.
     """
     from bench.evidence.instructions import kind_of
-    from bench.results.derive_again import check_results_folder, check_run
-    from bench.results.reproduce import check_recordings
-    from bench.results.reproduce_offline import check_recalculated
 
-    of_kind: dict[str, tuple[Callable[[Path], Findings], Callable[[Path], Findings]]] = {
-        "run": (check_run, check_recordings),
-        "results": (check_results_folder, check_recalculated),
-    }
-    always, from_recordings = of_kind[kind_of(folder)]
-    return [always, from_recordings] if again else [always]
+    found: list[Derivation] = []
+    if kind_of(folder) == "run":
+        from bench.results.recorded_with import check_recorded_with
+
+        found.append(check_recorded_with)
+    if again:
+        from bench.results.again_recalculated import check_recalculated
+        from bench.results.again_run import check_run_again
+
+        found.append(check_run_again if kind_of(folder) == "run" else check_recalculated)
+    return found

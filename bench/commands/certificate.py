@@ -9,6 +9,7 @@ from __future__ import annotations
 import json
 from collections.abc import Iterator, Mapping, Sequence
 from datetime import UTC, datetime
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -29,7 +30,7 @@ from bench.commands.options import (
     OutputFolder,
     epilog,
 )
-from bench.commands.output import JSON, ask_passphrase, show
+from bench.commands.output import JSON, ask_passphrase, show, wants_json
 from bench.records.reading import read_bounded
 from bench.records.storage import storage_errors, write_atomic
 
@@ -41,6 +42,8 @@ if TYPE_CHECKING:
     from bench.evidence.key_trust import Trust
     from bench.records.ledger import Ledger
 
+_UNKNOWN = "UNKNOWN"
+"""State of a certificate while lines of the ledger are missing."""
 _NOT_FOUND = "NOT FOUND"
 """State of a certificate that was issued, and that is not in its folder."""
 
@@ -107,6 +110,16 @@ def new(output: Path) -> int:
     metavar="PEM",
     help="Certificate of that key, followed by the certificates that lead to one that your customers trust.",
 )
+@click.option(
+    "--no-again",
+    is_flag=True,
+    help="Do not make the results again from the recordings. The certificate states it.",
+)
+@click.option(
+    "--accept-not-compared",
+    is_flag=True,
+    help="Issue it also if this version cannot compare all results with the recordings. The certificate states it.",
+)
 @JSON
 def issue(
     folder: Path,
@@ -115,12 +128,14 @@ def issue(
     reason: str | None,
     xades_key: Path | None,
     xades_certificate: Path | None,
+    no_again: bool,
+    accept_not_compared: bool,
 ) -> int:
     """Issue the calibration certificate of a sealed RUN, by ISO/IEC 17025, or amend the one in the folder CERTIFICATE.
 
-    The run is verified first. If neither the run nor LAB.YAML answers a clause of the standard, no certificate is
-    issued; the command names the clause and the missing key of LAB.YAML. A new certificate is SEALED. A person then
-    authorises it with `starbench certificate authorise`.
+    The run is verified first, and its results are made again from the recordings. If neither the run nor LAB.YAML
+    answers a clause of the standard, no certificate is issued; the command names the clause and the missing key of
+    LAB.YAML. A new certificate is SEALED. A person then authorises it with `starbench certificate authorise`.
 
     An amended certificate has a new number. It names the old one by number and hash, and lists every field that
     changed. The old one stays as it is; `starbench verify` says that it is superseded.
@@ -129,14 +144,18 @@ def issue(
     from bench.certificate.certificate_data import CERTIFICATE
     from bench.certificate.issue import issue as issue_first
 
-    laboratory = _laboratory(_dcc_key(xades_key, xades_certificate))
-    if (folder / CERTIFICATE).is_file():
+    is_amended = (folder / CERTIFICATE).is_file()
+    dcc_key = _dcc_key(xades_key, xades_certificate)
+    laboratory = _laboratory(dcc_key, again=not no_again and not is_amended)
+    if is_amended:
         if reason is None:
             raise click.UsageError("Missing option '--reason': why the certificate is amended.")
         issued = amend(folder, lab_file, output, laboratory, reason=_stated(reason))
     else:
         also = "" if reason is None else _stated(reason)
-        issued = issue_first(folder, lab_file, output, laboratory, also=also)
+        issued = issue_first(
+            folder, lab_file, output, laboratory, also=also, accept_not_compared=accept_not_compared
+        )
     made = issued.certificate
     show(
         lambda: {
@@ -221,12 +240,18 @@ def show_command(folder: Path | None) -> int:
 
     The list comes from the ledger: the state of each number, the camera, the customer and the date.
     """
+    from bench.commands.ledger import ledger_findings
+
+    ledger = _ledger()
     if folder is None:
-        rows = _rows()
-        show({"schema": "starbench/certificates/1", "certificates": rows}, _list_lines(rows))
-        return 0
+        faults, notes = ledger_findings(ledger)
+        rows = _rows(ledger, is_known=not faults)
+        data = {"schema": "starbench/certificates/1", "certificates": rows, "faults": faults, "notes": notes}
+        show(data, [*_list_lines(rows), *(f"Note: {note}" for note in notes)])
+        return _told(faults)
     from bench.certificate.certificate_data import CERTIFICATE, Certificate
     from bench.certificate.series_numbers import numbers
+    from bench.evidence.ledger_check import is_sealed_by, own_public_keys
     from bench.evidence.states import standing_of
 
     path = folder / CERTIFICATE
@@ -236,27 +261,42 @@ def show_command(folder: Path | None) -> int:
             where=str(folder),
             remedy=f"Name the folder of a {CERTIFICATE}.",
         )
-    data = read_bounded(path)
-    certificate = Certificate.from_json(data, str(path))
+    content = read_bounded(path)
+    certificate = Certificate.from_json(content, str(path))
     state = str(standing_of(folder, _trust(), datetime.now(UTC)).state.value)
-    known = numbers(_ledger().entries()).get(certificate.number)
-    if known is not None and known.superseded_by:
+    is_own = is_sealed_by(folder, own_public_keys(ledger.home))
+    faults, notes = ledger_findings(ledger) if is_own else ([], [])
+    known = None if faults else numbers(ledger.entries()).get(certificate.number)
+    if faults:
+        state = _UNKNOWN
+    elif known is not None and known.superseded_by:
         state = f"SUPERSEDED by {known.superseded_by}"
     elif known is not None and known.how == "void":
         state = "VOID"
-    show(lambda: {"state": state, "certificate": parse_json(data)}, _summary(certificate, state))
-    return 0
+    show(
+        lambda: {"state": state, "certificate": parse_json(content), "faults": faults, "notes": notes},
+        [*_summary(certificate, state), *(f"Note: {note}" for note in notes)],
+    )
+    return _told(faults)
 
 
-def _rows() -> list[dict[str, Any]]:
-    """Return the numbers in the ledger."""
+def _told(faults: Sequence[str]) -> int:
+    """Tell the faults of the ledger, if the output is for people; return the exit status: 1 if there is one."""
+    if not wants_json():
+        for fault in faults:
+            click.echo(f"FAULT: {fault}", err=True)
+    return 1 if faults else 0
+
+
+def _rows(ledger: Ledger, *, is_known: bool) -> list[dict[str, Any]]:
+    """Return the numbers in the ledger; their states are known only if no line of it is missing."""
     from bench.certificate.series_numbers import numbers
 
     trust, now = _trust(), datetime.now(UTC)
     return [
         {
             "number": one.number,
-            "state": _listed_state(one, trust, now),
+            "state": _listed_state(one, trust, now, is_known=is_known),
             "camera": one.serial,
             "customer": one.customer,
             "issued_utc": one.issued_utc,
@@ -266,7 +306,7 @@ def _rows() -> list[dict[str, Any]]:
             "folder": one.folder,
             "reason": one.reason,
         }
-        for one in numbers(_ledger().entries()).values()
+        for one in numbers(ledger.entries()).values()
     ]
 
 
@@ -309,7 +349,7 @@ def _summary(certificate: Certificate, state: str) -> list[str]:
     return lines
 
 
-def _listed_state(one: Numbered, trust: Trust, now: datetime) -> str:
+def _listed_state(one: Numbered, trust: Trust, now: datetime, *, is_known: bool) -> str:
     from bench.evidence.states import standing_of
     from bench.records.run_folder import MANIFEST
     from bench.records.storage import sha256_of
@@ -318,6 +358,8 @@ def _listed_state(one: Numbered, trust: Trust, now: datetime) -> str:
         return {"reserved": "DRAFT", "void": "VOID", "lost": "LOST"}[one.how]
     if one.superseded_by:
         return "SUPERSEDED"
+    if not is_known:  # a lost line may have replaced it
+        return _UNKNOWN
     try:
         if sha256_of(Path(one.folder) / MANIFEST) != one.seal:
             return _NOT_FOUND
@@ -326,7 +368,7 @@ def _listed_state(one: Numbered, trust: Trust, now: datetime) -> str:
         return _NOT_FOUND
 
 
-def _laboratory(dcc_key: tuple[Path, Path] | None) -> Laboratory:
+def _laboratory(dcc_key: tuple[Path, Path] | None, *, again: bool) -> Laboratory:
     from bench.certificate.issue import Laboratory
     from bench.evidence.keys import BenchKey, ensure_key, require_usable
 
@@ -340,15 +382,16 @@ def _laboratory(dcc_key: tuple[Path, Path] | None) -> Laboratory:
         from bench.certificate.dcc_signature import signer_of_files
 
         sign = signer_of_files(*dcc_key, ask_passphrase=ask_passphrase)
-    return Laboratory(_ledger(), key, lambda: datetime.now(UTC), _verify, sign)
+    return Laboratory(_ledger(), key, lambda: datetime.now(UTC), partial(_verify, again=again), sign)
 
 
-def _verify(folder: Path) -> Verification:
+def _verify(folder: Path, *, again: bool) -> Verification:
     """Verify a folder as the command `verify` does."""
     from bench.commands.verify import derivations
     from bench.evidence.verify import verify_folder
 
-    return verify_folder(folder, _trust(), derivations=derivations(again=False))
+    trust = _trust()
+    return verify_folder(folder, trust, derivations=derivations(trust, again=again), again=again)
 
 
 def _trust() -> Trust:

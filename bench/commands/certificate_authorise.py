@@ -60,8 +60,8 @@ def authorise(folder: Path, key: str | None, allowed_signers: Path | None, yes: 
         require_unauthorised,
     )
     from bench.evidence.key_trust import read_trust
+    from bench.evidence.openssh import agent_socket
     from bench.evidence.person_key import find_key
-    from bench.evidence.ssh_agent import agent_socket
     from bench.evidence.ssh_keys import fingerprint
 
     if wants_json() and not yes:
@@ -148,7 +148,7 @@ def _refuse_unverified(folder: Path, trust: Trust) -> None:
     from bench.commands.verify import derivations
     from bench.evidence.verify import verify_folder
 
-    found = verify_folder(folder, trust, derivations=derivations(again=False))
+    found = verify_folder(folder, trust, derivations=derivations(trust, again=False))
     others = [fault for fault in found.faults if fault.kind != "authorisation"]
     for fault in found.faults:
         if fault not in others:  # there is none yet, so the ledger names one that was removed

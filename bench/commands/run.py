@@ -88,13 +88,8 @@ def run(
 )
 @RUN
 @click.option("--dry-run", is_flag=True, help="Only print what would be done.")
-@click.option(
-    "--secrets-revoked",
-    is_flag=True,
-    help="Seal a finished run though secrets were found in it: you have made them worthless.",
-)
 @JSON
-def resume(run_folder: Path, dry_run: bool, secrets_revoked: bool) -> int:
+def resume(run_folder: Path, dry_run: bool) -> int:
     """Continue a RUN that was stopped, failed or was interrupted. It first prints what it will do."""
     from bench.base.clock import BenchClock
     from bench.run.launch import Launch, read_intentions, resume_run
@@ -103,7 +98,7 @@ def resume(run_folder: Path, dry_run: bool, secrets_revoked: bool) -> int:
         lines = list(read_intentions(run_folder))
         show({"schema": "starbench/intentions/1", "intentions": lines}, "\n".join(lines))
         return 0
-    launch = Launch(BenchClock(), ask_passphrase=ask_passphrase, secrets_revoked=secrets_revoked)
+    launch = Launch(BenchClock(), ask_passphrase=ask_passphrase)
     return show_run(resume_run(run_folder, launch))
 
 

@@ -18,7 +18,6 @@ from bench.history.chart_findings import drifts, find_charts, needs_attention
 from bench.history.chart_groups import Grouped, Level, group_runs
 from bench.history.ledger_sources import LedgerSource, merge_ledgers, read_source
 from bench.history.merged_runs import MergedRuns, merge_runs
-from bench.history.seen_ledgers import compare_with_seen
 from bench.history.table_files import require_writable_table, write_table
 from bench.history.table_rows import table_row
 from bench.history.table_schema import SCHEMA
@@ -46,10 +45,6 @@ def find_runs(choice: RunChoice) -> MergedRuns:
 
     named = [source(folder, required=True) for folder in choice.ledgers]
     ledgers = merge_ledgers(named or [source(home, required=False)])
-    if named:
-        faults, notes = compare_with_seen(home, ledgers.sources)
-        ledgers.faults += faults
-        ledgers.notes += notes
     folders = run_folders(choice.folder) if choice.folder else []
     index = RunIndex(home)
     merged = merge_runs(index, ledgers, folders, only_folders=bool(choice.folder and not choice.ledgers))

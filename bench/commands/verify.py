@@ -1,4 +1,4 @@
-"""The command `verify`: joins the verifier with what derives files again, for one sealed folder or for many."""
+"""The command `verify`: joins the verifier with the ledger and with --again, for one sealed folder or for many."""
 
 from __future__ import annotations
 
@@ -22,9 +22,14 @@ if TYPE_CHECKING:
     from bench.cluster.verifications import Check, Checked
     from bench.cluster.work import Finished, Workers
     from bench.evidence.findings import Derivation, Findings, Verification
+    from bench.evidence.key_trust import Trust
 
 NOT_COMPARED = 4
-"""Exit status of `verify`: no fault was found, but parts of the folder could not be derived again and compared."""
+"""Exit status of `verify`: no fault was found, but parts that were to be compared could not be."""
+_NUMBERS = {
+    False: "The numbers were not compared with the recordings: `starbench verify --again` does that.",
+    True: "The results were made again from the recordings and compared.",
+}
 _WORDS = {"ok": "verified", "incomplete": "not compared completely", "failed": "NOT VERIFIED"}
 
 
@@ -63,7 +68,7 @@ _WORDS = {"ok": "verified", "incomplete": "not compared completely", "failed": "
 @click.option(
     "--again",
     is_flag=True,
-    help="Also find the stars in the recordings again, calibrate again, and compare every number. This takes longer.",
+    help="Also make the results again from the recordings, and compare every number and file. This takes longer.",
 )
 @WORKERS
 @click.option(
@@ -87,8 +92,8 @@ def verify(
 ) -> int:
     """Check sealed FOLDERs: runs, certificates or recalculated results.
 
-    The command checks the signatures, every file and the journal. It derives results, exports and report again from the
-    other files, and compares every byte. With --again it begins with the recordings: use it if the numbers matter.
+    The command checks the signatures, every file, the journal and the ledger. It does not compare numbers. With --again
+    it makes the results again from the recordings, and compares every number and file: use it if the numbers matter.
     Several folders are checked at the same time, on all processors.
     """
     from bench.evidence.key_trust import read_trust
@@ -113,7 +118,8 @@ def verify(
         trust,
         at=moment,
         camera_serial=serial,
-        derivations=derivations(again=again),
+        derivations=derivations(trust, again=again),
+        again=again,
     )
     return show_verification(found)
 
@@ -138,7 +144,9 @@ def _fault_lines(found: Verification) -> Iterator[str]:
 
 
 def _valid_lines(found: Verification) -> Iterator[str]:
-    yield f"{found.state}: {found.files} files, sealed by {found.signer} ({found.fingerprint})."
+    numbers = "" if found.again and not found.complete else _NUMBERS[found.again]
+    signed = f"{found.state}: {found.files} files, sealed by {found.signer} ({found.fingerprint})."
+    yield f"{signed} {numbers}".rstrip()
     if found.stated is not None:
         yield f"Sealed {found.stated[:19].replace('T', ' ')} UTC by the bench's own clock."
     yield from found.statements
@@ -178,7 +186,7 @@ def _verify_many(folders: Sequence[Path], check: Check, workers: Workers, output
         work = ((folder, check, kept.get(str(folder)) if kept else None) for folder in chosen)
         try:
             for number, end in map_work(check_one, work, workers):
-                state, text, rows[number] = _ended(chosen[number], end, kept)
+                state, text, rows[number] = _ended(chosen[number], end, kept, check)
                 states[state] += 1
                 line.clear()
                 click.echo(printable(text), err=wants_json())
@@ -193,12 +201,14 @@ def _verify_many(folders: Sequence[Path], check: Check, workers: Workers, output
     counted = ", ".join(f"{states[state]} {word}" for state, word in _WORDS.items() if states[state])
     show(
         {"folders": [rows[number] for number in sorted(rows)], **states},
-        f"{len(chosen)} folders: {counted}.",
+        f"{len(chosen)} folders: {counted}.{'' if check.again else f' {_NUMBERS[False]}'}",
     )
     return 1 if states["failed"] else NOT_COMPARED if states["incomplete"] else 0
 
 
-def _ended(folder: Path, end: Finished, kept: KeptRows | None) -> tuple[str, str, dict[str, Any]]:
+def _ended(
+    folder: Path, end: Finished, kept: KeptRows | None, check: Check
+) -> tuple[str, str, dict[str, Any]]:
     """Return state, line and JSON of a folder."""
     if end.failure is not None:
         why = f"{end.failure.message}{end.defect and chr(10) + end.defect}"
@@ -209,7 +219,7 @@ def _ended(folder: Path, end: Finished, kept: KeptRows | None) -> tuple[str, str
         kept.add(str(folder), {"key": checked.key, "derived": checked.derived})
     found = checked.verification
     if found.ok:
-        found = _with(found, _checks_of_this_bench(folder, found.kind))
+        found = _with(found, _checks_of_this_bench(folder, found.kind, check))
     if not found.ok:
         faults = " ".join(f"{fault}." for fault in found.faults)
         return "failed", f"{folder.name}: NOT VERIFIED. {faults}", found.to_dict()
@@ -230,32 +240,62 @@ def _with(found: Verification, more: Findings) -> Verification:
     )
 
 
-def derivations(*, again: bool) -> dict[str, list[Derivation]]:
-    """Return what derives the files of each kind of sealed folder again.
+def derivations(trust: Trust, *, again: bool) -> dict[str, list[Derivation]]:
+    """Return what checks each kind of sealed folder further: ledger, recordings, and with --again the numbers.
 
-    again: Whether to calibrate again from the recordings too.
+    trust: Whom the reader trusts; for the run of a certificate.
+    again: Whether to make the results again from the recordings.
     Returns: Functions by kind of folder, for `bench.evidence.verify.verify_folder`.
     """
-    from bench.results.derive_again import check_results_folder, check_run
-    from bench.results.reproduce import check_recordings
-    from bench.results.reproduce_offline import check_recalculated
+    from bench.cluster.verifications import derivations_of
+
+    def of_folder(folder: Path) -> Findings:
+        return _in_turn(folder, derivations_of(folder, again=again))
 
     return {
-        "run": [_check_ledger, check_run, *([check_recordings] if again else []), _check_authorisation],
-        "results": [check_results_folder, *([check_recalculated] if again else []), _check_authorisation],
-        "certificate": [_check_certificate, _check_authorisation],
+        "run": [_check_ledger, of_folder, _check_authorisation],
+        "results": [of_folder, _check_authorisation],
+        "certificate": [*_checks_of_certificate(trust, again=again), _check_authorisation],
     }
 
 
-def _checks_of_this_bench(folder: Path, kind: str) -> Findings:
-    """Compare a folder with the ledger of this bench, which no worker has."""
+def _in_turn(folder: Path, checks: Sequence[Derivation]) -> Findings:
+    """Make several checks of a folder, each only while none has found a fault."""
     from bench.evidence.findings import Findings
 
     found = Findings()
-    for check in {"certificate": [_check_certificate], "run": [_check_ledger]}.get(kind, []):
-        found.add(check(folder))
+    for check in checks:
+        if not found.faults:
+            found.add(check(folder))
+    return found
+
+
+def _checks_of_this_bench(folder: Path, kind: str, check: Check) -> Findings:
+    """Compare a folder with the ledger of this bench, which no worker has."""
+    of_kind: dict[str, list[Derivation]] = {
+        "certificate": _checks_of_certificate(check.trust, again=check.again),
+        "run": [_check_ledger],
+    }
+    found = _in_turn(folder, of_kind.get(kind, []))
     found.add(_check_authorisation(folder))
     return found
+
+
+def _checks_of_certificate(trust: Trust, *, again: bool) -> list[Derivation]:
+    """Return the checks of a certificate; with --again also that of its run, from the recordings."""
+
+    def verify_run(run: Path) -> Verification:
+        from bench.evidence.verify import verify_folder
+
+        return verify_folder(run, trust, derivations=derivations(trust, again=True), again=True)
+
+    def of_run(folder: Path) -> Findings:
+        from bench.certificate.check_run import check_run_of_certificate
+        from bench.results.previous_calibration import bench_ledger
+
+        return check_run_of_certificate(folder, bench_ledger(), verify_run)
+
+    return [_check_certificate, *([of_run] if again else [])]
 
 
 def _check_authorisation(folder: Path) -> Findings:

@@ -14,10 +14,11 @@ from pathlib import Path
 from bench.base.errors import EvidenceError, StorageError
 from bench.evidence.beside_seal import add_beside, read_beside
 from bench.evidence.key_trust import Moments, Trust, judge_key
+from bench.evidence.openssh import NotInstalled
 from bench.evidence.seal import AUTHORISATION
 from bench.evidence.signers import AUTHORISATION_NAMESPACE
 from bench.evidence.ssh_keys import fingerprint
-from bench.evidence.sshsig import SigningKey, SshSignature, is_valid, read_signature, sign_with
+from bench.evidence.sshsig import SigningKey, SshSignature, is_valid, read_signature
 from bench.records.reading import read_json
 from bench.records.run_folder import MANIFEST, SIGNATURE
 from bench.records.storage import storage_errors
@@ -39,6 +40,7 @@ class AuthorisationCheck:
     """The authorisation beside a seal, as checked."""
 
     fault: str = ""  # Why it does not hold; empty if it holds, or if there is none
+    unchecked: str = ""  # Why it could not be checked here; empty if it was
     remark: str = ""  # What a reader should know though it holds; empty if nothing
     # person, fingerprint: Name of the signer in the list of trusted keys, and fingerprint of the key; None if
     # there is no authorisation or it does not hold.
@@ -63,12 +65,18 @@ def check_authorisation(
     except EvidenceError as error:
         return AuthorisationCheck(error.what)
     public_key = signature.public_key
-    if why := _not_signed(signature, signed) or _wrong_person(folder, public_key, seal_key, trust):
+    try:
+        why = _not_signed(signature, signed) or _wrong_person(folder, public_key, seal_key, trust)
+    except NotInstalled as error:
+        return AuthorisationCheck(unchecked=f"{error.what.rstrip('.')}: {error.remedy.rstrip('.')}")
+    if why:
         return AuthorisationCheck(why)
     judged = judge_key(public_key, AUTHORISATION_NAMESPACE, trust, moments)
     if judged.principal is None:
         return AuthorisationCheck(judged.fault)
-    return AuthorisationCheck("", judged.remark, judged.principal, fingerprint(public_key))
+    return AuthorisationCheck(
+        remark=judged.remark, person=judged.principal, fingerprint=fingerprint(public_key)
+    )
 
 
 def _not_signed(signature: SshSignature, signed: bytes | None) -> str:
@@ -101,7 +109,7 @@ def authorise(folder: Path, key: SigningKey, trust: Trust, now: datetime, seal: 
             where=str(folder),
             remedy="Find out who writes to this folder, and begin again.",
         )
-    armoured = sign_with(key, signed, AUTHORISATION_NAMESPACE)
+    armoured = key.sign(signed, AUTHORISATION_NAMESPACE)
     if not is_valid(read_signature(armoured), signed):
         raise EvidenceError(
             f"The signature by {fingerprint(key.public_key)} is not valid; it was not written.",

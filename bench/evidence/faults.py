@@ -10,7 +10,7 @@ class SealFault:
     """One fault of a sealed folder."""
 
     # ``unsealed``, ``signature``, ``key``, ``manifest``, ``added``, ``changed``, ``missing``, ``link``,
-    # ``kind``, ``journal``, ``plan``, ``results``, ``exports``, ``report``, ``views``, ``recording``,
+    # ``kind``, ``form``, ``journal``, ``plan``, ``results``, ``exports``, ``report``, ``views``, ``recording``,
     # ``wire``, ``instructions``, ``certificate``, ``ledger``, ``item``, ``authorisation`` or ``timestamp``.
     kind: str
     where: str

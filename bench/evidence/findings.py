@@ -15,7 +15,7 @@ class Findings:
     """What one check found. A check that finds nothing returns an empty one."""
 
     faults: list[SealFault] = field(default_factory=list)
-    # Parts of the folder that this program could not derive again, each with the reason, as a sentence
+    # Parts of the folder that were to be compared and could not be, each with the reason, as a sentence
     # without a full stop. A folder with such a part is not reported as valid without reservation (exit status
     # 4).
     not_compared: list[str] = field(default_factory=list)
@@ -52,7 +52,9 @@ class Verification:
     folder: str
     kind: str = ""  # ``run``, ``certificate``, ``results``, or ``files`` for any other folder
     faults: Sequence[SealFault] = ()  # All faults; empty when the folder is as a trusted bench sealed it
-    # Parts that this program could not derive again, and why; see `Findings`.
+    # Whether the results were made again from the recordings, and the numbers compared (``verify --again``).
+    again: bool = False
+    # Parts that were to be compared and could not be, and why; see `Findings`.
     not_compared: Sequence[str] = ()
     remarks: Sequence[str] = ()
     state: str = "DRAFT"  # ``DRAFT``, ``SEALED`` or ``AUTHORISED``
@@ -80,7 +82,7 @@ class Verification:
 
     @property
     def complete(self) -> bool:
-        """Whether no fault was found and every part was compared."""
+        """Whether no fault was found and every part that was to be compared was compared."""
         return self.ok and not self.not_compared
 
     def to_dict(self) -> dict[str, Any]:

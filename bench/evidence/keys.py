@@ -30,22 +30,28 @@ from bench.evidence.signers import (
     PRINCIPAL,
     SIGNERS_FILE,
     Signer,
+    read_public_key,
     read_signers,
     trust,
 )
 from bench.evidence.ssh_keys import KEY_TYPE, encode_public_key, fingerprint
-from bench.records.storage import make_folder, open_to_lock, storage_errors, write_atomic
+from bench.records.storage import make_folder, open_to_lock, storage_errors, sync_folder, write_atomic
 from drivers import file_lock
+
+NEW_KEY = f"{KEY_FILE}.new"
+"""A key that replaces the bench's key, complete beside it, until it is put in its place."""
 
 __all__ = [
     "AUTHORISATION_NAMESPACE",
     "KEY_FILE",
     "NAMESPACE",
+    "NEW_KEY",
     "SIGNERS_FILE",
     "BenchKey",
     "Signer",
     "create_key",
     "ensure_key",
+    "finish_rotation",
     "key_to_seal",
     "load_key",
     "locked_folder",
@@ -107,7 +113,8 @@ def ensure_key(
     make_folder(folder)
     with locked_folder(folder):  # two runs started at the same time must not make two keys
         if (folder / KEY_FILE).exists():
-            return load_key(folder, ask_passphrase=ask_passphrase)
+            finish_rotation(folder)
+            return _load(folder, ask_passphrase)
         return create_key(folder, principal=principal)
 
 
@@ -219,6 +226,7 @@ def key_to_seal(
     Raises EvidenceError, StorageError: As `load_key` and `require_usable`; the run can be sealed later with
       ``starbench resume``.
     """
+    _finish_locked(folder)
     public = folder / f"{KEY_FILE}.pub"
     with storage_errors(public):
         is_replaced = public.exists() and key.public_text not in public.read_text(encoding="utf-8")
@@ -236,6 +244,38 @@ def load_key(folder: Path, *, ask_passphrase: Callable[[Path], bytes] | None = N
     Raises EvidenceError: When there is no key, or it cannot be used (see `ensure_key`).
     Raises StorageError: When it cannot be read.
     """
+    _finish_locked(folder)
+    return _load(folder, ask_passphrase)
+
+
+def finish_rotation(folder: Path) -> None:
+    """Put a new key in its place if `bench.evidence.rotation.rotate` was killed after the key became trusted.
+
+    folder: The configuration folder, locked by this process.
+    Raises EvidenceError, StorageError: When the list of trusted keys or a file cannot be used.
+    """
+    new, public = folder / NEW_KEY, folder / f"{NEW_KEY}.pub"
+    with storage_errors(folder):
+        if not new.exists() or not public.exists():
+            return
+        text = public.read_bytes()
+        trusted = read_signers(folder / SIGNERS_FILE) if (folder / SIGNERS_FILE).exists() else []
+        if read_public_key(text.decode()) not in {signer.public_key for signer in trusted}:
+            return  # killed before: the old key stays
+        write_atomic(folder / f"{KEY_FILE}.pub", text)
+        new.replace(folder / KEY_FILE)
+        sync_folder(folder)
+        public.unlink()
+
+
+def _finish_locked(folder: Path) -> None:
+    """Finish a replacement of the key, if one was begun; usually there is none, and nothing is locked."""
+    if (folder / NEW_KEY).exists():
+        with locked_folder(folder):
+            finish_rotation(folder)
+
+
+def _load(folder: Path, ask_passphrase: Callable[[Path], bytes] | None) -> BenchKey:
     path = folder / KEY_FILE
     secret = read_key_file(path)
     private = _load_private_key(secret, path, ask_passphrase)

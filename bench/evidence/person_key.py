@@ -2,64 +2,27 @@
 
 from __future__ import annotations
 
+import base64
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
 
 from cryptography.exceptions import UnsupportedAlgorithm
-from cryptography.hazmat.primitives import hashes, serialization
-from cryptography.hazmat.primitives.asymmetric import ec, padding, rsa
+from cryptography.hazmat.primitives import serialization
+from cryptography.hazmat.primitives.asymmetric import ec, rsa
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 
 from bench.base.errors import EvidenceError
+from bench.evidence.openssh import SOCKET_VARIABLE, OpenSshKey, agent_lines
 from bench.evidence.safe_files import refuse_readable_by_others
 from bench.evidence.signers import read_public_key
-from bench.evidence.ssh_agent import SOCKET_VARIABLE, AgentKey, agent_keys
-from bench.evidence.ssh_keys import (
-    KEY_TYPE,
-    PublicKey,
-    curve_hash,
-    encode_ecdsa_signature,
-    encode_public_key,
-    fingerprint,
-)
-from bench.evidence.ssh_wire import string
-from bench.evidence.sshsig import SigningKey
+from bench.evidence.ssh_keys import check_key, fingerprint
+from bench.evidence.sshsig import Ed25519Signer, SigningKey
 from bench.records.storage import storage_errors
 
-_PrivateKey = Ed25519PrivateKey | ec.EllipticCurvePrivateKey | rsa.RSAPrivateKey
 _MOST_BYTES = 1 << 20
 
 
-@dataclass(frozen=True)
-class FileKey:
-    """A person's key from a file."""
-
-    private: _PrivateKey  # The private key; ``repr`` does not show it
-
-    def __repr__(self) -> str:
-        return f"FileKey({fingerprint(self.public_key)})"
-
-    @property
-    def public_key(self) -> bytes:
-        """The public key as SSH encodes it."""
-        return encode_public_key(self.private.public_key())
-
-    def sign(self, data: bytes) -> bytes:
-        """Sign data (see `bench.evidence.sshsig.SigningKey.sign`).
-
-        Returns: The signature as SSH encodes it; RSA keys sign with rsa-sha2-512 (RFC 8332).
-        """
-        if isinstance(self.private, Ed25519PrivateKey):
-            return string(KEY_TYPE) + string(self.private.sign(data))
-        if isinstance(self.private, rsa.RSAPrivateKey):
-            signature = self.private.sign(data, padding.PKCS1v15(), hashes.SHA512())
-            return string(b"rsa-sha2-512") + string(signature)
-        key_type = PublicKey.parse(self.public_key).key_type
-        return encode_ecdsa_signature(key_type, self.private.sign(data, ec.ECDSA(curve_hash(key_type))))
-
-
-def load_file_key(path: Path, ask_passphrase: Callable[[Path], bytes]) -> FileKey:
+def load_file_key(path: Path, ask_passphrase: Callable[[Path], bytes]) -> SigningKey:
     """Load a person's key from a file: in OpenSSH's format, or PEM (PKCS#8).
 
     ask_passphrase: Returns the passphrase of a protected key, given the path of its file.
@@ -72,30 +35,35 @@ def load_file_key(path: Path, ask_passphrase: Callable[[Path], bytes]) -> FileKe
         with path.open("rb") as stream:
             data = stream.read(_MOST_BYTES)
     load = serialization.load_ssh_private_key if b"OPENSSH" in data else serialization.load_pem_private_key
-    is_protected = False
+    passphrase = b""
     try:
         try:
             private = load(data, password=None)
         except TypeError:  # cryptography raises it if the key is protected
-            is_protected = True
-            private = load(data, password=ask_passphrase(path))
-        key = _file_key(private)
+            passphrase = ask_passphrase(path)
+            private = load(data, password=passphrase)
+        return _signing_key(private, path, passphrase)
     except (ValueError, UnsupportedAlgorithm) as error:
-        why = "the passphrase is wrong, or the file is damaged" if is_protected else _reason(error)
+        why = "the passphrase is wrong, or the file is damaged" if passphrase else _reason(error)
         raise EvidenceError(
             f"The key cannot be used: {why}.",
             where=str(path),
             remedy="Try again. A key in a token is used by ssh-agent: name its file .pub.",
         ) from error
-    return key
 
 
-def _file_key(private: object) -> FileKey:
+def _signing_key(private: object, path: Path, passphrase: bytes) -> SigningKey:
     """Return a key that was read. Raises ValueError if it cannot sign here."""
-    if not isinstance(private, Ed25519PrivateKey | ec.EllipticCurvePrivateKey | rsa.RSAPrivateKey):
+    if isinstance(private, Ed25519PrivateKey):
+        return Ed25519Signer(private)
+    if not isinstance(private, ec.EllipticCurvePrivateKey | rsa.RSAPrivateKey):
         raise ValueError("its type of key is not supported")  # noqa: TRY004 - not a wrong argument, but a wrong file
-    PublicKey.parse(encode_public_key(private.public_key()))
-    return FileKey(private)
+    public = private.public_key().public_bytes(
+        serialization.Encoding.OpenSSH, serialization.PublicFormat.OpenSSH
+    )
+    blob = base64.b64decode(public.split()[1])
+    check_key(blob)
+    return OpenSshKey(public.decode(), blob, path, passphrase)
 
 
 def find_key(name: str | None, agent: str | None, ask_passphrase: Callable[[Path], bytes]) -> SigningKey:
@@ -120,7 +88,24 @@ def find_key(name: str | None, agent: str | None, ask_passphrase: Callable[[Path
     return _agent_key(fingerprint(public_key), agent)
 
 
-def _agent_key(wanted: str | None, agent: str | None) -> AgentKey:
+def agent_keys(agent: str) -> list[OpenSshKey]:
+    """List the keys of an agent that can be used here. Keys of other types and certificates are left out.
+
+    agent: Path of the agent's socket.
+    Raises EvidenceError: When the agent does not answer.
+    """
+    found = []
+    for line in agent_lines(agent):
+        try:
+            blob = read_public_key(line)
+        except ValueError:
+            continue
+        kind, text, *comment = line.split(maxsplit=2)
+        found.append(OpenSshKey(f"{kind} {text}", blob, agent=agent, comment="".join(comment)))
+    return found
+
+
+def _agent_key(wanted: str | None, agent: str | None) -> OpenSshKey:
     """Return the key of the agent with a fingerprint, or the only one."""
     if agent is None:
         raise EvidenceError(
@@ -128,10 +113,10 @@ def _agent_key(wanted: str | None, agent: str | None) -> AgentKey:
             remedy="Name the file of the private key with --key, or start ssh-agent and add the key with ssh-add.",
         )
     keys = agent_keys(agent)
-    found = [key for key in keys if wanted in {None, key.fingerprint}]
+    found = [key for key in keys if wanted in {None, fingerprint(key.public_key)}]
     if len(found) == 1:
         return found[0]
-    held = ", ".join(f"{key.fingerprint} ({key.comment})" for key in keys[:5]) or "none"
+    held = ", ".join(f"{fingerprint(key.public_key)} ({key.comment})" for key in keys[:5]) or "none"
     what = f"ssh-agent does not hold the key {wanted}." if wanted else f"ssh-agent holds {len(keys)} keys."
     raise EvidenceError(
         what,

@@ -12,8 +12,7 @@ from pathlib import Path
 from bench.base.errors import EvidenceError
 from bench.evidence.safe_files import refuse_readable_by_others, refuse_writable_by_others
 from bench.evidence.signers import NAMESPACE, PRINCIPAL, Signer
-from bench.evidence.ssh_keys import KEY_TYPE, key_type_of
-from bench.evidence.ssh_wire import Reader
+from bench.evidence.ssh_keys import KEY_TYPE, key_type_of, strings
 from bench.records.reading import read_bounded
 from bench.records.storage import storage_errors
 
@@ -52,16 +51,15 @@ def public_of_private(text: bytes) -> bytes:
     if not (text.strip().startswith(_BEGIN) and begins):
         raise ValueError("it is not in OpenSSH's format")
     try:
-        reader = Reader(base64.b64decode(b"".join(body.split()), validate=True))
+        blob = base64.b64decode(b"".join(body.split()), validate=True)
     except binascii.Error as error:
         raise ValueError("it is not base64") from error
-    if reader.take(len(_MAGIC)) != _MAGIC:
+    if not blob.startswith(_MAGIC):
         raise ValueError("it is not in OpenSSH's format")
-    for _cipher_or_derivation in range(3):
-        reader.string()
-    if reader.uint32() != 1:
+    _, rest = strings(blob.removeprefix(_MAGIC), 3)  # cipher and derivation of the passphrase's key
+    if rest[:4] != b"\0\0\0\1":
         raise ValueError("it does not hold one key")
-    public_key = reader.string()
+    (public_key,), _ = strings(rest[4:], 1)
     if key_type_of(public_key) != KEY_TYPE.decode():
         raise ValueError("it is not an Ed25519 key")
     return public_key

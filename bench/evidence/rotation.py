@@ -1,8 +1,8 @@
 """Replace the bench's key. Reports sealed with the old key stay valid for their time.
 
 The old key's line in ``allowed_signers`` gets an end, the new one's a beginning, both in one step. A process that dies
-before this step leaves the old key in use. After it, the new key lies complete beside the old one (``bench_key.new``);
-the old one is refused as expired, and the next `rotate` finishes the replacement.
+before this step leaves the old key in use. After it, the new key lies complete beside the old one (``bench_key.new``),
+and whoever loads the bench's key next puts it in its place (`bench.evidence.keys.finish_rotation`).
 """
 
 from __future__ import annotations
@@ -16,13 +16,18 @@ from pathlib import Path
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 
 from bench.base.errors import EvidenceError
-from bench.evidence.keys import KEY_FILE, BenchKey, locked_folder, private_text
+from bench.evidence.keys import (
+    KEY_FILE,
+    NEW_KEY,
+    BenchKey,
+    finish_rotation,
+    locked_folder,
+    private_text,
+)
 from bench.evidence.signers import (
     PRINCIPAL,
-    SIGNERS_FILE,
     read_public_key,
     read_signer,
-    read_signers,
     replace_lines,
 )
 from bench.evidence.ssh_keys import fingerprint
@@ -30,7 +35,6 @@ from bench.records.storage import make_folder, storage_errors, sync_folder, writ
 
 ARCHIVE = "old_keys"
 """Folder of private keys that are no longer used."""
-_NEW = f"{KEY_FILE}.new"
 
 
 @dataclass(frozen=True)
@@ -58,49 +62,37 @@ def rotate(folder: Path, now: datetime, *, passphrase: bytes | None, keep_old: b
             "There is no key to replace.", where=str(folder), remedy="Make one with `starbench keys create`."
         )
     with locked_folder(folder):
+        finish_rotation(folder)
         old, principal = _read_public(folder / f"{KEY_FILE}.pub")
-        line = _begun(folder)
-        if line is None:
-            line = _begin(folder, now, old, principal, passphrase)
-        archived = _archive(folder, old) if keep_old else None
-        new = read_signer(line).public_key
-        write_atomic(folder / f"{KEY_FILE}.pub", (folder / f"{_NEW}.pub").read_bytes())
-        with storage_errors(folder):
-            (folder / _NEW).replace(folder / KEY_FILE)
-            sync_folder(folder)
-            (folder / f"{_NEW}.pub").unlink()
-    return Rotation(fingerprint(old), fingerprint(new), line, archived)
+        archived = _archive(folder, old, keep=keep_old)
+        line = _begin(folder, now, old, principal, passphrase)
+        finish_rotation(folder)
+    return Rotation(fingerprint(old), fingerprint(read_signer(line).public_key), line, archived)
 
 
 def _begin(folder: Path, now: datetime, old: bytes, principal: str, passphrase: bytes | None) -> str:
     """Make the new key beside the old one, and change the list of trusted keys; return the new line."""
     key = BenchKey(Ed25519PrivateKey.generate(), principal)
     signer = replace(read_signer(key.signers_line), valid_after=now.replace(microsecond=0))
-    write_atomic(folder / f"{_NEW}.pub", f"{key.public_text} {principal}\n".encode())
-    with storage_errors(folder), suppress(FileNotFoundError):
-        (folder / _NEW).unlink()
-    write_atomic(folder / _NEW, private_text(key, passphrase), mode=0o600)
+    with storage_errors(folder):  # of a process that was killed before the new key was trusted
+        for name in (NEW_KEY, f"{NEW_KEY}.pub"):
+            (folder / name).unlink(missing_ok=True)
+    write_atomic(folder / NEW_KEY, private_text(key, passphrase), mode=0o600)
+    write_atomic(folder / f"{NEW_KEY}.pub", f"{key.public_text} {principal}\n".encode())
     end = now.replace(microsecond=0) + timedelta(seconds=1)  # what was sealed in this second stays valid
     replace_lines(folder, old, end, [signer.line])
     return signer.line
 
 
-def _begun(folder: Path) -> str | None:
-    """Return the line of a new key whose replacement was interrupted after it became trusted."""
-    if not (folder / _NEW).exists() or not (folder / f"{_NEW}.pub").exists():
-        return None
-    new, _ = _read_public(folder / f"{_NEW}.pub")
-    path = folder / SIGNERS_FILE
-    known = read_signers(path) if path.exists() else []
-    return next((signer.line for signer in known if signer.public_key == new), None)
-
-
-def _archive(folder: Path, old: bytes) -> Path:
-    """Keep the old private key under a name that no other key has."""
-    make_folder(folder / ARCHIVE)
+def _archive(folder: Path, old: bytes, *, keep: bool) -> Path | None:
+    """Keep the old private key under a name that no other key has, before it is replaced; or see that it is not."""
     name = fingerprint(old).removeprefix("SHA256:").replace("/", "_").replace("+", "-")[:16]
     path = folder / ARCHIVE / f"{KEY_FILE}-{name}"
     with storage_errors(path):
+        if not keep:
+            path.unlink(missing_ok=True)
+            return None
+        make_folder(folder / ARCHIVE)
         (folder / ARCHIVE).chmod(0o700)
         with suppress(FileExistsError):  # of an interrupted replacement
             os.link(folder / KEY_FILE, path)

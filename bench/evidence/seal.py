@@ -18,7 +18,6 @@ from pathlib import Path
 from bench.base.errors import EvidenceError
 from bench.evidence.instructions import instructions, kind_of
 from bench.evidence.keys import NAMESPACE, BenchKey
-from bench.evidence.secrets_scan import refuse_secrets
 from bench.evidence.sshsig import sign
 from bench.records.captures import CAPTURES
 from bench.records.run_folder import JOURNAL, MANIFEST, SIGNATURE, RunFolder, is_sealed
@@ -39,12 +38,11 @@ NOT_LISTED = frozenset({MANIFEST, SIGNATURE, *RESERVED})
 _LINE = re.compile(r"([0-9a-f]{64})  ([^\\\x00-\x1f\x7f]+)")
 
 
-def seal(folder: RunFolder, key: BenchKey, *, secrets_revoked: bool = False) -> str:
+def seal(folder: RunFolder, key: BenchKey) -> str:
     """Seal a run folder. Nothing is written to it afterwards, except the reserved files.
 
     folder: The folder, locked by the caller; its journal is closed and its report is written.
     key: The bench's key.
-    secrets_revoked: Whether a person says that the secrets in it are worthless by now.
     Raises EvidenceError: When the folder has no journal, or has something that cannot be listed: a link, a
       device, a name with control characters.
     Raises StorageError: When a file cannot be written; the folder is then not sealed.
@@ -52,22 +50,19 @@ def seal(folder: RunFolder, key: BenchKey, *, secrets_revoked: bool = False) -> 
     if not folder.journal_path.is_file():
         raise EvidenceError(f"There is no {JOURNAL} to seal.", where=str(folder.path))
     folder.release_reserve()
-    return seal_folder(folder.path, key, secrets_revoked=secrets_revoked)
+    return seal_folder(folder.path, key)
 
 
-def seal_folder(path: Path, key: BenchKey, *, secrets_revoked: bool = False) -> str:
+def seal_folder(path: Path, key: BenchKey) -> str:
     """Seal any folder: a run, a certificate, recalculated results, a passport.
 
     path: The folder; all its files are written, and no other process writes to it.
     key: The bench's key.
-    secrets_revoked: Whether a person says that the secrets in it are worthless by now.
-    Raises EvidenceError: When the folder is sealed already, has a reserved file before its seal, contains a
-      secret, or has something that cannot be listed: a link, a device, a name with control characters.
+    Raises EvidenceError: When the folder is sealed already, has a reserved file before its seal, or has something
+      that cannot be listed: a link, a device, a name with control characters.
     Raises StorageError: When a file cannot be written; the folder is then not sealed.
     """
     _refuse_sealed(path)
-    if not secrets_revoked:
-        refuse_secrets(path)
     with storage_errors(path):
         for name in (INSTRUCTIONS, MANIFEST, SIGNATURE):  # of a process that died while it sealed
             (path / f".{name}{TEMPORARY}").unlink(missing_ok=True)

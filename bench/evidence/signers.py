@@ -16,7 +16,7 @@ from pathlib import Path
 
 from bench.base.errors import EvidenceError
 from bench.evidence.safe_files import read_list
-from bench.evidence.ssh_keys import KEY_TYPES, PublicKey, fingerprint, key_type_of
+from bench.evidence.ssh_keys import KEY_TYPES, check_key, fingerprint, key_type_of
 from bench.records.storage import make_folder, storage_errors, write_atomic
 
 NAMESPACE = "starbench-report@v1"
@@ -156,7 +156,7 @@ def read_public_key(text: str) -> bytes:
         raise ValueError("the key is not base64") from error
     if key_type_of(blob) != key_type:
         raise ValueError("the key is not of the type that its line names")
-    PublicKey.parse(blob)
+    check_key(blob)
     return blob
 
 

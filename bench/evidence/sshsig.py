@@ -1,7 +1,8 @@
 """SSH signatures (SSHSIG): the bytes that ``ssh-keygen -Y sign`` writes and ``-Y verify`` reads.
 
-Sources: the format is PROTOCOL.sshsig of OpenSSH; keys and signatures are in `bench.evidence.ssh_keys`. The message is
-hashed with SHA-512. This module handles bytes only. It reads no files and does not decide which keys are trusted.
+Source: PROTOCOL.sshsig of OpenSSH. The bench's keys are Ed25519: their signatures are made and checked here, so a
+computer without OpenSSH can seal, and check seals. All other types of keys are left to ``ssh-keygen``
+(`bench.evidence.openssh`). This module reads no files and does not decide which keys are trusted.
 """
 
 from __future__ import annotations
@@ -9,17 +10,27 @@ from __future__ import annotations
 import base64
 import binascii
 import hashlib
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Protocol
 
-from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
+from cryptography.exceptions import InvalidSignature
+from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey, Ed25519PublicKey
 
 from bench.base.errors import EvidenceError
-from bench.evidence.ssh_keys import KEY_TYPE, PublicKey, encode_public_key, fingerprint
-from bench.evidence.ssh_wire import Reader, string
+from bench.evidence import openssh
+from bench.evidence.ssh_keys import (
+    KEY_TYPE,
+    check_key,
+    encode_public_key,
+    fingerprint,
+    key_type_of,
+    string,
+    strings,
+)
 
 __all__ = [
     "KEY_TYPE",
+    "Ed25519Signer",
     "SigningKey",
     "SshSignature",
     "encode_public_key",
@@ -27,7 +38,6 @@ __all__ = [
     "is_valid",
     "read_signature",
     "sign",
-    "sign_with",
 ]
 
 _MAGIC = b"SSHSIG"
@@ -36,17 +46,21 @@ _HASHES = {b"sha512": hashlib.sha512, b"sha256": hashlib.sha256}
 _BEGIN = b"-----BEGIN SSH SIGNATURE-----"
 _END = b"-----END SSH SIGNATURE-----"
 _LINE_LENGTH = 70
+_TOUCHED = 1
+"""Bit of the flags of a security token's signature: a person touched the token (PROTOCOL.u2f of OpenSSH)."""
+_FLAGS_AND_COUNTER = 5
+_SIGNATURE_TYPES = {"ssh-rsa": ("rsa-sha2-512", "rsa-sha2-256")}
 
 
 class SigningKey(Protocol):
-    """A key that can sign, wherever its private part is: in memory, in an agent, in a token."""
+    """A key that can sign, wherever its private part is: in memory, in a file, in an agent, in a token."""
 
     @property
     def public_key(self) -> bytes:
         """The public key as SSH encodes it."""
 
-    def sign(self, data: bytes) -> bytes:
-        """Sign data."""
+    def sign(self, message: bytes, namespace: str) -> bytes:
+        """Return the armoured signature of a message."""
 
 
 @dataclass(frozen=True)
@@ -57,20 +71,26 @@ class SshSignature:
     namespace: str  # Purpose of the signature; a signature for one purpose is not valid for another
     hash_name: str  # Hash function applied to the message: ``sha512`` or ``sha256``
     signature: bytes
+    armoured: bytes = field(default=b"", compare=False)  # As it was read
 
 
 @dataclass(frozen=True)
-class _Ed25519Signer:
+class Ed25519Signer:
     """An Ed25519 key in memory, as `SigningKey`."""
 
-    private: Ed25519PrivateKey
+    private: Ed25519PrivateKey  # The private key; ``repr`` does not show it
+
+    def __repr__(self) -> str:
+        return f"Ed25519Signer({fingerprint(self.public_key)})"
 
     @property
     def public_key(self) -> bytes:
+        """The public key as SSH encodes it."""
         return encode_public_key(self.private.public_key())
 
-    def sign(self, data: bytes) -> bytes:
-        return string(KEY_TYPE) + string(self.private.sign(data))
+    def sign(self, message: bytes, namespace: str) -> bytes:
+        """Return the armoured signature of a message."""
+        return sign(self.private, message, namespace)
 
 
 def sign(key: Ed25519PrivateKey, message: bytes, namespace: str) -> bytes:
@@ -78,17 +98,9 @@ def sign(key: Ed25519PrivateKey, message: bytes, namespace: str) -> bytes:
 
     Returns: The armoured signature, as ``ssh-keygen -Y sign`` writes it.
     """
-    return sign_with(_Ed25519Signer(key), message, namespace)
-
-
-def sign_with(key: SigningKey, message: bytes, namespace: str) -> bytes:
-    """Sign a message (PROTOCOL.sshsig of OpenSSH).
-
-    Returns: The armoured signature, as ``ssh-keygen -Y sign`` writes it.
-    """
-    signature = key.sign(_signed_data(message, namespace.encode(), b"sha512"))
-    strings = (key.public_key, namespace.encode(), b"", b"sha512", signature)
-    text = base64.b64encode(_MAGIC + _VERSION.to_bytes(4, "big") + b"".join(map(string, strings)))
+    signature = string(KEY_TYPE) + string(key.sign(_signed_data(message, namespace.encode(), b"sha512")))
+    parts = (encode_public_key(key.public_key()), namespace.encode(), b"", b"sha512", signature)
+    text = base64.b64encode(_MAGIC + _VERSION.to_bytes(4, "big") + b"".join(map(string, parts)))
     lines = [text[i : i + _LINE_LENGTH] for i in range(0, len(text), _LINE_LENGTH)]
     return b"\n".join([_BEGIN, *lines, _END, b""])
 
@@ -100,7 +112,7 @@ def read_signature(armoured: bytes) -> SshSignature:
     Raises EvidenceError: When it is not an SSHSIG of a key whose type is known.
     """
     try:
-        return _parse(_remove_armour(armoured))
+        return _parse(_remove_armour(armoured), armoured)
     except ValueError as error:
         raise EvidenceError(
             f"This is not a signature made for a report ({error}).",
@@ -111,27 +123,51 @@ def read_signature(armoured: bytes) -> SshSignature:
 def is_valid(signature: SshSignature, message: bytes) -> bool:
     """Return whether a signature is valid for a message, with the public key that the signature itself contains.
 
-    Returns: Whether it is valid; the caller decides whether the key is trusted.
+    Returns: Whether it is valid; the caller decides whether the key is trusted. A security token's signature is valid
+      only if a person touched the token.
+    Raises openssh.NotInstalled: When ``ssh-keygen`` is needed for this type of key, and is not here.
     """
+    key_type = key_type_of(signature.public_key)
+    if key_type.encode() != KEY_TYPE:
+        if key_type.startswith("sk-") and not signature.signature[-_FLAGS_AND_COUNTER] & _TOUCHED:
+            return False
+        return openssh.is_valid(signature.armoured, message, signature.namespace)
     data = _signed_data(message, signature.namespace.encode(), signature.hash_name.encode())
+    key = Ed25519PublicKey.from_public_bytes(strings(signature.public_key, 2)[0][1])
     try:
-        return PublicKey.parse(signature.public_key).is_valid(signature.signature, data)
-    except ValueError:
+        key.verify(strings(signature.signature, 2)[0][1], data)
+    except InvalidSignature:
         return False
+    return True
 
 
-def _parse(blob: bytes) -> SshSignature:
+def _parse(blob: bytes, armoured: bytes) -> SshSignature:
     """Read the binary form. Raises ValueError."""
-    reader = Reader(blob)
-    if blob[:6] != _MAGIC or reader.take(6) != _MAGIC or reader.uint32() != _VERSION:
+    head = _MAGIC + _VERSION.to_bytes(4, "big")
+    if not blob.startswith(head):
         raise ValueError("it is not SSHSIG version 1")
-    public, namespace, reserved, hash_name, signature = (reader.string() for _ in range(5))
-    reader.end()
+    (public, namespace, reserved, hash_name, signature), rest = strings(blob.removeprefix(head), 5)
+    if rest:
+        raise ValueError("it has surplus bytes")
     if hash_name not in _HASHES or reserved:
         raise ValueError("it has an unknown hash or extension")
-    key = PublicKey.parse(public)
-    key.is_valid(signature, b"")  # of the right form, or ValueError
-    return SshSignature(public, namespace.decode(), hash_name.decode(), signature)
+    check_key(public)
+    _check_form(key_type_of(public), signature)
+    return SshSignature(public, namespace.decode(), hash_name.decode(), signature, armoured)
+
+
+def _check_form(key_type: str, signature: bytes) -> None:
+    """Raise ValueError for a signature that is not of the form of this type of key."""
+    (signature_type, signed), rest = strings(signature, 2)
+    if signature_type.decode("ascii") not in _SIGNATURE_TYPES.get(key_type, (key_type,)):
+        what = "an RSA signature must be rsa-sha2-512 or rsa-sha2-256"
+        raise ValueError(
+            what if key_type == "ssh-rsa" else "the type of the signature is not that of the key"
+        )
+    if len(rest) != (_FLAGS_AND_COUNTER if key_type.startswith("sk-") else 0):
+        raise ValueError("it has surplus bytes" if rest else "it is incomplete")
+    if key_type.encode() == KEY_TYPE and len(signed) != 64:
+        raise ValueError("an Ed25519 signature has 64 bytes")
 
 
 def _signed_data(message: bytes, namespace: bytes, hash_name: bytes) -> bytes:

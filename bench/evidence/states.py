@@ -17,6 +17,7 @@ from bench.evidence.authorisation import check_authorisation
 from bench.evidence.beside_seal import read_beside
 from bench.evidence.faults import SealFault
 from bench.evidence.key_trust import Moments, Trust, judge_key
+from bench.evidence.openssh import NotInstalled
 from bench.evidence.seal import AUTHORISATION, AUTHORISATION_TIMESTAMP, TIMESTAMP
 from bench.evidence.sealed_time import stated_time
 from bench.evidence.signers import NAMESPACE, Signer
@@ -108,6 +109,8 @@ def standing_of(folder: Path, trust: Trust, now: datetime, *, at: datetime | Non
         proofs = [stamps.stamps.get(TIMESTAMP), own if check.person is not None else None]
         proven = min(filter(None, proofs), key=lambda stamp: stamp.utc, default=None)
         _judge_seal(found, seal_key, trust, Moments(now, proven, at, sealed, sealed))
+    if check.unchecked:
+        found.unchecked.append(f"{AUTHORISATION}: {check.unchecked}")
     if check.fault:
         found.faults.append(SealFault("authorisation", AUTHORISATION, check.fault))
     elif check.person is not None and found.state is State.SEALED:
@@ -136,13 +139,17 @@ def _seal(found: Standing, folder: Path) -> bytes | None:
         found.faults.append(SealFault("signature", SIGNATURE, error.what))
         return None
     found.fingerprint = fingerprint(signature.public_key)
-    if signature.namespace != NAMESPACE:
-        what = f"the signature is for {signature.namespace!r}, not for a report"
-    elif not is_valid(signature, (folder / MANIFEST).read_bytes()):
-        what = f"the signature does not match this {MANIFEST}"
+    what = ""
+    try:
+        if signature.namespace != NAMESPACE:
+            what = f"the signature is for {signature.namespace!r}, not for a report"
+        elif not is_valid(signature, (folder / MANIFEST).read_bytes()):
+            what = f"the signature does not match this {MANIFEST}"
+    except NotInstalled as error:
+        what = error.what
+    if not what:
+        found.state = State.SEALED
     else:
-        found.state, what = State.SEALED, ""
-    if what:
         found.faults.append(SealFault("signature", SIGNATURE, what))
     return signature.public_key
 

@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Any
 
 from bench.base.errors import EvidenceError
 from bench.evidence.beside_seal import read_beside
+from bench.evidence.der import sequence, sets_in_order
 from bench.evidence.faults import SealFault
 from bench.evidence.safe_files import refuse_writable_by_others
 from bench.evidence.seal import AUTHORISATION, AUTHORISATION_TIMESTAMP, TIMESTAMP
@@ -165,9 +166,9 @@ def as_reply(data: bytes) -> bytes:
     Raises EvidenceError: When it is neither.
     """
     client = stamp_library()
-    for candidate in (data, _sequence(_GRANTED + data)):
+    for candidate in (data, sequence(_GRANTED + data)):
         with suppress(EvidenceError):
-            if read_reply(client, candidate).as_bytes() == candidate:
+            if read_reply(client, candidate).as_bytes() == sets_in_order(candidate):
                 return candidate
     read_reply(client, data)
     raise EvidenceError("this is not a time stamp: its encoding is not DER")
@@ -237,7 +238,7 @@ def read_reply(client: Any, reply: bytes) -> Any:
     Raises EvidenceError: When it is not a reply, or the authority did not grant the time stamp.
     """
     with _reading():
-        response = client.decode_timestamp_response(reply)
+        response = client.decode_timestamp_response(sets_in_order(reply))
         status = response.status
         if status == 0:
             response.tst_info.gen_time  # noqa: B018 - reads the token, or ValueError
@@ -294,14 +295,6 @@ def _authority_name(response: Any) -> str:
     found = known[0].subject.get_attributes_for_oid(NameOID.COMMON_NAME)
     name = str(found[0].value) if found else known[0].subject.rfc4514_string()
     return "".join(c if c.isprintable() else "?" for c in name)
-
-
-def _sequence(content: bytes) -> bytes:
-    """Return a SEQUENCE in DER (X.690, section 8.9)."""
-    size = len(content)
-    octets = size.to_bytes((size.bit_length() + 7) // 8, "big")
-    length = bytes([size]) if size < 0x80 else bytes([0x80 | len(octets)]) + octets
-    return b"\x30" + length + content
 
 
 def _reason(error: Exception) -> str:

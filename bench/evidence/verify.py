@@ -1,8 +1,8 @@
-"""Verify a sealed folder: signature, files, authorisation, time stamps, journal, and what can be derived again.
+"""Verify a sealed folder: signature, files, authorisation, time stamps, journal.
 
 The verifier writes nothing, trusts nothing in the folder, and reports all faults, not only the first one. The trusted
-keys come from outside the folder. What needs the calibration engine comes in as callables (`Derivations`); so this
-package imports no engine.
+keys come from outside the folder. What needs the ledger, or the calibration engine for ``--again``, comes in as
+callables (`Derivations`); so this package imports no engine.
 """
 
 from __future__ import annotations
@@ -41,14 +41,15 @@ def verify_folder(
     at: datetime | None = None,
     camera_serial: str | None = None,
     derivations: Derivations | None = None,
+    again: bool = False,
 ) -> Verification:
     """Check a sealed folder: a run, a certificate, recalculated results, or any other.
 
     The content of the folder tells its kind (`bench.evidence.instructions.kind_of`). ``derivations`` gives for each
-    kind the functions that derive its files again: ``{"run": [...], "certificate": [check_certificate], ...}``.
-    Each is called with the folder alone, and returns `Findings`; further arguments are bound beforehand, for example
-    with `functools.partial`. They are called in their order, and only while no check has found a fault, so they may
-    rely on the list of files. `bench.commands.verify` puts them together.
+    kind further checks: ``{"run": [...], "certificate": [check_certificate], ...}``. Each is called with the folder
+    alone, and returns `Findings`; further arguments are bound beforehand, for example with `functools.partial`. They
+    are called in their order, and only while no check has found a fault, so they may rely on the list of files.
+    `bench.commands.verify` puts them together.
 
     trust: Whom the reader trusts, from `bench.evidence.key_trust.read_trust`; or trusted keys alone.
     now: The present time, with its time zone; None for that of the system.
@@ -56,7 +57,8 @@ def verify_folder(
       trusted time stamp goes before it. None: the bench's own clock states when the folder was sealed.
     camera_serial: Serial number that the calibrated camera must have; None for any. It reveals a report of
       another camera.
-    derivations: Derives the files of each kind of folder again; None: nothing is derived again.
+    derivations: Further checks of each kind of folder; None: there are none.
+    again: Whether they make the results again from the recordings; it is only stated.
     Returns: All faults, what was not compared, and remarks.
     Raises RunFolderError: When there is no such folder, or it is of none of these kinds.
     Raises StorageError: When a file cannot be read.
@@ -80,15 +82,14 @@ def verify_folder(
         facts = _results(folder, manifest, captures, camera_serial, found)
         derive_with = (derivations or {}).get(kind, ())
         if derivations is not None and not derive_with:
-            found.not_compared.append(
-                f"nothing is known that the files of a folder of the kind {kind!r} follow from"
-            )
+            found.not_compared.append(f"nothing is known of the files of a folder of the kind {kind!r}")
         for derive in derive_with:
             if not found.faults:
                 found.add(derive(folder))
     return Verification(
         folder=str(folder),
         kind=kind,
+        again=again,
         faults=tuple(found.faults),
         not_compared=tuple(found.not_compared),
         remarks=tuple(found.remarks),

@@ -1,18 +1,20 @@
 """Verify the journal of a sealed run: its chain, its first and last lines, its clock, and the files that it names.
 
 An attacker who holds the bench's key can write the whole chain again. The checks here then still find what he did not
-write consistently; `bench.results.derive_again` compares the journal with the files that follow from it.
+write consistently; `bench.results.again_run` compares the journal with what the recordings give.
 """
 
 from __future__ import annotations
 
 import hashlib
 import itertools
+import json
 from collections.abc import Mapping, Sequence
 from datetime import datetime
 from pathlib import Path
 from typing import Any
 
+from bench.base.bounded_json import parse_json
 from bench.base.errors import RunFolderError
 from bench.evidence.findings import Findings
 from bench.records.captures import CAPTURES, Capture, stored_captures
@@ -59,6 +61,10 @@ def check_journal(folder: Path, manifest: Mapping[str, str], found: Findings) ->
     if torn:
         found.fault("journal", JOURNAL, "its last line is incomplete")
         return captures
+    for number, line in enumerate(path.read_bytes().splitlines(), start=1):
+        if json.dumps(parse_json(line), separators=(",", ":")).encode() != line:
+            found.fault("journal", f"{JOURNAL}:{number}", "its JSON is not written as the program writes it")
+            return captures
     _begin_and_end(entries, history, found)
     _clock(entries, found)
     _documents(manifest, history, found)

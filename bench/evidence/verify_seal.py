@@ -1,14 +1,21 @@
-"""Verify the listed files of a sealed folder: its kind, exactly these files, unchanged."""
+"""Verify the listed files of a sealed folder: its kind, exactly these files, unchanged, and each in its one form.
+
+A folder holds only files that folders of its kind have: a reader would take another file for a part of the evidence.
+JSON must be written as the program writes it, because two readers could read another form differently.
+"""
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from pathlib import Path
 
-from bench.base.errors import EvidenceError
+from bench.base.bounded_json import canonical_json, parse_json
+from bench.base.errors import EvidenceError, StorageError
 from bench.evidence.findings import Findings
-from bench.evidence.instructions import KINDS
+from bench.evidence.instructions import KINDS, kind_of
 from bench.evidence.seal import NOT_LISTED, list_files, read_manifest
+from bench.records.reading import read_bounded
 from bench.records.run_folder import (
     JOURNAL,
     MANIFEST,
@@ -24,6 +31,24 @@ _RUN_FILES = frozenset({RESULTS, REPORT, PLAN, SEQUENCE_COPY, STATION_COPY})
 """Files of runs; a folder that has them and no file of a kind is a run, or results, whose main file was removed."""
 LARGEST_SEAL_BYTES = 64 << 20
 """Seals of ten thousand poses are smaller; a larger file is not read."""
+_EXPORTS = (
+    r"exports/(opencv|ros_camera_info|kalibr_camchain)\.yaml|exports/mrcal\.cameramodel|exports/colmap_cameras\.txt"
+    r"|exports/metavision\.json|exports/not-written\.txt"
+)
+_RESULT_FILES = rf"results\.json|report\.html|views\.h5|passport\.json|VERIFY\.txt|{_EXPORTS}"
+FILES = {
+    "run": re.compile(
+        rf"{_RESULT_FILES}|journal\.jsonl|sequence\.yaml|station\.yaml|plan\.json|wire\.jsonl(\.[0-9]{{1,3}})?"
+        r"|captures/pose-[0-9]{3,6}-attempt-[0-9]{1,4}\.[a-z0-9]{1,5}|quarantine/[^/]+\.[0-9]{1,4}"
+    ),
+    "results": re.compile(rf"{_RESULT_FILES}|sources\.json"),
+    "certificate": re.compile(
+        r"certificate\.json|results\.json|lab\.yaml|dcc\.xml|certificate\.pdf|VERIFY\.txt|plots/[a-z]{1,40}\.svg"
+    ),
+}
+"""Names of the files that a sealed folder of each kind may have."""
+_CANONICAL = {RESULTS: True, PLAN: True, "sources.json": True, "certificate.json": False}
+"""JSON files that the program writes in one form only; whether other letters than ASCII are escaped in them."""
 
 
 def check_listed(folder: Path, found: Findings) -> dict[str, str] | None:
@@ -45,6 +70,8 @@ def check_listed(folder: Path, found: Findings) -> dict[str, str] | None:
         manifest = {}
     _kind(found, manifest)
     _files(found, folder, manifest)
+    for name in sorted(_CANONICAL.keys() & manifest.keys()):
+        _form(found, folder / name)
     return manifest
 
 
@@ -57,8 +84,24 @@ def _kind(found: Findings, manifest: Mapping[str, str]) -> None:
         found.fault("kind", JOURNAL, "the file is missing, though the folder has other files of a run")
 
 
+_FOLDERS = {"run": "run folder", "results": "folder of recalculated results", "certificate": "certificate"}
+
+
+def _form(found: Findings, path: Path) -> None:
+    """Check that a JSON file has the form that the program gives it, so that every reader reads the same."""
+    if path.is_symlink() or not path.is_file():
+        return  # told already
+    try:
+        data = read_bounded(path)
+        if canonical_json(parse_json(data), ascii_only=_CANONICAL[path.name]) != data:
+            found.fault("form", path.name, "its JSON is not written as the program writes it")
+    except (StorageError, ValueError) as error:
+        if path.name != RESULTS:  # `verify` reads it too, and tells
+            found.fault("form", path.name, f"the file cannot be read ({error})")
+
+
 def _files(found: Findings, folder: Path, manifest: Mapping[str, str]) -> None:
-    there = list_files(folder)
+    there, of_kind = list_files(folder), FILES.get(kind_of(folder))
     for name, kind in sorted(there.items()):
         if name in NOT_LISTED:  # `standing_of` checks these
             continue
@@ -66,6 +109,8 @@ def _files(found: Findings, folder: Path, manifest: Mapping[str, str]) -> None:
             found.fault("link" if kind == "link" else "added", name, f"this is a {kind}, not a file")
         elif name not in manifest:
             found.fault("added", name, "the file was added after sealing")
+        elif of_kind is not None and not of_kind.fullmatch(name):
+            found.fault("kind", name, f"no {_FOLDERS[kind_of(folder)]} has this file")
     for name, sha256 in manifest.items():
         if name not in there:
             found.fault("missing", name, "the file is missing")

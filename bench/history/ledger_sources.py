@@ -1,4 +1,4 @@
-"""The ledgers of several benches, read and compared with each other. No ledger is changed.
+"""The ledgers of several benches as one. No ledger is changed.
 
 A ledger lies in the configuration folder of its bench, or in a copy of this folder. `bench.history.merged_runs` looks
 for the folders of the runs.
@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from itertools import combinations
 from pathlib import Path
 
 from bench.base.errors import JournalBroken, UsageError
@@ -108,7 +107,7 @@ def _bench_name(home: Path) -> str:
 def merge_ledgers(sources: Iterable[LedgerSource]) -> MergedLedgers:
     """Merge ledgers. A run that several of them enter with the same line is one run.
 
-    Returns: All runs, and every contradiction between two ledgers.
+    Returns: All runs.
     """
     kept: dict[Path, LedgerSource] = {}
     notes: list[str] = []
@@ -121,52 +120,9 @@ def merge_ledgers(sources: Iterable[LedgerSource]) -> MergedLedgers:
     for one in merged.sources:
         merged.faults += one.faults
         merged.notes += one.notes
-    for one, other in combinations(merged.sources, 2):
-        _compare(merged, one, other)
     entered: dict[str, EnteredRun] = {}
     for source in merged.sources:
         for run in source.runs:
             entered.setdefault(run.head, EnteredRun(run, source.bench, source.identity))
     merged.entered = entered
     return merged
-
-
-def _compare(merged: MergedLedgers, one: LedgerSource, other: LedgerSource) -> None:
-    """Compare two ledgers: a copy is a note, a fork or a ledger begun again is a fault."""
-    if not one.entries or not other.entries:
-        return
-    if one.entries[0].hash == other.entries[0].hash:
-        shorter, longer = sorted((one, other), key=lambda source: len(source.entries))
-        alike = _common_lines(shorter.entries, longer.entries)
-        if alike == len(shorter.entries):
-            merged.notes.append(
-                f"The ledger in {shorter.folder} is a copy of the one in {longer.folder}, with {alike} of"
-                f" {len(longer.entries)} lines. Each run counts once."
-            )
-            return
-        merged.faults.append(
-            f"The ledgers in {one.folder} and {other.folder} agree in their first {alike} lines and then differ:"
-            f" one of them was copied or set back, and both went on. {_doubled(one, other)}"
-        )
-    elif one.public_keys & other.public_keys:
-        merged.faults.append(
-            f"The ledgers in {one.folder} and {other.folder} belong to the same key ({one.bench}), but they begin"
-            f" differently: one of them was deleted and begun again. {_doubled(one, other)}"
-        )
-
-
-def _common_lines(shorter: Sequence[Entry], longer: Sequence[Entry]) -> int:
-    pairs = enumerate(zip(shorter, longer, strict=False))
-    return next((place for place, (a, b) in pairs if a.hash != b.hash), len(shorter))
-
-
-def _doubled(one: LedgerSource, other: LedgerSource) -> str:
-    """Name the numbers that two ledgers give to different runs."""
-    there = {run.number: run for run in other.runs}
-    pairs = [(run, there[run.number]) for run in one.runs if run.number in there]
-    twice = [(a, b) for a, b in pairs if a.head != b.head]
-    if not twice:
-        return "No number was given twice."
-    shown = "; ".join(f"{a.number}: {a.folder} and {b.folder}" for a, b in twice[:3])
-    more = f"; and {len(twice) - 3} more" if len(twice) > 3 else ""
-    return f"The same number was given to two runs: {shown}{more}. Both are listed."

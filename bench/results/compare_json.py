@@ -43,14 +43,6 @@ def exactly(_where: str, stored: Number, derived: Number, _scale: float) -> bool
     return stored == derived
 
 
-def within(share: float) -> Tolerance:
-    """Return a relative tolerance.
-
-    share: Largest difference, as a share of the number itself or, in a list, of the largest number in it.
-    """
-    return lambda _where, stored, derived, scale: abs(stored - derived) <= share * scale
-
-
 def differences(
     stored: Any, derived: Any, equal: Tolerance = exactly, where: str = ""
 ) -> Iterator[Difference]:

@@ -7,7 +7,6 @@ that they are from. Without a key the folder is a draft.
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
@@ -20,13 +19,13 @@ from bench.evidence.seal import seal_folder
 from bench.plan.job import Job
 from bench.records.history import replay
 from bench.records.journal import read_journal
-from bench.records.run_folder import JOURNAL, MANIFEST, PASSPORT_COPY, REPORT, RESULTS, is_sealed
+from bench.records.run_folder import JOURNAL, MANIFEST, PASSPORT_COPY, RESULTS, is_sealed
 from bench.records.storage import make_folder, sha256_of, storage_errors, write_atomic
-from bench.report.html import ReportData, render_report
+from bench.records.written import EXPORTS
 from bench.report.view_picture import ViewPicture
-from bench.results.exports import exports
 from bench.results.offline import OfflineResult
 from bench.results.projection_facts import projection_facts
+from bench.results.result import json_bytes, shown_files
 from bench.results.results_content import collimator_data, target_data
 from bench.results.station_software import files_software
 from bench.results.stored_options import options_data
@@ -35,7 +34,6 @@ from bench.views.views_file import VIEWS, views_file
 from calib.view import View
 
 SOURCES = "sources.json"
-EXPORTS = "exports"
 SCHEMA = "starbench/sources/1"
 RECALCULATION = (
     "These results are a recalculation: they were calculated from existing files, without devices, and are not the"
@@ -45,7 +43,7 @@ RECALCULATION = (
 
 
 @dataclass(frozen=True)
-class _Stars:
+class Stars:
     """A view without its image, as `bench.views.views_file.views_file` takes it."""
 
     view: View
@@ -140,14 +138,13 @@ def offline_files(
         "station": asdict(result.choices.station) if result.choices.station is not None else None,
     }
     results, described = (_read_from(content, read_from or {}) for content in (results, described))
-    stars = [_Stars(view) for view in result.views]
-    files = {SOURCES: _json_bytes(described), VIEWS: views_file(stars, result.calibration.residuals_px)}
+    stars = [Stars(view) for view in result.views]
+    files = {SOURCES: json_bytes(described), VIEWS: views_file(stars, result.calibration.residuals_px)}
     if result.passport is not None:
         files[PASSPORT_COPY] = result.passport.data
-    written = exports(result.calibration, camera_name=camera_name, target=result.board or result.target)
-    files |= {f"{EXPORTS}/{export}": data for export, data in written.items()}
-    files[REPORT] = render_report(ReportData(results, _pictures(result))).encode()
-    files[RESULTS] = _json_bytes(results)
+    target = result.board or result.target
+    files |= shown_files(results, result.calibration, camera_name, target, _pictures(result))
+    files[RESULTS] = json_bytes(results)
     return files
 
 
@@ -294,7 +291,3 @@ def _pictures(result: OfflineResult) -> list[ViewPicture]:
         ViewPicture(view.name, None, view.points_px, view.points_px - residuals, view.ids)
         for view, residuals in zip(result.views, result.calibration.residuals_px, strict=True)
     ]
-
-
-def _json_bytes(content: dict[str, Any]) -> bytes:
-    return (json.dumps(content, indent=1, allow_nan=False) + "\n").encode()

@@ -6,12 +6,12 @@ only at the end, for a comparison, after all estimates are made.
 
 from __future__ import annotations
 
-import json
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from bench.base.bounded_json import canonical_json
 from bench.base.errors import BenchError
 from bench.plan.job import Job
 from bench.records.events import Solved
@@ -19,6 +19,7 @@ from bench.records.history import History
 from bench.records.results import Results
 from bench.records.run_folder import REPORT, RESULTS, RunFolder
 from bench.records.run_log import RunLog
+from bench.records.written import EXPORTS
 from bench.report.choice import pictured_poses
 from bench.report.html import ReportData, render_report
 from bench.report.view_picture import ViewPicture
@@ -30,6 +31,9 @@ from bench.results.solution import Solution, main_numbers, solve_run
 from bench.results.station_software import run_software
 from bench.views.measure import Measurement
 from bench.views.views_file import VIEWS, views_file
+from calib.boards.board import Board
+from calib.calibration import Calibration
+from calib.target import StarTarget
 from sequences.script import SolveStep
 
 
@@ -95,21 +99,37 @@ class ResultWriter:
         self._folder.write_atomic(RESULTS, json_bytes(results))
         residuals = solution.calibration.residuals_px
         self._folder.write_atomic(VIEWS, views_file(solution.measurements, residuals))
-        written = exports(
-            solution.calibration,
-            camera_name=self._job.camera_name,
-            target=self._job.board or self._job.target,
-        )
-        for name, data in written.items():
-            self._folder.write_atomic(f"exports/{name}", data)
-        html = render_report(ReportData(results, _view_pictures(results, solution), head))
-        path = self._folder.write_atomic(REPORT, html.encode())
-        self.outcome = Outcome(results, path, head)
+        pictures = _view_pictures(results, solution)
+        target = self._job.board or self._job.target
+        shown = shown_files(results, solution.calibration, self._job.camera_name, target, pictures, head)
+        for name, data in shown.items():
+            self._folder.write_atomic(name, data)
+        self.outcome = Outcome(results, self._folder.path / REPORT, head)
+
+
+def shown_files(
+    results: Mapping[str, Any],
+    calibration: Calibration,
+    camera_name: str,
+    target: StarTarget | Board | None,
+    pictures: Sequence[ViewPicture],
+    head: str = "",
+) -> dict[str, bytes]:
+    """Return what shows results to others: the exports, and last the report.
+
+    calibration: That of the results.
+    target: The printed target or the board; None if the views show several.
+    head: Hash of the journal's line that the report prints; empty for results without a journal.
+    Returns: Contents by name within the folder.
+    """
+    written = exports(calibration, camera_name=camera_name, target=target)
+    files = {f"{EXPORTS}/{name}": data for name, data in written.items()}
+    return {**files, REPORT: render_report(ReportData(results, pictures, head)).encode()}
 
 
 def json_bytes(content: Mapping[str, Any]) -> bytes:
     """Return JSON as results.json and the other files of results hold it."""
-    return (json.dumps(content, indent=1, allow_nan=False) + "\n").encode()
+    return canonical_json(content)
 
 
 def _view_pictures(results: Results, solution: Solution) -> list[ViewPicture]:

@@ -1,7 +1,6 @@
 """The content of results.json of a run: what its journal and its documents state, and what was calculated.
 
-`journal_content` holds everything that follows from journal, sequence and station alone; so a verification can compare
-it without calculating anything.
+`journal_content` holds everything that follows from journal, sequence and station alone, without a calculation.
 """
 
 from __future__ import annotations
@@ -138,6 +137,21 @@ def software() -> dict[str, str]:
     for name in ("numpy", "scipy", "opencv-python-headless", "numba", "h5py"):
         parts[name] = version(name)
     return parts | forms()
+
+
+def other_software(used: Mapping[str, Any], names: Sequence[str] | None = None) -> str:
+    """Return in which parts of the software a file was made by another program than this one.
+
+    used: ``run.software`` of results.json, or ``software`` of the journal's first line.
+    names: Parts that decide the bytes of the file; None for all.
+    Returns: ``numpy 2.1 (here 2.2)``, several with commas; empty if all are the same.
+    """
+    here = software()
+    return ", ".join(
+        f"{name.replace('_', ' ')} {used.get(name, 'not stated')} (here {here[name]})"
+        for name in names or here
+        if used.get(name) != here[name]
+    )
 
 
 def _lasting(truth: Mapping[str, Any]) -> dict[str, Any]:

@@ -47,7 +47,6 @@ from bench.run.ledger_entry import (
     ledger_entry,
     ledger_lines,
     ledger_of,
-    record_revoked_secrets,
     refuse_broken_ledger,
 )
 from bench.run.resumption import intentions
@@ -70,9 +69,6 @@ class Launch:
     clock: BenchClock
     stream: TextIO | None = None  # Stream for progress; standard error by default
     ask_passphrase: AskPassphrase | None = None  # Asks for the passphrase of a protected signing key
-    # Whether the operator says that the secrets found in a finished run are worthless by now, so that it is
-    # sealed.
-    secrets_revoked: bool = False
 
 
 def start_run(
@@ -158,9 +154,7 @@ def resume_run(folder_path: Path, launch: Launch) -> RunEnd:
         with ledger_entry(ledger, place, folder.path) as ending:
             if history.ended == "finished":
                 archive_crash(folder)
-                if launch.secrets_revoked:
-                    record_revoked_secrets(ledger, place, folder.path)
-                return ending(_seal_finished(folder, journal, key, secrets_revoked=launch.secrets_revoked))
+                return ending(_seal_finished(folder, journal, key))
             extra: dict[str, Any] = {"crash": crash} if crash else {}
             extra |= {"ledger": place} if place != history.ledger else {}
             journal.append(
@@ -258,9 +252,7 @@ def _key(launch: Launch) -> BenchKey:
     return usable_key(home_folder(), launch.clock.utc_now(), ask_passphrase=launch.ask_passphrase)
 
 
-def _seal_finished(
-    folder: RunFolder, journal: Journal, key: BenchKey, *, secrets_revoked: bool = False
-) -> RunEnd:
+def _seal_finished(folder: RunFolder, journal: Journal, key: BenchKey) -> RunEnd:
     """Seal a run that was interrupted between its last journal line and its seal."""
     journal.close()
     remove_inbox(folder.path)
@@ -268,7 +260,7 @@ def _seal_finished(
     if (folder.path / RESULTS).is_file():  # a sequence may end without a report
         results = cast("Results", read_json(folder.path / RESULTS))
         outcome = Outcome(results, folder.path / REPORT)
-    seal(folder, key, secrets_revoked=secrets_revoked)
+    seal(folder, key)
     return RunEnd("finished", "", folder.path, outcome)
 
 

@@ -13,7 +13,6 @@ from bench.base.clock import BenchClock
 from bench.base.errors import BenchError
 from bench.base.home import home_folder
 from bench.evidence.ledger_check import sealed_strangers
-from bench.evidence.secrets_scan import scan
 from bench.plan.job import Job
 from bench.records.events import LedgerPlace
 from bench.records.ledger import Ledger
@@ -83,16 +82,6 @@ def ledger_lines(place: LedgerPlace) -> list[str]:
     """
     faults = [f"FAULT OF THE LEDGER: {fault}" for fault in place.get("faults", ())]
     return faults + [f"WARNING: {warning}" for warning in place.get("warnings", ())]
-
-
-def record_revoked_secrets(ledger: Ledger, place: LedgerPlace, folder: Path) -> None:
-    """Enter in the ledger that a run is sealed with secrets in it, which a person says are worthless by now.
-
-    folder: Its folder; nothing is entered if it holds no secret.
-    Raises EvidenceError, StorageError: When the ledger cannot be written.
-    """
-    if found := [str(one) for one in scan(folder)]:
-        ledger.append("secrets_revoked", number=place["number"], found=found)
 
 
 @contextmanager

@@ -7,7 +7,8 @@ import pytest
 from running import starbench
 
 from bench.evidence.keys import load_key
-from bench.results.reproduce import check_recordings
+from bench.results.again_run import check_run_again
+from bench.results.result import json_bytes
 from tests.unit.bench.evidence.resealed import reseal
 
 
@@ -45,20 +46,20 @@ def test_what_a_run_found_follows_from_its_recordings(finished, home):
 def test_recordings_that_are_not_what_the_results_were_made_of_are_found(copied):
     one, two, three = (copied / f"captures/pose-00{n}-attempt-1.raw" for n in (1, 2, 3))
     shutil.copy(one, two)
-    assert check_recordings(copied).faults != []
+    assert check_run_again(copied).faults != []
     three.write_bytes(b"% nothing\n")
-    assert "cannot be calibrated again" in " ".join(str(fault) for fault in check_recordings(copied).faults)
+    assert "cannot be calibrated again" in " ".join(str(fault) for fault in check_run_again(copied).faults)
 
 
 def test_a_bundle_resealed_over_edited_results_is_found(copied, home):
     """The bench's own key is no help against a bench that tells something else than it saw."""
     results = json.loads((copied / "results.json").read_bytes())
     results["calibration"]["camera"]["fx"] += 5
-    (copied / "results.json").write_text(json.dumps(results))
+    (copied / "results.json").write_bytes(json_bytes(results))
     reseal(copied, load_key(home))
     said = starbench("verify", copied, "--json", home=home)
     assert said.returncode == 1
     assert "results.json" in {fault["where"] for fault in json.loads(said.stdout)["faults"]}
-    (fault, *_) = check_recordings(copied).faults
+    (fault, *_) = check_run_again(copied).faults
     assert (fault.kind, fault.where) == ("results", "results.json")
     assert "calibration.camera.fx is " in fault.what

@@ -1,7 +1,6 @@
 """A small sealed run, and a key to seal it with."""
 
 import hashlib
-import json
 import os
 import shutil
 from datetime import UTC, datetime
@@ -9,6 +8,7 @@ from pathlib import Path
 
 import pytest
 
+from bench.base.bounded_json import canonical_json
 from bench.evidence.keys import create_key, load_key, read_signers
 from bench.evidence.seal import seal
 from bench.records.captures import CAPTURE_STORED
@@ -78,10 +78,10 @@ def make_a_run(path, *, serial="00050423"):
         "devices": {"camera": {"serial": serial}},
         "poses": poses,
     }
-    folder.write_atomic("results.json", json.dumps(results).encode())
+    folder.write_atomic("results.json", canonical_json(results))
     for name in ("report.html", "views.h5"):
         folder.write_atomic(name, name.encode())
-    folder.write_atomic("exports/camera.yaml", b"fx: 3345.06\n")
+    folder.write_atomic("exports/opencv.yaml", b"fx: 3345.06\n")
     return folder
 
 

@@ -166,13 +166,20 @@ def test_a_change_by_whoever_holds_the_key_is_found(real, copied, name):
     assert found.faults, f"{name} was overlooked"
 
 
-def test_added_and_removed_files_are_found(copied):
-    (copied / "notes.txt").write_text("x")
+def test_a_removed_file_is_found(copied):
     (copied / "dcc.xml").unlink()
     assert [(fault.where, fault.kind) for fault in check_certificate(copied).faults] == [
-        ("notes.txt", "certificate"),
-        ("dcc.xml", "missing"),
+        ("dcc.xml", "missing")
     ]
+
+
+def test_a_statement_that_issuing_does_not_make_is_found(copied):
+    path = copied / "certificate.json"
+    old = "Before the issue the sealed run was verified: its seal"
+    assert old in path.read_text()
+    path.write_text(path.read_text().replace(old, "Calibrated again by an independent laboratory: its seal"))
+    said = [fault.what for fault in check_certificate(copied).faults]
+    assert said == ["it does not state what was verified before the issue as issuing does"]
 
 
 def by_another_program():
@@ -237,10 +244,19 @@ def test_a_run_that_does_not_verify_is_refused(lab, say, named):
     assert lab.numbers() == {}
 
 
-def test_parts_that_were_not_derived_again_are_stated_in_the_certificate(lab):
-    lab.says = {"not_compared": ("report.html: it was made by another version",)}
-    text = lab.issue().certificate.statement("verification")
-    assert "not derived again: report.html: it was made by another version." in text
+def test_a_run_that_could_not_be_compared_is_refused_unless_that_is_accepted_and_stated(lab):
+    lab.says = {"not_compared": ("report.html: it was made by another version",), "again": True}
+    with pytest.raises(EvidenceError, match=r"could not be compared: report\.html: it was made by another"):
+        lab.issue()
+    assert lab.numbers() == {}
+    text = lab.issue(accept_not_compared=True).certificate.statement("verification")
+    assert "not compared, and protected by the seal alone: report." in text
+
+
+@pytest.mark.parametrize(("again", "said"), [(True, "are the same"), (False, "were not made again")])
+def test_a_certificate_states_whether_the_results_were_made_again(lab, again, said):
+    lab.says = {"again": again}
+    assert said in lab.issue().certificate.statement("verification")
 
 
 @pytest.mark.parametrize(

@@ -1,6 +1,5 @@
 """The series of certificate numbers: without gaps, each given once, whatever process dies and whenever."""
 
-import json
 import threading
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
@@ -11,7 +10,7 @@ from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, precondition, rule
 
 from bench.base.errors import EvidenceError, JournalBroken
-from bench.certificate.series import HIGHEST, Wanted, declare_void, enter_issued, one_at_a_time, reserve
+from bench.certificate.series import Wanted, declare_void, enter_issued, one_at_a_time, reserve
 from bench.certificate.series_numbers import ISSUED, RESERVED, numbers, open_numbers
 from bench.records.ledger import Ledger
 from bench.records.ledger_breaks import LEDGER_BROKEN
@@ -171,16 +170,6 @@ def test_numbers_lost_with_lines_of_the_ledger_are_not_given_again(bench):
     bench.ledger.explain("restored from the backup of yesterday", "Ada")
     assert bench.issue("c") == "SB-2026-00003"
     assert [one.how for one in bench.numbers().values()] == ["issued", "lost", "issued"]
-
-
-def test_a_damaged_file_of_the_highest_numbers_is_refused(bench):
-    bench.issue("a")
-    path = bench.ledger.home / HIGHEST
-    assert json.loads(path.read_bytes()) == {"SB-2026-{number:05d}": 1}
-    for text in ("", "[]", '{"SB": "x"}'):
-        path.write_text(text)
-        with pytest.raises(EvidenceError, match="highest numbers"):
-            bench.reserve("b")
 
 
 def test_two_processes_take_turns(bench):

@@ -6,8 +6,9 @@ from dataclasses import replace
 import h5py
 
 from bench.evidence.verify import verify_folder
-from bench.results.derive_again import check_run
-from bench.results.derive_views import RunViews
+from bench.results.again_run import check_run_again
+from bench.results.compare_views import HeldViews
+from bench.results.recorded_with import check_recorded_with
 
 CAPTURE = "captures/pose-00%d-attempt-1.raw"
 
@@ -19,12 +20,10 @@ def copied(folder, to):
     return to
 
 
-def checked(folder, trusted, **more):
-    from bench.results.derive_again import check_results_folder
-
-    return verify_folder(
-        folder, trusted, derivations={"run": [check_run], "results": [check_results_folder]}, **more
-    )
+def checked(folder, trusted, *, again=True):
+    """What `verify --again` finds without a ledger, or plain `verify`."""
+    checks = [check_recorded_with, *([check_run_again] if again else [])]
+    return verify_folder(folder, trusted, derivations={"run": checks}, again=again)
 
 
 def edit(name, old, new):
@@ -182,7 +181,7 @@ def move_star(file):
 
 def paint(f):
     """An image is painted over, and views.h5 written as the program writes it."""
-    held = RunViews.read(f / "views.h5")
+    held = HeldViews.read(f / "views.h5")
     painted = held.pictures[0]()
     painted[100:140, 100:140] = 255
     f.write_views(replace(held, pictures=[lambda: painted, *held.pictures[1:]]))

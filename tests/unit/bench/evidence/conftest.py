@@ -14,7 +14,9 @@ from bench.evidence.keys import load_key
 from bench.evidence.signers import read_signers
 from bench.plan.job import Job
 from bench.report import figures
+from bench.results.solution import solve_run
 from bench.run.launch import Launch, start_run
+from bench.views.camera_kinds import EventKind
 from tests.unit.bench.evidence.attack_steps import copied
 from tests.unit.bench.evidence.resealed import Forger
 
@@ -27,19 +29,43 @@ CERTIFICATE = (
 )
 
 
-@pytest.fixture(scope="module")
-def drawn_once():
-    """Plots of the same results and stars are drawn once: it takes a second."""
-    draw, drawn = figures.report_plots, {}
+KEPT = {"drawn": {}, "measured": {}, "solved": {}, "truth": {}}
+DOCUMENTS = ("sequence.yaml", "station.yaml", "passport.json")
+
+
+@pytest.fixture
+def made_once():
+    """What is made again is made once for the same input: plots, stars of a recording, calibrations."""
+    draw, measure, solve, truth = figures.report_plots, EventKind.measure, solve_run, Job.read_truth
+
+    def once(kind, key, make):
+        if key not in KEPT[kind]:
+            KEPT[kind][key] = make()
+        return KEPT[kind][key]
 
     def report_plots(results, views):
         stars = b"".join(view.detected.tobytes() + view.residuals.tobytes() for view in views)
-        key = json.dumps(results), stars
-        if key not in drawn:
-            drawn[key] = draw(results, views)
-        return drawn[key]
+        return once("drawn", (json.dumps(results), stars), lambda: draw(results, views))
 
-    with mock.patch("bench.report.figures.report_plots", report_plots):
+    def measure_one(kind, path, *given, **more):
+        return once("measured", (path.read_bytes(), repr(given)), lambda: measure(kind, path, *given, **more))
+
+    def solve_one(job, folder, step, history, measured):
+        kept = [(folder / name).read_bytes() for name in DOCUMENTS if (folder / name).is_file()]
+        found = [(index, one.image.decoded().tobytes()) for index, one in sorted(measured.items())]
+        states = [one.stored["measured_deg"] for _, one in sorted(history.accepted().items())]
+        key = repr((kept, found, states, history.started["sequence"], history.started_utc[:10]))
+        return once("solved", key, lambda: solve(job, folder, step, history, measured))
+
+    def read_truth(job):
+        return once("truth", repr((job.station, job.seed)), lambda: truth(job))
+
+    with (
+        mock.patch("bench.report.figures.report_plots", report_plots),
+        mock.patch.object(Job, "read_truth", read_truth),
+        mock.patch.object(EventKind, "measure", measure_one),
+        mock.patch("bench.results.again_run.solve_run", solve_one),
+    ):
         yield
 
 

@@ -11,7 +11,7 @@ from bench.records.journal import read_journal
 from bench.records.journal_entry import FIRST_PREV, encode_line
 from bench.records.written import written_files
 from bench.report.html import ReportData, render_report
-from bench.results.derive_views import RunViews
+from bench.results.compare_views import HeldViews
 from bench.results.exports import exports
 from bench.results.result import json_bytes
 from bench.results.stored_calibration import stored_calibration
@@ -121,7 +121,7 @@ class Forger:
         calibration = stored_calibration(results["calibration"])
         for name, data in exports(calibration, camera_name=job.camera_name, target=job.target).items():
             (self.folder / "exports" / name).write_bytes(data)
-        held = RunViews.read(self.folder / "views.h5")
+        held = HeldViews.read(self.folder / "views.h5")
         html = render_report(ReportData(results, held.shown(results), self.head))
         (self.folder / "report.html").write_text(html, encoding="utf-8")
 

@@ -34,7 +34,7 @@ from tests.unit.bench.evidence.attack_steps import (
 )
 from tests.unit.bench.evidence.resealed import kinds
 
-pytestmark = pytest.mark.usefixtures("drawn_once")
+pytestmark = pytest.mark.usefixtures("made_once")
 
 
 @dataclass(frozen=True)
@@ -78,12 +78,12 @@ ATTACKS = [
     Attack("not simulated, in the journal", line("run_started", lambda d: d.update(simulated=False)), "journal.jsonl:1", "journal", DIFF),
     Attack("software in the journal", line("run_started", lambda d: d["software"].update(starbench="9.9")), "results.json", "results", DIFF),
     Attack("number in the ledger", line("run_started", lambda d: d["ledger"].update(number=7)), "results.json", "results", DIFF),
-    Attack("camera in the journal", line("devices", lambda d: d["camera"].update(serial="00050999")), "results.json", "results", DIFF),
+    Attack("camera in the journal", line("devices", lambda d: d["camera"].update(serial="00050999")), CAPTURE % 1, "recording", DIFF),
     Attack("biases in the journal", line("devices", lambda d: d["camera_settings"]["biases"].update(bias_fo=9)), "results.json", "results", DIFF),
     Attack("gates emptied in the journal", line("attempt_checked", lambda d: d.update(gates=[])), "results.json", "results", DIFF),
     Attack("verdict of a gate", line("attempt_checked", lambda d: d["gates"][1].update(verdict="fail")), "results.json", "results", DIFF),
     Attack("angle of a pose", line("capture_stored", lambda d: d["measured_deg"].update(pan=-6.1)), "results.json", "results", DIFF),
-    Attack("numbers of the journal's calibration", line("solved", lambda d: d["values"].update(fx=1670.0)), "results.json", "results", DIFF),
+    Attack("numbers of the journal's calibration", line("solved", lambda d: d["values"].update(fx=1670.0)), "journal.jsonl", "journal", DIFF),
     Attack("first line removed", drop("run_started"), "journal.jsonl:1", "journal", "head -n 1 journal.jsonl"),
     Attack("last line removed", drop("run_ended"), "journal.jsonl", "journal", "tail -n 1 journal.jsonl"),
     Attack("run not finished", line("run_ended", lambda d: d.update(how="aborted")), "journal.jsonl", "journal", "tail -n 1 journal.jsonl"),
@@ -137,7 +137,7 @@ ATTACKS = [
     Attack("export, not told", edit("exports/opencv.yaml", "167", "168"), "exports/opencv.yaml", "exports", WRITTEN),
     Attack("export removed, told", told(remove("exports/opencv.yaml")), "exports/opencv.yaml", "exports", "ls"),
     Attack("export added", write("exports/more.yaml", b"fx: 1\n"), "exports/more.yaml", "exports", WRITTEN),
-    Attack("export added, told", told(write("exports/more.yaml", b"fx: 1\n")), "exports/more.yaml", "exports"),
+    Attack("export added, told", told(write("exports/more.yaml", b"fx: 1\n")), "exports/more.yaml", "kind", "ls"),
     # report
     Attack("report, not told", edit("report.html", "Calibration report", "Calibration Report"), "report.html", "report", WRITTEN),
     Attack("number in the report", told(edit("report.html", '<td class="n value">1', '<td class="n value">2')), "report.html", "report", DIFF),

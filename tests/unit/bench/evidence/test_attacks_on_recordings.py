@@ -2,13 +2,10 @@
 
 import json
 import random
-from unittest import mock
 
 import pytest
 
-from bench.evidence.verify import verify_folder
-from bench.results import reproduce
-from bench.results.derive_again import check_run
+from bench.results.again_run import check_run_again
 from tests.unit.bench.evidence.attack_steps import (
     CAPTURE,
     checked,
@@ -23,41 +20,11 @@ from tests.unit.bench.evidence.attack_steps import (
 )
 from tests.unit.bench.evidence.resealed import Forger
 
-pytestmark = pytest.mark.usefixtures("drawn_once")
+pytestmark = pytest.mark.usefixtures("made_once")
 
 
-@pytest.fixture(scope="module")
-def again_once(run_once):
-    """`check_recordings`, which measures a recording only once, however often it is verified."""
-    measure, solve = reproduce._measure, reproduce.solve_run
-    measured, solved = {}, {}
-
-    def key_of(folder):
-        return tuple((folder / (CAPTURE % n)).read_bytes() for n in (1, 2, 3))
-
-    def _measure(evidence, attempt):
-        path = evidence.folder / attempt.stored["capture"]
-        key = path.read_bytes(), attempt.pose_index
-        if key not in measured:
-            measured[key] = measure(evidence, attempt)
-        return measured[key]
-
-    def solve_run(job, folder, step, history, measurements):
-        key = key_of(folder), (folder / "sequence.yaml").read_bytes(), json.dumps(dict(history.solved))
-        if key not in solved:
-            solved[key] = solve(job, folder, step, history, measurements)
-        return solved[key]
-
-    with mock.patch.multiple(reproduce, _measure=_measure, solve_run=solve_run):
-        yield reproduce.check_recordings
-
-
-def checked_again(folder, trusted, again):
-    return verify_folder(folder, trusted, derivations={"run": [again]})
-
-
-def test_the_untouched_run_is_valid_and_follows_from_its_recordings(run_once, trusted, again_once):
-    found = verify_folder(run_once, trusted, derivations={"run": [check_run, again_once]})
+def test_the_untouched_run_is_valid_and_follows_from_its_recordings(run_once, trusted):
+    found = checked(run_once, trusted)
     assert (found.faults, found.not_compared) == ((), ())
     assert found.complete
     assert found.state == "SEALED"
@@ -99,22 +66,22 @@ AGAIN = {
 @pytest.mark.parametrize(
     "name", [name if name in QUICK else pytest.param(name, marks=pytest.mark.slow) for name in AGAIN]
 )
-def test_what_is_consistent_in_all_other_files_is_found_from_the_recordings(
-    forger, trusted, job, again_once, name
-):
+def test_what_is_consistent_in_all_other_files_is_found_from_the_recordings(forger, trusted, job, name):
     attack, where = AGAIN[name]
     attack(forger, job)
     forger.seal()
-    assert (
-        checked(forger.folder, trusted).faults == ()
+    plain = checked(forger.folder, trusted, again=False)
+    assert (plain.faults, plain.again) == (
+        (),
+        False,
     )  # whoever has key and program can write all of this again
-    found = checked_again(forger.folder, trusted, again_once)
+    found = checked(forger.folder, trusted)
     assert where in {fault.where for fault in found.faults}, [str(fault) for fault in found.faults]
 
 
 @pytest.mark.slow
-def test_any_changed_digit_of_the_results_is_found(run_once, trusted, tmp_path, bench_key, again_once):
-    """Any digit, with every hash put right; the recordings are asked for what the files alone do not show."""
+def test_any_changed_digit_of_the_results_is_found(run_once, trusted, tmp_path, bench_key):
+    """Any digit, with every hash put right."""
     chance = random.Random(7)
     text = (run_once / "results.json").read_text()
     places = [at for at, sign_ in enumerate(text) if sign_.isdigit() and text[at - 1].isdigit()]
@@ -125,8 +92,6 @@ def test_any_changed_digit_of_the_results_is_found(run_once, trusted, tmp_path, 
         forger.tell_of_files()
         forger.seal()
         found = checked(forger.folder, trusted)
-        if found.ok:
-            found = checked_again(forger.folder, trusted, again_once)
         told_of = found.faults or [remark for remark in found.remarks if "by rounding only" in remark]
         same = json.loads(changed) == json.loads(text)
         assert same or told_of, f"not found: {text[max(0, at - 60) : at + 20]!r}"
@@ -135,5 +100,5 @@ def test_any_changed_digit_of_the_results_is_found(run_once, trusted, tmp_path, 
 @pytest.mark.slow
 def test_a_recording_without_stars_is_told_in_words(forger):
     (forger / (CAPTURE % 2)).write_bytes(b"% nothing\n")
-    said = [str(fault) for fault in reproduce.check_recordings(forger.folder).faults]
+    said = [str(fault) for fault in check_run_again(forger.folder).faults]
     assert any("cannot be calibrated again" in one for one in said), said

@@ -175,10 +175,8 @@ def test_an_authorisation_that_does_not_hold_is_a_fault(sealed, ada, trust, dama
     elif damage == "another purpose":
         (tmp_path / "m").write_bytes(signed)
     if damage in {"of another seal", "another purpose"}:
-        from bench.evidence.sshsig import sign_with
-
         purpose = NAMESPACE if damage == "another purpose" else AUTHORISATION_NAMESPACE
-        path.write_bytes(sign_with(ada[0], (tmp_path / "m").read_bytes(), purpose))
+        path.write_bytes(ada[0].sign((tmp_path / "m").read_bytes(), purpose))
     elif damage == "link":
         (tmp_path / "elsewhere").write_bytes(good)
         path.unlink()

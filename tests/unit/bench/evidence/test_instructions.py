@@ -52,7 +52,7 @@ def make_folder(path, key, kind, ada):
     marker = next((name for name, its in KINDS.items() if its == kind), "any.txt")
     (path / marker).write_text(json.dumps(content) + "\n")
     (path / "exports").mkdir()
-    (path / "exports" / "camera.yaml").write_text("fx: 1\n")
+    (path / "exports" / "opencv.yaml").write_text("fx: 1\n")
     assert kind_of(path) == kind
     seal_folder(path, key)
     return path

@@ -9,7 +9,7 @@ from bench.commands.verify import show_verification
 from tests.unit.bench.evidence.attack_steps import by_another_program, checked, result
 from tests.unit.bench.evidence.resealed import kinds
 
-pytestmark = pytest.mark.usefixtures("drawn_once")
+pytestmark = pytest.mark.usefixtures("made_once")
 
 
 def with_a_plugin(f):
@@ -68,18 +68,3 @@ def test_another_program_does_not_excuse_what_both_state(forger, trusted):
     result("devices", "camera", "serial", to="00050999")(forger)
     forger.seal()
     assert ("results", "results.json") in kinds(checked(forger.folder, trusted))
-
-
-def test_another_opencv_leaves_the_words_compared(forger, trusted, job):
-    by_another_program(forger, **{"opencv-python-headless": "1.0"})
-    forger.render(job)
-    forger.replace("report.html", "</text>", "9</text>")
-    forger.tell_of_files()
-    forger.seal()
-    found = checked(forger.folder, trusted)
-    assert found.ok
-    assert [what for what in found.not_compared if what.startswith("plots and images of report.html")]
-    forger.replace("report.html", "Calibration report", "Report of a calibration")
-    forger.tell_of_files()
-    forger.seal()
-    assert ("report", "report.html") in kinds(checked(forger.folder, trusted))

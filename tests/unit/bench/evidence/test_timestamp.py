@@ -1,5 +1,6 @@
 """Time stamps beside a seal, of an authority that openssl plays: what is accepted, what is refused, what is asked."""
 
+import base64
 import socket
 import sys
 import threading
@@ -18,9 +19,9 @@ from bench.base.errors import EvidenceError, UsageError
 from bench.evidence import timestamp, tsa_client
 from bench.evidence.authorisation import authorise
 from bench.evidence.beside_seal import add_beside
+from bench.evidence.der import sets_in_order
 from bench.evidence.key_trust import Trust
-from bench.evidence.ssh_wire import string
-from bench.evidence.sshsig import sign_with
+from bench.evidence.ssh_keys import string
 from bench.evidence.states import standing_of
 from bench.evidence.timestamp import (
     TrustedAuthorities,
@@ -371,9 +372,9 @@ def test_a_stamped_signature_that_is_not_accepted_proves_nothing(
     """Otherwise an old time stamp could be put beside a new seal by an expired key."""
     key, line = person(make_key(tmp_path))
     of = b"another seal" if by == "a person of another seal" else (sealed / "SHA256SUMS.sig").read_bytes()
-    data = sign_with(key, of, "starbench-authorisation@v1")
+    data = key.sign(of, "starbench-authorisation@v1")
     if by == "a key that fits any message":
-        data = sign_with(FitsAny(), of, "starbench-authorisation@v1")
+        data = fits_any("starbench-authorisation@v1")
     add_beside(sealed, "SHA256SUMS.authorised.sig", data)
     stamped(sealed, authority, "SHA256SUMS.authorised.tsr", "SHA256SUMS.authorised.sig")
     people = (line,) if by == "a person of another seal" else ()
@@ -383,10 +384,34 @@ def test_a_stamped_signature_that_is_not_accepted_proves_nothing(
     assert "No trusted time stamp proves it" in found.remarks[0]
 
 
-class FitsAny:
-    """An Ed25519 key of order one, with which one signature is valid for every message."""
+@pytest.mark.parametrize("times", range(4))
+def test_a_reply_with_the_chain_of_certificates_is_accepted(authority, others, tmp_path, times):
+    """OpenSSL writes certificates in the order of their chain, not in that of DER; each authority has another order."""
+    del times
+    chained = Authority.create(tmp_path / "chained")
+    request = make_request(b"signature", nonce=False).data
+    data = chained.reply(request, "-chain", "root.pem")
+    trusted = read_authorities(tmp_path, chained.root)
+    assert as_reply(data) == data
+    assert check_reply(data, b"signature", trusted, "SHA256SUMS.tsr").authority == "Example TSA"
+    with pytest.raises(EvidenceError, match="not valid or not trusted"):
+        check_reply(data, b"signature", others, "SHA256SUMS.tsr")
+    with pytest.raises(EvidenceError, match="another file"):
+        check_reply(data, b"Signature", trusted, "SHA256SUMS.tsr")
+    (tmp_path / "signed").write_bytes(b"signature")
+    (tmp_path / "r.tsr").write_bytes(data)
+    assert chained.accepts(tmp_path, tmp_path / "r.tsr", tmp_path / "signed")
 
-    public_key = string(b"ssh-ed25519") + string(b"\x01" + b"\0" * 31)
 
-    def sign(self, _):
-        return string(b"ssh-ed25519") + string(b"\x01" + b"\0" * 63)
+@given(st.binary(max_size=200))
+def test_any_bytes_keep_their_content_when_sets_are_put_in_order(data):
+    assert sorted(sets_in_order(data)) == sorted(data)
+
+
+def fits_any(namespace):
+    """A signature by an Ed25519 key of order one, with which one signature is valid for every message."""
+    public = string(b"ssh-ed25519") + string(b"\x01" + b"\0" * 31)
+    signature = string(b"ssh-ed25519") + string(b"\x01" + b"\0" * 63)
+    parts = (public, namespace.encode(), b"", b"sha512", signature)
+    blob = base64.encodebytes(b"SSHSIG\0\0\0\1" + b"".join(map(string, parts)))
+    return b"-----BEGIN SSH SIGNATURE-----\n" + blob + b"-----END SSH SIGNATURE-----\n"

@@ -11,7 +11,7 @@ from bench.evidence.sshsig import sign
 from tests.unit.bench.evidence.attack_steps import checked, copied
 from tests.unit.bench.evidence.resealed import kinds
 
-pytestmark = pytest.mark.usefixtures("drawn_once")
+pytestmark = pytest.mark.usefixtures("made_once")
 
 
 def unchanged(folder):

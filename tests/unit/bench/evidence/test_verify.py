@@ -1,5 +1,6 @@
 """Verification: the untouched bundle passes, each way of tampering with it is found and named."""
 
+import hashlib
 import json
 import os
 import shutil
@@ -10,6 +11,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from bench.base.bounded_json import canonical_json
 from bench.base.errors import RunFolderError
 from bench.evidence.keys import NAMESPACE, Signer, create_key, read_signers
 from bench.evidence.seal import make_manifest, seal, seal_folder
@@ -43,9 +45,9 @@ def test_what_was_found_can_be_written_as_json(sealed, signers):
 
 
 def test_an_edited_number_is_found(sealed, signers):
-    export = sealed / "exports" / "camera.yaml"
+    export = sealed / "exports" / "opencv.yaml"
     export.write_text(export.read_text().replace("3345.06", "3345.07"))
-    assert kinds(verify_folder(sealed, signers)) == [("changed", "exports/camera.yaml")]
+    assert kinds(verify_folder(sealed, signers)) == [("changed", "exports/opencv.yaml")]
 
 
 def test_every_changed_file_is_found(sealed, signers):
@@ -89,7 +91,7 @@ def test_a_list_made_again_under_the_old_signature_is_found(sealed, signers):
 
 
 def test_a_bundle_signed_by_another_key_is_found(sealed, signers, other_key):
-    (sealed / "exports/camera.yaml").write_text("fx: 1\n")
+    (sealed / "exports/opencv.yaml").write_text("fx: 1\n")
     reseal(sealed, other_key)
     found = verify_folder(sealed, signers)
     assert kinds(found) == [("key", "SHA256SUMS.sig")]
@@ -215,7 +217,7 @@ def test_a_journal_that_does_not_hold_is_found_even_under_a_good_seal(sealed, si
 def test_results_of_recordings_that_the_journal_does_not_tell_of_are_found(sealed, signers, key):
     results = json.loads((sealed / "results.json").read_bytes())
     results["poses"][1]["attempts"][0]["sha256"] = "0" * 64
-    (sealed / "results.json").write_text(json.dumps(results))
+    (sealed / "results.json").write_bytes(canonical_json(results))
     reseal(sealed, key)
     found = verify_folder(sealed, signers)
     assert [f.kind for f in found.faults] == ["results", "results"]
@@ -226,13 +228,71 @@ def test_results_of_recordings_that_the_journal_does_not_tell_of_are_found(seale
 def test_results_that_cannot_be_read_are_found(sealed, signers, key, content):
     (sealed / "results.json").write_bytes(content)
     reseal(sealed, key)
-    assert kinds(verify_folder(sealed, signers)) == [("results", "results.json")]
+    assert ("results", "results.json") in kinds(verify_folder(sealed, signers))
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "what"),
+    [
+        (b'"id": "run-1"', b'"id": "run-2", "id": "run-1"', "the key 'id' is there twice"),
+        (b"{", b"\xef\xbb\xbf{", "BOM"),
+        (b'"id"', b'"\\u0069d"', "not written as the program writes it"),
+        (b'"index": 1', b'"index": 1e999', "1e999 is too large a number"),
+        (b'"index": 1', b'"index": NaN', "NaN is not a number"),
+        (b'"index": 1', b'"index": 1' + b"0" * 5000, "too large a number"),
+        (b"\n}\n", b"\n}\n" + b" " * 500, "blanks stand behind its end"),
+    ],
+    ids=["key twice", "byte order mark", "escaped key", "infinite", "not a number", "digits", "blanks"],
+)
+def test_results_that_two_readers_could_read_differently_are_found(sealed, signers, key, old, new, what):
+    path = sealed / "results.json"
+    assert old in path.read_bytes()
+    path.write_bytes(path.read_bytes().replace(old, new, 1))
+    reseal(sealed, key)
+    faults = [fault for fault in verify_folder(sealed, signers).faults if fault.where == "results.json"]
+    assert what in faults[0].what, faults
+
+
+def test_a_journal_line_that_two_readers_could_read_differently_is_found(sealed, signers, key):
+    journal = sealed / "journal.jsonl"
+    *lines, last = journal.read_bytes().splitlines()
+    text = last.replace(b'"how":"finished"', b'"how":"failed","how":"finished"')
+    bare = text[: text.rindex(b',"hash":"')] + b"}"
+    chained = bare[:-1] + b',"hash":"' + hashlib.sha256(bare).hexdigest().encode() + b'"}'
+    journal.write_bytes(b"".join(line + b"\n" for line in (*lines, chained)))
+    reseal(sealed, key)
+    assert any(kind == "journal" for kind, _ in kinds(verify_folder(sealed, signers)))
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        "report-final.html",
+        "results.json.bak",
+        "exports2/opencv.yaml",
+        "exports/more.yaml",
+        "certificate.pdf",
+        ".hidden/x",
+        "passport2.json",
+        "report\u200b.html",
+        "quarantine/report.html",
+    ],
+)
+def test_a_sealed_file_that_no_run_folder_has_is_named(make_run, key, signers, tmp_path, name):
+    with make_run(tmp_path / "run") as folder:
+        path = folder.path / name
+        path.parent.mkdir(exist_ok=True)
+        path.write_text("added before the seal")
+        seal(folder, key)
+    found = verify_folder(tmp_path / "run", signers)
+    assert ("kind", name) in kinds(found)
+    assert "no run folder has this file" in str(found.faults[0])
 
 
 def test_results_of_thousands_of_poses_are_not_too_large(make_run, key, signers, tmp_path):
     with make_run(tmp_path / "run") as folder:
         path = folder.path / "results.json"
-        path.write_bytes(path.read_bytes()[:-1] + b', "padding": "' + b"x" * (65 << 20) + b'"}')
+        path.write_bytes(canonical_json(json.loads(path.read_bytes()) | {"padding": "x" * (65 << 20)}))
         seal(folder, key)
     assert "results" not in {fault.kind for fault in verify_folder(tmp_path / "run", signers).faults}
 

@@ -13,7 +13,7 @@ from bench.commands.cli import cli
 from bench.evidence.keys import create_key
 from tests.unit.bench.evidence.attack_steps import by_another_program, edit
 
-pytestmark = pytest.mark.usefixtures("drawn_once")
+pytestmark = pytest.mark.usefixtures("made_once")
 
 
 def told_by_command(folder, home, *words):
@@ -25,6 +25,7 @@ def test_the_command_says_first_what_the_folder_is_worth(run_once, bench_home):
     said = told_by_command(run_once, bench_home)
     assert said.return_value == 0, said.output
     assert said.stdout.startswith("SEALED: ")
+    assert "The numbers were not compared with the recordings" in said.stdout.splitlines()[0]
     assert "by the bench's own clock" in said.stdout.splitlines()[1]
     assert "SIMULATED" in said.stdout
 
@@ -45,10 +46,15 @@ def test_the_command_ends_with_4_if_a_part_was_not_compared(forger, bench_home, 
     forger.tell_of_files()
     forger.seal()
     signers = str(bench_home / "allowed_signers")
-    said = told_by_command(forger.folder, bench_home, "--json")
+    said = told_by_command(forger.folder, bench_home, "--json", "--again")
     assert said.return_value == 1  # the ledger of the bench holds the hash of the first seal
     assert {fault["kind"] for fault in json.loads(said.stdout)["faults"]} == {"ledger"}
     said = told_by_command(forger.folder, tmp_path / "elsewhere", "--allowed-signers", signers, "--json")
+    assert said.return_value == 0  # nothing was to be compared
+    assert json.loads(said.stdout)["again"] is False
+    said = told_by_command(
+        forger.folder, tmp_path / "elsewhere", "--allowed-signers", signers, "--json", "--again"
+    )
     assert said.return_value == 4
     found = json.loads(said.stdout)
     assert (found["ok"], found["complete"]) == (True, False)
@@ -70,3 +76,9 @@ def test_another_bench_has_no_ledger_for_the_run_and_that_is_no_fault(run_once, 
     said = told_by_command(run_once, tmp_path / "elsewhere", "--allowed-signers", signers)
     assert said.return_value == 0, said.output
     assert "no ledger confirms its number" in said.stdout
+
+
+def test_again_says_first_that_the_numbers_were_compared(run_once, bench_home):
+    said = told_by_command(run_once, bench_home, "--again")
+    assert said.return_value == 0, said.output
+    assert "The results were made again from the recordings and compared." in said.stdout.splitlines()[0]

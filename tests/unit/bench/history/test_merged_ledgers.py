@@ -1,6 +1,5 @@
 """Ledgers of several benches: what is double, missing, changed or set back is named, and nothing else is."""
 
-import json
 import shutil
 from datetime import timedelta
 
@@ -10,13 +9,11 @@ from many_runs import BEGIN, BenchOfRuns, write_run
 from bench.base.errors import UsageError
 from bench.history.ledger_sources import EnteredRun, LedgerSource, MergedLedgers, merge_ledgers, read_source
 from bench.history.merged_runs import IN_LEDGER, NO_LEDGER, NOT_IN_LEDGER, merge_runs
-from bench.history.seen_ledgers import SEEN, compare_with_seen
 from bench.records.ledger import Ledger
 from bench.records.ledger_file import LEDGER
 from bench.records.ledger_marks import MARK
-from bench.records.ledger_runs import RUN_BEGUN, LedgerRun
+from bench.records.ledger_runs import LedgerRun
 from bench.records.run_index import RunIndex, run_folders
-from bench.records.unsynced_journal import UnsyncedJournal
 
 
 def bench(folder, runs=3, **facts):
@@ -64,31 +61,6 @@ def test_a_ledger_named_twice_and_an_older_copy_count_once(tmp_path, two):
     assert len(merged.runs) == 3
     assert merged.faults == []
     assert merged.notes[0].endswith("was named twice; it counts once.")
-    assert merged.notes[1].startswith(
-        f"The ledger in {old} is a copy of the one in {two[0]}, with 4 of 6 lines."
-    )
-
-
-def test_a_fork_is_a_fault_with_the_numbers_given_twice_and_both_runs_are_listed(tmp_path):
-    made = BenchOfRuns(tmp_path / "a" / "home", tmp_path / "a" / "runs")
-    made.run(begun=BEGIN)
-    made.close()
-    shutil.copytree(tmp_path / "a", tmp_path / "b")
-    homes = [tmp_path / name / "home" for name in ("a", "b")]
-    for name, home in zip(("a", "b"), homes, strict=True):
-        cut(home, 9)
-        with UnsyncedJournal.open(home / LEDGER, utc_now=lambda: BEGIN, monotonic=BEGIN.timestamp) as journal:
-            folder = home.parent / "runs" / f"second-{name}"
-            told = {"run": folder.name, "folder": str(folder), "camera": "00050001", "simulated": False}
-            journal.append(RUN_BEGUN, number=2, witnessed=0, **told)
-            write_run(folder, place={"number": 2, "head": journal.head, "of_camera": {}})
-    merged = merge(tmp_path, *homes)
-    (fault,) = merged.faults
-    assert "agree in their first 2 lines and then differ" in fault
-    assert "2: " in fault
-    assert "second-a" in fault
-    assert "second-b" in fault
-    assert sorted(run.id for run in merged.runs) == ["run-00001", "second-a", "second-b"]
 
 
 def test_a_missing_folder_and_one_with_another_run_are_faults(tmp_path, two):
@@ -171,42 +143,6 @@ def test_a_removed_seal_is_named(tmp_path, two):
         (folder / name).write_text("x")
     (fault,) = merge_runs(RunIndex(tmp_path / "here"), ledgers, []).faults
     assert fault.endswith("SHA256SUMS is not the sealed one: the folder was changed after sealing")
-
-
-def test_a_ledger_set_back_is_noticed_by_its_mark_or_by_what_was_seen(tmp_path, two):
-    here = tmp_path / "here"
-    assert compare_with_seen(here, sources(*two)) == ([], [])
-    whole = (two[0] / LEDGER).read_bytes()
-    (two[0] / LEDGER).write_bytes(b"".join(whole.splitlines(keepends=True)[:4]))
-    (source,) = sources(two[0])  # its own mark says it
-    assert "has 4 of at least 6 lines: 2 are missing (as ledger_high knows)" in source.faults[0]
-    cut(two[0], 4)
-    (source,) = sources(two[0])  # set back together with its mark
-    assert source.faults == []
-    (fault,), _ = compare_with_seen(here, [source])
-    assert "has 4 of at least 6 lines: 2 are missing; this computer saw them before" in fault
-    (again,), _ = compare_with_seen(here, [source])  # the fault stays
-    assert again == fault
-    (two[0] / LEDGER).write_bytes(whole)
-    assert compare_with_seen(here, sources(two[0])) == ([], [])
-
-
-def test_a_ledger_begun_again_in_the_same_folder_is_noticed(tmp_path, two):
-    compare_with_seen(tmp_path / "here", sources(two[0]))
-    for name in (LEDGER, MARK):
-        (two[0] / name).unlink()
-        shutil.copy(two[1] / name, two[0] / name)
-    (fault,), _ = compare_with_seen(tmp_path / "here", sources(two[0]))
-    assert "holds another ledger than before" in fault
-
-
-def test_a_damaged_memory_is_a_note(tmp_path, two):
-    (tmp_path / "here").mkdir()
-    for content in (b"{", b"[]", b'{"x": 1}', json.dumps({"a" * 64: {"lines": True}}).encode()):
-        (tmp_path / "here" / SEEN).write_bytes(content)
-        faults, notes = compare_with_seen(tmp_path / "here", sources(two[0]))
-        assert faults == []
-        assert len(notes) == (content in {b"{", b"[]"})
 
 
 def test_a_damaged_ledger_is_a_fault_and_its_runs_are_not_lost(tmp_path, two):

@@ -105,7 +105,7 @@ def run_once(path, acknowledged, key=None):
                     capture = folder.commit_capture(pose, 1)
                     journal.append(CAPTURE_STORED, pose=pose, **capture.as_data())
                     acknowledged[pose] = capture
-            folder.write_atomic("exports/camera.yaml", b"fx: 1\n" * 100)
+            folder.write_atomic("exports/opencv.yaml", b"fx: 1\n" * 100)
             journal.append("finished")
         if key is not None:
             seal(folder, key)
@@ -129,7 +129,7 @@ def see_that_it_is_whole(path):
     assert captures == [f"pose-{pose:03d}-attempt-1.raw" for pose in range(1, POSES + 1)]
     for pose, name in enumerate(captures, 1):
         assert (path / "captures" / name).read_bytes() == recording(pose)
-    assert (path / "exports" / "camera.yaml").read_bytes() == b"fx: 1\n" * 100
+    assert (path / "exports" / "opencv.yaml").read_bytes() == b"fx: 1\n" * 100
     assert not list(path.rglob("*.tmp"))
 
 

@@ -6,14 +6,12 @@ from types import SimpleNamespace
 import pytest
 
 from bench.base.errors import EvidenceError
-from bench.records.journal import read_journal
 from bench.records.ledger import Ledger
 from bench.report.run_tables import identification
 from bench.run.ledger_entry import (
     enter_in_ledger,
     ledger_entry,
     ledger_lines,
-    record_revoked_secrets,
     refuse_broken_ledger,
 )
 from bench.run.runner import RunEnd
@@ -109,13 +107,3 @@ def test_a_second_place_that_cannot_be_reached_is_a_warning_before_the_run(ledge
     place = run(ledger, tmp_path / "a", job(anchor=anchor, strict=True))
     assert "faults" not in place
     assert any(line.startswith("WARNING: ") and anchor in line for line in ledger_lines(place))
-
-
-def test_the_ledger_names_the_secrets_that_a_sealed_run_holds(ledger, tmp_path):
-    place = run(ledger, tmp_path / "a", job())
-    (tmp_path / "a").mkdir()
-    record_revoked_secrets(ledger, place, tmp_path / "a")
-    (tmp_path / "a" / "wire.jsonl").write_text("rtsp://admin:pa55@10.0.0.9/\n")
-    record_revoked_secrets(ledger, place, tmp_path / "a")
-    (line,) = [entry for entry in read_journal(ledger.path)[0] if entry.event == "secrets_revoked"]
-    assert line.data == {"number": 1, "found": ["wire.jsonl:1: a URL with a password"]}

@@ -8,10 +8,16 @@ import pytest
 from report_sample import sample
 
 from bench.evidence.findings import Findings
-from bench.results.other_engine import same_stars
-from bench.results.reproduce import SeenView, check_numbers, tell_views
-from bench.results.results_content import software
+from bench.results import compare_numbers
+from bench.results.compare_numbers import same_stars
+from bench.results.compare_views import SeenView, tell_views
+from bench.results.results_content import other_software, software
 from calib.view import View
+
+
+def check_numbers(stored, again, found):
+    other = other_software(stored["run"]["software"])
+    compare_numbers.check_numbers(stored, again, found, other, "recordings")
 
 
 @pytest.fixture(scope="module")

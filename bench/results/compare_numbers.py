@@ -1,8 +1,9 @@
-"""How far the results of another program may lie from those that this program calculates from the same recordings.
+"""Compares the numbers of results that were made again with the stored ones: rounding, another program, or a fault.
 
-A later program finds stars a little differently, and may state other uncertainties. Its results are then no proof
-against the stored ones, and no confirmation either: what differs within the limits below is told as not compared.
-What differs by more is a fault, whoever calculated it.
+On the same computer with the same program all numbers are equal to the last bit. Another computer may round otherwise,
+so numbers count as equal within a small tolerance. A later program finds stars a little differently, and may state
+other uncertainties. Its results are then no proof against the stored ones, and no confirmation either: what differs
+within the limits below is told as not compared. What differs by more is a fault, whoever calculated it.
 """
 
 from __future__ import annotations
@@ -13,9 +14,22 @@ from typing import Any
 
 import numpy as np
 
-from bench.results.compare_json import Difference
+from bench.evidence.findings import Findings
+from bench.records.run_folder import RESULTS
+from bench.results.compare_json import Difference, Number, Tolerance, differences
 from calib.view import View
 
+TOLERANCE_SIGMAS = 1e-3
+"""Values that differ by less than this fraction of their standard uncertainty count as equal."""
+TOLERANCE_SHARE = 1e-6
+"""Other numbers that differ by less than this fraction of themselves count as equal."""
+TOLERANCE_PLANAR = 1e-2
+"""The same for all numbers of the planar model, which is there for comparison. Three views hardly determine it: points
+that are moved by 1e-11 px change its standard uncertainties by up to 0.6 %."""
+_COUNTED = ("iterations",)
+"""Numbers of work, not of results: rounding may change them by a few."""
+MOST_SHOWN = 12
+"""Differences of one file that are shown one by one."""
 MOST_SIGMAS = 0.25
 """A value of the calibration may differ by this share of its standard uncertainty."""
 MOST_SIGMA_RATIO = 4.0
@@ -37,6 +51,71 @@ _MEASURED = ("poses[", "pose ", "gates[")
 _NUMBER = re.compile(r"\d+(\.\d+)?")
 _SMALL_PX = 0.01
 """A measured number in px may differ by this much, whatever its size."""
+
+
+def check_numbers(
+    stored: Mapping[str, Any], again: Mapping[str, Any], found: Findings, other: str, source: str
+) -> None:
+    """Compare all of results.json with what was calculated again.
+
+    found: Findings; they are added.
+    other: How the program that made the results differs from this one; empty if it does not.
+    source: What they were calculated from: ``recordings``.
+    """
+    rounded = list(differences(stored, again))
+    if not rounded:
+        found.remarks.append(f"calculated again from the {source}: every number is equal to the last bit")
+        return
+    sigma, planar = again["calibration"]["sigma"], again.get("planar") or {"sigma": {}}
+    every = list(differences(stored, again, tolerance(sigma, planar["sigma"])))
+    excused = [one for one in every if other and is_excused(one, sigma)]
+    seen = [one for one in every if one not in excused]
+    if excused:
+        places = described(excused, sigma, MOST_SHOWN)
+        found.not_compared.append(
+            f"{RESULTS} with the {source}: another program calculated it, with differences in {places}"
+        )
+    add_faults("results", RESULTS, f"the {source} do not give it: ", seen, found)
+    if seen and other:
+        found.remarks.append(
+            f"the results were made with {other}, but the differences are too large to come from that alone"
+        )
+    rounded = [one for one in rounded if one.kind == "value" and not isinstance(one.stored, str)]
+    if not seen and not excused and rounded:
+        found.remarks.append(
+            f"calculated again from the {source}: {len(rounded)} numbers differ, by rounding only: {rounded[0]}"
+        )
+
+
+def add_faults(kind: str, name: str, what: str, seen: Sequence[Difference], found: Findings) -> None:
+    """Add the differences of one file to the faults; of many the first ones, and the number of the others."""
+    for one in seen[:MOST_SHOWN]:
+        found.fault(kind, name, f"{what}{one}")
+    if len(seen) > MOST_SHOWN:
+        found.fault(kind, name, f"{len(seen) - MOST_SHOWN} further values differ")
+
+
+def tolerance(sigma: Mapping[str, float], planar_sigma: Mapping[str, float]) -> Tolerance:
+    """Return the tolerance for numbers of results.json, with the standard uncertainties of both calibrations."""
+    parameters = {
+        f"{which}.{part}.{name}": share * value
+        for which, share, stated in (
+            ("calibration", TOLERANCE_SIGMAS, sigma),
+            ("planar", TOLERANCE_PLANAR, planar_sigma),
+        )
+        for name, value in stated.items()
+        for part in ("camera", "collimator", "sigma")
+    }
+
+    def equal(where: str, stored: Number, derived: Number, scale: float) -> bool:
+        if where.rpartition(".")[2] in _COUNTED:
+            return abs(stored - derived) <= max(2.0, 0.1 * abs(derived))
+        if where in parameters:
+            return abs(stored - derived) <= parameters[where]
+        share = TOLERANCE_PLANAR if where.startswith("planar.") else TOLERANCE_SHARE
+        return abs(stored - derived) <= share * scale
+
+    return equal
 
 
 def is_excused(one: Difference, sigma: Mapping[str, float]) -> bool:

@@ -1,7 +1,7 @@
 """How far numbers that are calculated again may differ from the stored ones."""
 
-from bench.results import reproduce
 from bench.results.compare_json import differences
+from bench.results.compare_numbers import tolerance
 
 
 def results(fx, planar_fx, rms_px):
@@ -12,7 +12,7 @@ def results(fx, planar_fx, rms_px):
 
 
 def places(stored, derived):
-    equal = reproduce._tolerance(derived["calibration"]["sigma"], derived["planar"]["sigma"])
+    equal = tolerance(derived["calibration"]["sigma"], derived["planar"]["sigma"])
     return [one.where for one in differences(stored, derived, equal)]
 
 

@@ -1,4 +1,4 @@
-"""Compares a run's journal with what its devices left: the bytes on the wires, and the heads of the recordings."""
+"""Compares the moves and the devices of a run's journal with the bytes on the wires."""
 
 from __future__ import annotations
 
@@ -12,19 +12,14 @@ from bench.base.errors import StorageError
 from bench.evidence.findings import Findings
 from bench.plan.job import Job
 from bench.records.events import Event
-from bench.records.history import History
 from bench.records.journal_entry import Entry
 from bench.records.reading import read_bounded
 from bench.records.run_folder import JOURNAL
 from bench.records.written import WIRE_LOG
-from drivers.camera.raw_file import RawFile
-from drivers.errors import DriverError
 
 _WITH_STAGE = frozenset({"homing", "slewing", "parking"})
 """States in which the program speaks to the stage."""
-_RAW = ".raw"
 _SLACK_S = 1e-3
-_LONGEST_SHOWN = 60
 _MOST_LOG_BYTES = 64 << 20
 """Logs are rotated at 8 MB."""
 
@@ -105,29 +100,3 @@ def _check_serials(entries: Sequence[Entry], job: Job, replies: str, found: Find
                         f"no device told the serial number {serial}, which the journal states for the {part}"
                     )
                     found.fault("wire", WIRE_LOG, f"{what} ({JOURNAL}:{entry.seq + 1})")
-
-
-def check_recorded_with(folder: Path, history: History, found: Findings) -> None:
-    """Compare the camera that each recording names in its head with the one that the journal states.
-
-    found: Findings; faults are added.
-    """
-    camera = history.devices.get("camera", {})
-    for attempt in history.attempts:
-        name, facts = str(attempt.stored["capture"]), attempt.stored["facts"]
-        stated = {key: facts.get(key) for key in ("serial", "width", "height") if key in facts}
-        for key, value in stated.items():
-            if key in camera and camera[key] != value:
-                what = f"it was recorded with a camera whose {key} is {value}; the journal's camera has {camera[key]}"
-                found.fault("recording", name, what)
-        if not name.endswith(_RAW) or not (folder / name).is_file():
-            continue
-        try:
-            head = RawFile.open(folder / name)
-        except DriverError:
-            continue  # a refused recording may be damaged; an accepted one is measured again with --again
-        of_file = {"serial": head.serial or None, "width": head.width, "height": head.height}
-        for key, value in stated.items():
-            if of_file[key] is not None and of_file[key] != value:
-                what = f"its head names the {key} {str(of_file[key])[:_LONGEST_SHOWN]}; the journal states {value}"
-                found.fault("recording", name, what)

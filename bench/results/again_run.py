@@ -1,0 +1,300 @@
+"""Makes the results of a sealed run again from its recordings, and compares the trees: `verify --again` of a run.
+
+The stars of every recording are found again, the camera is calibrated again, and the run's own writer makes results,
+views, exports, report and plan again. The journal is compared with what the recordings give. Nothing is written.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from datetime import datetime
+from pathlib import Path
+from typing import Any
+
+from bench.base.errors import BenchError
+from bench.evidence.findings import Findings
+from bench.plan.job import Job
+from bench.plan.plan import load_documents, make_plan
+from bench.records.events import Event
+from bench.records.history import Attempt, History, replay
+from bench.records.journal import read_journal
+from bench.records.journal_entry import Entry
+from bench.records.reading import read_json
+from bench.records.run_folder import (
+    JOURNAL,
+    PASSPORT_COPY,
+    REPORT,
+    RESULTS,
+    SEQUENCE_COPY,
+    STATION_COPY,
+)
+from bench.results.compare_json import differences
+from bench.results.compare_numbers import MOST_SHOWN, add_faults, is_excused, tolerance
+from bench.results.compare_trees import (
+    UNREADABLE,
+    MadeAgain,
+    compare_instructions,
+    compare_plan,
+    compare_trees,
+)
+from bench.results.compare_wire import check_wire_log
+from bench.results.previous_calibration import change_since
+from bench.results.results_content import other_software, results_content, software
+from bench.results.solution import main_numbers, solve_run
+from bench.results.station_software import plugins_missing, plugins_of_run, plugins_stated
+from bench.views.camera_kinds import CameraKind
+from bench.views.expected_grid import grid_from_journal
+from bench.views.gates import failed_gate_texts
+from bench.views.measure import Measurement
+from calib.errors import CalibrationError
+from drivers.errors import DriverError
+from sequences.script import RecordStep, SolveStep
+
+
+@dataclass(frozen=True)
+class _Evidence:
+    """What a run folder holds, as read for the checks."""
+
+    folder: Path
+    entries: Sequence[Entry]
+    job: Job
+    # History of the run up to the moment when its results were made; of the whole run if it has none.
+    history: History
+    head: str  # Hash of the journal's line that the report prints; empty if the run has no results
+
+    @property
+    def used(self) -> dict[str, Any]:
+        """Software of the process that made the results, as the journal states it."""
+        begun: dict[str, Any] = {}
+        for entry in self.entries:
+            if entry.event in {Event.RUN_STARTED, Event.RUN_RESUMED}:
+                begun = dict(entry.data.get("software", {}))
+            if entry.hash == self.head:
+                break
+        return begun
+
+    @property
+    def solve_step(self) -> SolveStep | None:
+        """The solve step whose calibration the results state."""
+        done = self.history.done_steps
+        return next(
+            (s for s in reversed(self.job.steps) if isinstance(s, SolveStep) and s.number in done), None
+        )
+
+
+def check_run_again(folder: Path) -> Findings:
+    """Make the results of a run again from its recordings, and compare every file with what follows from them.
+
+    folder: The run folder; seal, list of files and journal have no fault.
+    Returns: What contradicts, what was not compared, and which software made the results.
+    Raises OSError: When a file cannot be read.
+    """
+    found = Findings()
+    evidence = _read(folder, found)
+    if evidence is None:
+        return found
+    started = evidence.history.started
+    compare_instructions(folder, started.get("software", {}), found)
+    found.remarks += [
+        f"the {drivers} was driven by a plug-in: {package}"
+        for package, drivers in plugins_stated(started).items()
+    ]
+    _check_first_line(evidence, found)
+    compare_plan(folder, evidence.job.plan.to_dict(), started.get("software", {}), found)
+    _check_steps(evidence, found)
+    check_wire_log(folder, evidence.entries, evidence.job, found)
+    measured = _check_attempts(evidence, found)
+    if not evidence.head:
+        found.remarks.append("this run has no results to calculate again")
+        return found
+    if other := other_software(evidence.used):
+        found.remarks.append(f"the results were made with {other}")
+    if (made := _made_again(evidence, measured, found)) is not None:
+        compare_trees(folder, made, found)
+    return found
+
+
+def _read(folder: Path, found: Findings) -> _Evidence | None:
+    """Read journal and documents of a run; None if a part cannot be read, which ``found`` then tells."""
+    entries, _ = read_journal(folder / JOURNAL)
+    whole = replay(entries)
+    try:
+        job = _job(folder, whole)
+    except (BenchError, DriverError, CalibrationError, *UNREADABLE) as error:
+        used = whole.started.get("software", {})
+        if missing := plugins_missing(whole.started):
+            found.not_compared.append(
+                f"{RESULTS}, exports and {REPORT}: the station needs {', '.join(missing)}, which this computer does"
+                " not have; install it and verify again"
+            )
+        elif used.get("program") == software()["program"]:
+            found.fault("plan", STATION_COPY, f"the run cannot be planned again from its documents: {error}")
+        else:
+            found.not_compared.append(
+                f"{RESULTS}, exports and {REPORT}: this version cannot read the documents of the run ({error})"
+            )
+        return None
+    if not (folder / RESULTS).is_file():
+        return _Evidence(folder, entries, job, whole, "")
+    head = _head(folder, entries)
+    at = next((number for number, entry in enumerate(entries, start=1) if entry.hash == head), None)
+    if at is None:
+        found.fault("report", REPORT, "the report names no line of this journal")
+        return None
+    return _Evidence(folder, entries, job, replay(entries[:at]), head)
+
+
+def _job(folder: Path, history: History) -> Job:
+    """Plan the run again, as of its day: a passport may have expired since. Raises ScriptError."""
+    documents = load_documents(str(folder / SEQUENCE_COPY), str(folder / STATION_COPY))
+    day = datetime.fromisoformat(history.started_utc).date()
+    planned = make_plan(*documents, passport_copy=folder / PASSPORT_COPY, today=day)
+    if planned.faults:
+        raise ValueError("; ".join(str(fault) for fault in planned.faults))
+    return Job.from_plan(planned, seed=history.started["seed"], operator=history.started["operator"])
+
+
+def _head(folder: Path, entries: Sequence[Entry]) -> str:
+    """Return the hash of the journal's line that the report prints; runs of earlier versions state it there alone."""
+    written = [str(entry.data.get("head")) for entry in entries if entry.event == Event.WRITTEN]
+    if written:
+        return written[-1]
+    report = (folder / REPORT).read_text(encoding="utf-8", errors="replace")
+    return next((entry.hash for entry in entries if entry.hash in report), "")
+
+
+def _check_first_line(evidence: _Evidence, found: Findings) -> None:
+    """Compare what the journal's first line repeats of the documents."""
+    job, started = evidence.job, evidence.history.started
+    due = {
+        "sequence": job.plan.sequence.value.name,
+        "station": job.plan.station.value.name,
+        "simulated": job.simulated,
+        **({"plugins": plugins_of_run(job.station).get("plugins")} if started.get("plugins") else {}),
+    }
+    for one in differences({name: started.get(name) for name in due}, due):
+        found.fault("journal", f"{JOURNAL}:1", f"{one}, by the run's documents")
+
+
+def _check_steps(evidence: _Evidence, found: Findings) -> None:
+    """Check that the run did every step of its sequence; else it has not finished, or lines were removed."""
+    history = replay(evidence.entries)
+    recorded = history.accepted()
+    for step in evidence.job.steps:
+        if step.number not in history.done_steps and not history.is_left_out(step.number):
+            found.fault(
+                "journal", JOURNAL, f"it does not tell that step {step.number} of the sequence was done"
+            )
+            return
+        is_left_out = history.is_left_out(step.number)
+        if isinstance(step, RecordStep) and not is_left_out and step.pose.index not in recorded:
+            told = history.attempts_at(step.pose.index) or history.lost.get(step.pose.index)
+            if not told and step.pose.index not in history.skipped:
+                what = f"it tells of no recording at pose {step.pose.index}, and of no reason"
+                found.fault("journal", JOURNAL, what)
+
+
+def _check_attempts(evidence: _Evidence, found: Findings) -> dict[int, Measurement]:
+    """Measure every recording again and compare with the journal; return the measurements of the accepted ones."""
+    kept: dict[int, Measurement] = {}
+    other = other_software(evidence.history.started.get("software", {}))
+    for attempt in evidence.history.attempts:
+        name = str(attempt.stored["capture"])
+        if not (evidence.folder / name).is_file():
+            found.remarks.append(f"{name} was lost before the run was resumed, so it was not measured again")
+            continue
+        again = _measure(evidence, attempt)
+        if attempt.accepted and again.view is not None:
+            kept[attempt.pose_index] = again
+        if attempt.checked is None:
+            continue
+        due = _judged(evidence.job.camera_kind, evidence, attempt, again)
+        had = {name: attempt.checked.get(name) for name in due}
+        where = f"pose {attempt.pose_index} attempt {attempt.attempt}"
+        seen = list(differences(had, due, tolerance({}, {}), where))
+        if other and had["accepted"] == due["accepted"]:
+            seen = [one for one in seen if not (is_excused(one, {}) or ".reasons[" in one.where)]
+        for one in seen[:MOST_SHOWN]:
+            found.fault("journal", JOURNAL, f"the recordings do not give what it states: {one}")
+    return kept
+
+
+def _measure(evidence: _Evidence, attempt: Attempt) -> Measurement:
+    job = evidence.job
+    step = job.record_step(attempt.pose_index)
+    path = evidence.folder / str(attempt.stored["capture"])
+    return job.camera_kind.measure(path, step, job.frequency_hz(step), job.target, grid_from_journal(attempt))
+
+
+def _judged(kind: CameraKind, evidence: _Evidence, attempt: Attempt, again: Measurement) -> dict[str, Any]:
+    """Return what the journal must hold about the measurement of a recording, except the expected grid."""
+    job, stored = evidence.job, attempt.stored
+    step = job.record_step(attempt.pose_index)
+    gates, other_reasons = kind.judge(stored["facts"], step, job.frequency_hz(step), again)
+    gates += job.motion_gates(stored["measured_deg"], stored["measured_after_deg"])
+    reasons = [again.fault] if again.fault else []
+    reasons += failed_gate_texts(gates) + other_reasons
+    facts = {name: value for name, value in again.facts.items() if name != "expected_grid"}
+    stated = attempt.measured.get("expected_grid")
+    return {
+        "accepted": not reasons,
+        "reasons": reasons,
+        "stars": again.stars,
+        "gates": [gate.as_data() for gate in gates],
+        "measured": {**facts, **({"expected_grid": stated} if stated is not None else {})},
+    }
+
+
+def _made_again(
+    evidence: _Evidence, measured: Mapping[int, Measurement], found: Findings
+) -> MadeAgain | None:
+    """Calibrate again, as the run did; None if that fails, which ``found`` then tells."""
+    job, history, step = evidence.job, evidence.history, evidence.solve_step
+    if step is None:
+        found.fault("results", RESULTS, "the journal tells of no solve step")
+        return None
+    try:
+        solution = solve_run(job, evidence.folder, step, history, measured)
+        results = results_content(job, history, solution, job.read_truth(), evidence.used)
+        stored = read_json(evidence.folder / RESULTS).get("previous")
+        if stored is not None and evidence.history.ledger:
+            results["previous"] = _previous_again(stored, results)
+    except (BenchError, CalibrationError, DriverError) as error:
+        found.fault("results", RESULTS, f"the run cannot be calibrated again: {error}")
+        return None
+    except UNREADABLE as error:
+        found.fault("results", RESULTS, f"the results have no calibration to compare ({error!r})")
+        return None
+    _check_solved(evidence, solution.calibration.sigma, main_numbers(solution.calibration), found)
+    return MadeAgain(
+        results,
+        solution.measurements,
+        solution.calibration.residuals_px,
+        job.camera_name,
+        job.board or job.target,
+        evidence.used,
+        evidence.head,
+    )
+
+
+def _previous_again(stored: Mapping[str, Any], results: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the comparison with the earlier run that the results name; its folder may have gone."""
+    if stored.get("run") is None:
+        return dict(stored)
+    return {**stored, "change": change_since(stored["calibration"], results["calibration"])}
+
+
+def _check_solved(
+    evidence: _Evidence, sigma: Mapping[str, float], again: Mapping[str, Any], found: Findings
+) -> None:
+    """Compare the main numbers of the calibration in the journal with those that were calculated again."""
+    solved = evidence.history.solved
+    due = {name: value for name, value in again.items() if name in solved or name != "coverage_factor"}
+    had, must = (
+        {"calibration": {**one, "camera": one.get("values"), "values": None}} for one in (solved, due)
+    )
+    seen = list(differences(had, must, tolerance(sigma, {})))
+    if other_software(evidence.used):
+        seen = [one for one in seen if not is_excused(one, sigma)]
+    add_faults("journal", JOURNAL, "the recordings do not give what it states: ", seen, found)
