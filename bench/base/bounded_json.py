@@ -1,13 +1,13 @@
 """Parse JSON that others may have written: one reading only, and bounded, so that memory and stack are too.
 
-What two readers could read differently is refused: a key that stands twice, a byte-order mark, numbers that are not
-finite or too large, blanks behind the end. Files are read by `bench.records.reading`, which bounds their size.
+What two readers could read differently is refused: a key that stands twice, a byte-order mark, ``NaN``, blanks behind
+the end. `canonical_json` is the one form that the program writes; it also shows numbers that are too large. Files are
+read by `bench.records.reading`, which bounds their size.
 """
 
 from __future__ import annotations
 
 import json
-import math
 from collections.abc import Sequence
 from typing import Any, Final
 
@@ -15,10 +15,6 @@ MOST_LEVELS: Final = 100
 """Deepest nesting that is read; the deepest file of Starbench has less than 20 levels."""
 MOST_VALUES: Final = 5_000_000
 """Most values that are read: the results of ten thousand poses have three million. Each needs about 100 bytes."""
-
-
-MOST_DIGITS: Final = 400
-"""Most digits of a whole number; a finite number of double precision has at most 309."""
 
 
 def parse_json(data: bytes | str) -> Any:
@@ -33,14 +29,10 @@ def parse_json(data: bytes | str) -> Any:
     text = data.decode("utf-8") if isinstance(data, bytes) else data
     if text.removesuffix("\n")[-1:].isspace():
         raise ValueError("blanks stand behind its end")
+    if text.startswith("\ufeff"):
+        raise ValueError("it begins with a byte-order mark (BOM)")
     try:
-        found = json.loads(
-            text,
-            object_pairs_hook=_without_doubles,
-            parse_constant=_refuse_constant,
-            parse_float=_finite,
-            parse_int=_whole,
-        )
+        found = _DECODER.decode(text)
     except RecursionError:
         raise _too_deep() from None
     _refuse_deep(found)
@@ -51,6 +43,7 @@ def canonical_json(found: Any, *, ascii_only: bool = True) -> bytes:
     """Return JSON as all files of a run, a certificate or of recalculated results hold it.
 
     ascii_only: Whether other letters are escaped.
+    Raises ValueError: When a number is not finite.
     """
     return (json.dumps(found, indent=1, allow_nan=False, ensure_ascii=ascii_only) + "\n").encode()
 
@@ -68,17 +61,7 @@ def _refuse_constant(text: str) -> float:
     raise ValueError(f"{text} is not a number")
 
 
-def _finite(text: str) -> float:
-    value = float(text)
-    if not math.isfinite(value):
-        raise ValueError(f"{text[:60]} is too large a number")
-    return value
-
-
-def _whole(text: str) -> int:
-    if len(text) > MOST_DIGITS:
-        raise ValueError(f"{text[:60]} is too large a number")
-    return int(text)
+_DECODER: Final = json.JSONDecoder(object_pairs_hook=_without_doubles, parse_constant=_refuse_constant)
 
 
 def _refuse_deep(found: Any) -> None:

@@ -93,11 +93,17 @@ def _form(found: Findings, path: Path) -> None:
         return  # told already
     try:
         data = read_bounded(path)
-        if canonical_json(parse_json(data), ascii_only=_CANONICAL[path.name]) != data:
-            found.fault("form", path.name, "its JSON is not written as the program writes it")
+        content = parse_json(data)
     except (StorageError, ValueError) as error:
         if path.name != RESULTS:  # `verify` reads it too, and tells
             found.fault("form", path.name, f"the file cannot be read ({error})")
+        return
+    try:
+        is_same = canonical_json(content, ascii_only=_CANONICAL[path.name]) == data
+    except ValueError:  # a number that is not finite
+        is_same = False
+    if not is_same:
+        found.fault("form", path.name, "its JSON is not written as the program writes it")
 
 
 def _files(found: Findings, folder: Path, manifest: Mapping[str, str]) -> None:

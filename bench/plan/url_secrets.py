@@ -16,7 +16,10 @@ _ENV_KEYS = {"source": "source_env", "url": "url_env", "password": "password_env
 """Key of a value, and the key that names an environment variable in its place."""
 
 _OF_URL = r"[^\s\"'<>\\]"
-_NAMES = "token|secret|key|auth|authorization|password|passwd|passwort|pwd|pass|sig|signature|credentials?|session(?:id)?"
+_NAMES = (
+    "token|secret|key|auth|authorization|password|passwd|passwort|pwd|pass|sig|signature|"
+    "credentials?|session|sessionid"
+)
 _KINDS = {
     "a URL with a password": r"://[^\s/?#@:\"'<>\\]{0,200}?(?::|%3a)[^\s/?#@\"'<>\\]{1,500}@",
     "a URL with a token before the @": r"://[^\s/?#@:\"'<>\\]{16,500}@",

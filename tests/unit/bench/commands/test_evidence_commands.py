@@ -30,7 +30,7 @@ def home(tmp_path, monkeypatch):
     monkeypatch.setenv("STARBENCH_HOME", str(folder))
     for name in ("SSH_AUTH_SOCK", "STARBENCH_PASSPHRASE"):
         monkeypatch.delenv(name, raising=False)
-    monkeypatch.setattr("bench.commands.verify.derivations", lambda **_: {})
+    monkeypatch.setattr("bench.commands.verify.derivations", lambda *_, **__: {})
     return folder
 
 
@@ -84,7 +84,7 @@ def authorised(run, home, tmp_path, monkeypatch):
     from bench.commands import verify as verify_command
 
     monkeypatch.setattr(
-        verify_command, "derivations", lambda **_: {"run": [verify_command._check_authorisation]}
+        verify_command, "derivations", lambda *_, **__: {"run": [verify_command._check_authorisation]}
     )
     path = make_key(tmp_path)
     call("keys", "trust", f"{path}.pub", "--person", "ada@lab.example")

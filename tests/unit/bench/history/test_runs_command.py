@@ -40,7 +40,6 @@ def test_the_runs_of_two_benches_are_listed_and_exported(tmp_path, capsys, home)
     status, out, _ = call(capsys, *ledgers, "--output", "runs.csv", "--serial", "00050001")
     assert (status, out) == (0, "runs.csv: 5 runs, schema starbench/runs-table/1.\n")
     assert (tmp_path / "runs.csv").read_text().count("starbench/runs-table/1") == 5
-    assert (home / "ledgers_seen.json").exists()
 
 
 def test_a_fault_is_printed_and_the_table_is_written_all_the_same(tmp_path, capsys, home):
