@@ -1,6 +1,6 @@
 """Software that a station brings into a run, besides Starbench: packages of plug-ins, and libraries of its drivers.
 
-A verification may run on a computer without these packages. So `bench.results.other_software` does not compare them,
+A verification may run on a computer without these packages. So `results_content.other_software` does not compare them,
 and a run that cannot be read without a plug-in is told as not compared.
 """
 

@@ -27,9 +27,7 @@ OWN_DATA = {
     "records/inbox.py",  # bounded size; pydantic bounds the depth
     "records/run_index.py",  # text that the index wrote
     "results/compare_json.py",
-    "results/derive_offline.py",  # text that was written in the same line
     "results/exports.py",
-    "results/reproduce_offline.py",
     "simulated.py",  # a process of our own
     "web/guard.py",  # bodies of at most 16 kB
     "web/pages.py",
