@@ -154,6 +154,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    import measured
-
-    measured.run(main, "faults", "Messages while a channel misbehaves")
+    main()

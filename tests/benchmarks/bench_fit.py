@@ -101,6 +101,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    import measured
-
-    measured.run(main, "costs", "Fits")
+    main()

@@ -38,6 +38,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    import measured
-
-    measured.run(main, "faults", "How late a busy computer is")
+    main()

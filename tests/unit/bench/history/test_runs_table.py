@@ -60,9 +60,9 @@ def test_the_document_shows_the_schema():
     text = DOCUMENT.read_text()
     of_a_run, of_a_parameter = text.partition("### Parameters")[::2]
     parameters, of_the_record = of_a_parameter.partition("### Record")[::2]
-    column = re.compile(r"^\| `(\w+)` \| ([\w ,]+) \| (.*) \|$", re.MULTILINE)
-    stated = [(n, KINDS[k], m) for n, k, m in column.findall(of_a_run)]
-    for name, unit, meaning in re.findall(r"^\| `(\w+)` \| (\w*) +\| (.*) \|$", parameters, re.MULTILINE):
+    column = re.compile(r"^\* `(\w+)`(?: \(([\w ,]+)\))?: (.*)$", re.MULTILINE)
+    stated = [(n, KINDS[k or "text"], m) for n, k, m in column.findall(of_a_run)]
+    for name, unit, meaning in column.findall(parameters):
         end = f"_{unit}" if unit else ""
         expanded = f"expanded uncertainty of {name}, `coverage_factor` times the standard uncertainty"
         stated += [
@@ -70,7 +70,7 @@ def test_the_document_shows_the_schema():
             (f"{name}_sigma{end}", "number", f"standard uncertainty of {name}"),
             (f"{name}_expanded{end}", "number", expanded),
         ]
-    stated += [(n, KINDS[k], m) for n, k, m in column.findall(of_the_record)]
+    stated += [(n, KINDS[k or "text"], m) for n, k, m in column.findall(of_the_record)]
     assert stated == [(one.name, one.kind, one.meaning) for one in COLUMNS]
     assert f"`{SCHEMA}`" in text
 
