@@ -18,12 +18,13 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable
-from typing import TypeVar
+from typing import Any, TypeVar
 
 from drivers.clock import Clock
 from drivers.errors import ReplyGarbled, ReplyTimeout
 from drivers.lateness import REMEDY as BUSY_REMEDY
 from drivers.lateness import Deadline, busy_text
+from drivers.retry import resynchronise
 from drivers.serial_port import Port
 from drivers.wire_log import Direction, WireLog
 
@@ -125,7 +126,7 @@ class Link:
         port: Port,
         *,
         clock: Clock,
-        resynchronise: Callable[[], None],
+        resynchronise: Callable[[], object],
         terminator: bytes = b"\n",
         unsolicited: Callable[[bytes], bool] = no_unsolicited,
         wire_log: WireLog | None = None,
@@ -174,12 +175,12 @@ class Link:
             in_step_before = self._in_step
             # Whatever ends this exchange early, an interrupt included, leaves a reply unread.
             self._in_step = False
-            self.send(request)
+            self.write(request)
             reply = read_reply(ReplyReader(self, deadline_s))
             self._in_step = in_step_before
             return reply
 
-    def send(self, data: bytes) -> None:
+    def write(self, data: bytes) -> None:
         """Send bytes that have no reply."""
         with self.lock:
             self._note(">", data)
@@ -220,6 +221,32 @@ class Link:
             thrown = bytes(self._buffer)
             self._buffer.clear()
             return thrown
+
+    def prove_in_step(
+        self,
+        exchange_marker: Callable[[], object],
+        *,
+        quiet_s: float,
+        limit_s: float,
+        failed: str = "more bytes come than were asked for.",
+        remedy: str = "Check the port and the cable.",
+        **how: Any,
+    ) -> None:
+        """Bring the line back into step by a marker; see ``drivers.retry.resynchronise``.
+
+        failed, remedy: What is told when the marker's answer was unexpected, or something followed it.
+        Raises ReplyError: The line is still out of step.
+        """
+        if not resynchronise(self, exchange_marker, quiet_s=quiet_s, limit_s=limit_s, **how):
+            raise ReplyGarbled(failed, where=self.name, remedy=remedy)
+
+    def listen(self, duration_s: float) -> None:
+        """Wait for bytes on the line. No clock interrupts this wait: it is for stopping only.
+
+        duration_s: Longest wait, in seconds.
+        """
+        with self.lock:
+            self.receive(duration_s)
 
     def close(self) -> None:
         """Close the port."""

@@ -72,7 +72,7 @@ class Drainable(Protocol):
 
 def resynchronise(
     link: Drainable,
-    exchange_marker: Callable[[], bool],
+    exchange_marker: Callable[[], object],
     *,
     quiet_s: float,
     limit_s: float,
@@ -87,8 +87,8 @@ def resynchronise(
     the marker is answered and, for a protocol without message ids, nothing follows its answer. Two attempts are made.
 
     link: The line, held by this thread.
-    exchange_marker: Sends the marker and returns whether its answer is the expected one; raises ReplyError
-      for no valid answer.
+    exchange_marker: Sends the marker; returns False when its answer is not the expected one, and raises
+      ReplyError for no valid answer.
     quiet_s: How long nothing may arrive before the line counts as silent, in seconds.
     limit_s: Longest wait for that silence, in seconds.
     clear_device: Sends what makes the device forget the beginning of a command. Called after the line was
@@ -105,7 +105,7 @@ def resynchronise(
         inspect_old(link.drain(quiet_s, limit_s))
         clear_device()
         try:
-            expected = exchange_marker()
+            expected = exchange_marker() is not False
         except ReplyError as error:
             silent = isinstance(error, ReplyTimeout) and not error.late_s
             if not tries_left or (silent and once_if_silent):

@@ -9,7 +9,8 @@ from __future__ import annotations
 import errno
 import os
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from typing import Any, ParamSpec, Protocol, TypeVar
 
 import serial
@@ -203,3 +204,14 @@ def _why_not_opened(address: str, error: BaseException) -> PortError:
         where=address,
         remedy="Check that the station file names the device's port and a baud rate that the port supports.",
     )
+
+
+@contextmanager
+def closed_on_error(*ports: Port) -> Iterator[None]:
+    """Close ports when the block fails."""
+    try:
+        yield
+    except BaseException:
+        for port in ports:
+            port.close()
+        raise

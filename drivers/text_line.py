@@ -8,14 +8,13 @@ from __future__ import annotations
 
 import math
 import re
-import threading
 from collections.abc import Callable
 from typing import Final
 
 from drivers.clock import Clock
 from drivers.errors import ReplyGarbled
 from drivers.link import Link, ReplyReader, no_unsolicited
-from drivers.retry import TRIES, repeat, resynchronise
+from drivers.retry import TRIES, repeat
 from drivers.serial_port import Port
 from drivers.wire_log import WireLog
 
@@ -25,10 +24,11 @@ PROMPT_S: Final = 0.75
 """Longest wait for a reply that comes at once or never, in seconds."""
 _QUIET_S = 0.1
 _LONGEST_DRAIN_S = 2.0
+_GARBLED_REMEDY: Final = "Check the cable, the port and the baud rate."
 _NUMBER = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?", re.ASCII)
 
 
-class TextLine:
+class TextLine(Link):
     """A line to one device. Opening asks for its identity; it sets nothing.
 
     Parameters
@@ -81,7 +81,7 @@ class TextLine:
         self._request_end = request_end
         self._reply_end = reply_end
         self._reply_s = reply_s
-        self._link = Link(
+        super().__init__(
             port,
             clock=clock,
             resynchronise=self._resynchronise,
@@ -90,18 +90,8 @@ class TextLine:
             wire_log=wire_log,
         )
         self.identity_text = ""
-        self._link.drain(_QUIET_S, _LONGEST_DRAIN_S)
+        self.drain(_QUIET_S, _LONGEST_DRAIN_S)
         self.identity_text = self._identify()
-
-    @property
-    def name(self) -> str:
-        """The port's name."""
-        return self._link.name
-
-    @property
-    def lock(self) -> threading.RLock:
-        """While a thread holds it, no other thread can send."""
-        return self._link.lock
 
     def query(self, query: str, *, deadline_s: float | None = None, tries: int = TRIES) -> str:
         """Send a query and return its answer; repeat the query when no valid reply comes.
@@ -214,7 +204,7 @@ class TextLine:
         PortLost
             The port is gone.
         """
-        self._link.exchange(self._encode(command), _read_nothing, deadline_s=0.0)
+        self.exchange(self._encode(command), _read_nothing, deadline_s=0.0)
 
     def send_urgent(self, command: str) -> None:
         """Send a command that has no reply at once, without resynchronising: for stopping and switching off.
@@ -229,7 +219,7 @@ class TextLine:
         PortLost
             The port is gone.
         """
-        self._link.exchange(self._encode(command), _read_nothing, deadline_s=0.0, urgent=True)
+        self.exchange(self._encode(command), _read_nothing, deadline_s=0.0, urgent=True)
 
     def garbled_reply(self, what: str) -> ReplyGarbled:
         """Mark the line as out of step: a reply had the right form, but cannot be right.
@@ -244,23 +234,8 @@ class TextLine:
         ReplyGarbled
             The error, for the caller to raise.
         """
-        self._link.mark_out_of_step()
-        return ReplyGarbled(what, where=self.name, remedy="Check the cable, the port and the baud rate.")
-
-    def listen(self, duration_s: float) -> None:
-        """Wait for bytes on the line. No clock interrupts this wait: it is for stopping only.
-
-        Parameters
-        ----------
-        duration_s
-            Longest wait, in seconds.
-        """
-        with self._link.lock:
-            self._link.receive(duration_s)
-
-    def close(self) -> None:
-        """Close the port."""
-        self._link.close()
+        self.mark_out_of_step()
+        return ReplyGarbled(what, where=self.name, remedy=_GARBLED_REMEDY)
 
     # ------------------------------------------------------------ inside
 
@@ -271,7 +246,7 @@ class TextLine:
         def read_reply(reader: ReplyReader) -> str:
             return self._parse_reply(reader.read_line())
 
-        return self._link.exchange(self._encode(query), read_reply, deadline_s=deadline_s, urgent=urgent)
+        return self.exchange(self._encode(query), read_reply, deadline_s=deadline_s, urgent=urgent)
 
     def _parse_reply(self, line: bytes) -> str:
         """Return the text of a reply: printable ASCII, not empty. A CR before its end may be missing."""
@@ -289,7 +264,7 @@ class TextLine:
                 )
             return text
 
-        return repeat(query_identity, before_next=lambda: self._link.drain(_QUIET_S, _LONGEST_DRAIN_S))
+        return repeat(query_identity, before_next=lambda: self.drain(_QUIET_S, _LONGEST_DRAIN_S))
 
     def _resynchronise(self) -> None:
         """Ask for the identity on a silent line: no older reply can come after the known identity and a silence."""
@@ -299,10 +274,13 @@ class TextLine:
         def is_known() -> bool:
             return self._query_once(self._identity_query, PROMPT_S, urgent=True) == self.identity_text
 
-        if not resynchronise(self._link, is_known, quiet_s=_QUIET_S, limit_s=_LONGEST_DRAIN_S):
-            raise self.garbled_reply(
-                f"no clear answer to {self._identity_query}, though the device answered it before."
-            )
+        self.prove_in_step(
+            is_known,
+            quiet_s=_QUIET_S,
+            limit_s=_LONGEST_DRAIN_S,
+            failed=f"no clear answer to {self._identity_query}, though the device answered it before.",
+            remedy=_GARBLED_REMEDY,
+        )
 
 
 def _is_finite_number(text: str) -> bool:

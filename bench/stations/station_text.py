@@ -23,8 +23,7 @@ from drivers.clock import Clock
 from drivers.light import Light
 from drivers.light.text import TextLight
 from drivers.stage import Stage
-from drivers.stage.text import TextStage
-from drivers.stage.text_axis import TextAxis
+from drivers.stage.text import TextAxis, TextStage
 from drivers.wire_log import WireLog
 from sequences.errors import DocumentFaults
 from sequences.plain_number import Within

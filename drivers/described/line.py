@@ -8,7 +8,6 @@ comes and nothing follows it.
 from __future__ import annotations
 
 import re
-import threading
 from collections.abc import Mapping
 from functools import reduce
 
@@ -17,15 +16,16 @@ from drivers.described.description import Exchange, LineDescription, Notice, Swi
 from drivers.described.template import Value
 from drivers.errors import DeviceRefused, ReplyError, ReplyGarbled, WrongDevice
 from drivers.link import Link, ReplyReader
-from drivers.retry import TRIES, repeat, resynchronise
+from drivers.retry import TRIES, repeat
 from drivers.serial_port import Port
 from drivers.wire_log import WireLog
 
 _LONGEST_DRAIN_S = 2.0
 _SHOWN = 80
+_GARBLED_REMEDY = "Check the cable, the baud rate and the device's description."
 
 
-class DescribedLine:
+class DescribedLine(Link):
     """A line to one device. Opening sets the form of the replies and asks for the identity, nothing else.
 
     clock, wire_log: See ``drivers.link.Link``.
@@ -38,7 +38,7 @@ class DescribedLine:
         self._description = description
         self._notices: list[Notice] = []
         self._known = ""
-        self._link = Link(
+        super().__init__(
             port,
             clock=clock,
             resynchronise=self._resynchronise,
@@ -49,16 +49,6 @@ class DescribedLine:
         self._drain()
         self._clear_device()
         self.identity = self._first_identity(clock)
-
-    @property
-    def name(self) -> str:
-        """The port's name."""
-        return self._link.name
-
-    @property
-    def lock(self) -> threading.RLock:
-        """While a thread holds it, no other thread can send."""
-        return self._link.lock
 
     def query(
         self, exchange: Exchange, values: Mapping[str, Value] | None = None, *, tries: int = TRIES
@@ -93,9 +83,9 @@ class DescribedLine:
         Returns: The request as it was sent, without its end.
         """
         request = exchange.send.render(values)
-        with self._link.lock:
-            self._link.bring_into_step()
-            self._link.send(self._encode(request))
+        with self.lock:
+            self.bring_into_step()
+            self.write(self._encode(request))
         return request
 
     def poll(self, exchange: Exchange, request: str, values: Mapping[str, Value]) -> bool:
@@ -104,20 +94,20 @@ class DescribedLine:
         request: What ``send_without_reply`` returned.
         Returns: Whether the reply has come.
         """
-        with self._link.lock:
-            self._link.receive(0.0)
-            line = self._link.take_line()
+        with self.lock:
+            self.receive(0.0)
+            line = self.take_line()
             while line is not None:
                 text = self._text(line)
                 if text:
                     self._match(exchange, request, text, values)
                     return True
-                line = self._link.take_line()
+                line = self.take_line()
         return False
 
     def give_up_waiting(self) -> None:
         """Let an outstanding late reply be thrown away before the next request."""
-        self._link.mark_out_of_step()
+        self.mark_out_of_step()
 
     def take_notices(self) -> list[str]:
         """Return what the device said without being asked since the last call."""
@@ -143,22 +133,8 @@ class DescribedLine:
 
     def garbled_reply(self, what: str) -> ReplyGarbled:
         """Mark the line as out of step."""
-        self._link.mark_out_of_step()
-        return ReplyGarbled(
-            what, where=self.name, remedy="Check the cable, the baud rate and the device's description."
-        )
-
-    def listen(self, duration_s: float) -> None:
-        """Wait for bytes on the line. No clock interrupts this wait: it is for stopping only.
-
-        duration_s: Longest wait, in seconds.
-        """
-        with self._link.lock:
-            self._link.receive(duration_s)
-
-    def close(self) -> None:
-        """Close the port."""
-        self._link.close()
+        self.mark_out_of_step()
+        return ReplyGarbled(what, where=self.name, remedy=_GARBLED_REMEDY)
 
     # ------------------------------------------------------------ inside
 
@@ -174,10 +150,8 @@ class DescribedLine:
                 text = self._text(reader.read_line())
             return text
 
-        with self._link.lock:
-            text = self._link.exchange(
-                self._encode(request), read_reply, deadline_s=deadline_s, urgent=urgent
-            )
+        with self.lock:
+            text = self.exchange(self._encode(request), read_reply, deadline_s=deadline_s, urgent=urgent)
             return self._match(exchange, request, text, values) if exchange.reply is not None else {}
 
     def _match(
@@ -232,14 +206,14 @@ class DescribedLine:
         return data
 
     def _drain(self) -> bytes:
-        return self._link.drain(self._description.quiet_s, _LONGEST_DRAIN_S)
+        return self.drain(self._description.quiet_s, _LONGEST_DRAIN_S)
 
     def _clear_device(self) -> None:
         """Make an incomplete request invalid, set the form of the replies, and throw away the answers."""
-        self._link.send(self._description.clear + self._description.request_end)
+        self.write(self._description.clear + self._description.request_end)
         self._take_from(self._drain())
         for command in self._description.setup:
-            self._link.send(self._encode(command.render({})))
+            self.write(self._encode(command.render({})))
             self._take_from(self._drain())
 
     def _first_identity(self, clock: Clock) -> dict[str, Value]:
@@ -265,18 +239,17 @@ class DescribedLine:
             found = self._exchange(self._description.identity, {}, urgent=True)
             return repr(sorted(found.items())) == self._known
 
-        if not resynchronise(
-            self._link,
+        self.prove_in_step(
             is_known,
             quiet_s=self._description.quiet_s,
             limit_s=_LONGEST_DRAIN_S,
+            failed=f"no clear answer to '{self._description.identity.send.text}', though the device answered it"
+            " before.",
+            remedy=_GARBLED_REMEDY,
             clear_device=self._clear_device,
             inspect_old=self._take_from,
             once_if_silent=True,
-        ):
-            raise self.garbled_reply(
-                f"no clear answer to '{self._description.identity.send.text}', though the device answered it before."
-            )
+        )
 
 
 def _xor(data: bytes) -> int:

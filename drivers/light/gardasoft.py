@@ -9,26 +9,20 @@ Source: Gardasoft, "RTxxx LED lighting controllers: User Manual", section 12 (co
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 from drivers.clock import Clock
 from drivers.errors import LightFault, ReplyError, SettingRefused, WrongDevice
 from drivers.light import LightIdentity, LightSettings
 from drivers.light.rt_line import CONTINUOUS, IDENTITY, PULSED, REFUSALS, REFUSED, Quantity, RtLine
-from drivers.readings import read_until_agreed
-from drivers.serial_port import Port, SerialPort
+from drivers.light.watched import FULL_SCALE_V, WatchedLight, percent_faults, steady_settings
+from drivers.serial_port import Port, closed_on_error
 from drivers.wire_log import WireLog
 
-FULL_SCALE_V = 5.0
-"""Value of ``high_v`` that stands for full brightness, in volts."""
 _DELAY_MS = 0.01
 """The shortest delay from trigger to pulse, in milliseconds; the same for lamp and sync."""
 
 
-class GardasoftLight:
-    """A light behind an RT controller. Implements ``drivers.light.Light``.
-
-    Open it with ``GardasoftLight.open``; the constructor takes a port that is open already.
+class GardasoftLight(WatchedLight):
+    """A light behind an RT controller.
 
     model: Model that the controller reports (RT260-20); None when it is not checked. There is no serial
       number.
@@ -38,6 +32,10 @@ class GardasoftLight:
     clock, wire_log: See ``drivers.link.Link``.
     Raises ReplyError, PortLost: The controller does not answer.
     """
+
+    _line: RtLine
+    BAUDRATE = 115200
+    STAYS_LIT = ("the trigger still runs or the light is still lit", "Switch the controller off.")
 
     def __init__(
         self,
@@ -56,44 +54,11 @@ class GardasoftLight:
         self._sync_channel = sync_channel
         self._full_percent = full_percent
         self._sync_percent = sync_percent
-        self._switched_on = False
+        super().__init__()
         self._steady_percent: float | None = None
-        try:
+        with closed_on_error(port):
             self._line = RtLine(port, clock=clock, wire_log=wire_log)
             self.identify()
-        except BaseException:
-            port.close()
-            raise
-
-    @classmethod
-    def open(
-        cls,
-        port: str,
-        *,
-        model: str | None = None,
-        channel: int = 1,
-        sync_channel: int | None = 2,
-        full_percent: float = 100.0,
-        sync_percent: float = 100.0,
-        baudrate: int = 115200,
-        clock: Clock,
-        wire_log: WireLog | None = None,
-    ) -> GardasoftLight:
-        """Open the port and check the model. Sets and switches nothing.
-
-        port: Address of the port; see ``drivers.serial_port.SerialPort``, which raises the errors of opening.
-        baudrate: Bits per second.
-        """
-        return cls(
-            SerialPort(port, baudrate=baudrate),
-            model=model,
-            channel=channel,
-            sync_channel=sync_channel,
-            full_percent=full_percent,
-            sync_percent=sync_percent,
-            clock=clock,
-            wire_log=wire_log,
-        )
 
     def identify(self) -> LightIdentity:
         """See `Light.identify`.
@@ -133,68 +98,39 @@ class GardasoftLight:
         self._check_settings(period_ms, width_ms, percent)
         return self.read()
 
-    def read(self) -> LightSettings:
-        """See `Light.read`. The settings are read until two readings agree.
-
-        Raises ReplyGarbled: The readings do not agree.
-        """
-        return read_until_agreed(self._read_once, what="the settings", where=self._line.name)
-
-    def on(self) -> None:
-        """See `Light.on`. Starts the internal trigger, or the steady light.
-
-        Raises LightFault: The trigger does not run, or the light is dark.
-        """
+    def _switch_on(self) -> None:
+        """Start the internal trigger, or the steady light."""
         if self._steady_percent is None:
-            dark = "the trigger was started, but does not run."
             self._set("trigger", "TT1")
         else:
-            dark = "the light was switched on, but is dark."
             self._set("level", f"RS{self._channel},{self._steady_percent:.1f}")
             self._check_steady(self._steady_percent)
-        if not self.is_on():
-            raise LightFault(
-                dark,
-                where=self._line.name,
-                remedy="Look up the error that the controller shows in its manual.",
-            )
-        self._switched_on = True
 
-    def off(self) -> None:
-        """See `Light.off`. Stops the internal trigger at once, without resynchronising, then a steady light.
+    def _stays_dark(self) -> tuple[str, str]:
+        trigger, steady = (
+            "the trigger was started, but does not run.",
+            "the light was switched on, but is dark.",
+        )
+        remedy = "Look up the error that the controller shows in its manual."
+        return (trigger if self._steady_percent is None else steady), remedy
 
-        Raises ReplyError, PortLost: The controller does not answer, so its state is unknown.
-        """
-        self._switched_on = False
+    def _switch_off(self) -> None:
+        """Stop the internal trigger at once, without resynchronising, then a steady light."""
         try:
             self._line.command_urgent("TT0")
         except ReplyError:
             self._line.query("TT0")
         if self._is_lit_steadily():
             self._set("level", f"RS{self._channel},0")
-        if self.is_on():
-            raise LightFault(
-                "the light was switched off, but the trigger still runs or the light is still lit.",
-                where=self._line.name,
-                remedy="Switch the controller off.",
-            )
 
     def is_on(self) -> bool:
         """See `Light.is_on`. Asks whether the internal trigger runs or the channel is lit steadily."""
-        runs = read_until_agreed(self._trigger_runs, what="the trigger's state", where=self._line.name)
-        return runs or self._is_lit_steadily()
+        return self._agreed(self._trigger_runs, "the trigger's state") or self._is_lit_steadily()
 
-    def faults(self) -> Sequence[str]:
-        """See `Light.faults`. Returns the controller's latest event, which this clears, and an unexpected darkness."""
+    def _reported_faults(self) -> list[str]:
+        """Return the controller's latest event, which this clears."""
         event = self._line.query("GR")
-        found = [f"the controller reports event {event} (see section 13.5 of its manual)"] if event else []
-        if self._switched_on and not self.is_on():
-            found.append("the light was switched on, but is off")
-        return found
-
-    def close(self) -> None:
-        """See `Light.close`."""
-        self._line.close()
+        return [f"the controller reports event {event} (see section 13.5 of its manual)"] if event else []
 
     # ------------------------------------------------------------ inside
 
@@ -222,18 +158,10 @@ class GardasoftLight:
         steady = settings.waveform == "steady"
         if settings.waveform == "sine":
             wrong.append("this light makes square pulses only")
-        if settings.low_v != 0 and not steady:
-            wrong.append("this light is dark between pulses: low_v must be 0")
-        if not 0 < percent <= self._full_percent:
-            wrong.append(f"high_v must be above 0 V and at most {FULL_SCALE_V:g} V, its full scale")
+        wrong += percent_faults(settings, percent, self._full_percent)
         if settings.sync_output and self._sync_channel is None and not steady:
             wrong.append("this light has no sync channel")
-        if wrong:
-            raise SettingRefused(
-                f"{'; '.join(wrong)}.",
-                where=self._line.name,
-                remedy="Change the light step in the sequence, or the light in the station file.",
-            )
+        self._refuse(wrong)
 
     def _apply_steady(self, percent: float) -> LightSettings:
         """Keep a level for ``on``; set it at once when the light is lit already."""
@@ -255,8 +183,7 @@ class GardasoftLight:
             )
 
     def _steady(self, percent: float) -> LightSettings:
-        level_v = FULL_SCALE_V * percent / self._full_percent
-        return LightSettings(waveform="steady", low_v=level_v, high_v=level_v, sync_output=False)
+        return steady_settings(FULL_SCALE_V * percent / self._full_percent)
 
     def _level(self) -> Quantity:
         return self._line.parse_quantity(self._line.query_fields(f"ST{self._channel}"), "S")
@@ -271,7 +198,7 @@ class GardasoftLight:
                 and self._line.parse_quantity(channel, "S").value > 0
             )
 
-        return read_until_agreed(read, what="the channel's mode", where=self._line.name)
+        return self._agreed(read, "the channel's mode")
 
     def _check_settings(self, period_ms: float, width_ms: float, percent: float) -> None:
         general, channel = self._line.query_fields("ST0"), self._line.query_fields(f"ST{self._channel}")
@@ -285,12 +212,7 @@ class GardasoftLight:
             for name, (wanted, got, unit) in pairs.items()
             if not got.agrees_with(wanted)
         ]
-        if wrong:
-            raise SettingRefused(
-                f"settings read back differently from what was set ({'; '.join(wrong)}).",
-                where=self._line.name,
-                remedy="Ask for values within the controller's range and resolution.",
-            )
+        self._refuse_otherwise(wrong, "Ask for values within the controller's range and resolution.")
 
     def _read_once(self) -> LightSettings:
         """Ask for all settings. ``ST0`` comes between the channels, because the answers of two channels look alike."""

@@ -8,16 +8,15 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable, Sequence
-from typing import TypeVar
+from collections.abc import Sequence
 
 from drivers.clock import Clock
-from drivers.errors import LightFault, SettingRefused, WrongDevice
+from drivers.errors import SettingRefused, WrongDevice
 from drivers.light import LightIdentity, LightSettings
 from drivers.light.scpi_dialects import DIALECTS, DialectName, Load, Setting
-from drivers.readings import read_until_agreed
+from drivers.light.watched import WatchedLight
 from drivers.scpi_line import InstrumentError, ScpiLine
-from drivers.serial_port import Port, SerialPort
+from drivers.serial_port import Port, closed_on_error
 from drivers.wire_log import WireLog
 
 # Largest difference of two equal values: the finest resolution that generators have and print.
@@ -26,13 +25,9 @@ _DUTY_PERCENT = 0.01
 _LEVEL_REL = 1e-3
 _LEVEL_V = 0.002
 
-T = TypeVar("T")
 
-
-class ScpiLight:
-    """A light behind an SCPI generator. Implements ``drivers.light.Light``.
-
-    Open it with ``ScpiLight.open``; the constructor takes a port that is open already.
+class ScpiLight(WatchedLight):
+    """A light behind an SCPI generator.
 
     serial: The generator's serial number as in the answer to ``*IDN?``; None when it is not checked.
     clock, wire_log: See ``drivers.link.Link``.
@@ -40,6 +35,12 @@ class ScpiLight:
     dialect: Commands of the generator: "keysight", "numbered" or "siglent".
     Raises ReplyError, PortLost: The generator does not answer.
     """
+
+    BAUDRATE = 9600
+    _line: ScpiLine
+    OUTPUT = LAMP = "output"
+    STAYS_DARK = ("reads off", "Check whether the generator shows an overload of its output.")
+    STAYS_LIT = ("reads on", "Switch the generator's output off by hand.")
 
     def __init__(
         self,
@@ -54,35 +55,13 @@ class ScpiLight:
         self._serial = serial
         self._load: Load = load
         self._dialect = DIALECTS[dialect]
-        self._switched_on = False
+        super().__init__()
+        self._backwards = itertools.cycle((False, True))
         self._modes_reset = False
         self._sync_is_normal = False
-        try:
+        with closed_on_error(port):
             self._line = ScpiLine(port, clock=clock, wire_log=wire_log)
             self.identify()
-        except BaseException:
-            port.close()
-            raise
-
-    @classmethod
-    def open(
-        cls,
-        port: str,
-        *,
-        serial: str | None = None,
-        baudrate: int = 9600,
-        clock: Clock,
-        wire_log: WireLog | None = None,
-        load: Load = "high-z",
-        dialect: DialectName = "keysight",
-    ) -> ScpiLight:
-        """Open the port and check the serial number. Sets and switches nothing.
-
-        port: Address of the port; see ``drivers.serial_port.SerialPort``, which raises the errors of opening.
-        baudrate: Bits per second.
-        """
-        opened = SerialPort(port, baudrate=baudrate)
-        return cls(opened, serial=serial, clock=clock, wire_log=wire_log, load=load, dialect=dialect)
 
     def identify(self) -> LightIdentity:
         """See `Light.identify`.
@@ -107,68 +86,46 @@ class ScpiLight:
         for setting in self._dialect.settings(settings, self._dialect.query_low_v(self._line)):
             self._set(setting)
         got = self.read()
-        _check_settings(settings, got, self._line.name)
+        remedy = "Ask for values within the generator's range and resolution."
+        self._refuse_otherwise(_differences(settings, got), remedy)
         return got
 
-    def read(self) -> LightSettings:
-        """See `Light.read`. Reads until two readings agree: SCPI has no checksums, and a digit can change on the line.
+    def _read_once(self) -> LightSettings:
+        """Ask for all settings: SCPI has no checksums, and a digit can change on the line.
 
         Raises LightFault: The waveform is neither a square, a sine nor a steady level.
-        Raises ReplyGarbled: The readings do not agree.
         """
-        backwards = itertools.cycle((False, True))
-        return self._read_until_agreed(
-            lambda: self._dialect.query_settings(self._line, backwards=next(backwards)), "the settings"
-        )
+        return self._dialect.query_settings(self._line, backwards=next(self._backwards))
+
+    def read(self) -> LightSettings:
+        """See `Light.read`. Consecutive readings ask in two orders."""
+        self._backwards = itertools.cycle((False, True))
+        return super().read()
 
     def sync_polarity(self) -> str:
         """See `StatesSyncPolarity.sync_polarity`. Ends bursts and modulations, too, as `apply` does."""
         self._reset_modes()
         return "normal" if self._sync_is_normal else "not stated by the device"
 
-    def on(self) -> None:
-        """See `Light.on`."""
+    def _switch_on(self) -> None:
         self._set(self._dialect.output(on=True))
-        if not self.is_on():
-            raise LightFault(
-                "the output was switched on, but reads off.",
-                where=self._line.name,
-                remedy="Check whether the generator shows an overload of its output.",
-            )
-        self._switched_on = True
 
-    def off(self) -> None:
-        """See `Light.off`. The command is sent at once, without resynchronising.
-
-        Raises ReplyError, PortLost: The generator does not answer, so its state is unknown.
-        """
-        self._switched_on = False
+    def _switch_off(self) -> None:
         _, command = self._dialect.output(on=False)
         self._line.send_urgent(command)
-        if not self.is_on():
-            return
+
+    def _insist_off(self) -> bool:
+        _, command = self._dialect.output(on=False)
         self._line.command(command)
-        if self.is_on():
-            raise LightFault(
-                "the output was switched off, but reads on.",
-                where=self._line.name,
-                remedy="Switch the generator's output off by hand.",
-            )
+        return True
 
     def is_on(self) -> bool:
-        """See `Light.is_on`. Asks until two answers agree."""
-        return self._read_until_agreed(lambda: self._dialect.query_output(self._line), "the output's switch")
+        """See `Light.is_on`."""
+        return self._agreed(lambda: self._dialect.query_output(self._line), "the output's switch")
 
-    def faults(self) -> Sequence[str]:
-        """See `Light.faults`. Returns the errors since the last call, and an unexpected darkness."""
-        found = [f"the generator reports {error}" for error in self._line.read_errors()]
-        if self._switched_on and not self.is_on():
-            found.append("the output was switched on, but is off")
-        return found
-
-    def close(self) -> None:
-        """See `Light.close`."""
-        self._line.close()
+    def _reported_faults(self) -> list[str]:
+        """Return the errors since the last call."""
+        return [f"the generator reports {error}" for error in self._line.read_errors()]
 
     # ------------------------------------------------------------ inside
 
@@ -196,12 +153,9 @@ class ScpiLight:
                 remedy=_remedy(name, errors),
             )
 
-    def _read_until_agreed(self, read: Callable[[], T], what: str) -> T:
-        return read_until_agreed(read, what=what, where=self._line.name)
 
-
-def _check_settings(asked: LightSettings, got: LightSettings, where: str) -> None:
-    """Raise SettingRefused with every setting that reads back differently.
+def _differences(asked: LightSettings, got: LightSettings) -> list[str]:
+    """Return every setting that reads back differently.
 
     Of a steady light, only the waveform and the level count.
     """
@@ -216,17 +170,11 @@ def _check_settings(asked: LightSettings, got: LightSettings, where: str) -> Non
         "sync_output": asked.sync_output == got.sync_output,
     }
     counts = {"waveform", "high_v"} if asked.waveform == "steady" else set(agrees)
-    wrong = [
+    return [
         f"{name}: asked {getattr(asked, name)}, got {getattr(got, name)}"
         for name, agreed in agrees.items()
         if name in counts and not agreed
     ]
-    if wrong:
-        raise SettingRefused(
-            f"settings read back differently from what was set ({'; '.join(wrong)}).",
-            where=where,
-            remedy="Ask for values within the generator's range and resolution.",
-        )
 
 
 def _remedy(name: str, errors: Sequence[InstrumentError]) -> str:

@@ -19,6 +19,7 @@ from typing import Literal, Protocol
 
 from drivers.errors import LightFault
 from drivers.light import LightSettings, Waveform
+from drivers.light.watched import steady_settings
 from drivers.scpi_line import ScpiLine
 
 Load = Literal["high-z", "50-ohm", "unchanged"]
@@ -32,11 +33,6 @@ Setting = tuple[str, str]
 
 _SHORT: dict[Waveform, str] = {"square": "SQU", "sine": "SIN", "steady": "DC"}
 _LONG: dict[Waveform, str] = {"square": "SQUARE", "sine": "SINE", "steady": "DC"}
-
-
-def _steady(level_v: float) -> LightSettings:
-    """Return the settings of a steady light."""
-    return LightSettings(waveform="steady", low_v=level_v, high_v=level_v, sync_output=False)
 
 
 class Dialect(Protocol):
@@ -152,7 +148,7 @@ class HeaderDialect:
         source = self.source
         waveform = _waveform(line.query(f"{source}FUNC?"), line.name)
         if waveform == "steady":
-            return _steady(line.query_number(f"{source}VOLT:OFFS?"))
+            return steady_settings(line.query_number(f"{source}VOLT:OFFS?"))
         # In the two orders each number has different neighbours, so a reply that is one query late differs.
         queries = {"low_v": "VOLT:LOW?", "high_v": "VOLT:HIGH?", "frequency_hz": "FREQ?"}
         if waveform == "square":
@@ -211,7 +207,7 @@ class SiglentDialect:
         fields = self._query_fields(line, "BSWV")
         waveform = _waveform(fields.get("WVTP", ""), line.name)
         if waveform == "steady":
-            return _steady(self._parse_number(line, fields, "OFST"))
+            return steady_settings(self._parse_number(line, fields, "OFST"))
         settings = LightSettings(
             waveform=waveform,
             frequency_hz=self._parse_number(line, fields, "FRQ"),

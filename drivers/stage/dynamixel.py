@@ -3,6 +3,8 @@
 A servo knows its angle within one turn at power-up, and its torque is off then. So homing searches nothing: it takes
 the present position as goal and switches the torque on. Only moves move the servo.
 
+Closing leaves the torque as it is: without it, an axis could fall.
+
 This module decides what a servo's state means for a move. ``drivers.stage.watched`` watches the moves.
 """
 
@@ -10,40 +12,47 @@ from __future__ import annotations
 
 import math
 import struct
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final
 
 from drivers.clock import Clock
-from drivers.errors import DeviceRefused, MoveFailed, NotHomed, OutsideLimits, ReplyGarbled, WrongDevice
-from drivers.serial_port import Port, SerialPort
-from drivers.stage import AxisIdentity, AxisLimits
+from drivers.errors import DeviceRefused, OutsideLimits, ReplyGarbled, WrongDevice
+from drivers.serial_port import Port, closed_on_error
+from drivers.stage import AxisIdentity
 from drivers.stage import dynamixel_protocol as protocol
 from drivers.stage.dynamixel_bus import DynamixelBus
 from drivers.stage.dynamixel_protocol import Settings, State
-from drivers.stage.watched import AxisState, StopCheck, WatchedStage
+from drivers.stage.watched import (
+    Axis,
+    AxisState,
+    OneLineStage,
+    no_reference,
+    not_movable,
+)
 from drivers.wire_log import WireLog
 
 _LARGEST_PART_OF_TURN: Final = 0.95
 
 
 @dataclass(frozen=True, kw_only=True)
-class DynamixelAxis:
-    """One axis as the station file describes it."""
+class DynamixelAxis(Axis):
+    """One axis as the station file describes it. A servo has no serial number."""
 
-    name: str  # "pan", "tilt" or "roll"
     id: int
     # Counts per degree; 4096 / 360 without a gear, negative when the counter falls as the angle grows.
     counts_per_deg: float
-    limits: AxisLimits
     model: str = ""  # Name of its model, such as "XL430-W250"; empty when it is not checked
     zero_count: int = 2048  # Count within the servo's turn at the angle ``zero_deg``
-    zero_deg: float = 0.0  # Angle at that count, in degrees
-    tolerance_deg: float = 0.3  # Largest distance of the servo from its target at rest, in degrees
-    encoder_tolerance_deg: float = 0.5  # Not used: the servo is counted by its encoder
+    tolerance_deg: float = 0.3
+
+    @property
+    def scale(self) -> float:
+        """Counts per degree; the count is that since ``zero_count``."""
+        return self.counts_per_deg
 
 
-class DynamixelStage(WatchedStage[DynamixelAxis]):
+class DynamixelStage(OneLineStage[DynamixelAxis]):
     """A stage of one to three Dynamixel servos. Implements ``drivers.stage.Stage``.
 
     Open it with ``DynamixelStage.open``; the constructor takes a port that is open already.
@@ -57,39 +66,22 @@ class DynamixelStage(WatchedStage[DynamixelAxis]):
     Raises ReplyError, PortLost: A servo does not answer.
     """
 
+    BAUDRATE = 57600
+
     def __init__(
         self, port: Port, axes: Sequence[DynamixelAxis], *, clock: Clock, wire_log: WireLog | None = None
     ) -> None:
         super().__init__(axes, clock=clock, where=port.name)
         self._goals: dict[str, int] = {}
-        try:
-            self._bus = DynamixelBus(port, [axis.id for axis in axes], clock=clock, wire_log=wire_log)
+        with closed_on_error(port):
+            ids = [axis.id for axis in axes]
+            self._bus = self._share(DynamixelBus(port, ids, clock=clock, wire_log=wire_log))
             self.identify()
             for axis in axes:
                 _check_span(axis)
             self._bring_to_rest()
             for axis in axes:
                 self._program(axis)
-        except BaseException:
-            port.close()
-            raise
-
-    @classmethod
-    def open(
-        cls,
-        port: str,
-        axes: Sequence[DynamixelAxis],
-        *,
-        baudrate: int = 57600,
-        clock: Clock,
-        wire_log: WireLog | None = None,
-    ) -> DynamixelStage:
-        """Open the port, check the models, and set modes and speeds. Moves nothing, and switches no torque.
-
-        port: Address of the port; see ``drivers.serial_port.SerialPort``, which raises the errors of opening.
-        baudrate: Bits per second.
-        """
-        return cls(SerialPort(port, baudrate=baudrate), axes, clock=clock, wire_log=wire_log)
 
     def identify(self) -> Sequence[AxisIdentity]:
         """See `Stage.identify`. A servo has no serial number; its model and its id stand for it.
@@ -124,25 +116,21 @@ class DynamixelStage(WatchedStage[DynamixelAxis]):
             said += [] if state.torque else [f"{name}: the torque is off"]
         return said
 
-    def close(self) -> None:
-        """See `Stage.close`. The torque stays as it is: without it, an axis could fall."""
-        self._bus.close()
-
     # ------------------------------------------------------------ on the wire
 
     def _check_ready(self, axis: DynamixelAxis) -> None:
         state = self._bus.read_state(axis.id)
         if state.errors:
-            raise MoveFailed(
-                f"{_shut_down(state)}. Nothing was moved.",
-                where=axis.name,
-                remedy="Clear the cause, hold the camera, then home the stage: that restarts this servo.",
+            raise not_movable(
+                axis,
+                _shut_down(state),
+                "Clear the cause, hold the camera, then home the stage: that restarts this servo.",
             )
         if not state.torque:
-            raise NotHomed(
-                "the torque of the servo is off, as after a loss of power. Nothing was moved.",
-                where=axis.name,
-                remedy="Home the stage first: that switches the torque on where the axis stands.",
+            raise no_reference(
+                axis,
+                "the torque of the servo is off, as after a loss of power",
+                "Home the stage first: that switches the torque on where the axis stands.",
             )
         self._program_profile(axis, state)
 
@@ -153,37 +141,26 @@ class DynamixelStage(WatchedStage[DynamixelAxis]):
             self._bus.reboot(axis.id)
             state = self._bus.read_state(axis.id)
         if state.errors:
-            raise MoveFailed(
-                f"{_shut_down(state)}. Nothing was moved.",
-                where=axis.name,
-                remedy="Clear the cause, switch the servo's power off and on, then home the stage.",
+            raise not_movable(
+                axis,
+                _shut_down(state),
+                "Clear the cause, switch the servo's power off and on, then home the stage.",
             )
         self._program(axis)
 
-    def _reachable_deg(self, axis: DynamixelAxis, angle_deg: float) -> float:
-        steps = round((angle_deg - axis.zero_deg) * axis.counts_per_deg)
-        return axis.zero_deg + steps / axis.counts_per_deg
+    def _begin_move(self, axis: DynamixelAxis, angle_deg: float) -> None:
+        goal = self._goal(axis, self._bus.read_state(axis.id), angle_deg)
+        self._goals[axis.name] = goal
+        self._bus.move(axis.id, goal)
 
-    def _start(self, goals_deg: Mapping[str, float], check_not_stopped: StopCheck) -> None:
-        for name, angle_deg in goals_deg.items():
-            axis = self._axes[name]
-            with self._bus.lock:
-                check_not_stopped()
-                goal = self._goal(axis, self._bus.read_state(axis.id), angle_deg)
-                self._goals[name] = goal
-                self._bus.move(axis.id, goal)
-
-    def _start_homing(self, check_not_stopped: StopCheck) -> None:
-        """Switch the torque on where each axis stands."""
-        for name, axis in self._axes.items():
-            with self._bus.lock:
-                check_not_stopped()
-                state = self._bus.read_state(axis.id)
-                if not state.torque:
-                    self._bus.write(axis.id, protocol.GOAL, struct.pack("<i", state.position))
-                    self._bus.write(axis.id, protocol.TORQUE, b"\1")
-                    state = self._bus.read_state(axis.id)
-                self._goals[name] = state.goal
+    def _begin_homing(self, axis: DynamixelAxis) -> None:
+        """Switch the torque on where the axis stands."""
+        state = self._bus.read_state(axis.id)
+        if not state.torque:
+            self._bus.write_value(axis.id, protocol.GOAL, struct.pack("<i", state.position))
+            self._bus.write_value(axis.id, protocol.TORQUE, b"\1")
+            state = self._bus.read_state(axis.id)
+        self._goals[axis.name] = state.goal
 
     def _read_state(self, axis: DynamixelAxis, *, homing: bool = False) -> AxisState:  # noqa: ARG002
         state = self._bus.read_state(axis.id)
@@ -200,15 +177,9 @@ class DynamixelStage(WatchedStage[DynamixelAxis]):
             return AxisState(position_deg, state.moving, problem, position_kept=True)
         return AxisState(position_deg, state.moving)
 
-    def _read_final_state(self, axis: DynamixelAxis, *, homing: bool) -> AxisState:
-        return self._read_state(axis, homing=homing)
-
     def _send_stop(self) -> None:
         self._goals.clear()
         self._bus.stop_all()
-
-    def _listen(self, duration_s: float) -> None:
-        self._bus.listen(duration_s)
 
     # ------------------------------------------------------------ scale and settings
 
@@ -217,16 +188,15 @@ class DynamixelStage(WatchedStage[DynamixelAxis]):
 
         A servo begins to count its turns anew at each power-up; the limits span less than a turn.
         """
-        angle_deg = axis.zero_deg + (count - axis.zero_count) / axis.counts_per_deg
+        angle_deg = axis.to_angle_deg(count - axis.zero_count)
         middle_deg = (axis.limits.lowest_deg + axis.limits.highest_deg) / 2.0
         turn_deg = protocol.COUNTS_A_TURN / abs(axis.counts_per_deg)
         return angle_deg - turn_deg * round((angle_deg - middle_deg) / turn_deg)
 
     def _goal(self, axis: DynamixelAxis, state: State, angle_deg: float) -> int:
         """Return the count of an angle in the turn that the servo counts at present."""
-        steps = round((angle_deg - axis.zero_deg) * axis.counts_per_deg)
-        present = round((self._angle_deg(axis, state.position) - axis.zero_deg) * axis.counts_per_deg)
-        goal = state.position + steps - present
+        present = axis.to_counts(self._angle_deg(axis, state.position))
+        goal = state.position + axis.to_counts(angle_deg) - present
         if abs(goal) > protocol.LARGEST_GOAL:
             raise ReplyGarbled(
                 f"the servo counts {state.position}, which is beyond its own range.",
@@ -254,7 +224,7 @@ class DynamixelStage(WatchedStage[DynamixelAxis]):
             )
         for address, value in wanted.items():
             if value != present[address]:
-                self._bus.write(axis.id, address, bytes([value]))
+                self._bus.write_value(axis.id, address, bytes([value]))
         settings = self._bus.read_settings(axis.id)
         if (settings.drive_mode, settings.operating_mode) != tuple(wanted.values()):
             raise DeviceRefused(
@@ -271,7 +241,7 @@ class DynamixelStage(WatchedStage[DynamixelAxis]):
         wanted = _profile(axis)
         if (state.ramp, state.speed) == wanted:
             return
-        self._bus.write(axis.id, protocol.PROFILE, struct.pack("<II", *wanted))
+        self._bus.write_value(axis.id, protocol.PROFILE, struct.pack("<II", *wanted))
         state = self._bus.read_state(axis.id)
         if (state.ramp, state.speed) != wanted:
             raise DeviceRefused(

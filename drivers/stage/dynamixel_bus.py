@@ -7,14 +7,13 @@ from __future__ import annotations
 
 import math
 import struct
-import threading
 from collections.abc import Sequence
 from typing import Final, NamedTuple
 
 from drivers.clock import Clock
 from drivers.errors import DeviceRefused, ReplyError, ReplyGarbled
 from drivers.link import Link, ReplyReader
-from drivers.retry import repeat, resynchronise
+from drivers.retry import repeat
 from drivers.serial_port import Port
 from drivers.stage import dynamixel_protocol as protocol
 from drivers.stage.dynamixel_protocol import Packet, Settings, State
@@ -44,11 +43,29 @@ class _Age(NamedTuple):
     received_s: float
 
 
-class _PacketLink(Link):
-    """A line whose units are packets. Bytes before a header are noise, and are thrown away."""
+class DynamixelBus(Link):
+    """The servos on one line. Opening sends nothing.
+
+    clock, wire_log: See ``drivers.link.Link``.
+    """
+
+    def __init__(
+        self, port: Port, servos: Sequence[int], *, clock: Clock, wire_log: WireLog | None = None
+    ) -> None:
+        self._servos = tuple(servos)
+        self._asked = self._servos[0]
+        self._ages: dict[int, _Age] = {}
+        super().__init__(
+            port,
+            clock=clock,
+            resynchronise=self._resynchronise,
+            unsolicited=self._is_echo,
+            wire_log=wire_log,
+        )
+        self.mark_out_of_step()
 
     def take_line(self) -> bytes | None:
-        """Take one unread packet.
+        """Take one unread packet. Bytes before a header are noise, and are thrown away.
 
         Returns: The packet; None when no complete one is unread.
         """
@@ -66,39 +83,6 @@ class _PacketLink(Link):
                 return self.take(size)
             self.take(len(protocol.HEADER))
 
-
-class DynamixelBus:
-    """The servos on one line. Opening sends nothing.
-
-    clock, wire_log: See ``drivers.link.Link``.
-    """
-
-    def __init__(
-        self, port: Port, servos: Sequence[int], *, clock: Clock, wire_log: WireLog | None = None
-    ) -> None:
-        self._servos = tuple(servos)
-        self._asked = self._servos[0]
-        self._clock = clock
-        self._ages: dict[int, _Age] = {}
-        self._link = _PacketLink(
-            port,
-            clock=clock,
-            resynchronise=self._resynchronise,
-            unsolicited=self._is_echo,
-            wire_log=wire_log,
-        )
-        self._link.mark_out_of_step()
-
-    @property
-    def name(self) -> str:
-        """The port's name."""
-        return self._link.name
-
-    @property
-    def lock(self) -> threading.RLock:
-        """While a thread holds it, no other thread can send."""
-        return self._link.lock
-
     def read_settings(self, servo: int) -> Settings:
         """Ask for the settings that outlast a loss of power."""
         return Settings.unpack(repeat(lambda: self._read(servo, 0, protocol.SETTINGS_SIZE)))
@@ -107,7 +91,7 @@ class DynamixelBus:
         """Ask for the state."""
         return repeat(lambda: self._read_state(servo))
 
-    def write(self, servo: int, address: int, data: bytes) -> None:
+    def write_value(self, servo: int, address: int, data: bytes) -> None:
         """Write a value; repeat it when no status packet comes, which does no harm.
 
         data: The value. Not a goal while the torque is on: see `move`.
@@ -146,7 +130,7 @@ class DynamixelBus:
 
         Raises ReplyError: A servo did not confirm its stop at the last attempt.
         """
-        with self._link.lock:
+        with self.lock:
             left = []
             for servo in self._servos:
                 try:
@@ -161,18 +145,6 @@ class DynamixelBus:
                     failed = error
             if failed is not None:
                 raise failed
-
-    def listen(self, duration_s: float) -> None:
-        """Wait for bytes on the line. No clock interrupts this wait: it is for stopping only.
-
-        duration_s: Longest wait, in seconds.
-        """
-        with self._link.lock:
-            self._link.receive(duration_s)
-
-    def close(self) -> None:
-        """Close the port."""
-        self._link.close()
 
     # ------------------------------------------------------------ inside
 
@@ -192,9 +164,9 @@ class DynamixelBus:
             )
 
     def _read_state(self, servo: int, deadline_s: float = _REPLY_S) -> State:
-        with self._link.lock:
+        with self.lock:
             self._asked = servo
-            self._link.bring_into_step()
+            self.bring_into_step()
             sent_s = self._clock.monotonic()
             state = State.unpack(self._read(servo, protocol.STATE_FIRST, protocol.STATE_SIZE, deadline_s))
             self._check_age(servo, state, sent_s, self._clock.monotonic())
@@ -208,7 +180,7 @@ class DynamixelBus:
             least_s = 0.5 * (sent_s - before.received_s) - _TICK_SLACK_S
             most_s = 2.0 * (received_s - before.sent_s) + _TICK_SLACK_S
             if not least_s <= tick_s <= most_s:
-                self._link.mark_out_of_step()
+                self.mark_out_of_step()
                 raise protocol.garbled(
                     f"servo {servo} sent a state of another moment, or has restarted.", self.name
                 )
@@ -243,9 +215,9 @@ class DynamixelBus:
                     except DeviceRefused as error:
                         return error
 
-        with self._link.lock:
+        with self.lock:
             self._asked = servo
-            answer = self._link.exchange(
+            answer = self.exchange(
                 protocol.packet(servo, instruction, parameters),
                 read_reply,
                 deadline_s=deadline_s,
@@ -264,19 +236,13 @@ class DynamixelBus:
 
     def _resynchronise(self) -> None:
         """Wait for silence; then get the answer to a ping, which no other instruction has, alone on the line."""
-
-        def exchange_marker() -> bool:
-            self._exchange(self._asked, protocol.PING, b"", 3, deadline_s=_MARKER_S, urgent=True)
-            return True
-
-        if not resynchronise(
-            self._link, exchange_marker, quiet_s=_QUIET_S, limit_s=_LONGEST_DRAIN_S, once_if_silent=True
-        ):
-            raise ReplyGarbled(
-                "more bytes come than were asked for.",
-                where=self.name,
-                remedy="Check the cable, and that no two servos have the same id.",
-            )
+        self.prove_in_step(
+            lambda: self._exchange(self._asked, protocol.PING, b"", 3, deadline_s=_MARKER_S, urgent=True),
+            quiet_s=_QUIET_S,
+            limit_s=_LONGEST_DRAIN_S,
+            remedy="Check the cable, and that no two servos have the same id.",
+            once_if_silent=True,
+        )
 
 
 def _resting_goal(state: State) -> int:

@@ -9,17 +9,25 @@ Source: Newport, "ESP300" and "ESP301 User's Manual", section 3 (remote mode).
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
 from drivers.clock import Clock
-from drivers.errors import DeviceRefused, MoveFailed, NotHomed, OutsideLimits, WrongDevice
+from drivers.errors import DeviceRefused, OutsideLimits
 from drivers.readings import read_until_agreed
-from drivers.serial_port import Port, SerialPort
-from drivers.stage import AxisIdentity, AxisLimits, motion
+from drivers.serial_port import Port, closed_on_error
+from drivers.stage import AxisIdentity, motion
 from drivers.stage.esp_errors import EspError, parse_error
-from drivers.stage.watched import AxisState, StopCheck, WatchedStage
+from drivers.stage.watched import (
+    Axis,
+    AxisState,
+    OneLineStage,
+    StopCheck,
+    no_reference,
+    not_movable,
+    reads_otherwise,
+)
 from drivers.text_line import PROMPT_S, TextLine
 from drivers.wire_log import WireLog
 
@@ -31,41 +39,27 @@ _MOST_ERRORS = 20
 
 
 @dataclass(frozen=True, kw_only=True)
-class EspAxis:
-    """One axis as the station file describes it."""
+class EspAxis(Axis):
+    """One axis as the station file describes it. Its serial is that of the stage, as in the answer to ``1ID?``."""
 
-    name: str  # "pan", "tilt" or "roll"
     number: int  # Number of the axis on the controller, 1 to 3
-    # Serial number of the stage as in the answer to ``1ID?`` (SN1263); empty when it is not checked.
-    serial: str
-    limits: AxisLimits
     # Parameter of ``OR``, the search of the reference: 1 by home switch and index, 2 by home switch, 3 and 4
     # by the positive and negative limit, 5 and 6 by those and index. Without it the controller would only
     # move to 0.
     home_mode: Literal[1, 2, 3, 4, 5, 6] = 1
     direction: Literal[1, -1] = 1  # -1 when the controller's degrees fall as the angle grows, else 1
-    zero_deg: float = 0.0  # Angle at the controller's 0, in degrees
-    tolerance_deg: float = 0.002  # Largest distance of the axis from its target at rest, in degrees
-    encoder_tolerance_deg: float = 0.0  # Not used: the controller's position is that of the encoder
+
+    @property
+    def scale(self) -> float:
+        """The controller counts in degrees."""
+        return self.direction
 
     def to_controller_deg(self, angle_deg: float) -> float:
-        """Return the controller's position of an angle, rounded to the digits that are sent.
-
-        angle_deg: Angle, in degrees.
-        Returns: Position of the controller, in degrees.
-        """
+        """Return the controller's position of an angle, in degrees, rounded to the digits that are sent."""
         return round((angle_deg - self.zero_deg) * self.direction, 5)
 
-    def to_angle_deg(self, controller_deg: float) -> float:
-        """Return the angle of a position of the controller.
 
-        controller_deg: Position of the controller, in degrees.
-        Returns: Angle, in degrees.
-        """
-        return self.zero_deg + self.direction * controller_deg
-
-
-class EspStage(WatchedStage[EspAxis]):
+class EspStage(OneLineStage[EspAxis]):
     """A stage of one to three axes on an ESP controller. Implements ``drivers.stage.Stage``.
 
     Open it with ``EspStage.open``; the constructor takes a port that is open already.
@@ -78,6 +72,8 @@ class EspStage(WatchedStage[EspAxis]):
     Raises ReplyError, PortLost: The controller does not answer.
     """
 
+    BAUDRATE = 19200
+
     def __init__(
         self, port: Port, axes: Sequence[EspAxis], *, clock: Clock, wire_log: WireLog | None = None
     ) -> None:
@@ -85,8 +81,8 @@ class EspStage(WatchedStage[EspAxis]):
         self._time_cycles = 0
         self._restarts = 0
         self._homed_at: int | None = None
-        try:
-            self._line = TextLine(
+        with closed_on_error(port):
+            line = TextLine(
                 port,
                 identity_query="VE?",
                 is_identity=lambda text: text.upper().startswith("ESP"),
@@ -95,31 +91,12 @@ class EspStage(WatchedStage[EspAxis]):
                 clock=clock,
                 wire_log=wire_log,
             )
+            self._line = self._share(line)
             self._read_errors()
             self.identify()
             self._bring_to_rest()
             for axis in axes:
                 self._program(axis)
-        except BaseException:
-            port.close()
-            raise
-
-    @classmethod
-    def open(
-        cls,
-        port: str,
-        axes: Sequence[EspAxis],
-        *,
-        baudrate: int = 19200,
-        clock: Clock,
-        wire_log: WireLog | None = None,
-    ) -> EspStage:
-        """Open the port, check the serial numbers, and set limits, speed and acceleration. Moves nothing.
-
-        port: Address of the port; see ``drivers.serial_port.SerialPort``, which raises the errors of opening.
-        baudrate: Bits per second.
-        """
-        return cls(SerialPort(port, baudrate=baudrate), axes, clock=clock, wire_log=wire_log)
 
     def identify(self) -> Sequence[AxisIdentity]:
         """See `Stage.identify`.
@@ -130,13 +107,13 @@ class EspStage(WatchedStage[EspAxis]):
         for axis in self._axes.values():
             text = self._line.query(f"{axis.number}ID?")
             model, _, serial = (part.strip() for part in text.partition(","))
-            if axis.serial and serial.removeprefix("SN") != axis.serial.removeprefix("SN"):
-                raise WrongDevice(
-                    f"the station file names serial {axis.serial} for {axis.name}, but axis {axis.number}"
-                    f" answers '{text}'. Nothing was moved.",
-                    where=self._where,
-                    remedy="Check the port, the axis numbers and the serials in the station file.",
-                )
+            same = serial.removeprefix("SN") == axis.serial.removeprefix("SN")
+            self._require_serial(
+                axis,
+                axis.serial if same else serial,
+                f"axis {axis.number} answers '{text}'",
+                remedy="Check the port, the axis numbers and the serials in the station file.",
+            )
             found.append(AxisIdentity(axis.name, "Newport", model, serial, self._line.identity_text))
         return tuple(found)
 
@@ -150,19 +127,11 @@ class EspStage(WatchedStage[EspAxis]):
         found = [str(error) for error in self._read_errors()]
         return found + [f"{name}: motor off" for name, axis in self._axes.items() if not self._motor_on(axis)]
 
-    def close(self) -> None:
-        """See `Stage.close`."""
-        self._line.close()
-
     # ------------------------------------------------------------ on the wire
 
     def _check_ready(self, axis: EspAxis) -> None:
         if not self._has_reference():
-            raise NotHomed(
-                "the axis has no reference. Nothing was moved.",
-                where=axis.name,
-                remedy="Home the stage first.",
-            )
+            raise no_reference(axis)
 
     def _clear_faults(self, axis: EspAxis) -> None:
         """Empty the error buffer and switch the motor on, which moves nothing."""
@@ -170,28 +139,22 @@ class EspStage(WatchedStage[EspAxis]):
         if not self._motor_on(axis):
             self._command(axis, "MO")
         if not self._motor_on(axis):
-            raise MoveFailed(
-                "the motor stays off. Nothing was moved.",
-                where=axis.name,
-                remedy="Check that the motor power of the controller is enabled.",
+            raise not_movable(
+                axis, "the motor stays off", "Check that the motor power of the controller is enabled."
             )
 
     def _reachable_deg(self, axis: EspAxis, angle_deg: float) -> float:
         return axis.to_angle_deg(axis.to_controller_deg(angle_deg))
 
-    def _start(self, goals_deg: Mapping[str, float], check_not_stopped: StopCheck) -> None:
-        for name, angle_deg in goals_deg.items():
-            axis = self._axes[name]
-            with self._line.lock:
-                check_not_stopped()
-                self._command(axis, f"PA{axis.to_controller_deg(angle_deg):.5f}")
+    def _begin_move(self, axis: EspAxis, angle_deg: float) -> None:
+        self._command(axis, f"PA{axis.to_controller_deg(angle_deg):.5f}")
 
     def _start_homing(self, check_not_stopped: StopCheck) -> None:
         self._homed_at = None
-        for axis in self._axes.values():
-            with self._line.lock:
-                check_not_stopped()
-                self._command(axis, f"OR{axis.home_mode}")
+        super()._start_homing(check_not_stopped)
+
+    def _begin_homing(self, axis: EspAxis) -> None:
+        self._command(axis, f"OR{axis.home_mode}")
 
     def _read_state(self, axis: EspAxis, *, homing: bool = False) -> AxisState:  # noqa: ARG002 - the same problems in both
         """Ask whether the axis moves, then where it is: the position of an idle axis is then one at rest."""
@@ -217,9 +180,6 @@ class EspStage(WatchedStage[EspAxis]):
         for number in ("", *(axis.number for axis in self._axes.values())):
             self._line.send_urgent(f"{number}ST")
         self._read_errors()
-
-    def _listen(self, duration_s: float) -> None:
-        self._line.listen(duration_s)
 
     def _motor_on(self, axis: EspAxis) -> bool:
         """Ask until two answers agree: the answer is a single digit without checksum."""
@@ -299,8 +259,4 @@ class EspStage(WatchedStage[EspAxis]):
             self._command(axis, f"{name}{value:.5f}")
         got = self._line.query_number(f"{axis.number}{name}?")
         if abs(got - value) > _RESOLUTION:
-            raise DeviceRefused(
-                f"{name} was set to {value:g}, but reads {got:g}.",
-                where=axis.name,
-                remedy="Change the station file to what the controller supports.",
-            )
+            raise reads_otherwise(axis, name, f"{value:g}", f"{got:g}")

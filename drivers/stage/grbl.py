@@ -13,12 +13,19 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from drivers.clock import Clock
-from drivers.errors import DeviceRefused, MoveFailed, NotHomed, OutsideLimits, WrongDevice
-from drivers.serial_port import Port, SerialPort
-from drivers.stage import AxisIdentity, AxisLimits, grbl_protocol, motion
+from drivers.errors import DeviceRefused, MoveFailed, OutsideLimits, WrongDevice
+from drivers.serial_port import Port, closed_on_error
+from drivers.stage import AxisIdentity, grbl_protocol, motion
 from drivers.stage.grbl_controller import GrblController
 from drivers.stage.grbl_protocol import StatusReport, machine_positions
-from drivers.stage.watched import AxisState, StopCheck, WatchedStage
+from drivers.stage.watched import (
+    Axis,
+    AxisState,
+    OneLineStage,
+    StopCheck,
+    no_reference,
+    not_movable,
+)
 from drivers.wire_log import WireLog
 
 _LETTERS = "XYZABC"
@@ -31,21 +38,23 @@ _PRINTED = 0.0011
 
 
 @dataclass(frozen=True, kw_only=True)
-class GrblAxis:
-    """One axis as the station file describes it."""
+class GrblAxis(Axis):
+    """One axis as the station file describes it.
 
-    name: str  # "pan", "tilt" or "roll"
+    ``zero_deg`` is the angle of machine position 0. GRBL counts downwards from there: both limits lie below.
+    """
+
     letter: str  # The board's name of the axis: X, Y, Z (A, B, C where the firmware has them)
     # Steps per degree. The board's ``$100`` ... must have this value; it is checked, never changed.
     steps_per_deg: float
-    limits: AxisLimits
-    # Angle of machine position 0, in degrees. GRBL counts downwards from there: both limits lie below.
-    zero_deg: float
-    tolerance_deg: float = 0.002  # Largest distance of the counter from its target at rest, in degrees
-    encoder_tolerance_deg: float = math.inf  # Not used: GRBL has no encoders
+
+    @property
+    def scale(self) -> float:
+        """Steps per degree."""
+        return self.steps_per_deg
 
 
-class GrblStage(WatchedStage[GrblAxis]):
+class GrblStage(OneLineStage[GrblAxis]):
     """A stage of one to three axes on a GRBL board. Implements ``drivers.stage.Stage``.
 
     Open it with ``GrblStage.open``; the constructor takes a port that is open already.
@@ -57,6 +66,8 @@ class GrblStage(WatchedStage[GrblAxis]):
     Raises OutsideLimits: Scale or travel in the station file do not fit the board's.
     Raises ReplyError, PortLost: The board does not answer.
     """
+
+    BAUDRATE = 115200
 
     def __init__(
         self,
@@ -72,33 +83,11 @@ class GrblStage(WatchedStage[GrblAxis]):
         self._places = {axis.name: _LETTERS.index(axis.letter) for axis in axes}
         self._homed_at: tuple[int, int] | None = None
         self._homing = False
-        try:
-            self._board = GrblController(port, clock=clock, wire_log=wire_log)
+        with closed_on_error(port):
+            self._board = self._share(GrblController(port, clock=clock, wire_log=wire_log))
             self._bring_to_rest()  # a moving board refuses $I
             self.identify()
             self._program()
-        except BaseException:
-            port.close()
-            raise
-
-    @classmethod
-    def open(
-        cls,
-        port: str,
-        axes: Sequence[GrblAxis],
-        *,
-        serial: str = "",
-        baudrate: int = 115200,
-        clock: Clock,
-        wire_log: WireLog | None = None,
-    ) -> GrblStage:
-        """Open the port, check the board's name, and set limits, speed and acceleration. Moves nothing.
-
-        port: Address of the port; see ``drivers.serial_port.SerialPort``, which raises the errors of opening.
-        baudrate: Bits per second.
-        """
-        opened = SerialPort(port, baudrate=baudrate)
-        return cls(opened, axes, serial=serial, clock=clock, wire_log=wire_log)
 
     def identify(self) -> Sequence[AxisIdentity]:
         """See `Stage.identify`. The board's name counts as its serial number.
@@ -146,42 +135,32 @@ class GrblStage(WatchedStage[GrblAxis]):
             if not self._board.needs_reset:
                 raise
 
-    def close(self) -> None:
-        """See `Stage.close`."""
-        self._board.close()
-
     # ------------------------------------------------------------ on the wire
 
     def _check_ready(self, axis: GrblAxis) -> None:
         state = self._board.query_status().state
         if self._homed_at != self._history():
-            raise NotHomed(
-                "the board has no reference. Nothing was moved.",
-                where=axis.name,
-                remedy="Home the stage first.",
-            )
+            raise no_reference(axis, "the board has no reference")
         if state in grbl_protocol.BLOCKING_STATES:
-            raise self._blocked(axis, state)
+            raise not_movable(axis, self._describe(state))
 
     def _clear_faults(self, axis: GrblAxis) -> None:
         """Check that homing can begin: homing clears an alarm by itself, and no other blocking state."""
         state = self._board.query_status().state
         if state not in {"Idle", "Alarm"}:
-            raise self._blocked(axis, state)
-
-    def _blocked(self, axis: GrblAxis, state: str) -> MoveFailed:
-        return MoveFailed(
-            f"{self._describe(state)}. Nothing was moved.",
-            where=axis.name,
-            remedy="Clear the cause, then home the stage.",
-        )
-
-    def _reachable_deg(self, axis: GrblAxis, angle_deg: float) -> float:
-        steps = round((angle_deg - axis.zero_deg) * axis.steps_per_deg)
-        return axis.zero_deg + steps / axis.steps_per_deg
+            raise not_movable(axis, self._describe(state))
 
     def _start(self, goals_deg: Mapping[str, float], check_not_stopped: StopCheck) -> None:
-        """Jog all axes together on a straight line, the slowest axis at its speed."""
+        jog = self._jog(goals_deg)
+        with self._board.lock:
+            check_not_stopped()
+            self._board.command(jog)
+
+    def _begin_move(self, axis: GrblAxis, angle_deg: float) -> None:
+        self._board.command(self._jog({axis.name: angle_deg}))
+
+    def _jog(self, goals_deg: Mapping[str, float]) -> str:
+        """Return the command that jogs axes together on a straight line, the slowest axis at its speed."""
         report = self._board.query_status()
         words, distances_deg, times_s = [], [], []
         for name, goal_deg in goals_deg.items():
@@ -191,18 +170,18 @@ class GrblStage(WatchedStage[GrblAxis]):
             times_s.append(abs(distance_deg) / axis.limits.speed_deg_s)
             words.append(f"{axis.letter}{goal_deg - axis.zero_deg:.4f}")
         feed_deg_min = 60.0 * math.hypot(*distances_deg) / max(times_s) if max(times_s) > 0 else 60.0
-        with self._board.lock:
-            check_not_stopped()
-            self._board.command(f"$J=G21G53{''.join(words)}F{feed_deg_min:.1f}")
+        return f"$J=G21G53{''.join(words)}F{feed_deg_min:.1f}"
 
     def _start_homing(self, check_not_stopped: StopCheck) -> None:
-        self._homed_at = None
-        with self._board.lock:
-            check_not_stopped()
-            self._homing = True
-            self._board.start_homing()
+        self._homed_at, self._homing = None, False
+        super()._start_homing(check_not_stopped)
         self._board.wait_for_homing()
         self._homing = False
+
+    def _begin_homing(self, axis: GrblAxis) -> None:  # noqa: ARG002 - one search finds all references
+        if not self._homing:
+            self._homing = True
+            self._board.start_homing()
 
     def _read_state(self, axis: GrblAxis, *, homing: bool = False) -> AxisState:
         """Read state and position from one report."""
@@ -210,9 +189,6 @@ class GrblStage(WatchedStage[GrblAxis]):
         problem = self._problem(report.state, homing=homing)
         position_kept = report.state in {"Hold", "Door", "Run"} and self._homed_at == self._history()
         return AxisState(self._angle_deg(axis, report), report.moving, problem, position_kept)
-
-    def _read_final_state(self, axis: GrblAxis, *, homing: bool) -> AxisState:
-        return self._read_state(axis, homing=homing)
 
     def _finish_homing(self, axis: GrblAxis) -> None:  # noqa: ARG002 - one board, one reference
         self._homed_at = self._history()
@@ -223,9 +199,6 @@ class GrblStage(WatchedStage[GrblAxis]):
         if self._homing or self._board.query_status().state in {"Run", "Home"}:
             self._homing = False
             self._board.reset()
-
-    def _listen(self, duration_s: float) -> None:
-        self._board.listen(duration_s)
 
     def _angle_deg(self, axis: GrblAxis, report: StatusReport) -> float:
         return axis.zero_deg + machine_positions(report, [self._places[axis.name]], self._where)[0]

@@ -5,14 +5,13 @@ Degrees belong to ``drivers.stage.grbl``, the forms of lines to ``drivers.stage.
 
 from __future__ import annotations
 
-import threading
 from collections.abc import Callable
 from typing import TypeVar
 
 from drivers.clock import Clock
 from drivers.errors import DeviceRefused, MoveFailed, MoveTimeout, ReplyGarbled, ReplyTimeout
 from drivers.link import Link, ReplyReader
-from drivers.retry import repeat, resynchronise
+from drivers.retry import repeat
 from drivers.serial_port import Port
 from drivers.stage import grbl_protocol, motion
 from drivers.stage.grbl_protocol import StatusReport
@@ -38,7 +37,7 @@ _WAKE_RESETS = 4
 T = TypeVar("T")
 
 
-class GrblController:
+class GrblController(Link):
     """A GRBL board on one line. Opening asks for a status report; it sets nothing.
 
     clock, wire_log: See ``drivers.link.Link``.
@@ -52,8 +51,7 @@ class GrblController:
         self.restarts = 0
         self.alarms: list[int] = []
         self.needs_reset = False
-        self._clock = clock
-        self._link = Link(
+        super().__init__(
             port,
             clock=clock,
             resynchronise=self._resynchronise,
@@ -61,16 +59,6 @@ class GrblController:
             wire_log=wire_log,
         )
         self._wait_for_boot()
-
-    @property
-    def name(self) -> str:
-        """The port's name."""
-        return self._link.name
-
-    @property
-    def lock(self) -> threading.RLock:
-        """While a thread holds it, no other thread can send."""
-        return self._link.lock
 
     def query_status(self) -> StatusReport:
         """Ask for state and position; repeat it when no valid report comes."""
@@ -117,17 +105,17 @@ class GrblController:
         Raises ReplyTimeout: The board sends no welcome message.
         """
         restarts = self.restarts
-        with self._link.lock:
+        with self.lock:
             for _ in range(_WAKE_RESETS):
-                self._link.send(grbl_protocol.RESET)
+                self.write(grbl_protocol.RESET)
                 silences = 0
                 while self.restarts == restarts and silences < _WAKE_SILENCES:
-                    silences += not self._link.receive(_QUIET_S)
+                    silences += not self.receive(_QUIET_S)
                     while self._next_line() is not None:
                         silences += 1  # a board that babbles is no board that has restarted
                 if self.restarts != restarts:
                     break
-            self._link.mark_out_of_step()
+            self.mark_out_of_step()
         if self.restarts == restarts:
             raise ReplyTimeout(
                 "the board does not answer, and a reset brings no welcome message.",
@@ -140,11 +128,11 @@ class GrblController:
 
         Raises ReplyError: The line was out of step and could not be resynchronised; nothing was started.
         """
-        with self._link.lock:
+        with self.lock:
             self.require_awake()
-            self._link.bring_into_step()
-            self._link.send(b"$H\n")
-            self._link.mark_out_of_step()
+            self.bring_into_step()
+            self.write(b"$H\n")
+            self.mark_out_of_step()
 
     def wait_for_homing(self) -> None:
         """Wait for the ``ok`` at the end of homing, or for a restart of the board.
@@ -170,12 +158,12 @@ class GrblController:
 
     def cancel_jog(self) -> None:
         """Ramp down and cancel the jog; the position is kept."""
-        self._link.send(grbl_protocol.CANCEL_JOG)
+        self.write(grbl_protocol.CANCEL_JOG)
 
     def reset(self) -> None:
         """Stop at once, whatever the board does; the position is lost when it was moving."""
-        self._link.send(grbl_protocol.RESET)
-        self._link.mark_out_of_step()
+        self.write(grbl_protocol.RESET)
+        self.mark_out_of_step()
 
     def query_settings(self) -> dict[int, float]:
         """Ask for all settings.
@@ -193,22 +181,10 @@ class GrblController:
         for line in self.query("$I"):
             if (build := grbl_protocol.parse_build_info(line)) is not None:
                 return build
-        self._link.mark_out_of_step()
+        self.mark_out_of_step()
         raise ReplyGarbled(
             "the answer to $I has no version.", where=self.name, remedy="Check that the firmware is GRBL 1.1."
         )
-
-    def listen(self, duration_s: float) -> None:
-        """Wait for bytes on the line. No clock interrupts this wait: it is for stopping only.
-
-        duration_s: Longest wait, in seconds.
-        """
-        with self._link.lock:
-            self._link.receive(duration_s)
-
-    def close(self) -> None:
-        """Close the port."""
-        self._link.close()
 
     # ------------------------------------------------------------ inside
 
@@ -240,7 +216,7 @@ class GrblController:
                 self.require_awake()
                 raise
 
-        return self._link.exchange(request, read_awake, deadline_s=deadline_s, urgent=urgent)
+        return self.exchange(request, read_awake, deadline_s=deadline_s, urgent=urgent)
 
     def _read_reply(self, sent: str, reader: ReplyReader) -> list[bytes]:
         lines = []
@@ -264,10 +240,10 @@ class GrblController:
 
     def _next_line(self) -> bytes | None:
         """Return the next line that has come already and is no push message."""
-        with self._link.lock:
-            self._link.receive(0.0)
-            while (line := self._link.take_line()) is not None:
-                if not self._link.route_unsolicited(line):
+        with self.lock:
+            self.receive(0.0)
+            while (line := self.take_line()) is not None:
+                if not self.route_unsolicited(line):
                     return line
         return None
 
@@ -289,27 +265,24 @@ class GrblController:
             # A board that moves by jog or program answers ?. A mute one waits for a reset after a limit, or is homing
             # for a program that has ended. This driver has no reference yet, so a reset loses nothing.
             self.wake()
-        self._link.mark_out_of_step()  # the board may hold the beginning of a line that another program sent
+        self.mark_out_of_step()  # the board may hold the beginning of a line that another program sent
 
     def _resynchronise(self) -> None:
         """Spoil the beginning of a line that the board may hold; then get one ``ok`` to an empty line, alone."""
 
-        def exchange_marker() -> bool:
+        def exchange_marker() -> None:
             self._exchange(_INVALID_LINE, self._read_to_error, deadline_s=_REPLY_S, urgent=True)
             self._query_status_once(deadline_s=_MARKER_S, urgent=True)
             self._exchange(b"\n", self._read_single_ok, deadline_s=_MARKER_S, urgent=True)
-            return True
 
-        if not resynchronise(
-            self._link,
+        self.prove_in_step(
             exchange_marker,
             quiet_s=_QUIET_S,
             limit_s=_LONGEST_DRAIN_S,
+            failed="the board sends more than it was asked for.",
+            remedy="Check the port.",
             inspect_old=self._take_push_messages,
-        ):
-            raise ReplyGarbled(
-                "the board sends more than it was asked for.", where=self.name, remedy="Check the port."
-            )
+        )
 
     def _read_to_error(self, reader: ReplyReader) -> None:
         """Read until an error comes: the answers to older lines come first."""

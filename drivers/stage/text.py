@@ -9,25 +9,49 @@ but by ``home`` and ``move_to``; ``drivers.stage.watched`` watches the moves.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
+from dataclasses import dataclass
 
 from drivers.clock import Clock
 from drivers.described.description import AxisSetting, Exchange, StageDescription
 from drivers.described.line import DescribedLine
 from drivers.described.template import Value
-from drivers.errors import DeviceRefused, NotHomed, OutsideLimits, ReplyError, ReplyTimeout
+from drivers.errors import OutsideLimits, ReplyError, ReplyTimeout
 from drivers.readings import read_until_agreed
 from drivers.retry import TRIES
-from drivers.serial_port import Port, SerialPort
+from drivers.serial_port import Port, SerialPort, closed_on_error
 from drivers.stage import AxisIdentity, motion
-from drivers.stage.text_axis import TextAxis
-from drivers.stage.watched import AxisState, StopCheck, WatchedStage
+from drivers.stage.watched import (
+    Axis,
+    AxisState,
+    StopCheck,
+    WatchedStage,
+    no_reference,
+    reads_otherwise,
+)
 from drivers.wire_log import WireLog
 
 _STOPS_IN_SILENCE = 2
 """How often a stop is sent at once while no reply comes."""
 _SCALE_SLACK = 2e-4
 """Largest relative difference between the scale of the station file and the controller's: it prints few digits."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class TextAxis(Axis):
+    """One axis as the station file describes it."""
+
+    address: str  # The controller's word for the axis, which stands for ``{address}`` in the description
+    counts_per_deg: float  # Scale; negative when the counter falls as the angle grows
+
+    @property
+    def scale(self) -> float:
+        """Counts per degree."""
+        return self.counts_per_deg
+
+    def to_position(self, angle_deg: float) -> float:
+        """Return the counter at an angle, in counts, not rounded: the description says how it is sent."""
+        return (angle_deg - self.zero_deg) * self.counts_per_deg
 
 
 class TextStage(WatchedStage[TextAxis]):
@@ -61,16 +85,13 @@ class TextStage(WatchedStage[TextAxis]):
         """Axes whose late reply to ``home`` has not come, with what was sent."""
         self._rest_deg: dict[str, float] = {}
         """Where each axis came to rest after a motion of this driver."""
-        try:
-            self._line = DescribedLine(port, description.line, clock=clock, wire_log=wire_log)
+        with closed_on_error(port):
+            self._line = self._share(DescribedLine(port, description.line, clock=clock, wire_log=wire_log))
             self.identify()
             self._bring_to_rest()
             for axis in axes:
                 self._program(axis)
             self._line.take_notices()
-        except BaseException:
-            port.close()
-            raise
 
     @classmethod
     def open(
@@ -135,10 +156,6 @@ class TextStage(WatchedStage[TextAxis]):
                 found += [] if fine else [f"{axis.name}: {answer}"]
         return found
 
-    def close(self) -> None:
-        """See `Stage.close`."""
-        self._line.close()
-
     # ------------------------------------------------------------ on the wire
 
     def _of(self, axis: TextAxis, **values: Value) -> dict[str, Value]:
@@ -146,11 +163,7 @@ class TextStage(WatchedStage[TextAxis]):
 
     def _check_ready(self, axis: TextAxis) -> None:
         if not self._has_reference():
-            raise NotHomed(
-                "the axis has no reference, or its controller has restarted. Nothing was moved.",
-                where=axis.name,
-                remedy="Home the stage first.",
-            )
+            raise no_reference(axis, "the axis has no reference, or its controller has restarted")
         self._line.take_notices()
 
     def _clear_faults(self, axis: TextAxis) -> None:
@@ -159,35 +172,26 @@ class TextStage(WatchedStage[TextAxis]):
         self._program(axis)
 
     def _reachable_deg(self, axis: TextAxis, angle_deg: float) -> float:
-        counts = axis.to_counts(angle_deg)
+        counts = axis.to_position(angle_deg)
         sent = self._description.move.send.render(self._of(axis, target=counts))
         read = self._description.move.send.match(sent, self._of(axis))
         return axis.to_angle_deg(float(read["target"]) if read is not None else counts)
 
-    def _start(self, goals_deg: Mapping[str, float], check_not_stopped: StopCheck) -> None:
-        for name, angle_deg in goals_deg.items():
-            axis = self._axes[name]
-            self._rest_deg.pop(name, None)
-            with self._line.lock:
-                check_not_stopped()
-                self._line.query(
-                    self._description.move, self._of(axis, target=axis.to_counts(angle_deg)), tries=1
-                )
+    def _begin_move(self, axis: TextAxis, angle_deg: float) -> None:
+        self._rest_deg.pop(axis.name, None)
+        self._line.query(self._description.move, self._of(axis, target=axis.to_position(angle_deg)), tries=1)
 
     def _start_homing(self, check_not_stopped: StopCheck) -> None:
         self._homed = False
         self._awaited = []
         self._rest_deg = {}
-        for axis in self._axes.values():
-            with self._line.lock:
-                check_not_stopped()
-                if not self._description.home_replies_at_end:
-                    self._line.query(self._description.home, self._of(axis), tries=1)
-                    continue
-                if not self._awaited:
-                    self._awaited.append((axis, self._send_home(axis)))
-                else:
-                    self._awaited.append((axis, ""))
+        super()._start_homing(check_not_stopped)
+
+    def _begin_homing(self, axis: TextAxis) -> None:
+        if self._description.home_replies_at_end:
+            self._awaited.append((axis, "" if self._awaited else self._send_home(axis)))
+        else:
+            self._line.query(self._description.home, self._of(axis), tries=1)
 
     def _send_home(self, axis: TextAxis) -> str:
         return self._line.send_without_reply(self._description.home, self._of(axis))
@@ -255,15 +259,12 @@ class TextStage(WatchedStage[TextAxis]):
             return
         self._line.query(self._description.stop, tries=tries)
 
-    def _listen(self, duration_s: float) -> None:
-        self._line.listen(duration_s)
-
     # ------------------------------------------------------------ settings
 
     def _program(self, axis: TextAxis) -> None:
         """Check scale and travel; write the settings where they differ; read them back."""
         self._check_scale(axis)
-        ends = sorted(map(axis.to_counts, (axis.limits.lowest_deg, axis.limits.highest_deg)))
+        ends = sorted(map(axis.to_position, (axis.limits.lowest_deg, axis.limits.highest_deg)))
         lowest, highest = (
             None if query is None else self._number(query, axis, "counts")
             for query in (self._description.lowest, self._description.highest)
@@ -302,7 +303,7 @@ class TextStage(WatchedStage[TextAxis]):
     def _wanted(self, axis: TextAxis, setting: AxisSetting) -> float:
         """Return a setting in the controller's units, rounded as it is sent."""
         limits, scale = axis.limits, abs(axis.counts_per_deg)
-        ends = sorted(map(axis.to_counts, (limits.lowest_deg, limits.highest_deg)))
+        ends = sorted(map(axis.to_position, (limits.lowest_deg, limits.highest_deg)))
         value = {
             "speed": limits.speed_deg_s * scale,
             "acceleration": limits.acceleration_deg_s2 * scale,
@@ -326,11 +327,7 @@ class TextStage(WatchedStage[TextAxis]):
         wanted = self._wanted(axis, setting)
         self._line.query(setting.set, self._of(axis, value=wanted))
         if (got := self._differs(axis, setting)) is not None:
-            raise DeviceRefused(
-                f"the {setting.quantity} was set to {wanted:g}, but reads {got:g}.",
-                where=axis.name,
-                remedy="Change the station file to what the controller supports.",
-            )
+            raise reads_otherwise(axis, f"the {setting.quantity}", f"{wanted:g}", f"{got:g}")
 
     def _changed_settings(self) -> bool:
         """Whether a setting that was written has another value now, as after a restart."""

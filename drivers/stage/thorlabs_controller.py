@@ -7,18 +7,18 @@ from __future__ import annotations
 
 import math
 import struct
-import threading
 from collections.abc import Callable
 from typing import Final, TypeVar
 
 from drivers.clock import Clock
-from drivers.errors import DeviceRefused, ReplyGarbled, ReplyTimeout
+from drivers.errors import ReplyGarbled, ReplyTimeout
 from drivers.link import Link, ReplyReader
 from drivers.readings import read_until_agreed
-from drivers.retry import repeat, resynchronise
+from drivers.retry import repeat
 from drivers.serial_port import Port
 from drivers.stage import thorlabs_protocol as apt
 from drivers.stage.thorlabs_protocol import Information, Status
+from drivers.stage.watched import read_back_otherwise
 from drivers.wire_log import WireLog
 
 _REPLY_S: Final = 0.5
@@ -32,8 +32,30 @@ _POLLS_A_STOP: Final = 5
 T = TypeVar("T")
 
 
-class _MessageLink(Link):
-    """A line whose units are messages, not lines of text."""
+class ThorlabsController(Link):
+    """The controller of one axis, on a line of messages. Opening asks for its identity; it sets nothing but silence.
+
+    port: The open port; the protocol needs 115200 baud.
+    clock, wire_log: See ``drivers.link.Link``.
+    homings: How many ends of a homing it has reported.
+    Raises DeviceRefused: This driver does not know the model.
+    Raises ReplyError, PortLost: The controller does not answer.
+    """
+
+    def __init__(self, port: Port, *, clock: Clock, wire_log: WireLog | None = None) -> None:
+        self._sign_of_life = b""
+        self.homings = 0
+        super().__init__(
+            port,
+            clock=clock,
+            resynchronise=self._resynchronise,
+            unsolicited=self._take_unasked,
+            wire_log=wire_log,
+        )
+        self.mark_out_of_step()
+        self.family = apt.family_of(self.read_information().model, self.name)
+        if self.family.sign_of_life:
+            self._sign_of_life = apt.short(apt.STILL_THERE)
 
     def take_line(self) -> bytes | None:
         """Take one unread message.
@@ -49,42 +71,6 @@ class _MessageLink(Link):
         except ReplyGarbled:
             self.take(len(unread))
             raise
-
-
-class ThorlabsController:
-    """The controller of one axis, on its own line. Opening asks for its identity; it sets nothing but silence.
-
-    port: The open port; the protocol needs 115200 baud.
-    clock, wire_log: See ``drivers.link.Link``.
-    homings: How many ends of a homing it has reported.
-    Raises DeviceRefused: This driver does not know the model.
-    Raises ReplyError, PortLost: The controller does not answer.
-    """
-
-    def __init__(self, port: Port, *, clock: Clock, wire_log: WireLog | None = None) -> None:
-        self._sign_of_life = b""
-        self.homings = 0
-        self._link = _MessageLink(
-            port,
-            clock=clock,
-            resynchronise=self._resynchronise,
-            unsolicited=self._take_unasked,
-            wire_log=wire_log,
-        )
-        self._link.mark_out_of_step()
-        self.family = apt.family_of(self.read_information().model, self.name)
-        if self.family.sign_of_life:
-            self._sign_of_life = apt.short(apt.STILL_THERE)
-
-    @property
-    def name(self) -> str:
-        """The port's name."""
-        return self._link.name
-
-    @property
-    def lock(self) -> threading.RLock:
-        """While a thread holds it, no other thread can send."""
-        return self._link.lock
 
     def read_information(self) -> Information:
         """Ask who it is, until two answers agree."""
@@ -166,20 +152,8 @@ class ThorlabsController:
         ramp_s: Time of the ramp from full speed, in seconds.
         Raises ReplyError: The axis did not report that it stands.
         """
-        with self._link.lock:
+        with self.lock:
             repeat(lambda: self._stop_once(ramp_s), tries=2)
-
-    def listen(self, duration_s: float) -> None:
-        """Wait for bytes on the line. No clock interrupts this wait: it is for stopping only.
-
-        duration_s: Longest wait, in seconds.
-        """
-        with self._link.lock:
-            self._link.receive(duration_s)
-
-    def close(self) -> None:
-        """Close the port."""
-        self._link.close()
 
     # ------------------------------------------------------------ inside
 
@@ -187,10 +161,10 @@ class ThorlabsController:
         request = self._sign_of_life + apt.short(apt.STOP, apt.CHANNEL, apt.STOP_BY_RAMP)
         for poll in range(math.ceil((2.0 * ramp_s + 0.5) / _STOP_POLL_S)):
             if poll % _POLLS_A_STOP == 0:
-                self._link.send(request)
+                self.write(request)
             if not self.read_status().moving:
                 return
-            self._link.receive(_STOP_POLL_S)
+            self.receive(_STOP_POLL_S)
         raise ReplyTimeout(
             "the controller still reports a motion after a stop.",
             where=self.name,
@@ -204,16 +178,12 @@ class ThorlabsController:
                 return
             self._command(request)
         if (got := read()) != wanted:
-            raise DeviceRefused(
-                f"{what} read back differently from what was set: {got} instead of {wanted}.",
-                where=self.name,
-                remedy="Change the station file to what the controller supports.",
-            )
+            raise read_back_otherwise(self.name, what, wanted, got)
 
     def _command(self, request: bytes) -> None:
-        with self._link.lock:
-            self._link.bring_into_step()
-            self._link.send(request)
+        with self.lock:
+            self.bring_into_step()
+            self.write(request)
 
     def _read_twice(self, read: Callable[[], T], what: str) -> T:
         return read_until_agreed(read, what=what, where=self.name)
@@ -239,9 +209,7 @@ class ThorlabsController:
         deadline_s: float = _REPLY_S,
         urgent: bool = False,
     ) -> T:
-        return self._link.exchange(
-            self._sign_of_life + request, read_reply, deadline_s=deadline_s, urgent=urgent
-        )
+        return self.exchange(self._sign_of_life + request, read_reply, deadline_s=deadline_s, urgent=urgent)
 
     def _take_unasked(self, message: bytes) -> bool:
         unasked = apt.is_unasked(message)
@@ -254,25 +222,15 @@ class ThorlabsController:
 
         def clear_device() -> None:
             # Nothing that could complete a cut command may be sent here: a move is a command with data.
-            self._link.send(apt.short(apt.STOP_UPDATES))
-            self._link.drain(_QUIET_S, _LONGEST_DRAIN_S)
+            self.write(apt.short(apt.STOP_UPDATES))
+            self.drain(_QUIET_S, _LONGEST_DRAIN_S)
 
-        def exchange_marker() -> bool:
-            self._query_once(
+        self.prove_in_step(
+            lambda: self._query_once(
                 apt.REQUEST_INFORMATION, apt.INFORMATION_LAYOUT, deadline_s=_MARKER_S, urgent=True
-            )
-            return True
-
-        if not resynchronise(
-            self._link,
-            exchange_marker,
+            ),
             quiet_s=_QUIET_S,
             limit_s=_LONGEST_DRAIN_S,
             clear_device=clear_device,
             once_if_silent=True,
-        ):
-            raise ReplyGarbled(
-                "more bytes come than were asked for.",
-                where=self.name,
-                remedy="Check the port and the cable.",
-            )
+        )

@@ -9,17 +9,34 @@ from __future__ import annotations
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
-from typing import Generic, NamedTuple, Protocol, TypeVar
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import ExitStack
+from dataclasses import dataclass
+from typing import Any, ClassVar, Generic, NamedTuple, Self, TypeVar
 
 from drivers.clock import Clock
-from drivers.errors import DriverError, MoveFailed, MoveTimeout, NotHomed, PortLost
+from drivers.errors import (
+    DeviceRefused,
+    DriverError,
+    MoveFailed,
+    MoveTimeout,
+    NotHomed,
+    PortLost,
+    WrongDevice,
+)
+from drivers.link import Link
 from drivers.readings import Reading, read_position_until_agreed
+from drivers.serial_port import Port, SerialPort
 from drivers.stage import AxisIdentity, AxisLimits, motion
+from drivers.wire_log import WireLog
 
 _HOMING_PATIENCE_S = 10.0
 """An axis creeps at its home sensor, and its counter may stand still for a while; in seconds."""
 _STOP_POLL_S = 0.02
 _CLEAR_AND_HOME = "Clear the cause, then home the stage and resume."
+HOME_FIRST = "Home the stage first."
+CHECK_PORTS = "Check the ports and serials in the station file."
+TO_WHAT_IT_SUPPORTS = "Change the station file to what the controller supports."
 
 StopCheck = Callable[[], None]
 """Raises MoveFailed when ``stop`` was called since the move began.
@@ -39,31 +56,34 @@ class AxisState(NamedTuple):
     position_kept: bool = False
 
 
-class WatchedAxis(Protocol):
-    """Settings of an axis that every family has."""
+@dataclass(frozen=True, kw_only=True)
+class Axis(ABC):
+    """One axis as the station file describes it. A family adds its scale, and how the controller names the axis."""
+
+    name: str  # "pan", "tilt" or "roll"
+    limits: AxisLimits  # Soft limits, speed and acceleration
+    serial: str = ""  # Serial number of the controller; empty when it is not checked
+    zero_deg: float = 0.0  # Angle at which the counter is 0, in degrees
+    tolerance_deg: float = 0.002  # Largest distance of the counter from its target at rest, in degrees
+    # Largest difference between encoder and counter, in degrees; not used where the encoder is the counter.
+    encoder_tolerance_deg: float = 0.05
 
     @property
-    def name(self) -> str:
-        """Name of the axis: "pan", "tilt" or "roll"."""
-        ...
+    @abstractmethod
+    def scale(self) -> float:
+        """Counts per degree; negative when the counter falls as the angle grows."""
 
-    @property
-    def limits(self) -> AxisLimits:
-        """Soft limits, speed and acceleration."""
-        ...
+    def to_counts(self, angle_deg: float) -> int:
+        """Return the count nearest to an angle."""
+        return round((angle_deg - self.zero_deg) * self.scale)
 
-    @property
-    def tolerance_deg(self) -> float:
-        """Largest distance of the counter from its target at rest, in degrees."""
-        ...
-
-    @property
-    def encoder_tolerance_deg(self) -> float:
-        """Largest difference between encoder and counter, in degrees."""
-        ...
+    def to_angle_deg(self, counts: float) -> float:
+        """Return the angle of a count, in degrees."""
+        return self.zero_deg + counts / self.scale
 
 
-A = TypeVar("A", bound=WatchedAxis)
+A = TypeVar("A", bound=Axis)
+L = TypeVar("L", bound=Link)
 
 
 class WatchedStage(ABC, Generic[A]):
@@ -81,6 +101,8 @@ class WatchedStage(ABC, Generic[A]):
 
     def __init__(self, axes: Sequence[A], *, clock: Clock, where: str) -> None:
         self._axes = {axis.name: axis for axis in axes}
+        self._lines: Mapping[str, Link] = {}
+        """The line of each axis; axes may share one."""
         self._clock = clock
         self._where = where
         self._stops = 0
@@ -102,10 +124,6 @@ class WatchedStage(ABC, Generic[A]):
         """See `Stage.faults`."""
 
     @abstractmethod
-    def close(self) -> None:
-        """See `Stage.close`."""
-
-    @abstractmethod
     def _check_ready(self, axis: A) -> None:
         """Check that an axis may be moved; raise NotHomed or MoveFailed when it may not. Sends no command."""
 
@@ -114,24 +132,38 @@ class WatchedStage(ABC, Generic[A]):
         """Clear the faults that can be cleared before homing; raise MoveFailed for those that remain."""
 
     @abstractmethod
+    def _begin_move(self, axis: A, angle_deg: float) -> None:
+        """Start the move of one axis, with the line's lock held."""
+
+    @abstractmethod
+    def _begin_homing(self, axis: A) -> None:
+        """Start the search of one reference, with the line's lock held."""
+
     def _reachable_deg(self, axis: A, angle_deg: float) -> float:
         """Return the angle nearest to a target that the controller can count, in degrees."""
+        return axis.to_angle_deg(axis.to_counts(angle_deg))
 
-    @abstractmethod
     def _start(self, goals_deg: Mapping[str, float], check_not_stopped: StopCheck) -> None:
         """Start moves; call ``check_not_stopped`` before each command, with the line's lock held."""
+        for name, angle_deg in goals_deg.items():
+            with self._lines[name].lock:
+                check_not_stopped()
+                self._begin_move(self._axes[name], angle_deg)
 
-    @abstractmethod
     def _start_homing(self, check_not_stopped: StopCheck) -> None:
         """Start the search of all references; ``check_not_stopped`` as for ``_start``."""
+        for name, axis in self._axes.items():
+            with self._lines[name].lock:
+                check_not_stopped()
+                self._begin_homing(axis)
 
     @abstractmethod
     def _read_state(self, axis: A, *, homing: bool = False) -> AxisState:
         """Read the state of one axis."""
 
-    @abstractmethod
     def _read_final_state(self, axis: A, *, homing: bool) -> AxisState:
         """Read the state after a move, with everything that the controller reports against the move."""
+        return self._read_state(axis, homing=homing)
 
     def _finish_homing(self, axis: A) -> None:
         """Do what remains once an axis stands at its reference; most controllers need nothing."""
@@ -139,10 +171,6 @@ class WatchedStage(ABC, Generic[A]):
     @abstractmethod
     def _send_stop(self) -> None:
         """Stop all axes at once, without resynchronising, and check that the controller received the stop."""
-
-    @abstractmethod
-    def _listen(self, duration_s: float) -> None:
-        """Wait on the line, where no clock interrupts."""
 
     def _read_encoder(self, axis: A) -> AxisState | None:  # noqa: ARG002 - most controllers have none
         """Read the encoder of an axis; None when it has none."""
@@ -159,6 +187,11 @@ class WatchedStage(ABC, Generic[A]):
     def limits(self) -> Mapping[str, AxisLimits]:
         """Soft limits, by axis."""
         return {name: axis.limits for name, axis in self._axes.items()}
+
+    def close(self) -> None:
+        """See `Stage.close`."""
+        for line in dict.fromkeys(self._lines.values()):
+            line.close()
 
     def is_homed(self) -> bool:
         """See `Stage.is_homed`."""
@@ -238,15 +271,29 @@ class WatchedStage(ABC, Generic[A]):
         for _ in range(math.ceil((2.0 * ramp_s + 1.0) / _STOP_POLL_S)):
             if not any(self._read_state(axis).busy for axis in self._axes.values()):
                 return
-            self._listen(_STOP_POLL_S)
+            next(iter(self._lines.values())).listen(_STOP_POLL_S)
         raise MoveTimeout("still busy after a stop.", where=self._where, remedy="Cut the stage's power.")
 
     # ------------------------------------------------------------ inside
+
+    def _share(self, line: L) -> L:
+        """Note the line of all axes; return it."""
+        self._lines = dict.fromkeys(self._axes, line)
+        return line
 
     def _bring_to_rest(self) -> None:
         """Stop a stage that is moving when it is opened: no other program holds its port any more."""
         if any(self._read_state(axis).busy for axis in self._axes.values()):
             self.stop()
+
+    def _require_serial(self, axis: A, found: str, answers: str, *, where: str = "", remedy: str) -> None:
+        """Raise WrongDevice unless the serial number is the one in the station file, if that has one."""
+        if axis.serial and found != axis.serial:
+            raise WrongDevice(
+                f"the station file names serial {axis.serial} for {axis.name}, but {answers}. Nothing was moved.",
+                where=where or self._where,
+                remedy=remedy,
+            )
 
     def _new_stop_check(self) -> StopCheck:
         stops = self._stops
@@ -265,7 +312,7 @@ class WatchedStage(ABC, Generic[A]):
             raise NotHomed(
                 f"the position is in doubt ({self._position_doubt}). Nothing was moved.",
                 where=axis.name,
-                remedy="Home the stage first.",
+                remedy=HOME_FIRST,
             )
         self._check_ready(axis)
         state = self._read_state(axis)
@@ -366,13 +413,13 @@ class WatchedStage(ABC, Generic[A]):
         return error
 
 
-def _watch(axis: WatchedAxis, goal_deg: float, now_s: float, allowed_s: float) -> motion.MoveWatch:
+def _watch(axis: Axis, goal_deg: float, now_s: float, allowed_s: float) -> motion.MoveWatch:
     return motion.MoveWatch(
         axis.name, goal_deg, tolerance_deg=axis.tolerance_deg, now_s=now_s, allowed_s=allowed_s
     )
 
 
-def _homing_watch(axis: WatchedAxis, now_s: float) -> motion.MoveWatch:
+def _homing_watch(axis: Axis, now_s: float) -> motion.MoveWatch:
     span_deg = axis.limits.highest_deg - axis.limits.lowest_deg
     return motion.MoveWatch(
         axis.name,
@@ -382,3 +429,93 @@ def _homing_watch(axis: WatchedAxis, now_s: float) -> motion.MoveWatch:
         allowed_s=30.0 + 5.0 * span_deg / axis.limits.speed_deg_s,
         patience_s=_HOMING_PATIENCE_S,
     )
+
+
+def no_reference(axis: Axis, what: str = "the axis has no reference", remedy: str = HOME_FIRST) -> NotHomed:
+    """Build the error of an axis without a reference."""
+    return NotHomed(f"{what}. Nothing was moved.", where=axis.name, remedy=remedy)
+
+
+def not_movable(axis: Axis, why: str, remedy: str = "Clear the cause, then home the stage.") -> MoveFailed:
+    """Build the error of an axis that may not be moved."""
+    return MoveFailed(f"{why}. Nothing was moved.", where=axis.name, remedy=remedy)
+
+
+def reads_otherwise(
+    axis: Axis, what: str, wanted: object, got: object, remedy: str = TO_WHAT_IT_SUPPORTS
+) -> DeviceRefused:
+    """Build the error of a setting that was written and reads otherwise."""
+    return DeviceRefused(f"{what} was set to {wanted}, but reads {got}.", where=axis.name, remedy=remedy)
+
+
+def read_back_otherwise(where: str, what: str, wanted: object, got: object) -> DeviceRefused:
+    """Build the error of a group of settings that was written and reads otherwise."""
+    return DeviceRefused(
+        f"{what} read back differently from what was set: {got} instead of {wanted}.",
+        where=where,
+        remedy=TO_WHAT_IT_SUPPORTS,
+    )
+
+
+class OneLineStage(WatchedStage[A]):
+    """A stage whose axes share one line."""
+
+    BAUDRATE: ClassVar[int]
+
+    @classmethod
+    def open(
+        cls,
+        port: str,
+        axes: Sequence[A],
+        *,
+        baudrate: int | None = None,
+        clock: Clock,
+        wire_log: WireLog | None = None,
+        **more: Any,
+    ) -> Self:
+        """Open the port, check who answers, and set limits, speed and acceleration. Moves nothing.
+
+        port: Address of the port; see ``drivers.serial_port.SerialPort``, which raises the errors of opening.
+        baudrate: Bits per second; None for the family's own.
+        more: Further arguments of the family's constructor.
+        """
+        opened = SerialPort(port, baudrate=baudrate or cls.BAUDRATE)
+        construct: Any = cls
+        stage: Self = construct(opened, axes, clock=clock, wire_log=wire_log, **more)
+        return stage
+
+
+class LinePerAxisStage(WatchedStage[A], Generic[A, L]):
+    """A stage each of whose axes has a controller on a line of its own. Its axes have a ``port``."""
+
+    _lines: Mapping[str, L]
+    PORT: ClassVar[Mapping[str, Any]]
+    """Settings of the ports, for ``SerialPort``."""
+
+    @classmethod
+    def open(cls, axes: Sequence[A], *, clock: Clock, wire_log: WireLog | None = None) -> Self:
+        """Open all ports, check the serial numbers, and set speeds and limits. Moves nothing.
+
+        The ports raise the errors of ``drivers.serial_port.SerialPort``.
+        """
+        ports: list[Port] = []
+        construct: Any = cls
+        with ExitStack() as opened:
+            for axis in axes:
+                address: Any = axis
+                ports.append(SerialPort(address.port, **cls.PORT))
+                opened.callback(ports[-1].close)
+            opened.pop_all()
+        stage: Self = construct(ports, axes, clock=clock, wire_log=wire_log)
+        return stage
+
+    @abstractmethod
+    def _stop_one(self, name: str) -> None:
+        """Stop one axis, and check that its controller received the stop."""
+
+    def _send_stop(self) -> None:
+        """Stop all axes at the same time: no axis waits for the reply of another controller."""
+        with ThreadPoolExecutor(len(self._lines)) as pool:
+            stops = [pool.submit(self._stop_one, name) for name in self._lines]
+        for stop in stops:
+            stop.result()

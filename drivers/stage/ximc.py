@@ -6,41 +6,46 @@ This module decides what a controller's state means for a move. ``drivers.stage.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
-from contextlib import ExitStack
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import ClassVar
 
 from drivers.clock import Clock
-from drivers.errors import DeviceRefused, MoveFailed, NotHomed, OutsideLimits, WrongDevice
-from drivers.serial_port import Port, SerialPort
-from drivers.stage import AxisIdentity, AxisLimits, motion, ximc_protocol
-from drivers.stage.watched import AxisState, StopCheck, WatchedStage
+from drivers.errors import OutsideLimits
+from drivers.serial_port import Port, closed_on_error
+from drivers.stage import AxisIdentity, motion, ximc_protocol
+from drivers.stage.watched import (
+    CHECK_PORTS,
+    Axis,
+    AxisState,
+    LinePerAxisStage,
+    no_reference,
+    not_movable,
+    read_back_otherwise,
+)
 from drivers.stage.ximc_controller import XimcController
 from drivers.stage.ximc_protocol import Status
 from drivers.wire_log import WireLog
 
-_BAUDRATE = 115200
 _OWN_COMMANDS = {"move", "home"}
 
 
 @dataclass(frozen=True, kw_only=True)
-class XimcAxis:
-    """One axis as the station file describes it."""
+class XimcAxis(Axis):
+    """One axis as the station file describes it. Homing sets the counter to 0 at ``zero_deg``."""
 
-    name: str  # "pan", "tilt" or "roll"
     port: str
-    serial: str  # Serial number of the controller; empty when it is not checked
     steps_per_deg: float  # Full steps per degree; negative when the counter falls as the angle grows
-    limits: AxisLimits
-    zero_deg: float = 0.0  # Angle of the reference, in degrees: homing sets the counter to 0 there
-    tolerance_deg: float = 0.002  # Largest distance of the counter from its target at rest, in degrees
     # Encoder counts per degree, with sign; None without an encoder.
     encoder_counts_per_deg: float | None = None
-    encoder_tolerance_deg: float = 0.05  # Largest difference between encoder and counter, in degrees
+
+    @property
+    def scale(self) -> float:
+        """Full steps per degree; the controller divides them."""
+        return self.steps_per_deg
 
 
-class XimcStage(WatchedStage[XimcAxis]):
+class XimcStage(LinePerAxisStage[XimcAxis, XimcController]):
     """A stage of one to three Standa axes. Implements ``drivers.stage.Stage``.
 
     Open it with ``XimcStage.open``; the constructor takes ports that are open already.
@@ -54,6 +59,8 @@ class XimcStage(WatchedStage[XimcAxis]):
     Raises ReplyError, PortLost: A controller does not answer.
     """
 
+    PORT: ClassVar = {"baudrate": 115200, "stopbits": 2}
+
     def __init__(
         self,
         ports: Sequence[Port],
@@ -63,10 +70,8 @@ class XimcStage(WatchedStage[XimcAxis]):
         wire_log: WireLog | None = None,
     ) -> None:
         super().__init__(axes, clock=clock, where=", ".join(port.name for port in ports))
-        with ExitStack() as opened:
-            for port in ports:
-                opened.callback(port.close)
-            self._controllers = {
+        with closed_on_error(*ports):
+            self._lines = {
                 axis.name: XimcController(port, clock=clock, wire_log=wire_log)
                 for axis, port in zip(axes, ports, strict=True)
             }
@@ -75,21 +80,6 @@ class XimcStage(WatchedStage[XimcAxis]):
             for axis in axes:
                 self._program_speed(axis)
                 self._program_borders(axis)
-            opened.pop_all()
-
-    @classmethod
-    def open(cls, axes: Sequence[XimcAxis], *, clock: Clock, wire_log: WireLog | None = None) -> XimcStage:
-        """Open all ports, check the serial numbers, and set speeds and borders. Moves nothing.
-
-        The ports raise the errors of ``drivers.serial_port.SerialPort``.
-        """
-        with ExitStack() as opened:
-            ports = []
-            for axis in axes:
-                ports.append(SerialPort(axis.port, baudrate=_BAUDRATE, stopbits=2))
-                opened.callback(ports[-1].close)
-            opened.pop_all()
-        return cls(ports, axes, clock=clock, wire_log=wire_log)
 
     def identify(self) -> Sequence[AxisIdentity]:
         """See `Stage.identify`.
@@ -98,81 +88,55 @@ class XimcStage(WatchedStage[XimcAxis]):
         """
         found = []
         for axis in self._axes.values():
-            controller = self._controllers[axis.name]
+            controller = self._lines[axis.name]
             serial = controller.read_serial()
-            if axis.serial and serial != axis.serial:
-                raise WrongDevice(
-                    f"the station file names serial {axis.serial} for {axis.name}, but {serial} answers."
-                    " Nothing was moved.",
-                    where=controller.name,
-                    remedy="Check the ports and serials in the station file.",
-                )
+            self._require_serial(axis, serial, f"{serial} answers", where=controller.name, remedy=CHECK_PORTS)
             maker, model, firmware = controller.read_identity()
             found.append(AxisIdentity(axis.name, maker, model, serial, firmware))
         return tuple(found)
 
     def _has_reference(self) -> bool:
-        return all(controller.read_status().homed for controller in self._controllers.values())
+        return all(controller.read_status().homed for controller in self._lines.values())
 
     def faults(self) -> Sequence[str]:
         """See `Stage.faults`."""
         return [
             f"{name}: {fault}"
-            for name, controller in self._controllers.items()
+            for name, controller in self._lines.items()
             for fault in _faults(controller.read_status())
         ]
-
-    def close(self) -> None:
-        """See `Stage.close`."""
-        for controller in self._controllers.values():
-            controller.close()
 
     # ------------------------------------------------------------ on the wire
 
     def _check_ready(self, axis: XimcAxis) -> None:
-        status = self._controllers[axis.name].read_status()
+        status = self._lines[axis.name].read_status()
         if not status.homed:
-            raise NotHomed(
-                "the axis has no reference. Nothing was moved.",
-                where=axis.name,
-                remedy="Home the stage first.",
-            )
+            raise no_reference(axis)
         self._raise_faults(axis, status)
 
     def _clear_faults(self, axis: XimcAxis) -> None:
         """Clear an alarm by a stop command, which has an effect when the cause of the alarm is gone."""
-        controller = self._controllers[axis.name]
+        controller = self._lines[axis.name]
         if controller.read_status().faults:
             controller.command("stop")
         self._raise_faults(axis, controller.read_status())
 
     def _raise_faults(self, axis: XimcAxis, status: Status) -> None:
         if status.faults:
-            raise MoveFailed(
-                f"{', '.join(status.faults)}. Nothing was moved.",
-                where=axis.name,
-                remedy="Clear the cause, then home the stage.",
-            )
+            raise not_movable(axis, ", ".join(status.faults))
 
     def _reachable_deg(self, axis: XimcAxis, angle_deg: float) -> float:
         return self._angle_deg(axis, self._count(axis, angle_deg))
 
-    def _start(self, goals_deg: Mapping[str, float], check_not_stopped: StopCheck) -> None:
-        for name, angle_deg in goals_deg.items():
-            controller = self._controllers[name]
-            with controller.lock:
-                check_not_stopped()
-                controller.move(self._count(self._axes[name], angle_deg))
+    def _begin_move(self, axis: XimcAxis, angle_deg: float) -> None:
+        self._lines[axis.name].move(self._count(axis, angle_deg))
 
-    def _start_homing(self, check_not_stopped: StopCheck) -> None:
-        for controller in self._controllers.values():
-            with controller.lock:
-                check_not_stopped()
-                controller.command("home")
+    def _begin_homing(self, axis: XimcAxis) -> None:
+        self._lines[axis.name].command("home")
 
     def _read_state(self, axis: XimcAxis, *, homing: bool = False) -> AxisState:
         """Read position, busy state and problems from one reply."""
-        controller = self._controllers[axis.name]
+        controller = self._lines[axis.name]
         status = controller.read_status()
         position_deg = self._angle_deg(axis, controller.to_microsteps(status.steps, status.microsteps))
         if status.homed and status.running and status.command not in _OWN_COMMANDS and not status.faults:
@@ -182,44 +146,37 @@ class XimcStage(WatchedStage[XimcAxis]):
 
     def _read_final_state(self, axis: XimcAxis, *, homing: bool) -> AxisState:
         state = self._read_state(axis, homing=homing)
-        if homing and not self._controllers[axis.name].read_status().homed:
+        if homing and not self._lines[axis.name].read_status().homed:
             return state._replace(problem="homing ended without a reference")
         return state
 
     def _finish_homing(self, axis: XimcAxis) -> None:
         """Set the counter and the encoder to zero at the reference."""
-        self._controllers[axis.name].set("zero", b"")
+        self._lines[axis.name].set("zero", b"")
 
-    def _send_stop(self) -> None:
-        """Stop all axes at the same time: no axis waits for the reply of another controller."""
-        with ThreadPoolExecutor(len(self._controllers)) as pool:
-            stops = [pool.submit(controller.stop) for controller in self._controllers.values()]
-        for stop in stops:
-            stop.result()
-
-    def _listen(self, duration_s: float) -> None:
-        next(iter(self._controllers.values())).listen(duration_s)
+    def _stop_one(self, name: str) -> None:
+        self._lines[name].stop()
 
     def _read_encoder(self, axis: XimcAxis) -> AxisState | None:
         if axis.encoder_counts_per_deg is None:
             return None
-        status = self._controllers[axis.name].read_status()
+        status = self._lines[axis.name].read_status()
         return AxisState(axis.zero_deg + status.encoder / axis.encoder_counts_per_deg, status.running)
 
     # ------------------------------------------------------------ scale and settings
 
     def _count(self, axis: XimcAxis, angle_deg: float) -> int:
         """Return the microsteps nearest to an angle."""
-        division = self._controllers[axis.name].division
+        division = self._lines[axis.name].division
         return round((angle_deg - axis.zero_deg) * axis.steps_per_deg * division)
 
     def _angle_deg(self, axis: XimcAxis, count: float) -> float:
-        division = self._controllers[axis.name].division
+        division = self._lines[axis.name].division
         return axis.zero_deg + count / (axis.steps_per_deg * division)
 
     def _program_speed(self, axis: XimcAxis) -> None:
         """Set speed and acceleration where they differ, and read them back."""
-        controller = self._controllers[axis.name]
+        controller = self._lines[axis.name]
         scale = abs(axis.steps_per_deg)
         speed = math.floor(axis.limits.speed_deg_s * scale * controller.division)
         ramp = math.floor(axis.limits.acceleration_deg_s2 * scale)
@@ -239,12 +196,12 @@ class XimcStage(WatchedStage[XimcAxis]):
         )
         if wanted != present:
             controller.set("smov", wanted.pack())
-        got = controller.read_move_settings()
-        _compare(axis, "speed and acceleration", wanted, got)
+        if (got := controller.read_move_settings()) != wanted:
+            raise read_back_otherwise(axis.name, "speed and acceleration", wanted, got)
 
     def _program_borders(self, axis: XimcAxis) -> None:
         """Narrow the borders of the controller, unless its borders are limit switches, which are better."""
-        controller = self._controllers[axis.name]
+        controller = self._lines[axis.name]
         present = controller.read_edge_settings()
         if not present.border_flags & ximc_protocol.BORDERS_COUNTED:
             return
@@ -265,16 +222,8 @@ class XimcStage(WatchedStage[XimcAxis]):
         )
         if wanted != present:
             controller.set("seds", wanted.pack())
-        _compare(axis, "borders", wanted, controller.read_edge_settings())
-
-
-def _compare(axis: XimcAxis, what: str, wanted: object, got: object) -> None:
-    if wanted != got:
-        raise DeviceRefused(
-            f"{what} read back differently from what was set: {got} instead of {wanted}.",
-            where=axis.name,
-            remedy="Change the station file to what the controller supports.",
-        )
+        if (got := controller.read_edge_settings()) != wanted:
+            raise read_back_otherwise(axis.name, "borders", wanted, got)
 
 
 def _faults(status: Status) -> list[str]:

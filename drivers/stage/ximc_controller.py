@@ -6,12 +6,11 @@ Degrees belong to ``drivers.stage.ximc``, the forms of messages to ``drivers.sta
 from __future__ import annotations
 
 import struct
-import threading
 
 from drivers.clock import Clock
 from drivers.errors import DeviceRefused, ReplyGarbled
 from drivers.link import Link, ReplyReader
-from drivers.retry import repeat, resynchronise
+from drivers.retry import repeat
 from drivers.serial_port import Port
 from drivers.stage import ximc_protocol
 from drivers.stage.ximc_protocol import EdgeSettings, MoveSettings, Status
@@ -23,7 +22,7 @@ _QUIET_S = 0.05
 _LONGEST_DRAIN_S = 1.0
 
 
-class XimcController:
+class XimcController(Link):
     """The controller of one axis, on its own line. Opening asks for settings; it sets nothing.
 
     port: The open port; the protocol needs 115200 baud and two stop bits.
@@ -34,21 +33,11 @@ class XimcController:
     """
 
     def __init__(self, port: Port, *, clock: Clock, wire_log: WireLog | None = None) -> None:
-        self._link = Link(port, clock=clock, resynchronise=self._resynchronise, wire_log=wire_log)
-        self._link.mark_out_of_step()
+        super().__init__(port, clock=clock, resynchronise=self._resynchronise, wire_log=wire_log)
+        self.mark_out_of_step()
         self.serial = self.read_serial()
         self._check_units()
         self.division: int = self._query_division()
-
-    @property
-    def name(self) -> str:
-        """The port's name."""
-        return self._link.name
-
-    @property
-    def lock(self) -> threading.RLock:
-        """While a thread holds it, no other thread can send."""
-        return self._link.lock
 
     def read_serial(self) -> str:
         """Ask for the serial number."""
@@ -101,7 +90,7 @@ class XimcController:
             ximc_protocol.check_head(command, reader.read_exactly(4), self.name)
 
         request = ximc_protocol.request(command, data)
-        self._link.exchange(request, read_reply, deadline_s=_REPLY_S, urgent=urgent)
+        self.exchange(request, read_reply, deadline_s=_REPLY_S, urgent=urgent)
 
     def move(self, count: int) -> None:
         """Start a move; the command is sent once.
@@ -115,10 +104,10 @@ class XimcController:
 
         Raises ReplyError: No echo came at the last attempt.
         """
-        with self._link.lock:
+        with self.lock:
             repeat(
                 lambda: self.command("sstp", urgent=True),
-                before_next=lambda: self._link.drain(_QUIET_S, _LONGEST_DRAIN_S),
+                before_next=lambda: self.drain(_QUIET_S, _LONGEST_DRAIN_S),
             )
 
     def to_microsteps(self, steps: int, microsteps: int) -> int:
@@ -135,18 +124,6 @@ class XimcController:
         """
         steps, microsteps = divmod(abs(count), self.division)
         return (steps, microsteps) if count >= 0 else (-steps, -microsteps)
-
-    def listen(self, duration_s: float) -> None:
-        """Wait for bytes on the line. No clock interrupts this wait: it is for stopping only.
-
-        duration_s: Longest wait, in seconds.
-        """
-        with self._link.lock:
-            self._link.receive(duration_s)
-
-    def close(self) -> None:
-        """Close the port."""
-        self._link.close()
 
     # ------------------------------------------------------------ inside
 
@@ -191,29 +168,21 @@ class XimcController:
             ximc_protocol.check_head(command, reader.read_exactly(4), self.name)
             return ximc_protocol.check_data(command, reader.read_exactly(layout.size + 2), self.name)
 
-        return self._link.exchange(
-            ximc_protocol.request(command), read_reply, deadline_s=deadline_s, urgent=urgent
-        )
+        return self.exchange(ximc_protocol.request(command), read_reply, deadline_s=deadline_s, urgent=urgent)
 
     def _resynchronise(self) -> None:
         """Complete by zeros what the controller waits for; then get its serial number, alone on the line."""
 
         def clear_device() -> None:
-            self._link.send(ximc_protocol.SYNCHRONISE)
-            self._link.drain(_QUIET_S, _LONGEST_DRAIN_S)
+            self.write(ximc_protocol.SYNCHRONISE)
+            self.drain(_QUIET_S, _LONGEST_DRAIN_S)
 
-        def exchange_marker() -> bool:
-            self._query_once("gser", ximc_protocol.SERIAL_LAYOUT, deadline_s=_MARKER_S, urgent=True)
-            return True
-
-        if not resynchronise(
-            self._link, exchange_marker, quiet_s=_QUIET_S, limit_s=_LONGEST_DRAIN_S, clear_device=clear_device
-        ):
-            raise ReplyGarbled(
-                "more bytes come than were asked for.",
-                where=self.name,
-                remedy="Check the port and the cable.",
-            )
+        self.prove_in_step(
+            lambda: self._query_once("gser", ximc_protocol.SERIAL_LAYOUT, deadline_s=_MARKER_S, urgent=True),
+            quiet_s=_QUIET_S,
+            limit_s=_LONGEST_DRAIN_S,
+            clear_device=clear_device,
+        )
 
 
 def _text(field: bytes) -> str:

@@ -5,13 +5,12 @@ This module decides what each warning flag means for a move. ``drivers.stage.wat
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
 from drivers.clock import Clock
-from drivers.errors import MoveFailed, NotHomed, WrongDevice
-from drivers.serial_port import Port, SerialPort
+from drivers.serial_port import Port, closed_on_error
 from drivers.stage import AxisIdentity, zaber_axis, zaber_protocol
-from drivers.stage.watched import AxisState, StopCheck, WatchedStage
+from drivers.stage.watched import AxisState, OneLineStage, no_reference, not_movable
 from drivers.stage.zaber_axis import ZaberAxis
 from drivers.stage.zaber_chain import ZaberChain
 from drivers.wire_log import WireLog
@@ -19,7 +18,7 @@ from drivers.wire_log import WireLog
 __all__ = ["ZaberAxis", "ZaberStage"]
 
 
-class ZaberStage(WatchedStage[ZaberAxis]):
+class ZaberStage(OneLineStage[ZaberAxis]):
     """A stage of one to three Zaber axes. Implements ``drivers.stage.Stage``.
 
     Open it with ``ZaberStage.open``; the constructor takes a port that is open already.
@@ -32,12 +31,15 @@ class ZaberStage(WatchedStage[ZaberAxis]):
     Raises ReplyError, PortLost: The controller does not answer.
     """
 
+    BAUDRATE = 115200
+
     def __init__(
         self, port: Port, axes: Sequence[ZaberAxis], *, clock: Clock, wire_log: WireLog | None = None
     ) -> None:
         super().__init__(axes, clock=clock, where=port.name)
-        self._chain = ZaberChain(port, [axis.device for axis in axes], clock=clock, wire_log=wire_log)
-        try:
+        with closed_on_error(port):
+            devices = [axis.device for axis in axes]
+            self._chain = self._share(ZaberChain(port, devices, clock=clock, wire_log=wire_log))
             self.identify()
             self._bring_to_rest()
             for axis in axes:
@@ -45,26 +47,6 @@ class ZaberStage(WatchedStage[ZaberAxis]):
             for axis in axes:
                 zaber_axis.program(self._chain, axis)
             self._encoders = {axis.name for axis in axes if self._has_encoder(axis)}
-        except BaseException:
-            self._chain.close()
-            raise
-
-    @classmethod
-    def open(
-        cls,
-        port: str,
-        axes: Sequence[ZaberAxis],
-        *,
-        baudrate: int = 115200,
-        clock: Clock,
-        wire_log: WireLog | None = None,
-    ) -> ZaberStage:
-        """Open the port, check the serial numbers, and set limits, speed and acceleration. Moves nothing.
-
-        port: Address of the port; see ``drivers.serial_port.SerialPort``, which raises the errors of opening.
-        baudrate: Bits per second.
-        """
-        return cls(SerialPort(port, baudrate=baudrate), axes, clock=clock, wire_log=wire_log)
 
     def identify(self) -> Sequence[AxisIdentity]:
         """See `Stage.identify`.
@@ -74,13 +56,12 @@ class ZaberStage(WatchedStage[ZaberAxis]):
         found = []
         for axis in self._axes.values():
             serial = self._chain.query(axis.device, 0, "get system.serial").data
-            if axis.serial and serial != axis.serial:
-                raise WrongDevice(
-                    f"the station file names serial {axis.serial} for {axis.name}, but device {axis.device}"
-                    f" has {serial}. Nothing was moved.",
-                    where=self._where,
-                    remedy="Check the port, the order of the chain, and the serial in the station file.",
-                )
+            self._require_serial(
+                axis,
+                serial,
+                f"device {axis.device} has {serial}",
+                remedy="Check the port, the order of the chain, and the serial in the station file.",
+            )
             model = self._chain.query(axis.device, 0, "get deviceid").data
             firmware = self._chain.query(axis.device, 0, "get version").data
             found.append(AxisIdentity(axis.name, "Zaber", f"device id {model}", serial, firmware))
@@ -98,26 +79,14 @@ class ZaberStage(WatchedStage[ZaberAxis]):
             if not zaber_protocol.is_informational(flag)
         ]
 
-    def close(self) -> None:
-        """See `Stage.close`."""
-        self._chain.close()
-
     # ------------------------------------------------------------ on the wire
-
-    def _command_each(self, words: str) -> None:
-        for axis in self._axes.values():
-            self._chain.command(axis.device, axis.axis, words)
 
     def _check_ready(self, axis: ZaberAxis) -> None:
         """Check that an axis has a reference and no fault; clear the flags that report past events."""
         flags = self._flags(axis)
         if unreferenced := sorted(zaber_protocol.UNREFERENCED & set(flags)):
-            raise NotHomed(
-                f"the axis has no reference: {', '.join(map(zaber_protocol.describe_flag, unreferenced))}."
-                " Nothing was moved.",
-                where=axis.name,
-                remedy="Home the stage first.",
-            )
+            flags_in_words = ", ".join(map(zaber_protocol.describe_flag, unreferenced))
+            raise no_reference(axis, f"the axis has no reference: {flags_in_words}")
         self._refuse_faults(axis, flags)
         if flags:
             self._chain.query(axis.device, axis.axis, "warnings clear")
@@ -129,27 +98,13 @@ class ZaberStage(WatchedStage[ZaberAxis]):
     def _refuse_faults(self, axis: ZaberAxis, flags: Sequence[str]) -> None:
         for flag in flags:
             if zaber_protocol.is_fault(flag):
-                raise MoveFailed(
-                    f"{zaber_protocol.describe_flag(flag)}. Nothing was moved.",
-                    where=axis.name,
-                    remedy="Clear the cause, then home the stage.",
-                )
+                raise not_movable(axis, zaber_protocol.describe_flag(flag))
 
-    def _reachable_deg(self, axis: ZaberAxis, angle_deg: float) -> float:
-        return axis.to_angle_deg(axis.to_microsteps(angle_deg))
+    def _begin_move(self, axis: ZaberAxis, angle_deg: float) -> None:
+        self._chain.command(axis.device, axis.axis, f"move abs {axis.to_counts(angle_deg)}")
 
-    def _start(self, goals_deg: Mapping[str, float], check_not_stopped: StopCheck) -> None:
-        for name, angle_deg in goals_deg.items():
-            axis = self._axes[name]
-            with self._chain.lock:
-                check_not_stopped()
-                self._chain.command(axis.device, axis.axis, f"move abs {axis.to_microsteps(angle_deg)}")
-
-    def _start_homing(self, check_not_stopped: StopCheck) -> None:
-        for axis in self._axes.values():
-            with self._chain.lock:
-                check_not_stopped()
-                self._chain.command(axis.device, axis.axis, "home")
+    def _begin_homing(self, axis: ZaberAxis) -> None:
+        self._chain.command(axis.device, axis.axis, "home")
 
     def _read_state(self, axis: ZaberAxis, *, homing: bool = False) -> AxisState:
         """Read position, busy state and the most urgent flag from one reply."""
@@ -173,9 +128,6 @@ class ZaberStage(WatchedStage[ZaberAxis]):
 
     def _send_stop(self) -> None:
         self._chain.stop_all()
-
-    def _listen(self, duration_s: float) -> None:
-        self._chain.listen(duration_s)
 
     def _read_encoder(self, axis: ZaberAxis) -> AxisState | None:
         if axis.name not in self._encoders:

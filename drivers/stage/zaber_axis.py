@@ -9,8 +9,9 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from drivers.errors import DeviceRefused, OutsideLimits
-from drivers.stage import AxisLimits, motion
+from drivers.errors import OutsideLimits
+from drivers.stage import motion
+from drivers.stage.watched import Axis, reads_otherwise
 from drivers.stage.zaber_chain import ZaberChain
 
 SPEED_UNITS = 1.6384
@@ -21,34 +22,18 @@ _SCALE_AGREES = 1e-6
 
 
 @dataclass(frozen=True, kw_only=True)
-class ZaberAxis:
+class ZaberAxis(Axis):
     """One axis as the station file describes it."""
 
-    name: str  # "pan", "tilt" or "roll"
     device: int
-    serial: str  # Serial number of the device; empty when it is not checked
     # Microsteps per degree; negative when the counter falls as the angle grows. Never guessed from a model.
     microsteps_per_deg: float
-    limits: AxisLimits
     axis: int = 1
-    # Angle at which the counter is 0, in degrees: angle = zero_deg + microsteps / microsteps_per_deg.
-    zero_deg: float = 0.0
-    tolerance_deg: float = 0.002  # Largest distance of the counter from its target at rest, in degrees
-    encoder_tolerance_deg: float = 0.05  # Largest difference between encoder and counter, in degrees
 
-    def to_microsteps(self, angle_deg: float) -> int:
-        """Return the count nearest to an angle.
-
-        angle_deg: Angle, in degrees.
-        """
-        return round((angle_deg - self.zero_deg) * self.microsteps_per_deg)
-
-    def to_angle_deg(self, microsteps: float) -> float:
-        """Return the angle of a count.
-
-        Returns: Angle, in degrees.
-        """
-        return self.zero_deg + microsteps / self.microsteps_per_deg
+    @property
+    def scale(self) -> float:
+        """Microsteps per degree."""
+        return self.microsteps_per_deg
 
 
 def check_scale(chain: ZaberChain, axis: ZaberAxis) -> None:
@@ -98,11 +83,10 @@ def program(chain: ZaberChain, axis: ZaberAxis) -> None:
         chain.query(axis.device, axis.axis, f"set {name} {value}")
         got = chain.query_integer(axis.device, axis.axis, f"get {name}")
         if got != value:
-            raise DeviceRefused(
-                f"{name} was set to {value}, but reads {got}.",
-                where=axis.name,
-                remedy="Change speed, acceleration or limits in the station file to what the controller supports.",
+            remedy = (
+                "Change speed, acceleration or limits in the station file to what the controller supports."
             )
+            raise reads_otherwise(axis, name, value, got, remedy)
 
 
 def _setting(chain: ZaberChain, axis: ZaberAxis, name: str) -> int | None:
@@ -110,5 +94,5 @@ def _setting(chain: ZaberChain, axis: ZaberAxis, name: str) -> int | None:
 
 
 def _travel(axis: ZaberAxis) -> tuple[int, int]:
-    ends = (axis.to_microsteps(axis.limits.lowest_deg), axis.to_microsteps(axis.limits.highest_deg))
+    ends = (axis.to_counts(axis.limits.lowest_deg), axis.to_counts(axis.limits.highest_deg))
     return min(ends), max(ends)

@@ -7,14 +7,13 @@ from __future__ import annotations
 
 import itertools
 import re
-import threading
 from collections import deque
 from collections.abc import Collection
 
 from drivers.clock import Clock
 from drivers.errors import DeviceRefused, ReplyGarbled
 from drivers.link import Link, ReplyReader
-from drivers.retry import repeat, resynchronise
+from drivers.retry import repeat
 from drivers.serial_port import Port
 from drivers.stage import zaber_protocol
 from drivers.stage.zaber_protocol import Reply, Unsolicited
@@ -27,7 +26,7 @@ _QUIET_S = 0.05
 _LONGEST_DRAIN_S = 1.0
 
 
-class ZaberChain:
+class ZaberChain(Link):
     """A chain of devices on one line. Opening sends nothing.
 
     devices: Addresses of the devices that this driver uses; others in the chain are stopped by ``stop_all``
@@ -42,23 +41,13 @@ class ZaberChain:
         self.unsolicited: deque[Unsolicited] = deque(maxlen=100)
         self._devices = sorted(set(devices))
         self._ids = itertools.cycle(range(100))
-        self._link = Link(
+        super().__init__(
             port,
             clock=clock,
             resynchronise=self._resynchronise,
             unsolicited=self._take_unsolicited,
             wire_log=wire_log,
         )
-
-    @property
-    def name(self) -> str:
-        """The port's name."""
-        return self._link.name
-
-    @property
-    def lock(self) -> threading.RLock:
-        """While a thread holds it, no other thread can send."""
-        return self._link.lock
 
     def command(self, device: int, axis: int, words: str) -> Reply:
         """Send a command, once: a command that moves something must never be sent twice.
@@ -105,7 +94,7 @@ class ZaberChain:
         Raises ReplyGarbled: The data are no integer; the line is then out of step.
         """
         if not re.fullmatch(r"-?\d{1,18}", data, re.ASCII):
-            self._link.mark_out_of_step()
+            self.mark_out_of_step()
             raise ReplyGarbled(
                 f"{data!r} came instead of an integer.", where=self.name, remedy="Look into the wire log."
             )
@@ -122,7 +111,7 @@ class ZaberChain:
         try:
             return zaber_protocol.parse_flags(data, self.name)
         except ReplyGarbled:
-            self._link.mark_out_of_step()
+            self.mark_out_of_step()
             raise
 
     def query_setting(self, device: int, axis: int, name: str) -> int | None:
@@ -144,20 +133,8 @@ class ZaberChain:
 
         Raises ReplyError: A device did not accept the stop at the last attempt.
         """
-        with self._link.lock:
+        with self.lock:
             repeat(self._stop_once)
-
-    def listen(self, duration_s: float) -> None:
-        """Wait for bytes on the line. No clock interrupts this wait: it is for stopping only.
-
-        duration_s: Longest wait, in seconds.
-        """
-        with self._link.lock:
-            self._link.receive(duration_s)
-
-    def close(self) -> None:
-        """Close the port."""
-        self._link.close()
 
     def _stop_once(self) -> None:
         message_id = next(self._ids)
@@ -173,7 +150,7 @@ class ZaberChain:
                     waiting_for.discard(reply.device)
 
         request = zaber_protocol.request(0, 0, message_id, "stop")
-        self._link.exchange(request, read_reply, deadline_s=_REPLY_S, urgent=True)
+        self.exchange(request, read_reply, deadline_s=_REPLY_S, urgent=True)
 
     def _ask_once(
         self, device: int, axis: int, words: str, *, deadline_s: float = _REPLY_S, urgent: bool = False
@@ -191,17 +168,15 @@ class ZaberChain:
             return reply
 
         request = zaber_protocol.request(device, axis, message_id, words)
-        return self._link.exchange(request, read_reply, deadline_s=deadline_s, urgent=urgent)
+        return self.exchange(request, read_reply, deadline_s=deadline_s, urgent=urgent)
 
     def _resynchronise(self) -> None:
         """Wait for silence; then the reply to a new message id proves that no older reply is unread."""
-
-        def exchange_marker() -> bool:
-            self._ask_once(self._devices[0], 0, "", deadline_s=_MARKER_S, urgent=True)
-            return True
-
-        resynchronise(
-            self._link, exchange_marker, quiet_s=_QUIET_S, limit_s=_LONGEST_DRAIN_S, silence_after=False
+        self.prove_in_step(
+            lambda: self._ask_once(self._devices[0], 0, "", deadline_s=_MARKER_S, urgent=True),
+            quiet_s=_QUIET_S,
+            limit_s=_LONGEST_DRAIN_S,
+            silence_after=False,
         )
 
     def _take_unsolicited(self, line: bytes) -> bool:

@@ -21,8 +21,7 @@ from drivers.errors import (
 from drivers.light import LightSettings
 from drivers.light.text import TextLight
 from drivers.stage import AxisLimits
-from drivers.stage.text import TextStage
-from drivers.stage.text_axis import TextAxis
+from drivers.stage.text import TextAxis, TextStage
 from simulators.faults.line_faults import LineFault
 from tests.hil.direct_lights import MICROCONTROLLER, direct_light
 from tests.hil.direct_stages import FLIR_PTU, LIMITS, DirectStage, VirtualClock, flir

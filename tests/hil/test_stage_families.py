@@ -28,8 +28,7 @@ from drivers.stage import AxisLimits, Stage
 from drivers.stage.dynamixel import DynamixelAxis, DynamixelStage
 from drivers.stage.esp import EspAxis, EspStage
 from drivers.stage.grbl import GrblAxis, GrblStage
-from drivers.stage.text import TextStage
-from drivers.stage.text_axis import TextAxis
+from drivers.stage.text import TextAxis, TextStage
 from drivers.stage.thorlabs import ThorlabsAxis, ThorlabsStage
 from drivers.stage.ximc import XimcAxis, XimcStage
 from drivers.stage.zaber import ZaberAxis, ZaberStage

@@ -12,7 +12,7 @@ Every reply begins with the word of its request, so that no reply is taken for t
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Annotated, Literal
 
@@ -21,24 +21,24 @@ from pydantic import Field
 from bench.stations.sections import AxisConfig, PortName, StageSection
 from bench.stations.station_fields import Port, Serial
 from drivers.clock import Clock
-from drivers.errors import DeviceRefused, NotHomed, WrongDevice
+from drivers.errors import DeviceRefused, WrongDevice
 from drivers.serial_port import SerialPort
-from drivers.stage import AxisIdentity, AxisLimits, Stage
-from drivers.stage.watched import AxisState, StopCheck, WatchedStage
+from drivers.stage import AxisIdentity, Stage
+from drivers.stage.watched import Axis as StageAxis
+from drivers.stage.watched import AxisState, WatchedStage, no_reference
 from drivers.text_line import TextLine
 from drivers.wire_log import WireLog
 from sequences.schema import Axis
 
 
-@dataclass(frozen=True)
-class TurntableAxis:
+@dataclass(frozen=True, kw_only=True)
+class TurntableAxis(StageAxis):
     """The axis, as the driver needs it."""
 
-    name: str
-    limits: AxisLimits
-    zero_deg: float = 0.0
-    tolerance_deg: float = 0.002
-    encoder_tolerance_deg: float = 0.05
+    @property
+    def scale(self) -> float:
+        """The turntable counts in thousandths of a degree."""
+        return 1000.0
 
 
 class TurntableConfig(StageSection):
@@ -77,7 +77,7 @@ class Turntable(WatchedStage[TurntableAxis]):
         self._serial = serial
         opened = SerialPort(port, baudrate=115_200)
         try:
-            self._line = TextLine(
+            line = TextLine(
                 opened,
                 identity_query="ID?",
                 is_identity=lambda text: text.startswith("ID TURNTABLE "),
@@ -85,6 +85,7 @@ class Turntable(WatchedStage[TurntableAxis]):
                 clock=clock,
                 wire_log=wire_log,
             )
+            self._line = self._share(line)
             self.identify()
             self._bring_to_rest()
         except BaseException:
@@ -105,10 +106,6 @@ class Turntable(WatchedStage[TurntableAxis]):
     def faults(self) -> Sequence[str]:
         """Return what the turntable reports."""
         return ["the turntable is blocked"] if self._ask("STATE") == "blocked" else []
-
-    def close(self) -> None:
-        """Close the port."""
-        self._line.close()
 
     # ------------------------------------------------------------ what WatchedStage needs
 
@@ -137,26 +134,16 @@ class Turntable(WatchedStage[TurntableAxis]):
 
     def _check_ready(self, axis: TurntableAxis) -> None:
         if not self._has_reference():
-            raise NotHomed(
-                "there is no reference. Nothing was moved.", where=axis.name, remedy="Home the stage first."
-            )
+            raise no_reference(axis, "there is no reference")
 
     def _clear_faults(self, axis: TurntableAxis) -> None:
         """The turntable needs nothing before homing."""
 
-    def _reachable_deg(self, axis: TurntableAxis, angle_deg: float) -> float:
-        return axis.zero_deg + round(angle_deg - axis.zero_deg, 3)
+    def _begin_move(self, axis: TurntableAxis, angle_deg: float) -> None:
+        self._command(f"GOTO {angle_deg - axis.zero_deg:.3f}")
 
-    def _start(self, goals_deg: Mapping[str, float], check_not_stopped: StopCheck) -> None:
-        for angle_deg in goals_deg.values():
-            with self._line.lock:
-                check_not_stopped()
-                self._command(f"GOTO {angle_deg - self._axis.zero_deg:.3f}")
-
-    def _start_homing(self, check_not_stopped: StopCheck) -> None:
-        with self._line.lock:
-            check_not_stopped()
-            self._command("HOME")
+    def _begin_homing(self, axis: TurntableAxis) -> None:  # noqa: ARG002 - it has one axis
+        self._command("HOME")
 
     def _read_state(self, axis: TurntableAxis, *, homing: bool = False) -> AxisState:
         state = self._ask("STATE")
@@ -172,12 +159,6 @@ class Turntable(WatchedStage[TurntableAxis]):
             problem = "the turntable has lost its reference"
         return AxisState(position_deg, state == "moving", problem)
 
-    def _read_final_state(self, axis: TurntableAxis, *, homing: bool) -> AxisState:
-        return self._read_state(axis, homing=homing)
-
     def _send_stop(self) -> None:
         self._line.send_urgent("STOP")
         self._command("STOP", tries=3)
-
-    def _listen(self, duration_s: float) -> None:
-        self._line.listen(duration_s)

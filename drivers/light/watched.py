@@ -1,0 +1,186 @@
+"""What every light on a line does: switch and check, notice an unexpected darkness, read until readings agree.
+
+A driver of a family of lights implements the abstract methods, which talk on its wire. This module implements no
+protocol.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Sequence
+from typing import Any, ClassVar, Final, Self, TypeVar
+
+from drivers.clock import Clock
+from drivers.errors import LightFault, SettingRefused
+from drivers.light import LightIdentity, LightSettings
+from drivers.link import Link
+from drivers.readings import read_until_agreed
+from drivers.serial_port import SerialPort
+from drivers.wire_log import WireLog
+
+FULL_SCALE_V: Final = 5.0
+"""Value of ``high_v`` that stands for the full level of a light whose levels are percent, in volts."""
+
+T = TypeVar("T")
+
+
+class WatchedLight(ABC):
+    """A light behind a controller. Implements ``drivers.light.Light``.
+
+    Open it with ``open``; the constructor takes a port that is open already. Opening switches nothing.
+    """
+
+    BAUDRATE: ClassVar[int]
+    OUTPUT: ClassVar[str] = "light"
+    """What is switched, in messages."""
+    LAMP: ClassVar[str] = "light"
+    """What is dark, in messages."""
+    STAYS_DARK: ClassVar[tuple[str, str]]
+    """How a light that was switched on reads, and what to do."""
+    STAYS_LIT: ClassVar[tuple[str, str]]
+    """How a light that was switched off reads, and what to do."""
+
+    _line: Link
+
+    def __init__(self) -> None:
+        self._switched_on = False
+
+    @classmethod
+    def open(
+        cls,
+        port: str,
+        *arguments: Any,
+        baudrate: int | None = None,
+        clock: Clock,
+        wire_log: WireLog | None = None,
+        **more: Any,
+    ) -> Self:
+        """Open the port and check who answers. Sets and switches nothing.
+
+        port: Address of the port; see ``drivers.serial_port.SerialPort``, which raises the errors of opening.
+        arguments, more: Further arguments of the family's constructor.
+        baudrate: Bits per second; None for the family's own.
+        """
+        construct: Any = cls
+        opened = SerialPort(port, baudrate=baudrate or cls._baudrate(*arguments))
+        light: Self = construct(opened, *arguments, clock=clock, wire_log=wire_log, **more)
+        return light
+
+    # ------------------------------------------------------------ what a family implements
+
+    @abstractmethod
+    def identify(self) -> LightIdentity:
+        """See `Light.identify`."""
+
+    @abstractmethod
+    def apply(self, settings: LightSettings) -> LightSettings:
+        """See `Light.apply`."""
+
+    @abstractmethod
+    def _read_once(self) -> LightSettings:
+        """Ask for all settings."""
+
+    @abstractmethod
+    def _switch_on(self) -> None:
+        """Send what switches the light on."""
+
+    @abstractmethod
+    def _switch_off(self) -> None:
+        """Send what switches the light off, at once, without resynchronising."""
+
+    def _insist_off(self) -> bool:
+        """Send it once more to a light that is still on; return whether that was done."""
+        return False
+
+    @abstractmethod
+    def is_on(self) -> bool:
+        """See `Light.is_on`. Asks until two answers agree."""
+
+    @abstractmethod
+    def _reported_faults(self) -> list[str]:
+        """Ask for the faults that the controller reports."""
+
+    # ------------------------------------------------------------ the same for all
+
+    def read(self) -> LightSettings:
+        """See `Light.read`. Reads until two readings agree.
+
+        Raises ReplyGarbled: The readings do not agree.
+        """
+        return self._agreed(self._read_once, "the settings")
+
+    def on(self) -> None:
+        """See `Light.on`."""
+        self._switch_on()
+        if not self.is_on():
+            reads, remedy = self._stays_dark()
+            raise LightFault(reads, where=self._line.name, remedy=remedy)
+        self._switched_on = True
+
+    def off(self) -> None:
+        """See `Light.off`.
+
+        Raises ReplyError, PortLost: The controller does not answer, so its state is unknown.
+        """
+        self._switched_on = False
+        self._switch_off()
+        if self.is_on() and not (self._insist_off() and not self.is_on()):
+            reads, remedy = self.STAYS_LIT
+            raise LightFault(
+                f"the {self.OUTPUT} was switched off, but {reads}.", where=self._line.name, remedy=remedy
+            )
+
+    def faults(self) -> Sequence[str]:
+        """See `Light.faults`. Returns what the controller reports, and an unexpected darkness."""
+        found = self._reported_faults()
+        if self._switched_on and not self.is_on():
+            found.append(f"the {self.LAMP} was switched on, but is off")
+        return found
+
+    def close(self) -> None:
+        """See `Light.close`."""
+        self._line.close()
+
+    @classmethod
+    def _baudrate(cls, *_arguments: Any) -> int:
+        return cls.BAUDRATE
+
+    def _stays_dark(self) -> tuple[str, str]:
+        reads, remedy = self.STAYS_DARK
+        return f"the {self.OUTPUT} was switched on, but {reads}.", remedy
+
+    def _agreed(self, read: Callable[[], T], what: str) -> T:
+        return read_until_agreed(read, what=what, where=self._line.name)
+
+    def _refuse(self, wrong: Sequence[str], after: str = "") -> None:
+        """Raise SettingRefused if there is something that this light cannot make."""
+        if wrong:
+            raise SettingRefused(
+                f"{'; '.join(wrong)}.{after}",
+                where=self._line.name,
+                remedy="Change the light step in the sequence, or the light in the station file.",
+            )
+
+    def _refuse_otherwise(self, wrong: Sequence[str], remedy: str) -> None:
+        """Raise SettingRefused if settings read otherwise than they were set."""
+        if wrong:
+            raise SettingRefused(
+                f"settings read back differently from what was set ({'; '.join(wrong)}).",
+                where=self._line.name,
+                remedy=remedy,
+            )
+
+
+def percent_faults(settings: LightSettings, percent: float, most_percent: float) -> list[str]:
+    """Say what a light whose levels are percent, and that is dark between pulses, cannot make of the levels."""
+    wrong = []
+    if settings.low_v != 0 and settings.waveform != "steady":
+        wrong.append("this light is dark between pulses: low_v must be 0")
+    if not 0 < percent <= most_percent:
+        wrong.append(f"high_v must be above 0 V and at most {FULL_SCALE_V:g} V, its full scale")
+    return wrong
+
+
+def steady_settings(level_v: float) -> LightSettings:
+    """Return the settings of a steady light."""
+    return LightSettings(waveform="steady", low_v=level_v, high_v=level_v, sync_output=False)
