@@ -7,16 +7,13 @@ lies becomes 0, and stands in the header as ``time_origin_us``.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 
 from drivers.camera.event_arrays import Events, Triggers, empty_events
-from drivers.camera.formats.aedat4_packets import UnreadablePacket, checked_packets
-from drivers.camera.formats.streamed import EventSource, Piece, source_of_stream
-from drivers.camera.formats.time_origin import origin_us
+from drivers.camera.formats.event_source import EventSource, Piece, origin_us, source_of_stream
 from drivers.errors import CameraSoftwareMissing
 
 MAGIC: Final = b"#!AER-DAT4.0"
@@ -30,11 +27,10 @@ def from_aedat4(path: Path) -> EventSource:
     """Open an AEDAT4 file.
 
     Returns: Its only stream of events, with the edges at the camera's signal input.
-    Raises ValueError: If it cannot be decoded, or has no stream of events or several.
+    Raises ValueError: If it has no stream of events or several.
     Raises CameraSoftwareMissing: If the package ``aedat`` is not installed.
     """
-    with _told():
-        streams = _decoder(path).id_to_stream()
+    streams = _decoder(path).id_to_stream()
     of_events = {number: one for number, one in streams.items() if one.get("type") == "events"}
     if len(of_events) != 1:
         raise ValueError(f"this AEDAT4 file has {len(of_events)} streams of events; one is needed")
@@ -55,33 +51,11 @@ def _decoder(path: Path) -> Any:
             where=str(path),
             remedy="Install it: pip install 'starbench[formats]'",
         ) from error
-    next(checked_packets(path), None)  # before the decoder takes memory for the header
     return aedat.Decoder(path)
 
 
-@contextmanager
-def _told() -> Iterator[None]:
-    """Turn what the package raises into ValueError; a panic of its compiled code is no Exception."""
-    try:
-        yield
-    except (CameraSoftwareMissing, UnreadablePacket):
-        raise
-    except BaseException as error:
-        if isinstance(error, Exception) or type(error).__name__ == "PanicException":
-            raise ValueError(
-                f"it is no readable AEDAT4 file ({' '.join(str(error).split())[:200]})"
-            ) from error
-        raise
-
-
 def _pieces(path: Path, number: int, origin: int) -> Iterator[Piece]:
-    with _told():
-        packets = iter(_decoder(path))
-    for _bytes in checked_packets(path):
-        with _told():
-            packet = next(packets, None)
-        if packet is None:
-            return
+    for packet in _decoder(path):
         if packet.get("stream_id") == number and "events" in packet:
             rows = packet["events"]
             for begin in range(0, len(rows), _PIECE_EVENTS):

@@ -1,15 +1,14 @@
 """Import events from files for analysis, of any program.
 
-Metavision's HDF5, plain HDF5 and NumPy (layouts: see ``event_files``) are read here; for others see `prophesee_words`,
-`aedat4` and `ros_bags`.
-The events are read piece by piece, with bounded memory, and only from the file itself (`hdf5_reading`, `npz_reading`).
+Metavision's HDF5 and plain HDF5 (layouts: see ``event_files``) are read here, RAW with EVT2 and DAT in
+`prophesee_words`; NumPy's files, AEDAT4 and ROS bags by their libraries in another process (`library_process`).
+The events are read piece by piece, with bounded memory, and only from the file itself.
 """
 
 from __future__ import annotations
 
-import zipfile
 import zlib
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any, Final
@@ -18,22 +17,28 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.camera.event_arrays import Events, Triggers
+from drivers.camera.event_arrays import Events
 from drivers.camera.formats import aedat4, ecf, prophesee_words, ros_bags
 from drivers.camera.formats.event_files import CD_TYPE
+from drivers.camera.formats.event_source import (
+    MOST_TRIGGERS,
+    EventSource,
+    as_events,
+    as_triggers,
+    require_one_length,
+    require_ratio,
+)
 from drivers.camera.formats.hdf5_reading import (
     ChunkDamaged,
     dataset,
     filters,
     has_member,
     member,
-    require_ratio,
     rows,
     texts,
     whole,
 )
-from drivers.camera.formats.npz_reading import NpzFile
-from drivers.camera.formats.streamed import MOST_TRIGGERS, EventSource
+from drivers.camera.formats.library_process import source_of_library
 from drivers.camera.raw_header import MAX_HEADER_BYTES
 from drivers.camera.whole_file import require_regular, require_whole
 from drivers.errors import NotARecording, RecordingCorrupt, RecordingFileError
@@ -46,7 +51,7 @@ _TRIGGER_NAMES: Final = ("t", "value", "id")
 
 _UNREADABLE: Final = (
     *(TypeError, LookupError, ValueError, OverflowError, RuntimeError, EOFError, NotImplementedError),
-    *(zipfile.BadZipFile, zlib.error),
+    zlib.error,
 )
 """What HDF5 and NumPy raise for a damaged file, or one with another layout."""
 
@@ -69,9 +74,13 @@ def open_events(path: Path | str) -> Iterator[EventSource]:
                 hdf5 = opened.enter_context(h5py.File(path, "r"))
                 source = _from_metavision(hdf5) if has_member(hdf5, "CD") else _from_hdf5(hdf5)
             elif start[:4] == b"PK\x03\x04":
-                source = _from_numpy(opened.enter_context(NpzFile(path)))
+                source = opened.enter_context(source_of_library(path, "npz"))
+            elif ros_bags.is_bag(path, start):
+                source = opened.enter_context(source_of_library(path, "bag"))
+            elif start.startswith(aedat4.MAGIC):
+                source = opened.enter_context(source_of_library(path, "aedat4"))
             else:
-                source = _from_others(path, start)
+                source = _from_prophesee(path, start)
 
         def pieces() -> Iterator[Events]:
             with _told(path):
@@ -117,12 +126,8 @@ def _start(path: Path) -> bytes:
     return start
 
 
-def _from_others(path: Path, start: bytes) -> EventSource:
-    """Open a recording of another program than Metavision and Starbench, or of an older Metavision."""
-    if ros_bags.is_bag(path, start):
-        return ros_bags.from_bag(path)
-    if start.startswith(aedat4.MAGIC):
-        return aedat4.from_aedat4(path)
+def _from_prophesee(path: Path, start: bytes) -> EventSource:
+    """Open a recording of an older Metavision."""
     fields, begin = prophesee_words.header_fields(start)
     if prophesee_words.is_dat(start):
         return prophesee_words.from_dat(path, fields, begin)
@@ -140,31 +145,9 @@ def _not_events(path: Path, why: str) -> NotARecording:
     return NotARecording(f"The file holds no readable events: {why}.", where=str(path), remedy=_EVENT_FILES)
 
 
-def _from_numpy(file: NpzFile) -> EventSource:
-    width, height = (int(side) for side in _list(file, "size", most=2))
-    lengths = {name: file.length(name) for name in _NAMES}
-    _require_one_length(lengths)
-    triggers = _triggers(
-        {name: _list(file, f"trigger_{name}", most=MOST_TRIGGERS) for name in _TRIGGER_NAMES}
-    )
-
-    def pieces() -> Iterator[Events]:
-        for part in zip(*(file.rows(name, _PIECE_EVENTS) for name in _NAMES), strict=True):
-            yield _as_events(*part)
-
-    return EventSource(lengths["t"], triggers, width, height, {}, pieces)
-
-
-def _list(file: NpzFile, name: str, *, most: int) -> NDArray[Any]:
-    """Read a short list at once."""
-    if (n := file.length(name)) > most:
-        raise ValueError(f"{name} has {n} elements; at most {most} are read")
-    return np.concatenate([np.zeros(0, np.int64), *file.rows(name, _PIECE_EVENTS)])
-
-
 def _from_hdf5(file: Any) -> EventSource:
     columns = {name: dataset(file, f"events/{name}") for name in _NAMES}
-    _require_one_length({name: _length(column, f"events/{name}") for name, column in columns.items()})
+    require_one_length({name: _length(column, f"events/{name}") for name, column in columns.items()})
     require_ratio(sum(column.nbytes for column in columns.values()), int(file.id.get_filesize()), "events")
     edges = {name: dataset(file, f"triggers/{name}") for name in _TRIGGER_NAMES}
     header = texts(member(file, "header"))
@@ -172,11 +155,11 @@ def _from_hdf5(file: Any) -> EventSource:
     missing = [name for name in ("width", "height") if name not in sides]
     if missing:
         raise ValueError(f"{missing[0]} is missing")
-    triggers = _triggers({name: _edges(column, f"triggers/{name}") for name, column in edges.items()})
+    triggers = as_triggers({name: _edges(column, f"triggers/{name}") for name, column in edges.items()})
 
     def pieces() -> Iterator[Events]:
         for part in zip(*(_even(rows(column)) for column in columns.values()), strict=True):
-            yield _as_events(*part)
+            yield as_events(*part)
 
     return EventSource(len(columns["t"]), triggers, int(sides["width"]), int(sides["height"]), header, pieces)
 
@@ -187,7 +170,7 @@ def _from_metavision(file: Any) -> EventSource:
         raise ValueError("geometry is missing")
     width, height = (int(side) for side in header["geometry"].split("x"))
     table = _edges(dataset(file, "EXT_TRIGGER/events"), "EXT_TRIGGER/events")
-    triggers = _triggers({"t": table["t"], "value": table["p"], "id": table["id"]})
+    triggers = as_triggers({"t": table["t"], "value": table["p"], "id": table["id"]})
     events = dataset(file, "CD/events")
     _length(events, "CD/events")
     # Few installations of HDF5 have the filter, so the chunks are decompressed here.
@@ -195,7 +178,7 @@ def _from_metavision(file: Any) -> EventSource:
 
     def pieces() -> Iterator[Events]:
         for part in rows(events, _decoded_ecf if is_ecf else None):
-            yield _as_events(*(part[name] for name in _NAMES))
+            yield as_events(*(part[name] for name in _NAMES))
 
     return EventSource(len(events), triggers, width, height, header, pieces)
 
@@ -238,35 +221,6 @@ def _even(parts: Iterator[NDArray[Any]]) -> Iterator[NDArray[Any]]:
             kept, have = [rest], len(rest)
     if have:
         yield np.concatenate(kept)
-
-
-def _require_one_length(lengths: Mapping[str, int]) -> None:
-    if len(set(lengths.values())) != 1:
-        raise ValueError("the arrays have different lengths")
-
-
-def _triggers(columns: Mapping[str, NDArray[Any]]) -> Triggers:
-    _require_one_length({name: len(values) for name, values in columns.items()})
-    return Triggers(
-        _whole(columns["t"], np.int64), _whole(columns["value"], np.uint8), _whole(columns["id"], np.uint8)
-    )
-
-
-def _as_events(t: Any, x: Any, y: Any, p: Any) -> Events:
-    return Events(_whole(t, np.int64), _whole(x, np.uint16), _whole(y, np.uint16), _whole(p, np.uint8))
-
-
-def _whole(values: Any, dtype: type[np.generic]) -> Any:
-    """Convert numbers to a type. Raises ValueError if they are not whole, or do not fit."""
-    values = np.asarray(values)
-    if values.ndim != 1 or values.dtype.kind not in "iu":
-        raise ValueError(
-            f"an array of {values.dtype} with {values.ndim} dimensions is not a list of whole numbers"
-        )
-    cast = np.ascontiguousarray(values, dtype)  # no copy if none is needed: there may be millions
-    if cast is not values and not np.array_equal(cast, values):
-        raise ValueError(f"some numbers do not fit into {np.dtype(dtype)}")
-    return cast
 
 
 def _checked(pieces: Iterator[Events], of: EventSource) -> Iterator[Events]:

@@ -16,10 +16,8 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-MOST_RATIO: Final = 200
-"""How many times larger than the file its arrays may be. Events are compressed to a third, at most to a thirtieth."""
-SMALL_BYTES: Final = 1 << 24
-"""Arrays of this size need no ratio."""
+from drivers.camera.formats.event_source import require_ratio
+
 MOST_CHUNK_BYTES: Final = 1 << 24
 """Largest chunk, decompressed. Writers use chunks of at most some megabytes."""
 MOST_ROW_BYTES: Final = 256
@@ -82,17 +80,6 @@ def dataset(group: Any, path: str) -> Any:
     if found.chunks is None and found.nbytes and found.id.get_storage_size() < found.nbytes:
         raise ValueError(f"{path} states {found.nbytes} bytes, but they are missing")
     return found
-
-
-def require_ratio(stated_bytes: int, file_bytes: int, what: str) -> None:
-    """Refuse arrays that are much larger than the file that holds them.
-
-    Raises ValueError: If the ratio is impossible for recorded events.
-    """
-    if stated_bytes > max(SMALL_BYTES, MOST_RATIO * file_bytes):
-        raise ValueError(
-            f"{what} states {stated_bytes} bytes in {file_bytes}; recorded data cannot be compressed so far"
-        )
 
 
 def filters(found: Any) -> list[int]:

@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.camera.event_arrays import Events, Triggers
-from drivers.camera.formats.streamed import EventSource, Piece, source_of_stream
+from drivers.camera.formats.event_source import EventSource, Piece, source_of_stream
 from drivers.camera.raw_header import MAX_HEADER_BYTES
 from drivers.camera.whole_file import require_regular
 

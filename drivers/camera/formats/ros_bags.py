@@ -21,18 +21,15 @@ import numpy as np
 
 from drivers.camera.event_arrays import Events, Triggers, empty_events
 from drivers.camera.evt3 import Evt3Decoder
-from drivers.camera.formats.streamed import EventSource, Piece, source_of_stream
-from drivers.camera.formats.time_origin import origin_us
+from drivers.camera.formats.event_source import EventSource, Piece, origin_us, source_of_stream
 from drivers.camera.raw_header import MAX_SIDE_PX
-from drivers.errors import CameraSoftwareMissing, DriverError
+from drivers.errors import CameraSoftwareMissing
 
 MAGIC_1: Final = b"#ROSBAG V2.0"
 MAGIC_MCAP: Final = b"\x89MCAP0\r\n"
 MAGIC_SQLITE: Final = b"SQLite format 3\x00"
 _ARRAY: Final = "EventArray"
 _PACKET: Final = "EventPacket"
-_MOST_MESSAGE: Final = 1 << 27
-"""Largest message, bytes: 8 million events in one message come from no camera's driver."""
 _NO_EDGES: Final = Triggers(np.zeros(0, np.int64), np.zeros(0, np.uint8), np.zeros(0, np.uint8))
 
 _HEADER: Final = "std_msgs/Header header\n"
@@ -69,27 +66,15 @@ def from_bag(path: Path) -> EventSource:
     """Open a bag with one topic of events.
 
     path: ``.bag`` of ROS 1; folder of ROS 2, or a file of such a folder.
-    Raises ValueError: If it cannot be read, or has no topic of events or several.
+    Raises ValueError: If it has no topic of events or several.
     Raises CameraSoftwareMissing: If the package ``rosbags`` is not installed.
     """
     if path.suffix.lower() in {".db3", ".mcap"} and (path.parent / "metadata.yaml").is_file():
         path = path.parent
-    with _told():
-        topic, size, serial_frame = _facts(path)
+    topic, size, serial_frame = _facts(path)
     origin = origin_us(_pieces(path, topic, size, 0))
     header = {"time_origin_us": str(origin), "ros_topic": topic, "ros_frame": serial_frame}
     return source_of_stream(lambda: _pieces(path, topic, size, origin), size, header)
-
-
-@contextmanager
-def _told() -> Iterator[None]:
-    """Turn whatever the package raises for a damaged bag into ValueError."""
-    try:
-        yield
-    except (DriverError, ValueError):
-        raise
-    except Exception as error:
-        raise ValueError(f"it is no readable ROS bag ({' '.join(str(error).split())[:200]})") from error
 
 
 @contextmanager
@@ -108,13 +93,7 @@ def _opened(path: Path) -> Iterator[tuple[Any, Any]]:
     for name, text in _DEFINITIONS.items():
         store.register(get_types_from_msg(text, name))
     with AnyReader([path], default_typestore=store) as reader:
-
-        def decode(raw: bytes, message_type: str) -> Any:
-            if len(raw) > _MOST_MESSAGE:
-                raise ValueError(f"a message has {len(raw)} bytes; at most {_MOST_MESSAGE} are read")
-            return reader.deserialize(raw, message_type)
-
-        yield reader, decode
+        yield reader, reader.deserialize
 
 
 def _facts(path: Path) -> tuple[str, tuple[int, int], str]:
@@ -141,7 +120,7 @@ def _facts(path: Path) -> tuple[str, tuple[int, int], str]:
 
 def _pieces(path: Path, topic: str, size: tuple[int, int], origin: int) -> Iterator[Piece]:
     decoder = Evt3Decoder(*size, where=str(path))
-    with _told(), _opened(path) as (reader, decode):
+    with _opened(path) as (reader, decode):
         used = [one for one in reader.connections if one.topic == topic]
         for connection, _, raw in reader.messages(used):
             message = decode(raw, connection.msgtype)

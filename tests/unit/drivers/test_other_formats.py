@@ -300,7 +300,7 @@ def test_files_cut_off_anywhere_end_in_one_message_or_whole_events(tmp_path, mak
         bag(path, 1, rows, "mono")
     whole = path.read_bytes()
     cut = tmp_path / f"cut.{make}"
-    for length in np.random.default_rng(2).integers(0, len(whole), 40):
+    for length in np.random.default_rng(2).integers(0, len(whole), 8):
         cut.write_bytes(whole[:length])
         with suppress(RecordingFileError):
             assert len(import_events(cut).events.t) <= len(rows)

@@ -1,0 +1,130 @@
+"""Read files of other programs through their libraries, in a process of its own with a limit of memory and of time.
+
+A packet of some kilobytes can unpack to gigabytes, and a damaged file can crash or hang a library. Here it ends the
+other process only, and the file is refused with one message. The libraries are ``aedat``, ``rosbags`` and NumPy.
+
+The process writes messages: the lengths of a text and of the arrays, the text (JSON), the arrays. Nothing of it is
+executed here.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import select
+import struct
+import subprocess
+import sys
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import IO, Any, Final
+
+import numpy as np
+
+from drivers.camera.event_arrays import Events, Triggers, empty_events, empty_triggers, join_triggers
+from drivers.camera.formats.event_source import MOST_TRIGGERS, EventSource
+from drivers.errors import CameraSoftwareMissing, NotARecording, RecordingCorrupt
+
+MOST_BYTES: Final = 2 << 30
+"""Most memory of the process, with its libraries."""
+PATIENCE_S: Final = 60.0
+"""Longest time without a message, and a second more for each megabyte of the file."""
+MOST_EVENTS: Final = 1 << 20
+"""Most events and edges of a message."""
+HEAD: Final = struct.Struct("<III")
+_MOST_TEXT: Final = 1 << 20
+_OUT_OF_MEMORY: Final = f"reading it needs more than {MOST_BYTES >> 30} GiB of memory, or crashes its library"
+
+
+@contextmanager
+def source_of_library(path: Path, kind: str) -> Iterator[EventSource]:
+    """Open a file in a process of its own.
+
+    kind: "npz", "aedat4" or "bag".
+    Yields: The file. Its events can be read once, until the end of the block.
+    Raises ValueError: If it cannot be read, or needs too much memory or time.
+    Raises CameraSoftwareMissing: If the library is not installed.
+    """
+    process = subprocess.Popen(
+        [sys.executable, "-P", "-m", "drivers.camera.formats.library_reader", kind, str(path)],
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.DEVNULL,
+        bufsize=0,
+        env={**os.environ, "PYTHONPATH": os.pathsep.join(sys.path), "OPENBLAS_NUM_THREADS": "1"},
+    )
+    try:
+        assert process.stdout is not None
+        yield _source(process.stdout, path)
+    finally:
+        process.kill()
+        process.communicate()
+
+
+def _source(stream: IO[bytes], path: Path) -> EventSource:
+    found: list[Triggers] = []
+    text: Mapping[str, Any] = {}
+    while "count" not in text:
+        text, _, triggers = _message(stream, path)
+        found.append(triggers)
+        if sum(len(one.t) for one in found) > MOST_TRIGGERS:
+            raise ValueError(f"it has more than {MOST_TRIGGERS} trigger edges")
+    header = {str(key): str(value) for key, value in text["header"].items()}
+
+    def pieces() -> Iterator[Events]:
+        while True:
+            text, events, _ = _message(stream, path)
+            if text.get("end"):
+                return
+            yield events
+
+    return EventSource(
+        int(text["count"]), join_triggers(found), int(text["width"]), int(text["height"]), header, pieces
+    )
+
+
+def _message(stream: IO[bytes], path: Path) -> tuple[Mapping[str, Any], Events, Triggers]:
+    """Read the next message. Raises what it says of the file."""
+    bytes_of_file = (
+        path.stat().st_size if path.is_file() else sum(one.stat().st_size for one in path.glob("*"))
+    )
+    allowed_s = PATIENCE_S + 1e-6 * bytes_of_file
+    length, n, edges = HEAD.unpack(_exactly(stream, HEAD.size, allowed_s))
+    if length > _MOST_TEXT or max(n, edges) > MOST_EVENTS:
+        raise ValueError(_OUT_OF_MEMORY)
+    text = json.loads(_exactly(stream, length, allowed_s))
+    events, triggers = empty_events(n), empty_triggers(edges)
+    for array in (*events, *triggers):
+        array[:] = np.frombuffer(_exactly(stream, array.nbytes, allowed_s), array.dtype)
+    _raise_told(text, path)
+    return text, events, triggers
+
+
+def _raise_told(text: Mapping[str, Any], path: Path) -> None:
+    """Raise the error that a message reports, if any."""
+    what, remedy = str(text.get("error", "")), str(text.get("remedy", ""))
+    match text.get("kind"):
+        case "missing":
+            raise CameraSoftwareMissing(what, where=str(path), remedy=remedy)
+        case "corrupt":
+            raise RecordingCorrupt(what, offset=int(text["offset"]), where=str(path), remedy=remedy)
+        case "other":
+            raise NotARecording(what, where=str(path), remedy=remedy)
+        case "memory":
+            raise ValueError(_OUT_OF_MEMORY)
+        case "unreadable":
+            raise ValueError(what)
+
+
+def _exactly(stream: IO[bytes], size: int, allowed_s: float) -> bytes:
+    """Read so many bytes, each piece of them in the time allowed."""
+    data = bytearray()
+    while len(data) < size:
+        if not select.select([stream], [], [], allowed_s)[0]:
+            raise ValueError(f"reading it takes longer than {allowed_s:.0f} s")
+        part = stream.read(min(size - len(data), 1 << 20))
+        if not part:
+            raise ValueError(_OUT_OF_MEMORY)
+        data += part
+    return bytes(data)
