@@ -3,6 +3,9 @@
 A lock on a port is not enough, because one device can be reached by several ports: over a network, by a second cable,
 under another name. Every user of a device must therefore name it alike. The lock vanishes with its process, however
 the process ended. The empty file stays, and its presence means nothing. This module touches no device.
+
+Cameras need such a lock as well: the makers' software refuses a second program late at best, and OpenCV does not refuse
+it at all.
 """
 
 from __future__ import annotations
@@ -17,7 +20,13 @@ from pathlib import Path
 from typing import ClassVar, Final
 
 from drivers import file_lock
-from drivers.errors import DriverError, PortBusy, PortDenied
+from drivers.errors import CameraBusy, CameraError, DriverError, PortBusy, PortDenied
+
+
+def event_camera_name(serial: str) -> str:
+    """Return the lock name of an event camera, so that all drivers that reach it by USB exclude each other."""
+    return f"event camera {serial}"
+
 
 FOLDER_MODE: Final = 0o1777
 """All users of a computer share its devices: everybody may lock one, nobody may remove another user's file."""
@@ -108,3 +117,14 @@ def _open(path: Path) -> int:
     with suppress(PermissionError, AttributeError):
         os.fchmod(descriptor, 0o666)
     return descriptor
+
+
+class CameraLock(DeviceHold):
+    """A camera locked by this process, until ``release`` or the end of the process.
+
+    Raises CameraBusy: If another process, or another driver object in this one, holds the lock.
+    Raises CameraError: If the lock file cannot be made.
+    """
+
+    BUSY: ClassVar[type[DriverError]] = CameraBusy
+    DENIED: ClassVar[type[DriverError]] = CameraError

@@ -2,10 +2,15 @@
 
 No other module uses pyserial. An unplugged port raises SerialException, a bare OSError or termios.error, depending on
 the call; all three become PortLost.
+
+Two locks are taken, because one is not enough. flock is advisory: a program that does not ask for it ignores it.
+TIOCEXCL makes the kernel refuse every further open, except by root. Both vanish with the process that took them,
+however it ended, so no stale lock is left behind.
 """
 
 from __future__ import annotations
 
+import contextlib
 import errno
 import os
 import time
@@ -15,9 +20,48 @@ from typing import Any, ParamSpec, Protocol, TypeVar
 
 import serial
 
-from drivers import port_lock
+from drivers import file_lock
 from drivers.errors import PortBusy, PortDenied, PortError, PortLost, PortNotFound
 from drivers.port_address import PORT_REMEDY, refused_port
+
+try:
+    import fcntl
+    import termios
+except ImportError:  # Windows opens every serial port exclusively by itself.
+
+    def lock_exclusively(descriptor: int) -> None:
+        """Do nothing: the system has locked the port at opening."""
+
+    def unlock(descriptor: int) -> None:
+        """Do nothing: the system unlocks the port at closing."""
+
+    def disable_hang_up_on_close(descriptor: int) -> None:
+        """Do nothing: the system has no such setting."""
+
+else:
+
+    def lock_exclusively(descriptor: int) -> None:
+        """Lock an open port. Locking the same descriptor again does no harm.
+
+        Raises BlockingIOError: Another program has locked the port.
+        """
+        file_lock.lock(descriptor)
+        # A device that is no terminal has no TIOCEXCL; the flock still holds.
+        with contextlib.suppress(OSError):
+            fcntl.ioctl(descriptor, termios.TIOCEXCL)
+
+    def unlock(descriptor: int) -> None:
+        """Release the kernel's exclusive lock, which belongs to the terminal and not to the descriptor."""
+        with contextlib.suppress(OSError):
+            fcntl.ioctl(descriptor, termios.TIOCNXCL)
+
+    def disable_hang_up_on_close(descriptor: int) -> None:
+        """Clear HUPCL: closing then leaves DTR as it is, so a board that resets on DTR does not reset."""
+        attributes = termios.tcgetattr(descriptor)
+        if attributes[2] & termios.HUPCL:
+            attributes[2] &= ~termios.HUPCL
+            termios.tcsetattr(descriptor, termios.TCSANOW, attributes)
+
 
 try:
     from termios import error as _termios_error
@@ -108,7 +152,7 @@ class SerialPort:
         try:
             descriptor = _descriptor(self._serial)
             if descriptor is not None:
-                port_lock.unlock(descriptor)
+                unlock(descriptor)
             self._serial.close()
         except _LOST:
             self._lost = True
@@ -168,8 +212,8 @@ def _open(address: str, baudrate: int, stopbits: int, rtscts: bool) -> Any:
         port.open()
         descriptor = _descriptor(port)
         if descriptor is not None:
-            port_lock.lock_exclusively(descriptor)
-            port_lock.disable_hang_up_on_close(descriptor)
+            lock_exclusively(descriptor)
+            disable_hang_up_on_close(descriptor)
     except (*_LOST, *_NO_SERIAL_PORT) as error:
         port.close()
         raise _why_not_opened(address, error) from error

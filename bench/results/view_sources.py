@@ -287,8 +287,7 @@ def _view(found: Measurement, path: Path) -> View:
 def _view_of_photograph(path: Path, choices: OfflineOptions) -> View:
     from calib.stars.detect import detect_view
     from calib.stars.vignetting import downweight_vignetted
-    from drivers.camera.frames import mean_frame
-    from drivers.camera.image_size import require_bounded_images
+    from drivers.camera.frames import mean_frame, require_bounded_images
 
     try:
         require_bounded_images(path)

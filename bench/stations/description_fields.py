@@ -13,7 +13,7 @@ from pydantic_core import PydanticCustomError
 
 from bench.stations.station_fields import Text
 from drivers.described import description as of
-from drivers.described.template import Template, TemplateFault, parse_template
+from drivers.described.description import Template, TemplateFault, parse_template
 from sequences.plain_number import Within, is_plain_number
 from sequences.strict_model import StrictModel
 
@@ -25,7 +25,7 @@ _ENDS: Final = {"CR": b"\r", "LF": b"\n", "CRLF": b"\r\n", "space": b" "}
 def template(text: str, known: frozenset[str], readable: frozenset[str] | None) -> Template:
     """Read a template; a fault of it becomes one of the document.
 
-    known, readable: See `drivers.described.template.parse_template`.
+    known, readable: See `drivers.described.description.parse_template`.
     Raises PydanticCustomError: When it cannot be used.
     """
     try:

@@ -21,9 +21,8 @@ from bench.stations.sections import EventCameraSection, FrameCameraSection, Ligh
 from bench.stations.station import Station
 from bench.stations.station_fields import SIMULATED_PREFIX
 from drivers.camera import EventCamera
-from drivers.camera.frame_cameras import OpenCvFrameCamera
+from drivers.camera.frame_cameras import FolderFrameCamera, OpenCvFrameCamera
 from drivers.camera.frames import FrameCamera
-from drivers.camera.image_folder import FolderFrameCamera
 from drivers.camera.metavision import MetavisionEvk4
 from drivers.camera.neuromorphic_evk4 import NeuromorphicEvk4
 from drivers.camera.recorded import RecordedCamera
@@ -36,8 +35,7 @@ from drivers.stage import Stage
 from drivers.stage.esp import EspAxis, EspStage
 from drivers.stage.grbl import GrblAxis, GrblStage
 from drivers.stage.ximc import XimcAxis, XimcStage
-from drivers.stage.zaber import ZaberStage
-from drivers.stage.zaber_axis import ZaberAxis
+from drivers.stage.zaber import ZaberAxis, ZaberStage
 from drivers.wire_log import WireLog
 
 Camera = EventCamera | FrameCamera

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from drivers.camera import FoundCamera, metavision_discovery, neuromorphic_evk4
-from drivers.camera.video_devices import video_devices
+from drivers.camera.frame_cameras import video_devices
 from drivers.errors import DriverError
 
 

@@ -1,4 +1,9 @@
-"""Driver of frame cameras: every video source that OpenCV opens."""
+"""Driver of frame cameras: every video source that OpenCV opens.
+
+OpenCV identifies cameras by numbers that change from one start to the next, and has no serial numbers. Linux has
+both: it names a device after its camera (``/dev/v4l/by-id``), and states the serial number that the camera gave on USB.
+A folder of images, taken before, is played as a camera too.
+"""
 
 from __future__ import annotations
 
@@ -14,11 +19,10 @@ from typing import Any, Final
 import cv2
 import numpy as np
 
-from drivers.camera import CameraIdentity
-from drivers.camera.camera_lock import CameraLock
-from drivers.camera.frames import Frame, FrameFacts, FrameSettings, capture_frames, to_grey
-from drivers.camera.video_devices import SYSTEM, device_path, usb_serial
+from drivers.camera import CameraIdentity, FoundCamera
+from drivers.camera.frames import Frame, FrameFacts, FrameSettings, capture_frames, read_frames, to_grey
 from drivers.clock import Clock
+from drivers.device_hold import CameraLock
 from drivers.errors import (
     CameraError,
     CameraLost,
@@ -27,6 +31,161 @@ from drivers.errors import (
     RecordingFailed,
     WrongDevice,
 )
+
+DEV: Final = Path("/dev")
+"""Folder of the device files."""
+SYSTEM: Final = Path("/sys/class/video4linux")
+"""Folder in which Linux lists its video devices."""
+
+
+def device_path(source: str, dev: Path = DEV) -> Path | None:
+    """Return the device file that a source stands for.
+
+    source: ``0``, ``/dev/video0``, a name by id, or something that is no device.
+    Returns: The device file; None for a source that is no device.
+
+    Examples
+    --------
+    >>> device_path("0").as_posix(), device_path("rtsp://camera/1"), device_path("pose_%03d.png")
+    ('/dev/video0', None, None)
+    """
+    if source.isdecimal():
+        return dev / f"video{int(source)}"
+    path = Path(source)
+    return path.resolve() if path.is_absolute() and path.is_relative_to(dev) else None
+
+
+def usb_serial(device: Path, system: Path = SYSTEM) -> str:
+    """Read the serial number of the USB device that a video device belongs to.
+
+    Returns: The serial number; empty if the device has none.
+    """
+    place = (system / device.name / "device").resolve()
+    for folder in (place, *place.parents):
+        if (folder / "idVendor").is_file():  # the USB device itself; below it are its interfaces
+            try:
+                return (folder / "serial").read_text(encoding="utf-8", errors="replace").strip()
+            except OSError:
+                return ""
+    return ""
+
+
+def is_capture_device(device: Path, system: Path = SYSTEM) -> bool:
+    """Return whether a video device is the first of its camera; the others carry metadata, which OpenCV cannot read.
+
+    Returns: True also if the system does not state it.
+    """
+    try:
+        return (system / device.name / "index").read_text(encoding="ascii").strip() == "0"
+    except OSError:
+        return True
+
+
+def video_devices(dev: Path = DEV, system: Path = SYSTEM) -> list[FoundCamera]:
+    """List the video devices as frame cameras."""
+    by_id = dev / "v4l" / "by-id"
+    names = {link.resolve(): link for link in by_id.iterdir()} if by_id.is_dir() else {}
+    devices = [path for path in sorted(dev.glob("video[0-9]*")) if is_capture_device(path, system)]
+    return [
+        FoundCamera(
+            driver="opencv",
+            serial=usb_serial(device, system),
+            description=f"video device {device}",
+            source=str(names.get(device.resolve(), device)),
+        )
+        for device in devices
+    ]
+
+
+IMAGE_SUFFIXES: Final = (".bmp", ".jpeg", ".jpg", ".pgm", ".png", ".tif", ".tiff")
+"""Endings of the files that count as images."""
+
+
+class FolderFrameCamera:
+    """A ``FrameCamera`` that hands on the images of a folder: files in the order of their names, page by page.
+
+    files: The images, at least one.
+    serial: The serial number by the station file: images do not state it.
+    clock: Its ``sleep`` is called before each frame.
+    """
+
+    def __init__(self, files: list[Path], *, serial: str = "", clock: Clock) -> None:
+        self._files = files
+        self._serial = serial
+        self._clock = clock
+        self._stop_asked = threading.Event()
+        self._taken = 0
+        self._coming = iter(files)
+        self._pages: list[Frame] = []
+        first = read_frames(files[0])
+        self._size = first.shape[2], first.shape[1]
+
+    @classmethod
+    def open(cls, folder: Path | str, *, serial: str = "", clock: Clock) -> FolderFrameCamera:
+        """Find the images of a folder.
+
+        clock: Its ``sleep`` is called before each frame.
+        Returns: The camera, at its first image.
+        Raises CameraNotFound: If the folder holds no images.
+        Raises NotARecording: If the first file is no image.
+        """
+        folder = Path(folder)
+        files = sorted(path for path in folder.glob("*") if path.suffix.lower() in IMAGE_SUFFIXES)
+        if not files:
+            raise CameraNotFound(
+                "This folder holds no images.",
+                where=str(folder),
+                remedy=f"Give a folder with files that end in {', '.join(IMAGE_SUFFIXES)}.",
+            )
+        return cls(files, serial=serial, clock=clock)
+
+    def identify(self) -> CameraIdentity:
+        """Return the size of the images, and the serial number given. Images do not state which camera took them.
+
+        Returns: The model is "pictures".
+        """
+        return CameraIdentity("", "pictures", "", self._serial, "", *self._size)
+
+    def apply(self, settings: FrameSettings) -> FrameSettings:
+        """Accept settings that change nothing.
+
+        Raises CameraSettingRefused: If exposure or gain are given.
+        """
+        if settings != FrameSettings():
+            raise CameraSettingRefused(
+                "Exposure and gain of images cannot be changed after they were taken.",
+                where=str(self._files[0].parent),
+                remedy="Leave exposure and gain out of the station file.",
+            )
+        return settings
+
+    def capture(self, path: Path, frames: int) -> FrameFacts:
+        """See `FrameCamera.capture`."""
+        self._stop_asked.clear()
+        return capture_frames(
+            path, frames, self._next, self.identify(), clock=self._clock, stop_asked=self._stop_asked
+        )
+
+    def stop(self) -> None:
+        """See `FrameCamera.stop`."""
+        self._stop_asked.set()
+
+    def close(self) -> None:
+        """Do nothing: no file stays open."""
+
+    def _next(self) -> Frame:
+        if not self._pages:
+            file = next(self._coming, None)
+            if file is None:
+                raise RecordingFailed(
+                    f"All {self._taken} images have been used.",
+                    where=str(self._files[0].parent),
+                    remedy="Request fewer frames, or add images to the folder.",
+                )
+            self._pages = list(read_frames(file))
+        self._taken += 1
+        return self._pages.pop(0)
+
 
 STALE_FRAMES: Final = 5
 """Number of old frames that a video device may hand out: four in its buffers, and the one that is being exposed."""

@@ -3,34 +3,40 @@
 The maker's software is imported when a camera is opened, not before. Only its calls that return at once are used,
 since its blocking calls keep every other Python thread from running. It writes the camera's bytes to the file itself.
 It does not report a full disk, so the driver reads the file afterwards to check that all bytes arrived.
+
+The HAL gives a camera back when the last of its objects goes, and has no call for it. An error that is kept, as the
+cause of a hold, keeps the variables of all functions that it passed, and with them such objects. The same program
+could then not open the camera again. Opening takes 2.6 s or more, and a command that the camera does not answer 10 s.
+No other thread of Python runs then.
 """
 
 from __future__ import annotations
 
 import math
+import sys
 import threading
-from collections.abc import Mapping
-from contextlib import suppress
+import traceback
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager, nullcontext, suppress
 from pathlib import Path
 from typing import Any, Final
 
 from drivers.camera import CameraIdentity, CameraSettings, RecordingFacts
-from drivers.camera.camera_lock import CameraLock, event_camera_name
-from drivers.camera.maker_log import listening
 from drivers.camera.metavision_discovery import (
     link_mbit_s,
+    listening,
     not_opened,
     reason_of,
     stated,
     vendor_software,
 )
-from drivers.camera.metavision_release import lets_go
 from drivers.camera.metavision_settings import apply_settings, read_biases, read_filters, read_monitoring
 from drivers.camera.raw_file import RawFile, RecordingStatistics
 from drivers.camera.raw_writer import check_new, check_space, sync_file
 from drivers.camera.recording import RecordingOutcome, check_duration, recording_facts
 from drivers.camera.usb_permission import check_link
 from drivers.clock import Clock
+from drivers.device_hold import CameraLock, event_camera_name
 from drivers.errors import (
     CameraError,
     CameraLost,
@@ -39,6 +45,37 @@ from drivers.errors import (
     RecordingFileError,
     WrongDevice,
 )
+from drivers.lateness import own_lateness
+
+
+@contextmanager
+def lets_go(*, holds: bool = False) -> Iterator[None]:
+    """Empty the variables of the functions that an error has passed on its way out of the block.
+
+    holds: Whether the block may keep other threads from running, so that their delay does not count.
+    Yields: During the block.
+    """
+    outside = sys.exception()
+    try:
+        with own_lateness().interpreter_held() if holds else nullcontext():
+            yield
+    except BaseException as error:
+        _clear(error, outside)
+        raise
+
+
+def _clear(error: BaseException | None, outside: BaseException | None) -> None:
+    """Empty the variables behind an error and its causes, up to the error that the caller was handling already."""
+    cleared: set[int] = set()
+    waiting = [error]
+    while waiting:
+        one = waiting.pop()
+        if one is None or one is outside or id(one) in cleared:
+            continue
+        cleared.add(id(one))
+        traceback.clear_frames(one.__traceback__)
+        waiting += [one.__cause__, one.__context__]
+
 
 SILENCE_S: Final = 5.0
 """Longest silence before the camera counts as lost, s. A sensor that streams sends its clock every 16 us."""

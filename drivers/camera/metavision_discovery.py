@@ -1,19 +1,69 @@
 """Find cameras by the HAL of Metavision or OpenEB, and say why one cannot be opened.
 
 The maker's software is imported here. It looks at each camera itself in order to list it.
+
+The software writes causes that its errors leave out to the file descriptor of standard error itself, so Python's
+``sys.stderr`` does not see them. What was written appears on standard error all the same, when the listening ends.
 """
 
 from __future__ import annotations
 
 import importlib
+import os
 import re
-from collections.abc import Mapping
+import sys
+import tempfile
+import threading
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager, suppress
 from typing import Any, Final
 
 from drivers.camera import FoundCamera
-from drivers.camera.maker_log import cameras_with_old_firmware, listening
 from drivers.camera.usb_permission import connected_cameras, unreadable_cameras
 from drivers.errors import CameraError, CameraNotFound, CameraSoftwareMissing
+
+_STDERR: Final = 2
+_LISTENING = threading.RLock()
+_OLD_FIRMWARE: Final = re.compile(r"serial\s*(\S+)\s*is using an old firmware")
+"""OpenEB 5.1.1, ``tz_libusb_board_command.cpp``: written once for each camera in a process, for firmware below 3.8."""
+
+_old: set[str] = set()
+
+
+@contextmanager
+def listening() -> Iterator[list[str]]:
+    """Listen to standard error during the block; `cameras_with_old_firmware` then knows what was said.
+
+    Yields: What was said; it is there when the block has ended. If standard error is closed, nothing is
+      heard.
+    """
+    words: list[str] = []
+    with _LISTENING, tempfile.TemporaryFile() as heard:
+        with suppress(OSError, ValueError, AttributeError):
+            sys.stderr.flush()
+        try:
+            kept = os.dup(_STDERR)
+        except OSError:
+            yield words
+            return
+        os.dup2(heard.fileno(), _STDERR)
+        try:
+            yield words
+        finally:
+            os.dup2(kept, _STDERR)
+            os.close(kept)
+            heard.seek(0)
+            said = heard.read()
+            words.append(said.decode(errors="replace"))
+            _old.update(_OLD_FIRMWARE.findall(words[0]))
+            with suppress(OSError):
+                os.write(_STDERR, said)
+
+
+def cameras_with_old_firmware() -> frozenset[str]:
+    """Return the serial numbers of the cameras that the maker's software refused for their firmware."""
+    return frozenset(_old)
+
 
 OLDEST_FIRMWARE: Final = "3.8"
 """The maker's software refuses an EVK4 with an older firmware."""

@@ -19,12 +19,12 @@ from typing import Any, Final
 import numpy as np
 
 from drivers.camera import CameraIdentity, CameraSettings, FoundCamera, RecordingFacts
-from drivers.camera.camera_lock import CameraLock, event_camera_name
 from drivers.camera.evt3 import first_time_high
 from drivers.camera.raw_header import render_header
 from drivers.camera.recording import StopConditions, check_duration, record_words, recording_facts, refuse_roi
-from drivers.camera.usb_permission import check_link, only_camera_mbit_s
+from drivers.camera.usb_permission import check_link, only_camera_kind, only_camera_mbit_s
 from drivers.clock import Clock
+from drivers.device_hold import CameraLock, event_camera_name
 from drivers.errors import (
     CameraError,
     CameraLost,
@@ -42,6 +42,9 @@ POLL_S: Final = 0.02
 
 BIASES: Final = ("bias_diff_on", "bias_diff_off", "bias_fo", "bias_hpf", "bias_refr")
 
+_UNKNOWN_KIND: Final = ("unknown maker", "camera with an IMX636")
+"""The package opens cameras of several makers by the same name, and does not say which it has opened."""
+
 
 def discover() -> tuple[FoundCamera, ...]:
     """List the EVK4 that are connected.
@@ -58,8 +61,9 @@ def discover() -> tuple[FoundCamera, ...]:
             where="neuromorphic-drivers",
             remedy="Check that this computer has USB, and that this user may use it.",
         ) from error
+    kind = only_camera_kind() or _UNKNOWN_KIND
     return tuple(
-        FoundCamera("neuromorphic_evk4", device.serial or "", "Prophesee EVK4, USB", device.error or "")
+        FoundCamera("neuromorphic_evk4", device.serial or "", f"{' '.join(kind)}, USB", device.error or "")
         for device in listed
         if device.name == package.Name.PROPHESEE_EVK4
     )
@@ -171,9 +175,10 @@ class NeuromorphicEvk4:
                 where=self._where,
                 remedy="Correct the serial number in the station file, or plug in the right camera.",
             )
+        maker, model = only_camera_kind() or _UNKNOWN_KIND
         return CameraIdentity(
-            maker="Prophesee",
-            model="EVK4",
+            maker=maker,
+            model=model,
             sensor="IMX636",
             serial=serial,
             firmware="",

@@ -11,9 +11,11 @@ import os
 from collections.abc import Mapping
 from contextlib import suppress
 from pathlib import Path
-from typing import Final
+from typing import Final, TypeVar
 
 from drivers.errors import CameraSettingRefused
+
+T = TypeVar("T")
 
 USB_DEVICES: Final = Path("/sys/bus/usb/devices")
 """Folder in which Linux lists the devices on USB."""
@@ -27,6 +29,13 @@ _CAMERAS: Final[Mapping[tuple[str, str], str]] = {
     ("04b4", "00f5"): "Prophesee camera (EVK4)",
 }
 """Vendor and product numbers, as the udev rules of OpenEB have them."""
+_KINDS: Final[Mapping[tuple[str, str], tuple[str, str]]] = {
+    ("04b4", "00f4"): ("Prophesee", "EVK3"),
+    ("04b4", "00f5"): ("Prophesee", "EVK4"),
+    ("31f7", "0003"): ("CenturyArks", "SilkyEvCam HD"),
+    ("1409", "8e00"): ("IDS", "uEye XCP-E"),
+}
+"""Maker and model of the cameras that neuromorphic-drivers opens as an EVK4 (its ``prophesee_evk4.rs``)."""
 
 
 def unreadable_cameras(devices: Path = USB_DEVICES, nodes: Path = USB_NODES) -> list[str]:
@@ -80,6 +89,15 @@ def only_camera_mbit_s(devices: Path = USB_DEVICES) -> int | None:
     return _speed_mbit_s(cameras[0][0]) if len(cameras) == 1 else None
 
 
+def only_camera_kind(devices: Path = USB_DEVICES) -> tuple[str, str] | None:
+    """Return maker and model of the cameras that neuromorphic-drivers opens as an EVK4.
+
+    Returns: None if none is listed, or if there are several kinds: the package does not say which it has opened.
+    """
+    kinds = {kind for _, kind in _listed(devices, _KINDS)}
+    return kinds.pop() if len(kinds) == 1 else None
+
+
 def check_link(link_mbit_s: int | None, where: str) -> None:
     """Refuse a camera on USB 2, which loses events at the rates of a measurement.
 
@@ -96,10 +114,15 @@ def check_link(link_mbit_s: int | None, where: str) -> None:
 
 def _cameras(devices: Path) -> list[tuple[Path, str]]:
     """List the folders of the known event cameras, and what they are."""
+    return _listed(devices, _CAMERAS)
+
+
+def _listed(devices: Path, known: Mapping[tuple[str, str], T]) -> list[tuple[Path, T]]:
+    """List the folders of the devices that are known, and what they are."""
     found = []
     for device in sorted(devices.iterdir()) if devices.is_dir() else ():
         with suppress(OSError, ValueError):
-            name = _CAMERAS.get((_read(device, "idVendor").lower(), _read(device, "idProduct").lower()))
+            name = known.get((_read(device, "idVendor").lower(), _read(device, "idProduct").lower()))
             if name is not None:
                 found.append((device, name))
     return found

@@ -2,15 +2,193 @@
 
 Names of values that a stage's requests may carry: ``target`` (controller's counts), of settings ``value``. A light's
 requests carry ``value``. ``{address}`` is the axis's address, ``{request}`` in a reply is the request that was sent.
+
+Its requests and replies are templates: text with placeholders such as ``{counts:integer}``, no regular expressions. A
+placeholder takes as many characters of its kind as there are, and the text after it cannot begin with such a character.
+So a reply is read in one pass from left to right, whatever a device sends. Nothing is evaluated.
 """
 
 from __future__ import annotations
 
+import math
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import Final, Literal
 
-from drivers.described.template import Template
+LONGEST: Final = 200
+"""Characters of a template at most."""
+MOST_DECIMALS: Final = 9
+
+Value = float | str
+
+_PLACEHOLDER = re.compile(r"\{([^{}]*)\}")
+_NAME = re.compile(r"[a-z][a-z0-9_]{0,30}")
+_NUMBER = r"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]{1,3})?"
+_SHAPES: Final = {
+    "integer": re.compile(r"[+-]?[0-9]{1,15}", re.ASCII),
+    "number": re.compile(_NUMBER, re.ASCII),
+    "word": re.compile(r"[A-Za-z0-9_.+-]+", re.ASCII),
+    "text": re.compile(r"[ -~]+", re.ASCII),
+}
+_FIRST: Final = {
+    "integer": "0123456789",
+    "number": "0123456789.eE+-",
+    "word": "ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789_.+-",
+}
+"""Characters with which the text after a placeholder of that kind cannot begin."""
+
+
+class TemplateFault(ValueError):
+    """A template that cannot be used; the message says what to write instead."""
+
+
+@dataclass(frozen=True)
+class Placeholder:
+    """A place of a template that a value takes."""
+
+    name: str
+    # "integer", "number", "word" or "text"; empty for a value that is known when the template is used.
+    kind: str = ""
+    # Digits after the point of a number that is sent; None for as many as needed.
+    decimals: int | None = None
+
+
+@dataclass(frozen=True)
+class Template:
+    """A request or a reply with places for values. `parse_template` makes one."""
+
+    text: str
+    parts: tuple[str | Placeholder, ...]  # Texts and placeholders, in their order
+
+    @property
+    def names(self) -> frozenset[str]:
+        """Names of all placeholders."""
+        return frozenset(part.name for part in self.parts if isinstance(part, Placeholder))
+
+    @property
+    def read_names(self) -> frozenset[str]:
+        """Names of the placeholders that a reply gives values to."""
+        return frozenset(part.name for part in self.parts if isinstance(part, Placeholder) and part.kind)
+
+    def render(self, values: Mapping[str, Value]) -> str:
+        """Return the text with the values in their places."""
+        return "".join(
+            part if isinstance(part, str) else _written(part, values[part.name]) for part in self.parts
+        )
+
+    def match(self, line: str, known: Mapping[str, Value]) -> dict[str, Value] | None:
+        """Read the values of a line.
+
+        line: What a device sent, without its end.
+        known: Values of the placeholders without a kind.
+        Returns: Values by name; None if the line does not have this form.
+        """
+        found: dict[str, Value] = {}
+        at = 0
+        for part in self.parts:
+            if isinstance(part, str) or not part.kind:
+                literal = part if isinstance(part, str) else str(known[part.name])
+                if not line.startswith(literal, at):
+                    return None
+                at += len(literal)
+                continue
+            shape = _SHAPES[part.kind].match(line, at)
+            if shape is None:
+                return None
+            value: Value = shape[0] if part.kind in {"word", "text"} else float(shape[0])
+            if isinstance(value, float) and not math.isfinite(value):
+                return None
+            found[part.name] = value
+            at = shape.end()
+        return found if at == len(line) else None
+
+
+def parse_template(text: str, *, known: frozenset[str], readable: frozenset[str] | None) -> Template:
+    """Read a template.
+
+    text: Text with placeholders: ``{name}`` for a known value, ``{name:kind}`` for a value that is read or
+      sent.
+    known: Names that may stand without a kind.
+    readable: Names that may stand with a kind; None for any name.
+    Raises TemplateFault: If a placeholder is unknown, or a reply could be read in two ways.
+
+    Examples
+    --------
+    >>> reply = parse_template("POS={counts:integer} {unit:word}", known=frozenset(), readable=None)
+    >>> reply.match("POS=-120 steps", {})
+    {'counts': -120.0, 'unit': 'steps'}
+    >>> reply.match("POS=-120", {}) is None
+    True
+    """
+    if not text:
+        raise TemplateFault("must not be empty.")
+    if len(text) > LONGEST:
+        raise TemplateFault(f"must have {LONGEST} or fewer characters.")
+    if not all(" " <= letter <= "~" for letter in text):
+        raise TemplateFault("must be printable ASCII; line ends have their own keys.")
+    parts: list[str | Placeholder] = []
+    end = 0
+    for found in _PLACEHOLDER.finditer(text):
+        parts += [text[end : found.start()], _placeholder(found[1], known, readable)]
+        end = found.end()
+    parts = [part for part in (*parts, text[end:]) if part != ""]
+    if any(isinstance(part, str) and ("{" in part or "}" in part) for part in parts):
+        raise TemplateFault("a brace has no partner; a placeholder is written {name:kind}.")
+    names = [part.name for part in parts if isinstance(part, Placeholder) and part.kind]
+    if len(names) != len(set(names)):
+        raise TemplateFault("a name stands twice.")
+    for part, following in zip(parts, [*parts[1:], None], strict=True):
+        if isinstance(part, Placeholder) and part.kind:
+            _check_end(part, following)
+    return Template(text, tuple(parts))
+
+
+def _placeholder(inner: str, known: frozenset[str], readable: frozenset[str] | None) -> Placeholder:
+    name, colon, kind = inner.partition(":")
+    if not _NAME.fullmatch(name):
+        raise TemplateFault(f"{{{inner}}} is no placeholder; write {{name:kind}} with a small-letter name.")
+    if not colon:
+        if name not in known:
+            listed = ", ".join(f"{{{one}}}" for one in sorted(known)) or "none"
+            raise TemplateFault(
+                f"{{{name}}} needs a kind, such as {{{name}:integer}}. Without a kind: {listed}."
+            )
+        return Placeholder(name)
+    if readable is not None and name not in readable:
+        listed = ", ".join(sorted(readable)) or "none"
+        raise TemplateFault(f"there is no value {name!r} here. Known here: {listed}.")
+    kind, point, digits = kind.partition(".")
+    if kind not in _SHAPES:
+        raise TemplateFault(f"{kind!r} is no kind; write one of {', '.join(_SHAPES)}.")
+    if not point:
+        return Placeholder(name, kind)
+    if kind != "number" or not digits.isdecimal() or int(digits) > MOST_DECIMALS:
+        raise TemplateFault(f"decimals are written {{{name}:number.3}}, at most {MOST_DECIMALS}.")
+    return Placeholder(name, kind, int(digits))
+
+
+def _check_end(part: Placeholder, following: str | Placeholder | None) -> None:
+    """Check that it is clear where a value ends."""
+    if following is None:
+        return
+    if part.kind == "text":
+        raise TemplateFault(f"{{{part.name}:text}} takes the rest of the line, so nothing may follow it.")
+    if isinstance(following, Placeholder):
+        raise TemplateFault(f"text must stand between {{{part.name}}} and {{{following.name}}}.")
+    if following[0] in _FIRST[part.kind]:
+        raise TemplateFault(
+            f"the end of {{{part.name}}} is not clear, because {following[0]!r} may be part of it."
+        )
+
+
+def _written(place: Placeholder, value: Value) -> str:
+    if isinstance(value, str) or place.kind in {"", "word", "text"}:
+        return f"{value:g}" if isinstance(value, float) else str(value)
+    if place.kind == "integer":
+        return str(round(value))
+    return f"{value:.{9 if place.decimals is None else place.decimals}f}"
+
 
 Checksum = Literal["none", "xor"]
 AxisQuantity = Literal["speed", "acceleration", "lowest", "highest", "constant"]

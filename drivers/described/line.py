@@ -12,8 +12,7 @@ from collections.abc import Mapping
 from functools import reduce
 
 from drivers.clock import Clock
-from drivers.described.description import Exchange, LineDescription, Notice, Switch
-from drivers.described.template import Value
+from drivers.described.description import Exchange, LineDescription, Notice, Switch, Value
 from drivers.errors import DeviceRefused, ReplyError, ReplyGarbled, WrongDevice
 from drivers.link import Link, ReplyReader
 from drivers.retry import TRIES, repeat

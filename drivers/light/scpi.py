@@ -15,8 +15,8 @@ from drivers.errors import SettingRefused, WrongDevice
 from drivers.light import LightIdentity, LightSettings
 from drivers.light.scpi_dialects import DIALECTS, DialectName, Load, Setting
 from drivers.light.watched import WatchedLight
-from drivers.scpi_line import InstrumentError, ScpiLine
 from drivers.serial_port import Port, closed_on_error
+from drivers.text_line import InstrumentError, ScpiLine
 from drivers.wire_log import WireLog
 
 # Largest difference of two equal values: the finest resolution that generators have and print.

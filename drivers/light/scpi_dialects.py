@@ -20,7 +20,7 @@ from typing import Literal, Protocol
 from drivers.errors import LightFault
 from drivers.light import LightSettings, Waveform
 from drivers.light.watched import steady_settings
-from drivers.scpi_line import ScpiLine
+from drivers.text_line import ScpiLine
 
 Load = Literal["high-z", "50-ohm", "unchanged"]
 """Load that the generator assumes at its output; its levels are those at this load."""

@@ -10,9 +10,8 @@ from __future__ import annotations
 from typing import Any
 
 from drivers.clock import Clock
-from drivers.described.description import LightDescription, LightQuantity, LightSetting
+from drivers.described.description import LightDescription, LightQuantity, LightSetting, Value
 from drivers.described.line import DescribedLine
-from drivers.described.template import Value
 from drivers.errors import DeviceRefused, ReplyError, SettingRefused
 from drivers.light import LightIdentity, LightSettings
 from drivers.light.watched import FULL_SCALE_V, WatchedLight, percent_faults, steady_settings

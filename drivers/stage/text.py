@@ -13,9 +13,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from drivers.clock import Clock
-from drivers.described.description import AxisSetting, Exchange, StageDescription
+from drivers.described.description import AxisSetting, Exchange, StageDescription, Value
 from drivers.described.line import DescribedLine
-from drivers.described.template import Value
 from drivers.errors import OutsideLimits, ReplyError, ReplyTimeout
 from drivers.readings import read_until_agreed
 from drivers.retry import TRIES

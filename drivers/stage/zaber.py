@@ -1,19 +1,280 @@
 """Zaber stages over their ASCII protocol: axes in degrees on a chain of devices on one serial line.
 
 This module decides what each warning flag means for a move. ``drivers.stage.watched`` watches the moves.
+
+Source: "Zaber ASCII Protocol Manual", https://www.zaber.com/protocol-manual, settings ``maxspeed``, ``accel``,
+``limit.min``, ``limit.max`` and ``limit.cycle.dist``.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import itertools
+import math
+import re
+from collections import deque
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass
 
 from drivers.clock import Clock
+from drivers.errors import DeviceRefused, OutsideLimits, ReplyGarbled
+from drivers.link import Link, ReplyReader
+from drivers.retry import repeat
 from drivers.serial_port import Port, closed_on_error
-from drivers.stage import AxisIdentity, zaber_axis, zaber_protocol
-from drivers.stage.watched import AxisState, OneLineStage, no_reference, not_movable
-from drivers.stage.zaber_axis import ZaberAxis
-from drivers.stage.zaber_chain import ZaberChain
+from drivers.stage import AxisIdentity, motion, zaber_protocol
+from drivers.stage.watched import Axis, AxisState, OneLineStage, no_reference, not_movable, reads_otherwise
+from drivers.stage.zaber_protocol import Reply, Unsolicited
 from drivers.wire_log import WireLog
+
+_REPLY_S = 1.0
+"""Longest wait for a reply, in seconds. A reply takes some ms; the rest is for a busy computer."""
+_MARKER_S = 0.5
+_QUIET_S = 0.05
+_LONGEST_DRAIN_S = 1.0
+
+
+class ZaberChain(Link):
+    """A chain of devices on one line. Opening sends nothing.
+
+    devices: Addresses of the devices that this driver uses; others in the chain are stopped by ``stop_all``
+      only.
+    clock, wire_log: See ``drivers.link.Link``.
+    unsolicited: The latest 100 alerts and information lines, oldest first.
+    """
+
+    def __init__(
+        self, port: Port, devices: Collection[int], *, clock: Clock, wire_log: WireLog | None = None
+    ) -> None:
+        self.unsolicited: deque[Unsolicited] = deque(maxlen=100)
+        self._devices = sorted(set(devices))
+        self._ids = itertools.cycle(range(100))
+        super().__init__(
+            port,
+            clock=clock,
+            resynchronise=self._resynchronise,
+            unsolicited=self._take_unsolicited,
+            wire_log=wire_log,
+        )
+
+    def command(self, device: int, axis: int, words: str) -> Reply:
+        """Send a command, once: a command that moves something must never be sent twice.
+
+        device: Address of the device; 0 for all.
+        axis: Number of the axis on the device; 0 for the device itself.
+        words: The command with its parameters, such as ``move abs 50000``.
+        Returns: The device's reply, which accepts the command.
+        Raises ReplyTimeout, ReplyGarbled: No valid reply came.
+        """
+        reply = self._ask_once(device, axis, words)
+        if not reply.accepted:
+            reason = zaber_protocol.REFUSALS.get(reply.data, reply.data)
+            raise DeviceRefused(
+                f"device {device} refuses '{words}': {reason} ({reply.data}).",
+                where=self.name,
+                remedy="Look this command up in the controller's manual.",
+            )
+        return reply
+
+    def query(self, device: int, axis: int, words: str) -> Reply:
+        """Send a command that does no harm when it is sent twice; repeat it when no valid reply comes.
+
+        device, axis, words: See ``command``.
+        Returns: The device's reply, which accepts the command.
+        Raises ReplyTimeout, ReplyGarbled: No valid reply came at the last attempt.
+        """
+        return repeat(lambda: self.command(device, axis, words))
+
+    def query_integer(self, device: int, axis: int, words: str) -> int:
+        """Send a query whose answer is one integer.
+
+        device, axis, words: See ``command``.
+        Raises ReplyTimeout, ReplyGarbled: No valid reply came at the last attempt, or the answer is no
+          integer.
+        """
+        data = self.query(device, axis, words).data
+        return self.parse_integer(data)
+
+    def parse_integer(self, data: str) -> int:
+        """Parse the data of a reply as one integer.
+
+        data: Data of a reply.
+        Raises ReplyGarbled: The data are no integer; the line is then out of step.
+        """
+        if not re.fullmatch(r"-?\d{1,18}", data, re.ASCII):
+            self.mark_out_of_step()
+            raise ReplyGarbled(
+                f"{data!r} came instead of an integer.", where=self.name, remedy="Look into the wire log."
+            )
+        return int(data)
+
+    def query_flags(self, device: int, axis: int) -> tuple[str, ...]:
+        """Ask for all warning flags of an axis.
+
+        device, axis: See ``command``.
+        Raises ReplyTimeout, ReplyGarbled: No valid reply came at the last attempt, or the answer is no list
+          of flags.
+        """
+        data = self.query(device, axis, "warnings").data
+        try:
+            return zaber_protocol.parse_flags(data, self.name)
+        except ReplyGarbled:
+            self.mark_out_of_step()
+            raise
+
+    def query_setting(self, device: int, axis: int, name: str) -> int | None:
+        """Ask for a setting that is an integer.
+
+        device, axis: See ``command``.
+        name: Name of the setting, such as ``limit.max``.
+        Returns: The value; None when the device refuses the query, because it has no such setting.
+        """
+        try:
+            return self.query_integer(device, axis, f"get {name}")
+        except DeviceRefused:
+            return None
+
+    def stop_all(self) -> None:
+        """Send one stop to every device on the line, and check that each device of this driver has accepted it.
+
+        The stop is sent at once, without resynchronising.
+
+        Raises ReplyError: A device did not accept the stop at the last attempt.
+        """
+        with self.lock:
+            repeat(self._stop_once)
+
+    def _stop_once(self) -> None:
+        message_id = next(self._ids)
+        waiting_for = set(self._devices)
+
+        def read_reply(reader: ReplyReader) -> None:
+            while waiting_for:
+                try:
+                    reply = zaber_protocol.parse_reply(reader.read_line(), self.name)
+                except ReplyGarbled:
+                    continue  # the reply to an older request, which the stop has cut in two
+                if reply.message_id == message_id and reply.accepted:
+                    waiting_for.discard(reply.device)
+
+        request = zaber_protocol.request(0, 0, message_id, "stop")
+        self.exchange(request, read_reply, deadline_s=_REPLY_S, urgent=True)
+
+    def _ask_once(
+        self, device: int, axis: int, words: str, *, deadline_s: float = _REPLY_S, urgent: bool = False
+    ) -> Reply:
+        message_id = next(self._ids)
+
+        def read_reply(reader: ReplyReader) -> Reply:
+            reply = zaber_protocol.parse_reply(reader.read_line(), self.name)
+            if (reply.device, reply.axis, reply.message_id) != (device, axis, message_id):
+                raise ReplyGarbled(
+                    f"the answer to another request came: {reply}.",
+                    where=self.name,
+                    remedy="Look into the wire log.",
+                )
+            return reply
+
+        request = zaber_protocol.request(device, axis, message_id, words)
+        return self.exchange(request, read_reply, deadline_s=deadline_s, urgent=urgent)
+
+    def _resynchronise(self) -> None:
+        """Wait for silence; then the reply to a new message id proves that no older reply is unread."""
+        self.prove_in_step(
+            lambda: self._ask_once(self._devices[0], 0, "", deadline_s=_MARKER_S, urgent=True),
+            quiet_s=_QUIET_S,
+            limit_s=_LONGEST_DRAIN_S,
+            silence_after=False,
+        )
+
+    def _take_unsolicited(self, line: bytes) -> bool:
+        message = zaber_protocol.parse_unsolicited(line, self.name)
+        if message is not None:
+            self.unsolicited.append(message)
+        return message is not None
+
+
+SPEED_UNITS = 1.6384
+"""maxspeed = 1.6384 x microsteps/s (ASCII Protocol Manual, setting maxspeed)."""
+ACCELERATION_UNITS = 1.6384e-4
+"""accel = 1.6384 / 10000 x microsteps/s^2 (ASCII Protocol Manual, setting accel)."""
+_SCALE_AGREES = 1e-6
+
+
+@dataclass(frozen=True, kw_only=True)
+class ZaberAxis(Axis):
+    """One axis as the station file describes it."""
+
+    device: int
+    # Microsteps per degree; negative when the counter falls as the angle grows. Never guessed from a model.
+    microsteps_per_deg: float
+    axis: int = 1
+
+    @property
+    def scale(self) -> float:
+        """Microsteps per degree."""
+        return self.microsteps_per_deg
+
+
+def check_scale(chain: ZaberChain, axis: ZaberAxis) -> None:
+    """Check that scale and limits agree with the controller's turn and travel.
+
+    Raises OutsideLimits: The scale gives another number of microsteps a turn, or the limits lie beyond the
+      travel.
+    """
+    turn = _setting(chain, axis, "limit.cycle.dist")
+    expected = abs(axis.microsteps_per_deg) * 360.0
+    if turn and abs(turn - expected) > max(1.0, _SCALE_AGREES * expected):
+        raise OutsideLimits(
+            f"the scale in the station file gives {expected:.0f} microsteps a turn, the controller has {turn}.",
+            where=axis.name,
+            remedy="Correct microsteps_per_deg in the station file.",
+        )
+    present = _setting(chain, axis, "limit.min"), _setting(chain, axis, "limit.max")
+    motion.check_travel(axis.name, _travel(axis), present, "microsteps")
+
+
+def program(chain: ZaberChain, axis: ZaberAxis) -> None:
+    """Set limits, speed and acceleration where they differ, and read them back.
+
+    Only settings that differ are sent, because the controller keeps them in non-volatile memory.
+
+    Raises OutsideLimits: Speed or acceleration is below the controller's unit. Its acceleration 0 would mean
+      full speed at once.
+    """
+    lowest, highest = _travel(axis)
+    scale = abs(axis.microsteps_per_deg)
+    wanted = {
+        "limit.min": lowest,
+        "limit.max": highest,
+        "maxspeed": math.floor(axis.limits.speed_deg_s * scale * SPEED_UNITS),
+        "accel": math.floor(axis.limits.acceleration_deg_s2 * scale * ACCELERATION_UNITS),
+    }
+    if not (wanted["maxspeed"] and wanted["accel"]):
+        raise OutsideLimits(
+            f"{axis.limits.speed_deg_s:g} deg/s or {axis.limits.acceleration_deg_s2:g} deg/s^2 is below the"
+            " controller's smallest step.",
+            where=axis.name,
+            remedy="Raise speed_deg_s or acceleration_deg_s2 in the station file.",
+        )
+    for name, value in wanted.items():
+        if _setting(chain, axis, name) == value:
+            continue
+        chain.query(axis.device, axis.axis, f"set {name} {value}")
+        got = chain.query_integer(axis.device, axis.axis, f"get {name}")
+        if got != value:
+            remedy = (
+                "Change speed, acceleration or limits in the station file to what the controller supports."
+            )
+            raise reads_otherwise(axis, name, value, got, remedy)
+
+
+def _setting(chain: ZaberChain, axis: ZaberAxis, name: str) -> int | None:
+    return chain.query_setting(axis.device, axis.axis, name)
+
+
+def _travel(axis: ZaberAxis) -> tuple[int, int]:
+    ends = (axis.to_counts(axis.limits.lowest_deg), axis.to_counts(axis.limits.highest_deg))
+    return min(ends), max(ends)
+
 
 __all__ = ["ZaberAxis", "ZaberStage"]
 
@@ -43,9 +304,9 @@ class ZaberStage(OneLineStage[ZaberAxis]):
             self.identify()
             self._bring_to_rest()
             for axis in axes:
-                zaber_axis.check_scale(self._chain, axis)
+                check_scale(self._chain, axis)
             for axis in axes:
-                zaber_axis.program(self._chain, axis)
+                program(self._chain, axis)
             self._encoders = {axis.name for axis in axes if self._has_encoder(axis)}
 
     def identify(self) -> Sequence[AxisIdentity]:

@@ -20,7 +20,7 @@ from drivers.clock import SystemClock
 from drivers.errors import MoveFailed
 from drivers.serial_port import SerialPort
 from drivers.stage import Stage
-from drivers.stage.zaber_chain import ZaberChain
+from drivers.stage.zaber import ZaberChain
 from drivers.stage.zaber_protocol import parse_reply, request
 from drivers.wire_log import WireLogFile
 from simulators.assembly import make_stage

@@ -7,8 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from drivers.described.description import Exchange
-from drivers.described.template import parse_template
+from drivers.described.description import Exchange, parse_template
 from drivers.errors import (
     DeviceRefused,
     MoveFailed,

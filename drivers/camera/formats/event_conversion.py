@@ -23,10 +23,10 @@ from drivers.camera.formats.event_files import ExportSummary, export_hdf5, expor
 from drivers.camera.formats.event_import import open_events
 from drivers.camera.formats.event_source import EventSource
 from drivers.camera.formats.evt3_encode import Evt3Encoder
-from drivers.camera.formats.new_file import new_file, write_error
 from drivers.camera.formats.prophesee_words import header_fields, is_dat, is_evt2
 from drivers.camera.raw_file import RawFile
 from drivers.camera.raw_header import MAX_HEADER_BYTES, MAX_SIDE_PX, render_header
+from drivers.camera.raw_writer import new_file, write_error
 from drivers.camera.whole_file import require_regular
 from drivers.errors import NotARecording, RecordingFileError
 

@@ -29,8 +29,8 @@ from numpy.typing import NDArray
 
 from drivers.camera.event_arrays import Events, Triggers, empty_events, join_triggers
 from drivers.camera.formats import ecf
-from drivers.camera.formats.new_file import new_file
 from drivers.camera.raw_file import RawFile
+from drivers.camera.raw_writer import new_file
 
 CHUNK_EVENTS: Final = 16384
 """Number of events in a chunk of Metavision's HDF5."""

@@ -7,7 +7,7 @@ import time
 import pytest
 
 from drivers.errors import MoveFailed, NotHomed, ReplyError
-from drivers.stage import AxisLimits, ximc_controller
+from drivers.stage import AxisLimits, ximc
 from drivers.stage.esp import EspAxis, EspStage
 from drivers.stage.ximc import XimcAxis, XimcStage
 from tests.unit.drivers.esp_peer import EspPeer
@@ -75,7 +75,7 @@ def test_the_first_axis_alone_is_no_reference(esp_stage, esp) -> None:
 
 
 def test_a_silent_controller_does_not_keep_the_others_moving(clock, monkeypatch) -> None:
-    monkeypatch.setattr(ximc_controller, "_REPLY_S", 0.2)
+    monkeypatch.setattr(ximc, "_REPLY_S", 0.2)
     peers = [XimcPeer(clock, 1, "a"), XimcPeer(clock, 2, "b")]
     axes = [
         XimcAxis(name=name, port="", serial="", steps_per_deg=80.0, limits=LIMITS) for name in ("pan", "tilt")

@@ -4,7 +4,7 @@ import pytest
 
 from drivers.camera import FoundCamera, discovery, metavision_discovery, neuromorphic_evk4
 from drivers.camera.discovery import find_cameras
-from drivers.camera.video_devices import usb_serial, video_devices
+from drivers.camera.frame_cameras import usb_serial, video_devices
 from drivers.errors import CameraSoftwareMissing
 
 EVK4 = FoundCamera("metavision", "00051234", "Prophesee")

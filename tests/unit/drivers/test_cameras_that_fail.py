@@ -9,9 +9,8 @@ import numpy as np
 import pytest
 
 from drivers.camera import CameraSettings, frame_cameras, metavision_discovery, neuromorphic_evk4
-from drivers.camera.frame_cameras import OpenCvFrameCamera
+from drivers.camera.frame_cameras import FolderFrameCamera, OpenCvFrameCamera
 from drivers.camera.frames import read_frames, write_frames
-from drivers.camera.image_folder import FolderFrameCamera
 from drivers.camera.metavision import MetavisionEvk4
 from drivers.errors import CameraError, CameraLost, RecordingFailed
 

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from drivers.described.template import TemplateFault, parse_template
+from drivers.described.description import TemplateFault, parse_template
 
 NONE: frozenset[str] = frozenset()
 

@@ -19,8 +19,8 @@ from drivers.camera.formats import event_conversion
 from drivers.camera.formats.event_conversion import KINDS, convert
 from drivers.camera.formats.event_files import export_numpy
 from drivers.camera.formats.evt3_encode import MAX_TIME_US, Evt3Encoder
-from drivers.camera.formats.new_file import new_file
 from drivers.camera.raw_file import RawFile
+from drivers.camera.raw_writer import new_file
 from drivers.errors import DriverError, NotARecording, RecordingFileError
 
 NOW = datetime(2026, 11, 20, 4, 5, 6, tzinfo=UTC)

@@ -8,9 +8,8 @@ import pytest
 
 from drivers.camera import frame_cameras
 from drivers.camera import frames as frames_module
-from drivers.camera.frame_cameras import STALE_FRAMES, OpenCvFrameCamera
+from drivers.camera.frame_cameras import STALE_FRAMES, FolderFrameCamera, OpenCvFrameCamera
 from drivers.camera.frames import FrameSettings, mean_frame, read_frames, to_grey, write_frames
-from drivers.camera.image_folder import FolderFrameCamera
 from drivers.clock import SystemClock
 from drivers.errors import (
     CameraBusy,

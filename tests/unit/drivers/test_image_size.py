@@ -7,8 +7,7 @@ import cv2
 import numpy as np
 import pytest
 
-from drivers.camera.frames import read_frames, write_frames
-from drivers.camera.image_size import image_sizes
+from drivers.camera.frames import image_sizes, read_frames, write_frames
 from drivers.errors import DriverError, NotARecording
 
 

@@ -75,7 +75,8 @@ def test_a_missing_package_is_told_with_how_to_install_it(monkeypatch, clock):
 
 
 @pytest.mark.usefixtures("package")
-def test_connected_evk4_are_listed_with_their_troubles():
+def test_connected_evk4_are_listed_with_their_troubles(monkeypatch):
+    monkeypatch.setattr("drivers.camera.neuromorphic_evk4.only_camera_kind", lambda: ("Prophesee", "EVK4"))
     assert discover() == (
         FoundCamera("neuromorphic_evk4", SERIAL, "Prophesee EVK4, USB"),
         FoundCamera("neuromorphic_evk4", "", "Prophesee EVK4, USB", "access denied"),
@@ -274,3 +275,17 @@ def test_a_camera_on_usb_2_is_refused_and_free_again(package, clock, monkeypatch
         NeuromorphicEvk4.open(serial=SERIAL, clock=clock, utc_now=lambda: NOW)
     NeuromorphicEvk4.open(serial=SERIAL, clock=clock, utc_now=lambda: NOW).close()
     assert not package.trouble
+
+
+@pytest.mark.parametrize(
+    ("on_usb", "told"),
+    [
+        (("IDS", "uEye XCP-E"), ("IDS", "uEye XCP-E")),
+        (("Prophesee", "EVK4"), ("Prophesee", "EVK4")),
+        (None, ("unknown maker", "camera with an IMX636")),
+    ],
+)
+def test_a_camera_of_another_maker_is_journaled_as_what_it_is(camera, monkeypatch, on_usb, told):
+    monkeypatch.setattr("drivers.camera.neuromorphic_evk4.only_camera_kind", lambda: on_usb)
+    identity = camera.identify()
+    assert (identity.maker, identity.model) == told

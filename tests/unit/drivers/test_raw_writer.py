@@ -6,8 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from drivers.camera.formats.new_file import new_file
-from drivers.camera.raw_writer import RawWriter, check_new, check_space, sync_file
+from drivers.camera.raw_writer import RawWriter, check_new, check_space, new_file, sync_file
 from drivers.errors import RecordingFailed, RecordingFileError
 
 

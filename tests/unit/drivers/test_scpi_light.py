@@ -12,7 +12,7 @@ from drivers.errors import DriverError, LightFault, ReplyError, SettingRefused, 
 from drivers.light import LightSettings
 from drivers.light.scpi import ScpiLight
 from drivers.light.scpi_dialects import DIALECTS, DialectName
-from drivers.scpi_line import ScpiLine
+from drivers.text_line import ScpiLine
 from tests.unit.drivers.generator_peer import Generator, NumberedGenerator, SiglentGenerator
 
 

@@ -6,6 +6,7 @@ import pytest
 
 from drivers.camera.usb_permission import (
     connected_cameras,
+    only_camera_kind,
     only_camera_mbit_s,
     slow_cameras,
     unreadable_cameras,
@@ -70,3 +71,19 @@ def test_of_two_cameras_the_speed_belongs_to_none(tmp_path):
 def test_connected_cameras_are_counted_where_the_system_lists_them(tmp_path):
     assert connected_cameras(plug(tmp_path)[0]) == ["Prophesee camera (EVK4)"]
     assert connected_cameras(tmp_path / "none") is None
+
+
+@pytest.mark.parametrize(
+    ("numbers", "kind"),
+    [
+        ([("04b4", "00f5")], ("Prophesee", "EVK4")),
+        ([("1409", "8E00")], ("IDS", "uEye XCP-E")),
+        ([("31f7", "0003"), ("31f7", "0003")], ("CenturyArks", "SilkyEvCam HD")),
+        ([("04b4", "00f5"), ("1409", "8e00")], None),
+        ([("1234", "5678")], None),
+    ],
+)
+def test_maker_and_model_are_those_of_the_only_kind_on_usb(tmp_path, numbers, kind):
+    for number, (vendor, product) in enumerate(numbers):
+        devices, _ = plug(tmp_path, vendor, product, port=f"1-{number}")
+    assert only_camera_kind(devices) == kind

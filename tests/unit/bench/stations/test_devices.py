@@ -18,8 +18,7 @@ from drivers.stage import AxisLimits
 from drivers.stage.esp import EspAxis, EspStage
 from drivers.stage.grbl import GrblAxis, GrblStage
 from drivers.stage.ximc import XimcAxis, XimcStage
-from drivers.stage.zaber import ZaberStage
-from drivers.stage.zaber_axis import ZaberAxis
+from drivers.stage.zaber import ZaberAxis, ZaberStage
 from sequences.reader import check_document
 from sequences.script import Flicker
 

@@ -18,9 +18,8 @@ from bench.views.measure import Measurement
 from bench.views.station_camera_kind import camera_kind
 from calib.target import StarTarget
 from drivers.camera import CameraSettings, EventCamera
-from drivers.camera.frame_cameras import OpenCvFrameCamera
+from drivers.camera.frame_cameras import FolderFrameCamera, OpenCvFrameCamera
 from drivers.camera.frames import FrameCamera, FrameFacts, FrameSettings, write_frames
-from drivers.camera.image_folder import FolderFrameCamera
 from sequences.reader import check_document
 from sequences.script import Gates, LightStep
 

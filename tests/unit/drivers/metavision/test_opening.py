@@ -7,7 +7,7 @@ from types import ModuleType
 
 import pytest
 
-from drivers.camera import FoundCamera, maker_log, metavision_discovery
+from drivers.camera import FoundCamera, metavision_discovery
 from drivers.camera import metavision as metavision_driver
 from drivers.camera.metavision import MetavisionEvk4
 from drivers.camera.metavision_discovery import discover
@@ -144,7 +144,7 @@ def old_firmware(devices, monkeypatch):
     """A camera that the maker's software leaves out, saying why on standard error, once in a process."""
     devices.clear()
     hal, said = sys.modules["metavision_hal"], []
-    monkeypatch.setattr(maker_log, "_old", set())
+    monkeypatch.setattr(metavision_discovery, "_old", set())
 
     def looked(answer):
         if not said:
@@ -192,7 +192,7 @@ def test_a_closed_standard_error_hides_the_cause_only(devices, clock, monkeypatc
     def closed(_number):
         raise OSError(9, "Bad file descriptor")
 
-    monkeypatch.setattr(maker_log.os, "dup", closed)
+    monkeypatch.setattr(metavision_discovery.os, "dup", closed)
     MetavisionEvk4.open(serial=SERIAL, clock=clock).close()
     assert devices
 
