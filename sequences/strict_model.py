@@ -14,7 +14,7 @@ from sequences.plain_number import with_plain_numbers
 class StrictModel(BaseModel):
     """A mapping of a document: no unknown keys, plain finite numbers only, immutable."""
 
-    model_config = ConfigDict(extra="forbid", allow_inf_nan=False, frozen=True)
+    model_config = ConfigDict(extra="forbid", allow_inf_nan=False, frozen=True, defer_build=True)
 
     bare_words: ClassVar[tuple[str, ...]] = ()
     """Single words that may be written in place of the whole mapping."""
