@@ -372,10 +372,13 @@ def _pattern(seen: Seen, setting: LiveSetting) -> Iterator[str]:
             what = "Roll the camera in its mount by about 10 degrees, in either direction"
         else:
             way = "clockwise" if by > 0 else "counter-clockwise"
-            what = f"Roll the camera in its mount until the pattern has turned {way} by {abs(by):.0f} degrees"
+            what = (
+                f"Roll the camera in its mount until the pattern in the picture has turned {way} "
+                f"by {abs(by):.0f} degrees"
+            )
         yield (
-            f"{what}: the stars' edges run along the pixels to {abs(turn.roll_deg):.1f} degrees, and at 10 degrees "
-            "stars are located 1.5 times more accurately."
+            f"{what}. The edges of the stars are only {abs(turn.roll_deg):.1f} degrees from the rows or diagonals "
+            "of the pixels. At 10 degrees, stars are located 1.5 times more accurately."
         )
     if (
         seen.tag_seen

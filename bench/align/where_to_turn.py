@@ -362,9 +362,9 @@ def rim_poses(
         if above <= high:
             ends.append(f"above {above}°")
         if ends:
-            parts.append(f"{axis} {' or '.join(ends)}")
+            parts.append(f"{axis} is {' or '.join(ends)}")
     return (
-        f"Poses with about {', or '.join(parts)}, show the rim of the beam."
+        f"The rim of the beam is in view if {', or '.join(parts)} (about)."
         if parts
         else ("No pose within the limits of the stage shows the rim of the beam.")
     )

@@ -161,8 +161,8 @@ def _device_lines(end: RunEnd) -> list[str]:
     """Return what is known of each device; nothing is said that no device has answered."""
     if all(one.state == "never opened" for one in end.devices):
         return [
-            "No device was opened: this run moved nothing and switched nothing.",
-            "Whether the light is on and the stage is still is not known: look at the bench.",
+            "No device was ready for use: this run moved nothing and switched nothing.",
+            "Look at the bench: the light may be on, and the stage may be moving.",
         ]
     unsure = [one for one in end.devices if one.state != "confirmed safe"]
     if end.devices and not unsure:

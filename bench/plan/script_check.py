@@ -201,8 +201,8 @@ def _order_faults(
             elif len(directions) < FEWEST_POSES and step.number not in with_passport:
                 yield document.fault(
                     step.path,
-                    f"only one direction is recorded; at least {FEWEST_POSES} are needed without a passport that holds "
-                    "the collimator's centre (a certificate of its focal length does not).",
+                    f"only one direction is recorded. Record at least {FEWEST_POSES} directions, or use a passport "
+                    "that holds the collimator's centre. A certificate of its focal length is not enough.",
                 )
         elif isinstance(step, ReportStep):
             reported = True

@@ -113,8 +113,10 @@ def coverage(
     principal_point: cx and cy, px.
     """
     distance, share = supported_share(np.concatenate([view.detected for view in views]), image_size)
-    title = f"{words.capital}; they support {100 * share:.0f} % of the sensor (blue)"
-    about = f"{sum(len(view.detected) for view in views)} {words.points} support {100 * share:.0f} % of the sensor."
+    title = f"{words.capital}; they are near {100 * share:.0f} % of the sensor (blue)"
+    about = (
+        f"{sum(len(view.detected) for view in views)} {words.points}, near {100 * share:.0f} % of the sensor."
+    )
     axes = sensor_axes(
         image_size,
         (title,),

@@ -94,7 +94,7 @@ def _support(results: Results) -> str:
     found = facts["supported"] if facts else None
     if not found:
         return ""
-    share = f"{words_of(results).capital} support {100 * found['share']:.0f} % of the sensor"
+    share = f"{words_of(results).capital} are near {100 * found['share']:.0f} % of the sensor"
     if found["expanded_px"] is None or found["expanded_urad"] is None or found["share"] >= 0.995:
         return f"{share}."
     k = _k(coverage_factor(results["calibration"]))

@@ -121,7 +121,7 @@ def test_the_poses_said_show_the_rim():
         half_angle_deg=half_angle, reading_deg=ZERO, limits_deg={"pan": (-15, 15), "tilt": (-15, 15)}
     )
     text = rim_poses(SIZE, truth.camera.fx, (0.0, 0.0), FULL, known)
-    assert text.startswith("Poses with about pan below -")
+    assert text.startswith("The rim of the beam is in view if pan is below -")
     numbers = [
         float(word.strip("°,"))
         for word in text.split()

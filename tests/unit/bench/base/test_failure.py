@@ -71,7 +71,7 @@ def test_a_run_that_failed_keeps_kind_place_and_remedy_up_to_journal_and_json(tm
 @pytest.mark.parametrize(
     ("where", "opened", "text"),
     [
-        ("open", False, "No device was opened: this run moved nothing and switched nothing."),
+        ("open", False, "No device was ready for use: this run moved nothing and switched nothing."),
         ("stage.move_to", True, "The bench is safe; each device confirmed it:"),
     ],
 )
@@ -147,10 +147,8 @@ def test_a_finished_run_states_what_each_device_confirmed(tmp_path):
 def test_what_is_not_known_of_devices_never_opened_is_said(capsys, tmp_path):
     end = RunEnd("failed", "the port is missing", tmp_path, None)
     assert show_run(end) == 1
-    assert (
-        "Whether the light is on and the stage is still is not known: look at the bench."
-        in capsys.readouterr().err
-    )
+    told = capsys.readouterr().err
+    assert "Look at the bench: the light may be on, and the stage may be moving." in told
 
 
 def test_a_sequence_without_a_report_step_has_not_failed(capsys, tmp_path):

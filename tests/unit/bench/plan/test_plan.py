@@ -207,8 +207,8 @@ def test_two_directions_are_the_fewest_and_the_same_one_twice_is_one():
     assert faults(text.replace("PAN", "2")) == []
     (fault,) = faults(text.replace("PAN", "1"))
     assert fault == (
-        "s.yaml:3:92: steps[7].solve: only one direction is recorded; at least 2 are needed without a passport that "
-        "holds the collimator's centre (a certificate of its focal length does not)."
+        "s.yaml:3:92: steps[7].solve: only one direction is recorded. Record at least 2 directions, or use a passport "
+        "that holds the collimator's centre. A certificate of its focal length is not enough."
     )
 
 

@@ -22,7 +22,7 @@ def test_a_good_result_says_so_with_its_worst_corner_and_its_factor(data):
             "33 µrad = 0.11 px in the median over the sensor (k = 2)."
         ),
         (
-            "Stars support 87 % of the sensor; there, the error of a direction is at most 53 µrad = 0.19 px (k = 2). "
+            "Stars are near 87 % of the sensor; there, the error of a direction is at most 53 µrad = 0.19 px (k = 2). "
             "Elsewhere, the model extrapolates."
         ),
         (
