@@ -132,6 +132,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    import measured
-
-    measured.run(main, "costs", "Decoding")
+    main()

@@ -15,17 +15,16 @@ HEAD = """# All commands
 
 <!-- This page is made by a program. Do not edit it: python tests/support/commands_page.py > docs/commands.md -->
 
-`starbench COMMAND --help` shows the options of a command, more examples and its exit statuses.
-[README](../README.md#commands) has the ten commands of an operator, and the exit statuses."""
+`starbench COMMAND --help` shows options, examples and exit statuses. [README](../README.md#commands) has the ten commands of
+an operator."""
 
 
 def lines_of(name: str, command: click.Command) -> list[str]:
-    """Return a line with example and purpose; of a group, a line for each of its commands."""
+    """Return the line of a command; of a group, a line for each of its commands."""
     if isinstance(command, click.Group):
         return [line for inner, one in command.commands.items() for line in lines_of(f"{name} {inner}", one)]
     purpose = (command.help or "").partition("\n\n")[0].replace("\n", " ")
-    example = next(line for line in (command.epilog or "").splitlines() if line.startswith("  starbench"))
-    return [f"* `{example.strip()}`: {purpose}"]
+    return [f"* `starbench {name}`: {purpose}"]
 
 
 def page() -> str:
