@@ -213,6 +213,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    import measured
-
-    measured.run(main, "truth", "The published recordings")
+    main()
