@@ -76,7 +76,8 @@ def test_one_direction_is_enough_if_the_passport_holds_the_centre(bench, tmp_pat
     assert "only one direction is recorded" in texts(bench(more="").faults)[0]
     write(tmp_path / "a" / "p.json", collimator="C-1")
     assert (
-        "a certificate of its focal length does not" in texts(bench("{passport: p.json}", more="").faults)[0]
+        "A certificate of its focal length is not enough."
+        in texts(bench("{passport: p.json}", more="").faults)[0]
     )
     whole = Passport(
         ("x", "y", "r"), np.array([100.0, 140, 255]), np.eye(3), conditions={"collimator": "C-1"}
