@@ -36,7 +36,7 @@ def panel(folder: Path | None, port: int, host: str, token_file: Path | None, no
     """Show the runs and batches in FOLDER in a browser; without FOLDER, those in runs/.
 
     The first line of the output is the address of the page. The pages show each run as it is, also one that began
-    before the panel. Their buttons hold, release, skip, abort and answer, as the commands of these names do. The panel
+    before the panel. Their buttons hold, release, skip, abort and answer, as `starbench tell` does. The panel
     uses no device: if it ends, or is killed, every run continues.
     """
     from bench.panel.panel_app import panel_app
