@@ -44,7 +44,11 @@ def _read(path: Path, folders: Folders) -> Iterator[tuple[str, Value]]:
         ".json": _json, ".jsonl": _journal, ".h5": _hdf5, ".raw": _raw, ".pdf": _kind_only, ".sig": _kind_only,
         ".tif": _bytes, ".npz": _kind_only, ".hdf5": _hdf5,
     }  # fmt: skip
-    reader = _wire if path.name.startswith("wire") else readers.get(path.suffix, _text)
+    reader = readers.get(path.suffix, _text)
+    if path.name.startswith("wire"):
+        reader = _wire
+    elif path.name == ".reserve":  # random bytes that keep disk space free
+        reader = _size_only
     try:
         yield from reader(path, folders)
     except (ValueError, OSError) as error:
@@ -121,6 +125,10 @@ def _raw(path: Path, folders: Folders) -> Iterator[tuple[str, Value]]:
 def _bytes(path: Path, _folders: Folders) -> Iterator[tuple[str, Value]]:
     data = path.read_bytes()
     yield "", f"{len(data)} bytes, {hashlib.sha256(data).hexdigest()}"
+
+
+def _size_only(path: Path, _folders: Folders) -> Iterator[tuple[str, Value]]:
+    yield "", f"{path.stat().st_size} bytes"
 
 
 def _kind_only(path: Path, _folders: Folders) -> Iterator[tuple[str, Value]]:
