@@ -45,8 +45,8 @@ FAMILIES = (
     Family(POSE, (2e-6,) * 4, 1.3, 0.8),
     Family((*COMMON, *TURN, *TURN_2), (*(8e-6,) * 5, *(3e-6,) * 2, *(1e-6,) * 2), 1.3, 0.7),
     Family((RADIAL, PARALLAX), (0.05, 0.5), 1.3, 0.7),
-    Family((SHIFTED, SHIFTED_TURN), (1e-3, 1e-4), 1.3, 0.7),
-    Family((TANGENTIAL,), (2e-4,), 0.5, 0.0),
+    Family((SHIFTED, SHIFTED_TURN), (1e-3, 1e-4), 0.9, 0.5),
+    Family((TANGENTIAL,), (2e-4,), 0.3, 0.0),
 )
 #: Amplitudes are searched within this number of 1-sigma of the hyperprior.
 _REACH = 3.0

@@ -47,7 +47,8 @@ def _inverse_of_one(matrix: Array) -> tuple[Array, float]:
     if fault:
         raise np.linalg.LinAlgError("not positive definite")
     inverse = dpotri(lower, lower=1)[0]
-    inverse = np.tril(inverse) + np.tril(inverse, -1).T
+    inverse = inverse + inverse.T  # the other triangle is zero
+    np.fill_diagonal(inverse, 0.5 * np.diag(inverse))
     logarithm = 2.0 * float((np.log(np.diag(lower)) - np.log(scale)).sum())
     return np.asarray(inverse * scale[:, None] * scale), logarithm
 

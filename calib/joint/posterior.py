@@ -17,17 +17,19 @@ from numpy.typing import NDArray
 
 from calib.joint.knowledge import FAULTS, Statement
 from calib.joint.marginal import NO_FAULT, Faults, Marginal, Solution
-from calib.joint.solve import Optimum, best_amplitudes
+from calib.joint.solve import Optimum, best_amplitudes, relative_step
 
 Array = NDArray[np.float64]
 
 #: Share of the posterior that an expanded uncertainty covers (JCGM 100:2008, 6.2.1, for k = 2).
 COVERAGE = 0.9545
-_PAIRS = 12
+_PAIRS, _FAULT_PAIRS = 12, 4
 #: Normal deviates are stretched by this, so that the samples reach the tails.
 _STRETCH = 1.2
 #: No sample counts more than this many times the median one.
 _LARGEST_WEIGHT = 10.0
+#: The linear equations hold for steps of this share of focal length and radius; samples beyond lose their weight.
+_HOLDS = 0.02
 _DIFFERENCE = 0.05
 #: Smallest curvature of an amplitude: beyond it the quadratic approximation says nothing.
 _LEAST_CURVATURE = 0.1
@@ -178,7 +180,8 @@ def _samples(
     marginal: Marginal, eta: Array, solution: Solution, lower: Array, faults: Faults, share: float
 ) -> list[Node]:
     """Return the nodes about one mode; their weights add up to its share."""
-    deviates = _STRETCH * np.random.default_rng(0).standard_normal((_PAIRS, len(eta)))
+    pairs = _FAULT_PAIRS if faults else _PAIRS
+    deviates = _STRETCH * np.random.default_rng(0).standard_normal((pairs, len(eta)))
     found, logs = [(eta, solution)], [0.0]
     bounds = np.array(marginal.problem.hyper.bounds).T
     for z in np.concatenate([deviates, -deviates]):
@@ -188,7 +191,10 @@ def _samples(
         except np.linalg.LinAlgError:
             continue
         found.append((at, one))
-        logs.append(0.5 * (solution.value - one.value) + 0.5 * float(z @ z) / _STRETCH**2)
+        beyond = relative_step(marginal, one.step - solution.step) / _HOLDS
+        logs.append(
+            0.5 * (solution.value - one.value) + 0.5 * float(z @ z) / _STRETCH**2 - np.log1p(beyond**4)
+        )
     weights = np.exp(np.array(logs) - max(logs))
     weights = np.minimum(weights, _LARGEST_WEIGHT * max(float(np.median(weights)), 1.0 / len(weights) ** 2))
     weights *= share / weights.sum()

@@ -92,7 +92,7 @@ def _calibration(
     unit = np.eye(len(bench.layout.names))[at]
     covariance = found.covariance[np.ix_(at, at)]
     sigmas = np.sqrt(np.diag(covariance))
-    factors = [found.expanded(row) / sigma for row, sigma in zip(unit, sigmas, strict=True)]
+    factors = [float(found.expanded(row) / sigma) for row, sigma in zip(unit, sigmas, strict=True)]
     star = float(np.exp(found.optimum.eta[hyper.at(amp.STAR)]))
     residuals, weights = _residuals(found, views, used, parameters, star)
     lengths = [np.linalg.norm(e[own], axis=1) for e, own in zip(residuals, used, strict=True)]

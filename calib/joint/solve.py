@@ -70,7 +70,9 @@ def search(problem: Problem, start: State, rounds: int) -> Optimum:
         found = solved(marginal, eta)
         if k > _FIRST_ROUNDS and small(marginal, found):
             eta = better_amplitudes(marginal, eta)
-            return Optimum(marginal, eta, marginal.solve(eta), k + 1, converged=True)
+            found = marginal.solve(eta)
+            if small(marginal, found):
+                return Optimum(marginal, eta, found, k + 1, converged=True)
         state = shortened(marginal, eta, found)
         spread = robust_sigma(bench.whitened(state))
         limit = spread if k else 3.0 * spread
@@ -109,35 +111,38 @@ def solved(marginal: Marginal, eta: Array) -> Solution:
 
 
 def small(marginal: Marginal, found: Solution) -> bool:
-    """Tell whether a step no longer matters."""
-    at = slice(0, len(marginal.problem.bench.layout.camera))
+    """Tell whether a step no longer matters: of camera and centre, in px or in their sigmas."""
+    layout = marginal.problem.bench.layout
+    at = layout.places((*layout.camera, "x", "y", "r"))
     steps, sigmas = np.abs(found.step[at]), np.sqrt(np.diag(found.covariance)[at])
-    return bool((steps[:4] < _SMALL_PX).all() or (steps < _SMALL_SHARE * sigmas).all())
+    return bool((steps < _SMALL_SHARE * sigmas).all() or (steps[:4] < _SMALL_PX).all())
 
 
 def trusted_amplitudes(marginal: Marginal, eta: Array) -> Array:
     """Return better amplitudes whose step stays where the equations hold: half way back until it does."""
     better = best_amplitudes(marginal, eta, _QUICK, farthest=_FARTHEST)
     for _ in range(_HALVINGS):
-        if relative_step(marginal, solved(marginal, better)) < _TRUSTED:
+        if relative_step(marginal, solved(marginal, better).step) < _TRUSTED:
             return better
         better = 0.5 * (better + eta)
     return eta
 
 
-def relative_step(marginal: Marginal, found: Solution) -> float:
-    """Return the largest step of focal lengths and centre, as a share of the focal length and of the radius."""
+def relative_step(marginal: Marginal, step: Array) -> float:
+    """Return the largest (S,) step of focal lengths and centre, as a share of the focal length and of the radius."""
     layout, b = marginal.problem.bench.layout, marginal.state.shared
-    focal, centre = (
-        np.abs(found.step[layout.places(names)]).max() for names in (("fx", "fy"), ("x", "y", "r"))
-    )
+    focal, centre = (np.abs(step[layout.places(names)]).max() for names in (("fx", "fy"), ("x", "y", "r")))
     return float(max(focal / abs(b[0]), centre / abs(b[layout.index["r"]])))
 
 
 def better_amplitudes(marginal: Marginal, eta: Array) -> Array:
-    """Return the better end of two searches: from a start, and from the expected amplitudes."""
+    """Return the best end of two searches, from a start and from the expected ones, where the equations hold."""
     ends = [best_amplitudes(marginal, start, steps=_LONG) for start in (eta, marginal.problem.hyper.mean)]
-    return min(ends, key=lambda one: marginal.solve(one, slope=False).value)
+    found = [(solved(marginal, one), one) for one in (eta, *ends)]
+    held = [
+        (one.value, k) for k, (one, _) in enumerate(found) if relative_step(marginal, one.step) < _TRUSTED
+    ]
+    return found[min(held)[1]][1] if held else eta
 
 
 def best_amplitudes(
@@ -177,7 +182,7 @@ def shortened(marginal: Marginal, eta: Array, found: Solution) -> State:
     """Return the state after a step, which is halved while the cost rises."""
     bench = marginal.problem.bench
     turns = marginal.rotation_steps(eta, found)
-    share = relative_step(marginal, found)
+    share = relative_step(marginal, found.step)
     size = min(1.0, _LONGEST / share) if share > 0 else 1.0
     before = cost(marginal, eta, marginal.state, marginal.equations)
     for _ in range(_HALVINGS):
