@@ -62,7 +62,7 @@ def _value(value: float | None, sigma: float | None, unit: str) -> str:
     if value is None or sigma is None or not math.isfinite(sigma):
         return NOTHING
     shown, uncertainty = with_uncertainty(value, sigma)
-    return f"{shown} \N{PLUS-MINUS SIGN} {uncertainty} {unit}".strip()
+    return f"{shown} \N{PLUS-MINUS SIGN} {uncertainty} {'' if unit == '1' else unit}".strip()
 
 
 def _size(one: AmplitudeData) -> str:
