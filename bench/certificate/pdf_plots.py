@@ -115,7 +115,8 @@ def _camera_plots(results: Results, stars: Sequence[Array]) -> dict[str, str]:
         plots["direction"] = sensor_map(
             found.grid_px, k * found.sigma_arcsec, "U of a direction, arcsec", "direction", "", stars=points
         )
-    if cameras := (results.get("halves") or {}).get("cameras"):
+    halves = results.get("halves")
+    if halves and (cameras := halves.get("cameras")):
         first, second = (camera_of(half, calibration["image_size"]) for half in cameras)
         difference = camera_difference(first, second)
         lengths = np.linalg.norm(difference.offset_px, axis=2)

@@ -101,7 +101,7 @@ def run_of(
     written: What writes the certificate, from `bench.certificate.written_with`.
     """
     run = found["run"]
-    place = run.get("ledger") or {}
+    place: Mapping[str, Any] = run.get("ledger") or {}
     return Run(
         id=str(run["id"]),
         sequence=str(run["sequence"]),
@@ -144,7 +144,7 @@ def _refuse_other_than_finished(folder: Path, lines: list[tuple[str, Mapping[str
         raise EvidenceError(
             "This is a rehearsal: nothing was measured.", where=str(folder), remedy="Name a sealed run."
         )
-    ended = next((data for event, data in reversed(lines) if event == Event.RUN_ENDED), {})
+    ended: Mapping[str, Any] = next((data for event, data in reversed(lines) if event == Event.RUN_ENDED), {})
     if ended.get("how") != "finished":
         raise EvidenceError(
             f"This run did not finish: it {ended.get('how') or 'has no end'}.",

@@ -44,7 +44,7 @@ def pictured_poses(results: Results) -> PictureSelection:
     """
     poses = [pose for pose in results.get("poses") or [] if pose.get("rms_px") is not None]
     judged = _indices_by_verdict(results.get("gates") or [])
-    worst_first = sorted(range(len(poses)), key=lambda place: (-poses[place]["rms_px"], place))
+    worst_first = sorted(range(len(poses)), key=lambda place: (-(poses[place]["rms_px"] or 0.0), place))
     groups = [
         worst_first[:_WORST],
         *([p for p, pose in enumerate(poses) if pose["index"] in judged[verdict]] for verdict in _NOT_PASSED),
