@@ -13,7 +13,7 @@ from bench.base.errors import BenchError
 from bench.commands.cli import cli
 from bench.evidence.keys import create_key, load_key
 from bench.evidence.ledger_authorisation import known_authorisations
-from bench.evidence.seal import seal_folder
+from bench.evidence.seal import seal
 from bench.evidence.shown_state import home_trust, shown_state
 from bench.evidence.signers import read_signers
 from bench.records.ledger import Ledger
@@ -38,7 +38,7 @@ def home(tmp_path, monkeypatch):
 def run(home, make_run, tmp_path):
     """A sealed run of the bench."""
     with make_run(tmp_path / "run") as folder:
-        seal_folder(folder.path, load_key(home))
+        seal(folder, load_key(home))
     return tmp_path / "run"
 
 
