@@ -49,7 +49,7 @@ class Fault:
 
 def command(scene, word):
     """Play the thread that takes commands."""
-    inbox = getattr(scene.runner, "_inbox", None)
+    inbox = getattr(scene.runner, "inbox", None)
     if inbox is not None and not inbox.closed:
         inbox.decide(Command(word=word, by="ada"), "command.json")
 

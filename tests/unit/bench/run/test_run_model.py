@@ -212,7 +212,7 @@ class Life(RuleBasedStateMachine):
     def _command(self, word, **more):
         """Play the thread that takes commands: at once, in the midst of the work."""
         runner = self.scene.runner
-        inbox = getattr(runner, "_inbox", None)
+        inbox = getattr(runner, "inbox", None)
         if inbox is None or inbox.closed:
             return
         inbox.decide(Command(word=word, by="ada", **more), "command.json")
