@@ -9,9 +9,9 @@ file, no clock.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Any, Literal
 
 from bench.base.errors import EvidenceError
 from bench.certificate.result_data import Budget, BudgetRow
@@ -117,7 +117,7 @@ def budget_of(
     rows = []
     for group, by_symbol in calibration["budget"].items():
         variance = (float(by_symbol.get(symbol, 0.0)) / stated.growth) ** 2
-        nu = None if group in _CERTAIN or group in _terms(calibration) else spread
+        nu = None if group in _CERTAIN or group in _terms(calibration.get("budget_rows") or []) else spread
         rows += _rows_of(calibration, group, symbol, unit, variance, nu, stated.u, sources)
     combined = math.sqrt(sum(row.u**2 for row in rows))
     if not abs(combined - stated.u) <= _SAME * stated.u:
@@ -167,7 +167,7 @@ def _rows_of(
     weights = [float(row["contribution"].get(symbol, 0.0)) ** 2 for row in members]
     if not sum(weights) > 0:  # the engine splits distortion coefficients by groups only
         name = ", ".join(str(row["name"]) for row in members) or group
-        alone = members[0] if len(members) == 1 else {}
+        alone = members[0] if len(members) == 1 else None
         return [_row(alone, name, group, symbol, unit, math.sqrt(variance), nu, whole, sources)]
     scale = variance / sum(weights)
     return [
@@ -177,7 +177,7 @@ def _rows_of(
 
 
 def _row(
-    row: BudgetRowData,
+    stated: BudgetRowData | None,
     name: str,
     group: str,
     symbol: str,
@@ -187,6 +187,7 @@ def _row(
     whole: float,
     sources: Mapping[str, RowSource],
 ) -> BudgetRow:
+    row: Mapping[str, Any] = stated or {}
     kind: Literal["A", "B"] = "A" if row.get("type", "") == "A" or (not row and group in _TYPE_A) else "B"
     source = sources.get(name, RowSource())
     value, divisor, value_unit = _stated_value(row, source)
@@ -195,7 +196,7 @@ def _row(
     if sensitivity is not None and (row.get("sensitivity") or {}).get(symbol, 0.0) < 0:
         sensitivity = -sensitivity
     base = value_unit.partition(" ")[0]
-    freedom = row.get("degrees_of_freedom") if group in _terms({"budget_rows": [row]}) else nu
+    freedom = row.get("degrees_of_freedom") if stated and group in _terms([stated]) else nu
     return BudgetRow(
         name=name,
         type=kind,
@@ -222,7 +223,7 @@ def _in_words(row: BudgetRow, words: TargetWords) -> BudgetRow:
     return replace(row, name=words.fitting(row.name), source=words.fitting(row.source))
 
 
-def _stated_value(row: BudgetRowData, source: RowSource) -> tuple[float | None, float | None, str]:
+def _stated_value(row: Mapping[str, Any], source: RowSource) -> tuple[float | None, float | None, str]:
     """Return the stated value of a row with divisor and unit. A passport's is not the engine's."""
     if source.value is not None:
         return source.value, source.divisor, source.unit
@@ -247,18 +248,18 @@ def _group(row: BudgetRowData, calibration: CalibrationData) -> str:
     return STARS if name == READINGS else PRIORS
 
 
-def _terms(calibration: CalibrationData) -> dict[str, float]:
+def _terms(rows: Sequence[BudgetRowData]) -> dict[str, float]:
     """Return the degrees of freedom of the stated terms, by name: rows with a value, other than the adjustment's."""
     return {
         str(row["name"]): float(row["degrees_of_freedom"] or math.inf)
-        for row in calibration.get("budget_rows") or []
-        if row and row.get("divisor") is not None and row["name"] != PASSPORT
+        for row in rows
+        if row.get("divisor") is not None and row["name"] != PASSPORT
     }
 
 
 def _variances(calibration: CalibrationData, symbol: str) -> tuple[float, float, float]:
     """Return of a parameter the whole variance, that of the views, and the sum of squared variances over freedom."""
-    budget, terms = calibration.get("budget") or {}, _terms(calibration)
+    budget, terms = calibration.get("budget") or {}, _terms(calibration.get("budget_rows") or [])
     if not budget:
         raise EvidenceError(
             "The results have no uncertainty budget.",

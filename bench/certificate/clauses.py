@@ -6,7 +6,7 @@ printed in docs/certificates.md. No file is read here.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -122,7 +122,7 @@ def _conditions(lab: LabConfig, results: Results) -> Sequence[Path]:
 def _traceability(lab: LabConfig, results: Results) -> Sequence[Path]:
     """The collimator's certificate needs number, date and issuer; the run knows what the station states."""
     missing: list[Path] = [] if lab.traceability is not None else [("traceability",)]
-    in_run = results.get("passport") or {}
+    in_run: Mapping[str, Any] = results.get("passport") or {}
     if not in_run:
         known = any(one.number and one.issuer and one.date for one in lab.sources)
         return missing if known else [*missing, ("sources",)]

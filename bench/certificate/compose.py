@@ -264,7 +264,7 @@ def _radius_uncertainty(found: Results, in_run: Mapping[str, Any]) -> tuple[floa
 
 def _before(found: Results, lab: LabConfig) -> BeforeAdjustment | None:
     """Return the calibration before this one: the certificate of lab.yaml, and the last run on this bench."""
-    earlier = found.get("previous") or {}
+    earlier: Mapping[str, Any] = found.get("previous") or {}
     stated = lab.previous_certificate
     known = isinstance(stated, PreviousConfig)
     if not known and not earlier.get("run"):

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from datetime import datetime
+from typing import Any
 
 from bench.certificate.budget_rows import row_names
 from bench.certificate.clauses import unanswered
@@ -71,7 +72,7 @@ def _dates(lab: LabConfig, found: Results) -> Iterator[tuple[DocumentPath, str]]
 
 def _sources(lab: LabConfig, found: Results) -> Iterator[tuple[DocumentPath, str]]:
     names, seen = row_names(found["calibration"]), set()
-    in_run = found.get("passport") or {}
+    in_run: Mapping[str, Any] = found.get("passport") or {}
     for at, source in enumerate(lab.sources):
         if source.row is None:
             continue

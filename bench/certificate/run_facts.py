@@ -107,7 +107,8 @@ def further_of(found: Results) -> tuple[FurtherResult, ...]:
 
     Returns: In the order of the certificate.
     """
-    calibration, projection = found["calibration"], found.get("projection") or {}
+    calibration = found["calibration"]
+    projection: Mapping[str, Any] = found.get("projection") or {}
     rows = _at_centre(calibration)
     if "median" in projection:
         rows += _projection(
@@ -119,11 +120,8 @@ def further_of(found: Results) -> tuple[FurtherResult, ...]:
         worst = projection["worst_corner"]
         name = f"expanded uncertainty of the projection in the worst corner ({worst['corner']})"
         rows += _projection("projection_worst_corner", name, worst)
-    for id_, name, key in (
-        ("rms", "RMS of the residuals (no accuracy)", "rms_px"),
-        ("mean", "mean of the residuals (no accuracy)", "mean_px"),
-    ):
-        rows.append(_further(id_, name, float(calibration[key]), "px"))
+    rows.append(_further("rms", "RMS of the residuals (no accuracy)", float(calibration["rms_px"]), "px"))
+    rows.append(_further("mean", "mean of the residuals (no accuracy)", float(calibration["mean_px"]), "px"))
     rows.append(
         FurtherResult(
             "views", "number of views", float(len(calibration["views"])), "1", str(len(calibration["views"]))
@@ -140,7 +138,7 @@ def _at_centre(calibration: CalibrationData) -> list[FurtherResult]:
     found = projection_uncertainty(camera_of(calibration["camera"], calibration["image_size"]), covariance)
     row, column = (size // 2 for size in found.sigma_px.shape)
     k = float(calibration["coverage_factor"])
-    centre = {
+    centre: KnownDirection = {
         "expanded_px": k * float(found.sigma_px[row, column]),
         "expanded_urad": k * float(found.sigma_arcsec[row, column]) * _URAD_PER_ARCSEC,
     }
@@ -168,6 +166,12 @@ def is_unnamed(found: Results) -> bool:
     return not found["devices"]["camera"].get("serial")
 
 
+def _light_and_camera(found: Results) -> tuple[Mapping[str, Any], Mapping[str, Any]]:
+    """Return the settings of light and camera as the run read them back; empty if it did not."""
+    conditions = found.get("conditions")
+    return (conditions["light"], conditions["camera"]) if conditions else ({}, {})
+
+
 def camera_identity(found: Results, item: ItemConfig) -> Camera:
     """Return the camera as it identified itself in the run, or else as the laboratory identified it.
 
@@ -176,8 +180,8 @@ def camera_identity(found: Results, item: ItemConfig) -> Camera:
     camera = dict(found["devices"]["camera"])
     if is_unnamed(found):
         camera |= {"maker": item.maker, "model": item.model, "serial": item.serial or ""}
-    conditions = (found.get("conditions") or {}).get("camera") or {}
-    biases = conditions.get("biases") or {}
+    _, settings = _light_and_camera(found)
+    biases = settings.get("biases") or {}
     stated = json.dumps(biases, sort_keys=True, separators=(",", ":")).encode()
     return Camera(
         maker=str(camera.get("maker") or ""),
@@ -196,8 +200,7 @@ def conditions_of(found: Results) -> tuple[Condition, ...]:
 
     Returns: Temperatures, light, event rate, the board if the camera saw one, and settings of the camera.
     """
-    light = (found.get("conditions") or {}).get("light") or {}
-    camera = (found.get("conditions") or {}).get("camera") or {}
+    light, camera = _light_and_camera(found)
     attempts = [one for pose in found["poses"] for one in pose["attempts"] if one["accepted"]]
     rows = [
         _range("camera temperature", [one.get("temperature_c") for one in attempts], _DEGREE),

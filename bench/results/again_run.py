@@ -10,7 +10,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 from bench.base.errors import BenchError
 from bench.evidence.findings import Findings
@@ -21,6 +21,7 @@ from bench.records.history import Attempt, History, replay
 from bench.records.journal import read_journal
 from bench.records.journal_entry import Entry
 from bench.records.reading import read_json
+from bench.records.results import PreviousData
 from bench.records.run_folder import (
     JOURNAL,
     PASSPORT_COPY,
@@ -259,7 +260,7 @@ def _made_again(
         results = results_content(job, history, solution, job.read_truth(), evidence.used)
         stored = read_json(evidence.folder / RESULTS).get("previous")
         if stored is not None and evidence.history.ledger:
-            results["previous"] = _previous_again(stored, results)
+            results["previous"] = cast("PreviousData", _previous_again(stored, results))
     except (BenchError, CalibrationError, DriverError) as error:
         found.fault("results", RESULTS, f"the run cannot be calibrated again: {error}")
         return None

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from bench.base.errors import RunFolderError
 from bench.evidence.findings import Findings
+from bench.records.results import Results
 from bench.report.choice import pictured_poses
 from bench.report.view_picture import ViewPicture
 from bench.results.compare_numbers import TOLERANCE_SHARE, same_stars
@@ -78,7 +79,7 @@ class HeldViews:
         found = [_Found(stored.view, None if read is None else _Picture(read)) for stored, read in pairs]
         return views_file(found, [stored.residuals_px for stored in self.views])
 
-    def shown(self, results: Mapping[str, Any]) -> list[ViewPicture]:
+    def shown(self, results: Results) -> list[ViewPicture]:
         """Return the poses as the report shows them.
 
         Raises RunFolderError: When an image cannot be read.

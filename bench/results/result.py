@@ -108,7 +108,7 @@ class ResultWriter:
 
 
 def shown_files(
-    results: Mapping[str, Any],
+    results: Results,
     calibration: Calibration,
     camera_name: str,
     target: StarTarget | Board | None,

@@ -10,7 +10,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -190,7 +190,7 @@ def load(run_folder: str | Path) -> Run:
     return _run(folder, _read_results(folder) if (folder / RESULTS).is_file() else results, views, pictures)
 
 
-def _read_results(folder: Path) -> dict[str, Any]:
+def _read_results(folder: Path) -> Results:
     """Return the content of `results.json`; raise RunFolderError if it cannot be read."""
     try:
         results = read_json(folder / RESULTS)
@@ -202,7 +202,7 @@ def _read_results(folder: Path) -> dict[str, Any]:
         ) from error
     if not isinstance(results, dict):
         raise RunFolderError("The results are not a JSON object.", where=str(folder / RESULTS))
-    return results
+    return cast("Results", results)
 
 
 def _run(folder: Path, results: Results, views: Sequence[StoredView], pictures: Sequence[ReadPicture]) -> Run:
@@ -256,7 +256,7 @@ def _poses(
     ]
 
 
-def _solve_again(folder: Path) -> tuple[dict[str, Any], list[StoredView], list[ReadPicture]]:
+def _solve_again(folder: Path) -> tuple[Results, list[StoredView], list[ReadPicture]]:
     """Find the stars in the accepted recordings again, and calibrate with the options of the run."""
     from bench.plan.job import Job
     from bench.records.history import replay
@@ -287,7 +287,11 @@ def _solve_again(folder: Path) -> tuple[dict[str, Any], list[StoredView], list[R
         ],
     }
     views = [StoredView(v, r) for v, r in zip(found.views, found.calibration.residuals_px, strict=True)]
-    return results, views, [partial(_picture_again, job, folder, accepted[v.name]) for v in found.views]
+    return (
+        cast("Results", results),
+        views,
+        [partial(_picture_again, job, folder, accepted[v.name]) for v in found.views],
+    )
 
 
 def _picture_again(job: Job, folder: Path, attempt: Attempt) -> Picture:
