@@ -66,8 +66,19 @@ def test_what_is_not_json_is_an_error_of_json():
         parse_json("{")
 
 
-def test_hooks_are_passed_on():
-    assert parse_json('{"a": NaN}', object_pairs_hook=list, parse_constant=str) == [("a", "NaN")]
+@pytest.mark.parametrize(
+    ("text", "what"),
+    [
+        ('{"a": 1, "a": 2}', "the key 'a' is there twice"),
+        ('{"a": NaN}', "NaN is not a number"),
+        ('\ufeff{"a": 1}', "byte-order mark"),
+        ('{"a": 1} ', "blanks stand behind its end"),
+    ],
+)
+def test_what_two_readers_could_read_differently_is_refused(text, what):
+    for data in (text, text.encode()):
+        with pytest.raises(ValueError, match=what):
+            parse_json(data)
 
 
 def test_a_large_file_is_refused_before_it_is_read(tmp_path, monkeypatch):

@@ -449,6 +449,46 @@ def test_a_superseded_certificate_says_so(real, lab):
     assert (found.faults, found.remarks) == ([], [f"SUPERSEDED: {second} replaces this certificate"])
 
 
+def cut(ledger, lines):
+    """Take lines from the end of a ledger; its mark stays."""
+    whole = ledger.path.read_bytes().splitlines(keepends=True)
+    ledger.path.write_bytes(b"".join(whole[:-lines]))
+
+
+def superseded(real, lab):
+    """A certificate that was amended, on this bench."""
+    shutil.copytree(real.home, lab.home, dirs_exist_ok=True)
+    lab.lab.write_text(LAB.replace("Mill Lane 3", "Mill Lane 4"), encoding="utf-8")
+    amend(real.issued.folder, lab.lab, lab.path / "second", lab.laboratory(), reason="x")
+    return real.issued.folder
+
+
+def test_a_replaced_certificate_is_not_valid_after_a_rollback(real, lab):
+    folder = superseded(real, lab)
+    cut(lab.ledger, 2)
+    faults = check_certificate(folder, lab.ledger).faults
+    assert [fault.kind for fault in faults] == ["ledger"]
+    assert "2 are missing" in faults[0].what
+    assert "a lost line may have replaced this certificate" in faults[0].what
+
+
+def test_a_certificate_that_its_bench_does_not_know_is_a_fault_though_the_mark_is_gone_too(real, lab):
+    folder = superseded(real, lab)
+    lab.ledger.path.write_bytes(b"")
+    (lab.home / "ledger_high").unlink()
+    said = [fault.what for fault in check_certificate(folder, lab.ledger).faults]
+    assert any("this bench has sealed" in what and "its ledger does not contain it" in what for what in said)
+
+
+def test_after_a_break_was_explained_it_is_not_known_whether_a_certificate_was_replaced(real, lab):
+    folder = superseded(real, lab)
+    cut(lab.ledger, 2)
+    lab.ledger.explain("The disk was restored from a copy.", "Ada")
+    found = check_certificate(folder, lab.ledger)
+    assert found.faults == []
+    assert "whether it was replaced or declared void" in found.not_compared[0]
+
+
 def test_an_amendment_that_the_ledger_does_not_know_is_found(real, lab):
     shutil.copytree(real.home, lab.home, dirs_exist_ok=True)
     lab.lab.write_text(LAB.replace("Mill Lane 3", "Mill Lane 4"), encoding="utf-8")

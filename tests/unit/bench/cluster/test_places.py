@@ -86,7 +86,7 @@ def found_views(folder):
 
 
 def test_a_run_behind_a_url_gives_what_it_gives_on_a_disk(remote, run, monkeypatch):
-    monkeypatch.setattr("bench.results.offline_folder.render_report", lambda _data: "<!DOCTYPE html>")
+    monkeypatch.setattr("bench.results.result.render_report", lambda _data: "<!DOCTYPE html>")
     url, _ = remote
     places = find_places([url, f"{url}/run2"])
     assert [place.name for place in places] == [f"{url}/run2", f"{url}/run10"]

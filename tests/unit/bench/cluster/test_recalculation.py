@@ -55,7 +55,7 @@ def folders(made, tmp_path):
 @pytest.fixture(autouse=True)
 def quick_report(monkeypatch):
     """Reports take seconds, and are not what is tested here."""
-    monkeypatch.setattr("bench.results.offline_folder.render_report", lambda _data: "<!DOCTYPE html>")
+    monkeypatch.setattr("bench.results.result.render_report", lambda _data: "<!DOCTYPE html>")
 
 
 def task(**given):
@@ -175,7 +175,7 @@ def test_a_row_without_its_folder_counts_as_not_done(folders, tmp_path, monkeypa
             recalculate(folders[:1], output)
         monkeypatch.undo()
     assert not [one for one in (tmp_path / "out").iterdir() if one.name.startswith("cam1")]
-    monkeypatch.setattr("bench.results.offline_folder.render_report", lambda _data: "<!DOCTYPE html>")
+    monkeypatch.setattr("bench.results.result.render_report", lambda _data: "<!DOCTYPE html>")
     with ResultsFolders(tmp_path / "out", None) as output:
         (row,) = recalculate(folders[:1], output)
     assert (tmp_path / "out" / row["results"] / "results.json").is_file()

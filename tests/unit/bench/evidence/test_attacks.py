@@ -166,7 +166,7 @@ ATTACKS = [
     # kind and seal
     Attack("a run without its journal", remove("journal.jsonl"), "journal.jsonl", "kind", "ls"),
     Attack("a run as a certificate", write("certificate.json", b"{}\n"), "certificate.json", "kind", "ls"),
-    Attack("a run as recalculated results", lambda f: [remove("journal.jsonl")(f), write("sources.json", b'{"sources": []}\n')(f)], "results.json", "results"),
+    Attack("a run as recalculated results", lambda f: [remove("journal.jsonl")(f), write("sources.json", b'{"sources": []}\n')(f)], CAPTURE % 1, "kind", "ls"),
 ]  # fmt: skip
 
 
