@@ -121,7 +121,7 @@ def solve(bench: Bench, options: calib.CalibrationOptions) -> Answer:
         values,
         covariance,
         float(found.coverage_factor),
-        dict(found.coverage_factors),
+        dict(getattr(found, "coverage_factors", {})),  # an engine may have one k for all
         tuple(found.notes),
         found.model,
         float(found.rms_px),
