@@ -81,7 +81,7 @@ def test_photographs_of_a_checkerboard_give_the_camera_within_its_uncertainty(fo
     assert "wavefront" not in report
     results = json.loads((out / "results.json").read_text())
     assert results["run"]["board"] == "checkerboard:7x5:20mm"
-    assert "points support" in report.lower()
+    assert "points are near" in report.lower()
     pattern = json.loads((out / "exports" / "metavision.json").read_text())["pattern"]
     assert (pattern["n_cols"], pattern["n_rows"]) == (7, 5)
 

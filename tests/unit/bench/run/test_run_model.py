@@ -160,7 +160,8 @@ class Life(RuleBasedStateMachine):
     def _befall(self, kind, what, name):
         match kind:
             case "fault":
-                self.light_failed |= name == "light.off"
+                # A process that cannot open the devices cannot switch off what a dead process left on.
+                self.light_failed |= name in {"light.off", "open"}
                 raise what
             case "death":
                 self.dead = True
