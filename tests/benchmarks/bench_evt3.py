@@ -3,10 +3,7 @@
 Three recordings of 4 million events each, as an IMX636 sends them: sparse (single events, TIME_HIGH dominates),
 flicker (about 1.8 bytes an event, as in the published comparisons) and dense (vectors nearly full). Works are
 interleaved round by round, the first round is not counted (it compiles), and each number is the best round: on a busy
-machine compare ratios, not absolute speeds. One core means one thread; the last table reads a longer recording with one
-thread and with two, by the clock, which says something on an idle machine only: the same table therefore has a plain
-copy of memory with one thread and with two. If the copy is not twice as fast with two, the machine has no second core
-to give, or its memory is the limit. CPU time of both threads together tells what the second one costs.
+machine compare ratios, not absolute speeds.
 
     python tests/benchmarks/bench_evt3.py [--old FOLDER]
 
