@@ -12,7 +12,6 @@ import sys
 import threading
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from pathlib import Path
 from types import FrameType
 
 from bench.align.app import align_app
@@ -23,7 +22,7 @@ from bench.base.errors import ScriptError, UsageError
 from bench.stations.placeholders import find_placeholders
 from bench.stations.station import SHIPPED_STATIONS, load_station
 from bench.web.server import PageServer, announce_url
-from bench.web.tokens import page_token
+from bench.web.tokens import PageToken
 from drivers.errors import DriverError
 from sequences.reader import find_document
 from sequences.settings import OptionSettings
@@ -39,7 +38,7 @@ def align_on_page(
     seed: int = 1,
     host: str = "127.0.0.1",
     port: int = 0,
-    token_file: Path | None = None,
+    token: PageToken | None,
     open_browser: bool = True,
 ) -> int:
     """Serve the align page of a station until Ctrl-C.
@@ -47,7 +46,7 @@ def align_on_page(
     station: Station file, or name of a shipped one.
     settings: Values that replace those of the file, as ``PATH=VALUE``.
     host, port: Address and port of the page; port 0 takes a free one.
-    token_file: File with the token; None if the environment variable counts.
+    token: The token of the page; None if it needs none.
     open_browser: Whether to open a browser of this computer.
     Returns: Exit status: 0 if every device confirmed a safe state, 1 if not.
     Raises UsageError: If the port is in use, or other computers could use the page without a token.
@@ -55,22 +54,18 @@ def align_on_page(
     """
     session = make_session(station, settings, seed=seed)
     path = find_document(station, SHIPPED_STATIONS)
-    server = PageServer(
-        align_app(session, PageFiles(str(path))), host=host, port=port, token=page_token(token_file)
-    )
+    server = PageServer(align_app(session, PageFiles(str(path))), host=host, port=port, token=token)
     opening = threading.Thread(target=_open, args=(session,), name="align-open", daemon=True)
 
     def ready() -> None:
-        announce_url(server.url)
+        announce_url(server.address)
         _print(
             f"Station: {session.station.value.name}. Ctrl-C stops the stage, switches the light off, and ends."
         )
         _stop_at_signals(session)
         opening.start()
         if open_browser:
-            import webbrowser
-
-            threading.Thread(target=webbrowser.open, args=(server.url,), daemon=True).start()
+            server.open_browser()
 
     try:
         server.serve(ready)

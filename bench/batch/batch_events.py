@@ -59,6 +59,7 @@ class Requested(TypedDict):
     taken: bool
     why: str
     by: NotRequired[str]
+    known_by: NotRequired[str]
     name: NotRequired[str]
     job: NotRequired[Mapping[str, Any]]
 

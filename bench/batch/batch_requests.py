@@ -21,7 +21,7 @@ from bench.batch.batch_events import BatchEvent, Requested
 from bench.batch.batch_plan import job_faults
 from bench.batch.batch_record import BatchRecord
 from bench.records.folder_lock import is_locked
-from bench.records.inbox import Inbox, Poller
+from bench.records.inbox import Inbox, KnownBy, MessageId, Poller
 from bench.records.journal import read_journal
 from bench.records.run_folder import JOURNAL
 from bench.records.run_index import QUEUE_COPY, is_rehearsal
@@ -43,9 +43,10 @@ class Request(BaseModel):
 
     format: Literal["starbench/request/1"] = "starbench/request/1"
     # Unique id; the answer in the journal has the same id.
-    id: str = Field(default_factory=lambda: uuid.uuid4().hex, min_length=1, max_length=64)
+    id: MessageId = Field(default_factory=lambda: uuid.uuid4().hex)
     word: Word
     by: str = Field(min_length=1, max_length=200)
+    known_by: KnownBy = "typed"
     job: JobConfig | None = None
     name: Key | None = None
 

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from bench.commands.options import SEED, STATION, ExistingFile, epilog
+from bench.commands.options import SEED, STATION, epilog, page_options
 
 
 @click.command(
@@ -17,17 +17,7 @@ from bench.commands.options import SEED, STATION, ExistingFile, epilog
     )
 )
 @STATION
-@click.option(
-    "--port", type=click.IntRange(0, 65535), default=0, help="Port of the page.  [default: a free one]"
-)
-@click.option(
-    "--host",
-    default="127.0.0.1",
-    show_default=True,
-    help="Address at which the page is served. Other addresses than the default need a token.",
-)
-@click.option("--token-file", type=ExistingFile(), help="File with the token. Default: STARBENCH_PAGE_TOKEN.")
-@click.option("--no-browser", is_flag=True, help="Do not open a browser.")
+@page_options
 @click.option("--seed", type=SEED, metavar="N", default=1, help="Random seed of the simulated bench.")
 @click.option(
     "--set",
@@ -41,17 +31,20 @@ def align(
     port: int,
     host: str,
     token_file: Path | None,
+    no_token: bool,
     no_browser: bool,
     seed: int,
     settings: tuple[str, ...],
 ) -> int:
     """Aim and focus the camera, and set light and biases, on a page with the live picture.
 
-    The first line printed is the address of the page. Nothing moves and no light goes on until you ask for it. Ctrl-C
-    stops the stage at once, switches the light off, and ends.
+    The first line printed is the address of the page, with a token: keep it to yourself. Nothing moves and no light
+    goes on until you ask for it. Ctrl-C stops the stage at once, switches the light off, and ends.
     """
     from bench.align.serve import align_on_page
+    from bench.web.tokens import page_token
 
+    token = page_token(token_file, none=no_token)
     return align_on_page(
-        station, settings, seed=seed, host=host, port=port, token_file=token_file, open_browser=not no_browser
+        station, settings, seed=seed, host=host, port=port, token=token, open_browser=not no_browser
     )

@@ -18,7 +18,7 @@ from click.shell_completion import CompletionItem
 from bench.base.errors import UsageError
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Callable, Mapping
 
 _INVALID = "2 invalid argument or file"
 _CTRL_C = "130 ended by Ctrl-C."
@@ -347,6 +347,43 @@ SET = click.option(
     help="Replace a value of the sequence or station file, e.g. station.camera.biases.bias_diff_on=20. Can be given"
     " several times.",
 )
+_PAGE = (
+    click.option(
+        "--port",
+        type=click.IntRange(0, 65535),
+        default=0,
+        metavar="N",
+        help="Port of the page.  [default: a free one]",
+    ),
+    click.option(
+        "--host",
+        default="127.0.0.1",
+        metavar="NAME",
+        help="Name or address at which to serve the page. Any other than this computer's own needs a token.  [default: "
+        "127.0.0.1, this computer only]",
+    ),
+    click.option(
+        "--token-file",
+        type=ExistingFile(),
+        help="File with the token that people must enter; only you may be able to read it.  [default: the environment "
+        "variable STARBENCH_PAGE_TOKEN, else a new token, which the printed address holds]",
+    ),
+    click.option(
+        "--no-token",
+        is_flag=True,
+        help="Let every user and program of this computer use the page, also to stop, move or abort.",
+    ),
+    click.option("--no-browser", is_flag=True, help="Do not open the page in a browser."),
+)
+
+
+def page_options(command: Callable[..., int]) -> Callable[..., int]:
+    """Give a command the options of a page: ``port host token_file no_token no_browser``."""
+    for option in reversed(_PAGE):
+        command = option(command)
+    return command
+
+
 OPERATOR = click.option("--operator", "by", metavar="NAME", help="Your name.  [default: user@host]")
 MOMENT = click.DateTime(["%Y-%m-%d", "%Y-%m-%dT%H:%M", "%Y-%m-%d %H:%M", "%Y-%m-%dT%H:%M:%S"])
 MOMENT_FORM = "DATE[THH:MM]"

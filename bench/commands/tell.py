@@ -14,6 +14,7 @@ from bench.commands.output import JSON, show
 
 if TYPE_CHECKING:
     from bench.batch.batch_requests import Request
+    from bench.records.inbox import KnownBy
     from bench.run.control import Command
 
 _ANSWERS = {"yes": "continue", "no": "abort"}
@@ -87,7 +88,9 @@ def _tell_run(folder: Path, words: Mapping[str, Any], by: str | None) -> int:
     from bench.run.control import Command, command_text, operator_at_terminal, send
 
     try:
-        command: Command = Command.model_validate({"by": by or operator_at_terminal(), **words})
+        command: Command = Command.model_validate(
+            {"by": by or operator_at_terminal(), "known_by": "typed" if by else "file mode", **words}
+        )
     except ValidationError as error:
         raise UsageError(
             f"--operator: {error.errors()[0]['msg']}.",
@@ -103,12 +106,13 @@ def _tell_batch(folder: Path, word: str, value: str, by: str | None) -> int:
     from bench.run.control import operator_at_terminal
 
     who = by or operator_at_terminal()
+    known_by: KnownBy = "typed" if by else "file mode"
     request: Request
     if word == "add":
         ExistingFile().check(Path(value))
-        request = Request(word="add", by=who, job=read_job(Path(value)))
+        request = Request(word="add", by=who, known_by=known_by, job=read_job(Path(value)))
     else:
-        request = Request(word="withdraw", by=who, name=value)
+        request = Request(word="withdraw", by=who, known_by=known_by, name=value)
     answer = send_request(folder, request)
     return _show_answer(answer or {"taken": None, "why": "not answered yet"}, answer_text(answer))
 

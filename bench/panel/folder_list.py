@@ -73,6 +73,7 @@ class FolderList:
             for folder in self._folders(faults):
                 seen.add(folder)
                 try:
+                    self.inside(folder / JOURNAL)
                     if (folder / QUEUE_COPY).is_file():
                         batches.append(self._batch(folder))
                     else:
@@ -101,11 +102,26 @@ class FolderList:
         if not key or "\0" in key or any(part in {"", ".."} or "\\" in part or ":" in part for part in parts):
             raise _no_such_run(key, self.root)
         folder = self.root.joinpath(*parts)
+        self.inside(folder / JOURNAL)
         with storage_errors(folder):
             found = _journal_stamp(folder)
         if found is None:
             raise _no_such_run(key, self.root)
         return folder
+
+    def inside(self, path: Path) -> Path:
+        """Return a path below the root if no link leads from it to the outside.
+
+        Raises RunFolderError: If one does; every reader of the pages could then read other files of this computer.
+        """
+        with storage_errors(path):
+            if path.resolve().is_relative_to(self.root.resolve()):
+                return path
+        raise RunFolderError(
+            "A link leads out of the folder of the panel, and the panel does not follow it.",
+            where=str(path),
+            remedy="Start a panel in the folder to which it leads.",
+        )
 
     def key_of(self, folder: Path) -> str:
         """Return the name of a folder as `folder_of` takes it.

@@ -25,8 +25,8 @@ from bench.panel.watching import MOST_LOG_LINES, RunWatch, Watcher
 from bench.records.run_folder import REPORT
 from bench.records.run_index import QUEUE_COPY
 from bench.run.control import Command, command_text, send
-from bench.web.guard import POLICY
-from bench.web.pages import page_app, read_object
+from bench.web.guard import POLICY, known_by
+from bench.web.pages import page_app, read_object, whole_number
 from bench.web.stream import EventStream, Message, last_id
 
 if TYPE_CHECKING:
@@ -66,7 +66,7 @@ class Panel:
                 Route("/api/run/{key:path}/events", self._run_stream),
                 Route("/api/run/{key:path}/state", self._run_state),
                 Route("/api/run/{key:path}/log", self._run_log),
-                Route("/api/run/{key:path}/picture/{pose:int}/{attempt:int}", self._picture),
+                Route("/api/run/{key:path}/picture/{pose}/{attempt}", self._picture),
                 Route("/api/run/{key:path}/command", self._command, methods=["POST"]),
                 Route("/api/batch/{key:path}/events", self._batch_stream),
                 Route("/api/batch/{key:path}/state", self._batch_state),
@@ -105,7 +105,7 @@ class Panel:
     async def _report(self, request: Request) -> Response:
         """Answer with the report of a run, which may run no script here."""
         folder = self._folder(request)
-        path = folder / ("summary.html" if (folder / QUEUE_COPY).is_file() else REPORT)
+        path = self._list.inside(folder / ("summary.html" if (folder / QUEUE_COPY).is_file() else REPORT))
         if not path.is_file():
             raise RunFolderError("There is no report yet.", where=str(folder), remedy="Wait for its end.")
         policy = POLICY.replace("script-src 'self'", "script-src 'none'").replace(
@@ -167,9 +167,7 @@ class Panel:
     async def _run_stream(self, request: Request) -> EventStream:
         folder = self._run_folder(request)
         after = last_id(request)
-        return EventStream(
-            self._run_messages(folder, int(after) if after.isascii() and after.isdigit() else 0)
-        )
+        return EventStream(self._run_messages(folder, whole_number(after or "0")))
 
     async def _run_messages(self, folder: Path, after: int) -> AsyncIterator[Message]:
         watch = await run_in_threadpool(self._watcher.open, folder)
@@ -201,13 +199,11 @@ class Panel:
 
     async def _run_log(self, request: Request) -> Response:
         """Answer with older lines of the log."""
-        before = request.query_params.get("before", "")
-        if not (before.isascii() and before.isdigit()):
-            raise UsageError("The request names no line of the log.", remedy="Load the page again.")
+        before = whole_number(request.query_params.get("before", ""))
         watch = await run_in_threadpool(self._watcher.open, self._run_folder(request))
         try:
             with watch.lock:
-                lines = watch.model.log_before(int(before), MOST_LOG_LINES)
+                lines = watch.model.log_before(before, MOST_LOG_LINES)
         finally:
             self._watcher.leave(watch)
         return JSONResponse({"log": lines})
@@ -216,7 +212,7 @@ class Panel:
     async def _picture(self, request: Request) -> Response:
         """Answer with the stars of a recording, or with its image (``?png``)."""
         folder = self._run_folder(request)
-        place = request.path_params["pose"], request.path_params["attempt"]
+        place = whole_number(request.path_params["pose"]), whole_number(request.path_params["attempt"])
         measure = "measure" in request.query_params
         answer, png = await run_in_threadpool(self._picture_of, folder, place, measure)
         if "png" not in request.query_params:
@@ -265,7 +261,7 @@ class Panel:
         if isinstance(given.get("by"), str):
             given["by"] = given["by"].strip()
         try:
-            command = Command(**given)
+            command = Command(**given, known_by=known_by(request))
         except (ValidationError, TypeError) as error:
             raise UsageError(_command_fault(given), remedy="Correct it and send it again.") from error
         if command.word == "abort" and confirmed != "abort":

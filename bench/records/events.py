@@ -350,6 +350,7 @@ class Commanded(TypedDict):
     taken: bool
     why: str
     by: NotRequired[str]
+    known_by: NotRequired[str]
     pose: NotRequired[int]
     answer: NotRequired[str]
 

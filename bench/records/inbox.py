@@ -15,12 +15,17 @@ from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Generic, TypeVar
+from typing import Annotated, Generic, Literal, TypeVar
 
-from pydantic import BaseModel, ValidationError
+from pydantic import BaseModel, Field, ValidationError
 
 from bench.records.storage import is_temporary, remove, storage_errors, write_atomic
 
+MessageId = Annotated[str, Field(pattern=r"^[A-Za-z0-9_-]{1,64}$")]
+"""Unique id of a message; it is a part of the name of its file."""
+KnownBy = Literal["token", "file mode", "typed"]
+"""How the name of a sender is known: the page's token was shown, the system named the user who may write into the
+folder, or somebody typed it."""
 Message = TypeVar("Message", bound=BaseModel)
 
 

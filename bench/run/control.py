@@ -24,7 +24,7 @@ from bench.base.errors import RunFolderError, StorageError
 from bench.records.events import Event
 from bench.records.folder_lock import is_locked
 from bench.records.history import History
-from bench.records.inbox import Inbox, Poller
+from bench.records.inbox import Inbox, KnownBy, MessageId, Poller
 from bench.records.journal import lines_after
 from bench.records.run_folder import JOURNAL
 from bench.records.run_log import RunLog
@@ -48,9 +48,10 @@ class Command(BaseModel):
 
     format: Literal["starbench/command/1"] = "starbench/command/1"
     # Unique name of the command; the journal's answer carries it.
-    id: Line = Field(default_factory=lambda: uuid.uuid4().hex)
+    id: MessageId = Field(default_factory=lambda: uuid.uuid4().hex)
     word: Word
     by: Line
+    known_by: KnownBy = "typed"
     pose: Annotated[int, Field(ge=1)] | None = None  # Pose to skip; None for the current one
     answer: Answer | None = None  # Answer to the question of the run: ``continue`` or ``abort``
     take_over: bool = False  # Whether to become the owner of a run that another operator holds

@@ -58,7 +58,8 @@ def _attempt_text(data: AttemptChecked) -> str:
 
 def _command_text(data: Commanded) -> str:
     refused = "" if data["taken"] else f", refused: {data['why']}"
-    return f"{data['word']} by {data.get('by', 'an unknown person')}{refused}"
+    typed = " (typed)" if data.get("known_by") == "typed" else ""
+    return f"{data['word']} by {data.get('by', 'an unknown person')}{typed}{refused}"
 
 
 def _end_text(data: RunEnded) -> str:

@@ -4,6 +4,7 @@
   that resolves to this computer (DNS rebinding).
 - A request that changes something must carry the ``Origin`` of one of our pages. So no other site can send a command.
 - Where there is a token, each request needs the cookie of a sign-in, or the token in its ``Authorization`` header.
+  Pages learn from ``known_by`` whether there was one.
 - The content security policy forbids every other host, and every script that is not a file of ours.
 """
 
@@ -11,13 +12,12 @@ from __future__ import annotations
 
 import hmac
 import ipaddress
-import json
 import socket
 import time
-from collections import deque
 from collections.abc import Callable
 from http.cookies import CookieError, SimpleCookie
 from pathlib import Path
+from typing import Literal
 from urllib.parse import quote, urlsplit
 
 from starlette.datastructures import Headers, MutableHeaders
@@ -25,9 +25,12 @@ from starlette.requests import Request
 from starlette.responses import HTMLResponse, JSONResponse, RedirectResponse, Response
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from bench.web.tokens import is_loopback, session_of
+from bench.base.errors import UsageError
+from bench.web.pages import read_object
+from bench.web.tokens import PageToken, WrongTokens, client_name, is_loopback, session_of
 
 SIGN_IN = "/sign-in"
+_SIGNED_IN = "starbench.signed_in"
 ASSETS = "/assets/"
 POLICY = (
     "default-src 'none'; script-src 'self'; style-src 'self' 'unsafe-inline'; img-src 'self' data: blob:;"
@@ -43,8 +46,6 @@ _HEADERS = {
     "Cross-Origin-Opener-Policy": "same-origin",
 }
 _SAFE_METHODS = frozenset({"GET", "HEAD", "OPTIONS"})
-_MOST_WRONG, _WRONG_WINDOW_S = 10, 60.0
-_MOST_SIGN_IN_BYTES = 4096
 _COOKIE_AGE_S = 30 * 24 * 3600
 
 
@@ -61,17 +62,17 @@ class Guard:
         *,
         host: str,
         port: int,
-        token: str | None,
+        token: PageToken | None,
         monotonic: Callable[[], float] = time.monotonic,
     ) -> None:
         self._app = app
         self._names = frozenset({"localhost", "127.0.0.1", "::1", host.lower(), *_own_names(host)})
         self._addresses_allowed = not is_loopback(host)
         self._cookie = f"starbench-{port}"  # browsers share cookies between the ports of a host
-        self._token = token
-        self._session = session_of(token) if token is not None else ""
-        self._monotonic = monotonic
-        self._wrong_s: deque[float] = deque(maxlen=_MOST_WRONG)
+        self._port = port
+        self._token = None if token is None else token.text.encode()
+        self._session = session_of(token.text) if token is not None else ""
+        self._wrong = WrongTokens(monotonic)
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Check a request and pass it on, or answer it."""
@@ -112,7 +113,14 @@ class Guard:
             return None
         if request.url.path == SIGN_IN:
             return await self._sign_in(request)
-        return None if self._is_signed_in(request) else _ask_to_sign_in(request)
+        scheme, _, given = request.headers.get("authorization", "").partition(" ")
+        refusal: Response | None = None
+        if scheme.lower() == "bearer":
+            refusal = self._refusal_of(given.strip(), request)
+        elif not self._has_cookie(request):
+            refusal = _ask_to_sign_in(request)
+        request.scope[_SIGNED_IN] = refusal is None
+        return refusal
 
     def _is_own(self, host: str) -> bool:
         try:
@@ -123,10 +131,22 @@ class Guard:
             return True
         return self._addresses_allowed and _is_address(name)
 
-    def _is_signed_in(self, request: Request) -> bool:
-        scheme, _, given = request.headers.get("authorization", "").partition(" ")
-        if scheme.lower() == "bearer" and self._token is not None:
-            return hmac.compare_digest(given.strip().encode(), self._token.encode())
+    def _refusal_of(self, given: str, request: Request) -> Response | None:
+        """Return the answer to a wrong token, or to any token of a client that sent many; None for the right one."""
+        client = request.client
+        name = client_name(client.host, client.port, self._port) if client is not None else ""
+        if self._wrong.refuse(name):
+            return _refusal(429, "The token was wrong 10 times.", "Wait one minute, then try again.")
+        if self._token is not None and hmac.compare_digest(given.encode(), self._token):
+            return None
+        self._wrong.add(name)
+        return _refusal(
+            403 if request.url.path == SIGN_IN else 401,
+            "This token is wrong.",
+            "Use the address that the command has printed, or the token of the variable or file that was named.",
+        )
+
+    def _has_cookie(self, request: Request) -> bool:
         cookies: SimpleCookie = SimpleCookie()
         try:
             cookies.load(request.headers.get("cookie", ""))
@@ -140,19 +160,9 @@ class Guard:
             return HTMLResponse((Path(__file__).parent / "assets" / "sign_in.html").read_text("utf-8"))
         if request.method != "POST":
             return _refusal(405, "This is not possible here.", "Use the form.")
-        now_s = self._monotonic()
-        if len(self._wrong_s) == _MOST_WRONG and now_s - self._wrong_s[0] < _WRONG_WINDOW_S:
-            return _refusal(
-                429, f"The token was wrong {_MOST_WRONG} times.", "Wait one minute, then try again."
-            )
-        given = await _given_token(request)
-        if self._token is None or not hmac.compare_digest(given.encode(), self._token.encode()):
-            self._wrong_s.append(now_s)
-            return _refusal(
-                403,
-                "This token is wrong.",
-                "Ask the person who started the server. It is the one in the variable or file that they named.",
-            )
+        refusal = self._refusal_of(await _given_token(request), request)
+        if refusal is not None:
+            return refusal
         answer = JSONResponse({"signed_in": True})
         answer.set_cookie(
             self._cookie, self._session, max_age=_COOKIE_AGE_S, httponly=True, samesite="strict", path="/"
@@ -190,16 +200,16 @@ def _same_origin(headers: Headers, host: str) -> bool:
 
 async def _given_token(request: Request) -> str:
     """Return the token of a sign-in; empty if the request holds none."""
-    body = b""
-    async for part in request.stream():
-        body += part
-        if len(body) > _MOST_SIGN_IN_BYTES:
-            return ""
     try:
-        given = json.loads(body)["token"]
-    except (ValueError, TypeError, KeyError, RecursionError):
+        given = (await read_object(request)).get("token")
+    except UsageError:
         return ""
     return given if isinstance(given, str) else ""
+
+
+def known_by(request: Request) -> Literal["token", "typed"]:
+    """Return how the name of a person on a page is known: who had the token, or only what somebody typed."""
+    return "token" if request.scope.get(_SIGNED_IN) else "typed"
 
 
 def _refusal(status: int, what: str, remedy: str) -> Response:

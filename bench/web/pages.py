@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-import json
+import asyncio
+import re
 from collections.abc import Callable, Sequence
 from contextlib import AbstractAsyncContextManager
 from pathlib import Path
@@ -15,11 +16,14 @@ from starlette.responses import JSONResponse, Response
 from starlette.routing import BaseRoute, Mount
 from starlette.staticfiles import StaticFiles
 
+from bench.base.bounded_json import parse_json
 from bench.base.errors import RunFolderError, UsageError
 from bench.base.failure import FORESEEN, Failure
 
 ASSETS = Path(__file__).parent / "assets"
 _MOST_BYTES = 16_384
+_BODY_S = 10.0
+_WHOLE_NUMBER = re.compile(r"[0-9]{1,15}")
 _NOT_FOUND, _CONFLICT, _INVALID = 404, 409, 400
 
 Lifespan = Callable[[Starlette], AbstractAsyncContextManager[None]]
@@ -47,20 +51,35 @@ def page_app(
 async def read_object(request: Request) -> dict[str, Any]:
     """Read the JSON object that a request carries.
 
-    Raises UsageError: If the body is larger than 16 KiB, or not a JSON object.
+    Raises UsageError: If the body is larger than 16 KiB, takes longer than 10 s, or is not a JSON object.
     """
     body = b""
-    async for part in request.stream():
-        body += part
-        if len(body) > _MOST_BYTES:
-            raise UsageError("The request is too long.", remedy="Load the page again.")
     try:
-        found = json.loads(body)
-    except (ValueError, RecursionError) as error:
+        async with asyncio.timeout(_BODY_S):
+            async for part in request.stream():
+                body += part
+                if len(body) > _MOST_BYTES:
+                    raise UsageError("The request is too long.", remedy="Load the page again.")
+        found = parse_json(body)
+    except TimeoutError as error:
+        raise UsageError("The request did not end in time.", remedy="Load the page again.") from error
+    except ValueError as error:
         raise UsageError("The request is not JSON.", remedy="Load the page again.") from error
     if not isinstance(found, dict):
         raise UsageError("The request is not a JSON object.", remedy="Load the page again.")
     return found
+
+
+def whole_number(text: str) -> int:
+    """Return a number of a request: of a line, a pose, an attempt.
+
+    Raises UsageError: If it is not a whole number of at most 15 digits.
+    """
+    if not _WHOLE_NUMBER.fullmatch(text):
+        raise UsageError(
+            "The request names no line, pose or attempt by its number.", remedy="Load the page again."
+        )
+    return int(text)
 
 
 def error_answer(failure: Failure, status: int) -> Response:

@@ -1,34 +1,39 @@
 """Serve a set of pages until Ctrl-C: bind, print the URL as the first line, open a browser, end quietly.
 
-There is no log of requests, so no URL is ever written down. The URL never holds a secret: where a token is needed, the
-page asks for it.
+There is no log of requests, so no URL is ever written down. A token that was made for this start stands behind the
+``#`` of the printed address: browsers keep that part to themselves, and the page removes it after the sign-in.
 """
 
 from __future__ import annotations
 
 import asyncio
 import errno
+import html
 import ipaddress
 import os
 import signal
 import socket
 import sys
+import tempfile
 import threading
 import webbrowser
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from pathlib import Path
 
 import uvicorn
 from starlette.types import ASGIApp, Receive, Scope, Send
+from uvicorn.protocols.http.h11_impl import H11Protocol
 
 from bench.base.errors import UsageError
-from bench.web.guard import Guard
+from bench.web.guard import SIGN_IN, Guard
 from bench.web.stream import CLOSING
-from bench.web.tokens import require_token
+from bench.web.tokens import PageToken, require_token
 
 LOOPBACK = "127.0.0.1"
 _SIGNALS = ("SIGINT", "SIGTERM", "SIGHUP")
 _CLOSE_S = 2
+_HEAD_S = 10.0
 _BACKLOG = 128
 
 
@@ -43,14 +48,14 @@ def serve_pages(
     *,
     host: str = LOOPBACK,
     port: int = 0,
-    token: str | None = None,
+    token: PageToken | None = None,
     open_browser: bool = True,
     announce: Callable[[str], None] = announce_url,
 ) -> None:
     """Serve pages until SIGINT, SIGTERM or SIGHUP. Only for the main thread.
 
     port: Port; 0 for any free one.
-    token: Secret that a person must enter in the browser; None if none is needed.
+    token: Secret that a browser or program must have; None if none is needed.
     open_browser: Whether to open the page in a browser of this computer.
     announce: Called with the URL when the server accepts connections; by default it prints the URL.
     Raises UsageError: If the port is in use, the address is not of this computer, or other computers could
@@ -61,9 +66,9 @@ def serve_pages(
     server = PageServer(app, host=host, port=port, token=token)
 
     def ready() -> None:
-        announce(server.url)
+        announce(server.address)
         if open_browser:
-            threading.Thread(target=webbrowser.open, args=(server.url,), daemon=True).start()
+            server.open_browser()
 
     server.serve(ready)
     if server.ended_by_signal:
@@ -78,15 +83,21 @@ class PageServer:
     """
 
     def __init__(
-        self, app: ASGIApp, *, host: str = LOOPBACK, port: int = 0, token: str | None = None
+        self, app: ASGIApp, *, host: str = LOOPBACK, port: int = 0, token: PageToken | None = None
     ) -> None:
         require_token(host, token)
         self._socket = _bound_socket(host, port)
         self.port = int(self._socket.getsockname()[1])
         self.url = f"http://{_shown(host)}:{self.port}/"
+        self.address = self.url
+        """What is printed for a person: the URL, with the token if this start made it."""
+        if token is not None and token.made:
+            self.address = f"{self.url}{SIGN_IN.lstrip('/')}#token={token.text}"
+        self._browser_folder: tempfile.TemporaryDirectory[str] | None = None
         guard = Guard(app, host=host, port=self.port, token=token)
         config = uvicorn.Config(
             guard,
+            http=_Protocol,
             access_log=False,
             log_config=None,
             log_level="critical",
@@ -113,10 +124,53 @@ class PageServer:
             self._server.run(sockets=[self._socket])
         finally:
             self._socket.close()
+            if self._browser_folder is not None:
+                self._browser_folder.cleanup()
+
+    def open_browser(self) -> None:
+        """Open the pages in a browser of this computer, without waiting for it.
+
+        The browser gets a file that leads on: all users can read the arguments of a process, but not this file.
+        """
+        opened = self.url
+        if self.address != self.url:
+            self._browser_folder = tempfile.TemporaryDirectory(prefix="starbench-page-")
+            path = Path(self._browser_folder.name) / "open.html"
+            url = html.escape(self.address)
+            path.write_text(f'<!doctype html><meta http-equiv="refresh" content="0; url={url}">', "utf-8")
+            opened = path.as_uri()
+        threading.Thread(target=webbrowser.open, args=(opened,), daemon=True).start()
 
     def stop(self) -> None:
         """End the server soon. For any thread."""
         self._server.should_exit = True
+
+
+class _Protocol(H11Protocol):
+    """A connection; it is closed if the head of a request takes too long. Uvicorn itself waits for ever."""
+
+    _late: asyncio.TimerHandle | None = None
+
+    def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
+        """Begin to wait for a request."""
+        super().connection_made(transport)
+        self._late = self.loop.call_later(_HEAD_S, transport.close)
+
+    def data_received(self, data: bytes) -> None:
+        """Take a part of a request."""
+        super().data_received(data)
+        working = self.cycle is not None and not self.cycle.response_complete
+        if working and self._late is not None:
+            self._late.cancel()
+            self._late = None
+        elif not working and self._late is None:
+            self._late = self.loop.call_later(_HEAD_S, self.transport.close)
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        """End the wait."""
+        super().connection_lost(exc)
+        if self._late is not None:
+            self._late.cancel()
 
 
 class _Server(uvicorn.Server):

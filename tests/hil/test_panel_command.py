@@ -27,10 +27,12 @@ def test_the_first_line_is_the_address_and_ctrl_c_ends_it_quietly(root, tmp_path
     process = start("panel", root, "--no-browser", home=tmp_path)
     try:
         url = process.stdout.readline().strip()
-        assert re.fullmatch(r"http://127\.0\.0\.1:\d+/", url)
-        assert "Runs and batches" in httpx.get(url).text
+        url, token = re.fullmatch(r"(http://127\.0\.0\.1:\d+/)sign-in#token=(\S{22,})", url).groups()
+        assert httpx.get(url).status_code == 401
+        signed = {"Authorization": f"Bearer {token}"}
+        assert "Runs and batches" in httpx.get(url, headers=signed).text
         with httpx.stream(
-            "GET", f"{url}api/run/run7/events"
+            "GET", f"{url}api/run/run7/events", headers=signed
         ) as stream:  # an open page does not delay the end
             next(stream.iter_lines())
             process.send_signal(number)
@@ -53,7 +55,7 @@ def test_a_port_in_use_is_named(root, tmp_path):
 
 
 def test_other_computers_need_a_token_which_no_address_holds(root, tmp_path, monkeypatch):
-    refused = starbench("panel", root, "--no-browser", "--host", "0.0.0.0", home=tmp_path)
+    refused = starbench("panel", root, "--no-browser", "--no-token", "--host", "0.0.0.0", home=tmp_path)
     assert refused.returncode == 2
     assert "need a token" in refused.stderr
     monkeypatch.setenv("STARBENCH_PAGE_TOKEN", TOKEN)
@@ -74,6 +76,19 @@ def test_other_computers_need_a_token_which_no_address_holds(root, tmp_path, mon
         process.kill()
         process.communicate()
     assert TOKEN not in out + err
+
+
+def test_without_a_token_only_if_that_is_said(root, tmp_path):
+    process = start("panel", root, "--no-browser", "--no-token", home=tmp_path)
+    try:
+        url = process.stdout.readline().strip()
+        assert re.fullmatch(r"http://127\.0\.0\.1:\d+/", url)
+        assert httpx.get(f"{url}api/run/run7/state").status_code == 200
+        process.send_signal(signal.SIGINT)
+        process.communicate(timeout=20)
+    finally:
+        process.kill()
+        process.communicate()
 
 
 def test_a_folder_that_is_not_there_is_named(tmp_path):

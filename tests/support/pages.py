@@ -34,13 +34,13 @@ class AppClient:
 
     def __init__(self, app: Any, base_url: str = "http://127.0.0.1:8800") -> None:
         self._app, self._base_url = app, base_url
-        self.cookies = httpx.Cookies()
+        self.cookies, self.host = httpx.Cookies(), "127.0.0.1"
 
     def request(self, method: str, path: str, **options: Any) -> httpx.Response:
         """Send one request and return its answer, which must end."""
 
         async def ask() -> httpx.Response:
-            transport = httpx.ASGITransport(self._app)
+            transport = httpx.ASGITransport(self._app, client=(self.host, 4711))
             async with httpx.AsyncClient(
                 transport=transport, base_url=self._base_url, cookies=self.cookies
             ) as client:

@@ -50,7 +50,7 @@ def test_ctrl_c_stops_the_stage_at_once_and_every_device_confirms(monkeypatch, c
 
     thread = _interrupt_when(lambda: session.is_open, first=move)
     before = signal.getsignal(signal.SIGINT)
-    assert serve.align_on_page("simulated", open_browser=False) == 0
+    assert serve.align_on_page("simulated", token=None, open_browser=False) == 0
     thread.join()
     assert asked["stop_s"] - asked["s"] < 0.5
     assert asked["by"] == "align-signal-stop"  # not only when the server has ended
@@ -72,7 +72,7 @@ def test_a_device_that_does_not_confirm_is_shouted_and_the_status_is_1(monkeypat
     monkeypatch.setattr(serve, "make_session", lambda *_, **__: session)
     devices.stage.stop_fails = True
     _interrupt_when(lambda: session.is_open)
-    assert serve.align_on_page("simulated", open_browser=False) == 1
+    assert serve.align_on_page("simulated", token=None, open_browser=False) == 1
     assert "CHECK THE BENCH: stage: NOT CONFIRMED" in capsys.readouterr().out
 
 
@@ -85,7 +85,7 @@ def test_a_busy_camera_is_named_and_the_page_stays(monkeypatch, capsys):
 
     session._opener = opener
     _interrupt_when(lambda: session.state()["devices"]["state"] == "failed")
-    assert serve.align_on_page("simulated", open_browser=False) == 0
+    assert serve.align_on_page("simulated", token=None, open_browser=False) == 0
     out = capsys.readouterr().out
     assert "camera: another program holds it. Close that program." in out
     assert out.splitlines()[-1] == "No device was open."
@@ -109,7 +109,7 @@ def test_the_page_answers_while_the_devices_open(monkeypatch):
         release.set()
 
     _interrupt_when(lambda: urls and session.state()["devices"]["state"] == "opening", first=look)
-    serve.align_on_page("simulated", open_browser=False)
+    serve.align_on_page("simulated", token=None, open_browser=False)
     assert answers == ["opening"]
 
 
@@ -138,7 +138,6 @@ def test_a_station_without_a_light_is_named_before_anything_opens(tmp_path):
         serve.make_session(str(path))
 
 
-def test_other_computers_need_a_token(monkeypatch):
-    monkeypatch.delenv("STARBENCH_PAGE_TOKEN", raising=False)
+def test_other_computers_need_a_token():
     with pytest.raises(UsageError, match="need a token"):
-        serve.align_on_page("simulated", host="0.0.0.0", open_browser=False)
+        serve.align_on_page("simulated", token=None, host="0.0.0.0", open_browser=False)

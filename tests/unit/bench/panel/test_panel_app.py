@@ -14,6 +14,7 @@ from pages import served
 
 from bench.panel.panel_app import Panel, panel_app
 from bench.records.journal import read_journal
+from bench.web.tokens import PageToken
 
 PATIENCE_S = 20.0
 
@@ -138,8 +139,6 @@ def test_after_a_restart_of_the_panel_a_page_continues(run):
 def test_a_page_of_another_run_or_a_longer_journal_is_told_everything(run, server):
     with streamed(server, "api/run/run7/events", after=100_000) as stream:
         assert stream.next()["reset"]
-    with streamed(server, "api/run/run7/events", after="x") as stream:
-        assert stream.next()["reset"]
 
 
 def test_the_end_of_a_process_is_told_although_the_journal_is_silent(run, server):
@@ -227,6 +226,46 @@ def test_a_hold_and_a_release_reach_the_run_with_the_name(run, server):
     ]
 
 
+def test_the_journal_says_whether_the_sender_had_the_token(run):
+    for token, known_by in ((None, "typed"), (PageToken("0123456789abcdef"), "token")):
+        signed = {"Authorization": f"Bearer {token.text}"} if token is not None else {}
+        with served(panel_app(run.folder.parent), token=token) as server, at_work(run):
+            assert _post(server, {"word": "hold", "by": "Ada"}, **signed).json()["taken"]
+        newest = [entry.data for entry in read_journal(run.path)[0] if entry.event == "commanded"][-1]
+        assert (newest["by"], newest["known_by"]) == ("Ada", known_by)
+
+
+@pytest.mark.parametrize("number", ["9" * 5000, "٣", "-1", "1e3", "0x7"])
+def test_an_odd_number_is_a_wrong_request(server, number):
+    for path in (
+        f"log?before={number}",
+        f"picture/{number}/1",
+        f"picture/1/{number}",
+        f"events?after={number}",
+    ):
+        answer = httpx.get(f"{server.url}api/run/run7/{path}")
+        assert answer.status_code == 400, path
+        assert "by its number" in answer.json()["error"]["what"]
+
+
+def test_a_link_out_of_the_folder_is_not_followed_and_named(run, server, tmp_path):
+    outside = MadeRun(tmp_path / "elsewhere" / "secret").begin()
+    outside.record_all().end()
+    (outside.folder / "report.html").write_text("<p>a report</p>")
+    root = run.folder.parent
+    (root / "away").symlink_to(outside.folder)
+    (root / "alias").symlink_to(run.folder)
+    (run.folder / "report.html").symlink_to(outside.folder / "report.html")
+    for path in ("report/away", "api/run/away/state", "report/run7", "api/run/away/log?before=9"):
+        answer = httpx.get(f"{server.url}{path}")
+        assert answer.status_code == 404, path
+        assert "leads out of the folder" in answer.json()["error"]["what"]
+    assert httpx.get(f"{server.url}api/run/alias/state").status_code == 200
+    listed = httpx.get(f"{server.url}api/list/state").json()
+    assert {row["key"] for row in listed["runs"]} == {"run7", "alias"}
+    assert any("away" in fault and "leads out" in fault for fault in listed["faults"])
+
+
 def test_an_abort_needs_two_steps(run, server):
     with at_work(run) as (_, clock):
         answer = _post(server, {"word": "abort", "by": "Ada"})
@@ -257,6 +296,8 @@ def test_a_question_is_answered(run, server):
         ({"word": "explode", "by": "Ada"}, "not a command"),
         ({"word": "hold", "by": "Ada", "folder": "/etc"}, "not a command"),
         ({"word": "hold", "by": "A\nda"}, "not a command"),
+        ({"word": "hold", "by": "Ada", "id": "../../../x"}, "not a command"),
+        ({"word": "hold", "by": "Ada", "known_by": "file mode"}, "not a command"),
         ([], "not a JSON object"),
     ],
 )

@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import os
+import socket
+from pathlib import Path
+
 import httpx
 import pytest
 from pages import AppClient
@@ -10,6 +14,7 @@ from starlette.routing import Route
 
 from bench.web.guard import Guard
 from bench.web.pages import page_app
+from bench.web.tokens import PageToken, client_name
 
 TOKEN = "0123456789abcdef"
 HTML = {"Accept": "text/html"}
@@ -46,7 +51,7 @@ def test_another_name_is_refused(name):
 
 
 def test_a_server_for_others_answers_to_addresses_but_not_to_foreign_names():
-    client = _client(host="0.0.0.0", token=TOKEN)
+    client = _client(host="0.0.0.0", token=PageToken(TOKEN))
     signed = {"Authorization": f"Bearer {TOKEN}"}
     assert client.get("/", headers={"Host": "192.168.1.7:8800", **signed}).status_code == 200
     assert client.get("/", headers={"Host": "evil.example:8800", **signed}).status_code == 421
@@ -86,7 +91,7 @@ def test_assets_are_served_and_asked_for_again():
 
 
 def test_without_the_token_a_page_leads_to_the_sign_in_and_a_request_is_refused():
-    client = _client(token=TOKEN)
+    client = _client(token=PageToken(TOKEN))
     page = client.get("/", headers=HTML)
     assert (page.status_code, page.headers["Location"]) == (303, "/sign-in?next=/")
     assert client.get("/").status_code == 401
@@ -94,7 +99,7 @@ def test_without_the_token_a_page_leads_to_the_sign_in_and_a_request_is_refused(
 
 
 def test_a_sign_in_keeps_a_cookie_that_does_not_hold_the_token():
-    client = _client(token=TOKEN)
+    client = _client(token=PageToken(TOKEN))
     own = {"Origin": "http://127.0.0.1:8800"}
     answer = client.post("/sign-in", json={"token": TOKEN}, headers=own)
     cookie = answer.headers["Set-Cookie"]
@@ -102,37 +107,68 @@ def test_a_sign_in_keeps_a_cookie_that_does_not_hold_the_token():
     assert "SameSite=strict" in cookie
     assert TOKEN not in cookie
     assert client.get("/").text == "first page"
-    again = _client(token=TOKEN)  # the server was started again: the browser stays signed in
+    again = _client(token=PageToken(TOKEN))  # the server was started again: the browser stays signed in
     again.cookies = client.cookies
     assert again.get("/").text == "first page"
-    other = _client(token="another token")
+    other = _client(token=PageToken("another token"))
     other.cookies = client.cookies
     assert other.get("/").status_code == 401
 
 
 @pytest.mark.parametrize("body", [b'{"token": "wrong"}', b"{}", b"[]", b"\xff", b'{"token": 7}', b"x" * 9000])
 def test_a_wrong_token_is_refused(body):
-    answer = _client(token=TOKEN).post("/sign-in", content=body, headers={"Origin": "http://127.0.0.1:8800"})
+    answer = _client(token=PageToken(TOKEN)).post(
+        "/sign-in", content=body, headers={"Origin": "http://127.0.0.1:8800"}
+    )
     assert answer.status_code == 403
     assert answer.json()["error"]["what"] == "This token is wrong."
     assert "Set-Cookie" not in answer.headers
 
 
-def test_guessing_is_slow():
+OWN = {"Origin": "http://127.0.0.1:8800"}
+
+
+def _signs_in(client, token):
+    return client.post("/sign-in", json={"token": token}, headers=OWN).status_code
+
+
+def _bears(client, token):
+    return client.get("/", headers={"Authorization": f"Bearer {token}"}).status_code
+
+
+def test_guessing_is_slow_in_both_ways_and_shuts_out_nobody_else():
     now = [0.0]
-    client = _client(token=TOKEN, monotonic=lambda: now[0])
-    own = {"Origin": "http://127.0.0.1:8800"}
-    statuses = [client.post("/sign-in", json={"token": "no"}, headers=own).status_code for _ in range(12)]
-    assert statuses == [403] * 10 + [429] * 2
-    assert client.post("/sign-in", json={"token": TOKEN}, headers=own).status_code == 429
+    client = _client(token=PageToken(TOKEN), monotonic=lambda: now[0])
+    assert [_signs_in(client, "no") for _ in range(6)] == [403] * 6
+    assert [_bears(client, "no") for _ in range(6)] == [401] * 4 + [429] * 2
+    assert (_signs_in(client, TOKEN), _bears(client, TOKEN)) == (429, 429)
+    client.host = "192.168.1.9"
+    assert (_bears(client, TOKEN), _signs_in(client, TOKEN)) == (200, 200)
+    client.host = "127.0.0.1"
+    assert client.get("/").text == "first page"  # who is signed in stays so
     now[0] = 61.0
-    assert client.post("/sign-in", json={"token": TOKEN}, headers=own).status_code == 200
+    client.cookies.clear()
+    assert _signs_in(client, TOKEN) == 200
+
+
+@pytest.mark.skipif(not Path("/proc/net/tcp").exists(), reason="only Linux lists its connections")
+def test_the_users_of_this_computer_are_told_apart():
+    with socket.create_server(("127.0.0.1", 0)) as listening:
+        port = listening.getsockname()[1]
+        with socket.create_connection(("127.0.0.1", port)) as asking:
+            name = client_name(*asking.getsockname(), port)
+    assert name == f"127.0.0.1 {os.getuid()}"
 
 
 def test_a_program_signs_in_by_a_header():
-    client = _client(token=TOKEN)
-    assert client.get("/", headers={"Authorization": f"Bearer {TOKEN}"}).status_code == 200
-    assert client.get("/", headers={"Authorization": "Bearer no"}).status_code == 401
+    client = _client(token=PageToken(TOKEN))
+    assert (_bears(client, TOKEN), _bears(client, "no")) == (200, 401)
+
+
+@pytest.mark.parametrize("length", [1000, 5000])
+def test_a_number_of_any_length_is_answered(length):
+    body = b'{"token": ' + b"9" * length + b"}"
+    assert _client(token=PageToken(TOKEN)).post("/sign-in", content=body, headers=OWN).status_code == 403
 
 
 def test_an_unknown_page_is_an_error_in_the_common_shape():

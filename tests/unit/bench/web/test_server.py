@@ -2,19 +2,23 @@
 
 from __future__ import annotations
 
+import os
 import socket
 import time
+from pathlib import Path
+from urllib.parse import urlsplit
 
 import httpx
 import pytest
 from pages import served
-from starlette.responses import PlainTextResponse
+from starlette.responses import JSONResponse, PlainTextResponse
 from starlette.routing import Route
 
 from bench.base.errors import UsageError
-from bench.web.pages import page_app
+from bench.web.pages import page_app, read_object
 from bench.web.server import PageServer
 from bench.web.stream import Changes, EventStream, Message, last_id
+from bench.web.tokens import PageToken
 
 
 class _Counter:
@@ -111,4 +115,61 @@ def test_a_port_in_use_is_one_clear_error():
 
 def test_an_address_of_another_computer_is_one_clear_error():
     with pytest.raises(UsageError, match="This address cannot be used"):
-        PageServer(_Counter().app(), host="192.0.2.1", token="0123456789abcdef")
+        PageServer(_Counter().app(), host="192.0.2.1", token=PageToken("0123456789abcdef"))
+
+
+def test_only_a_token_that_was_made_stands_in_the_printed_address_and_the_browser_gets_it_from_a_file(
+    monkeypatch,
+):
+    opened = []
+    monkeypatch.setattr("webbrowser.open", opened.append)
+    with served(_Counter().app(), token=PageToken("given-by-a-person")) as server:
+        assert server.address == server.url
+    with served(_Counter().app(), token=PageToken("made-now-123456", made=True)) as server:
+        assert server.address == f"{server.url}sign-in#token=made-now-123456"
+        assert httpx.get(f"{server.url}").status_code == 401
+        server.open_browser()
+        end = time.monotonic() + 5.0
+        while not opened and time.monotonic() < end:
+            time.sleep(0.01)
+        path = Path(urlsplit(opened[0]).path)
+        assert "made-now-123456" not in opened[0]
+        assert server.address in path.read_text()
+        if os.name == "posix":
+            assert path.parent.stat().st_mode & 0o077 == 0
+    assert not path.exists()
+
+
+@pytest.mark.parametrize(
+    "begun", [b"", b"GET / HTTP/1.1\r\nHost: 127", b"GET / HTTP/1.1\r\nHost: {host}\r\n\r\nGET /"]
+)
+def test_a_head_that_does_not_end_is_closed_after_a_time(monkeypatch, begun):
+    monkeypatch.setattr("bench.web.server._HEAD_S", 1.0)
+    with (
+        served(_Counter().app()) as server,
+        socket.create_connection(("127.0.0.1", server.port), timeout=5.0) as half,
+    ):
+        half.sendall(begun.replace(b"{host}", f"127.0.0.1:{server.port}".encode()))
+        if begun.endswith(b"GET /"):
+            assert half.recv(65536).startswith(b"HTTP/1.1 200")
+            half.sendall(b" HTT")
+        begin = time.monotonic()
+        assert half.recv(65536) == b""
+        assert time.monotonic() - begin < 4.0
+
+
+def test_a_body_that_does_not_end_is_answered(monkeypatch):
+    monkeypatch.setattr("bench.web.pages._BODY_S", 0.2)
+
+    async def read(request):
+        return JSONResponse(await read_object(request))
+
+    with (
+        served(page_app([Route("/do", read, methods=["POST"])])) as server,
+        socket.create_connection(("127.0.0.1", server.port), timeout=5.0) as half,
+    ):
+        host = f"127.0.0.1:{server.port}"
+        half.sendall(
+            f"POST /do HTTP/1.1\r\nHost: {host}\r\nOrigin: http://{host}\r\nContent-Length: 9\r\n\r\n{{".encode()
+        )
+        assert half.recv(65536).startswith(b"HTTP/1.1 400")
