@@ -207,7 +207,8 @@ class Calibration:
     amplitudes
         The sizes of the errors that the joint adjustment estimated; else empty.
     coverage_factors
-        The k of each parameter by name, if they differ; `coverage_factor` is that of fx.
+        The k of each parameter by name, and that of the worst point of the sensor (``worst_corner``), if they differ;
+        `coverage_factor` is that of fx.
     glass
         What the joint adjustment found out about the collimator, for `passport`; None from another engine.
     """

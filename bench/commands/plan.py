@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator, Mapping, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
@@ -123,7 +122,7 @@ def _plan_dict(
     poses = [
         {
             **pose.angles_deg,
-            "worst_px": pose.worst_px if math.isfinite(pose.worst_px) else None,
+            "worst_px": pose.worst_px,
             "rim_share": round(pose.rim_share, 3),
             "why": _why(pose),
         }
@@ -175,7 +174,6 @@ def _forecast_dict(found: PlanForecast | None) -> dict[str, Any] | None:
         "worst_px": forecast.projection_map.worst_px,
         "stars": list(forecast.stars),
         "budget_rows": [row.to_dict() for row in forecast.budget_rows],
-        "not_included": list(forecast.not_included),
         "remarks": list(found.remarks),
     }
 
@@ -212,10 +210,8 @@ def _largest(rows: Sequence[BudgetRow]) -> list[BudgetRow]:
 def _suggestion_text(pose: SuggestedPose, before: Forecast | None, found: Forecast | None) -> str:
     """Return a suggested pose with the uncertainty that it is expected to give."""
     angles = ", ".join(f"{name}: {round(a, 3):g}" for name, a in pose.angles_deg.items())
-    parts = [f"it {why}"] if (why := _rim_text(pose)) else []
-    if found is None:
-        parts.append("the poses do not determine the camera yet")
-    else:
+    parts = ["the poses do not determine the camera yet"] if found is None else []
+    if found is not None:
         for name, quantity in (("U(fx)", "expanded_fx"), ("U at the corners", WORST_CORNER)):
             instead = f" instead of {before.limited[quantity]:.2g} px" if before is not None else ""
             parts.append(f"{name} {found.limited[quantity]:.2g} px{instead}")
@@ -223,18 +219,9 @@ def _suggestion_text(pose: SuggestedPose, before: Forecast | None, found: Foreca
     return f"Suggested: {{{angles}}}: {', '.join(parts)}"
 
 
-def _rim_text(pose: SuggestedPose) -> str:
-    if not pose.rim_reason:
-        return ""
-    return f"shows {100 * pose.rim_share:.0f} % of the rim of the beam, which {pose.rim_reason}"
-
-
 def _why(pose: SuggestedPose) -> str:
     """Return why a pose is suggested, for programs."""
-    if not math.isfinite(pose.worst_px):
-        return _rim_text(pose) or "the poses do not determine the camera yet"
-    worst = f"largest uncertainty on the sensor {pose.worst_px:.2g} px, 1 sigma"
-    return f"{why}; {worst}" if (why := _rim_text(pose)) else worst
+    return f"largest uncertainty on the sensor {pose.worst_px:.2g} px, 1 sigma"
 
 
 def _show_night(queue: Path, begin: datetime | None) -> int:

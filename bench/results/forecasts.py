@@ -88,7 +88,7 @@ def forecast_bench(planned: Plan) -> ExpectedBench:
     assert station.expected is not None
     bench = replace(
         bench,
-        errors=station.expected.errors(station.collimator, station.gimbal),
+        errors=station.expected.errors(station.collimator),
         terms=station.budget.terms(station.collimator),
         radial_sigma=stated_radial_sigma(station),
     )
@@ -98,14 +98,11 @@ def forecast_bench(planned: Plan) -> ExpectedBench:
     terms = ("k1", "k2") if isinstance(step.distortion, str) else step.distortion
     known = bench.camera.distortion
     lens = replace(bench.camera, distortion={name: known.get(name, 0.0) for name in terms})
-    model = planned.model_for(step)
     return replace(
         bench,
         camera=lens,
-        model=model,
-        passport=planned.passport_for(step) if model != "planar" else None,
+        passport=planned.passport_for(step) if planned.model_for(step) != "planar" else None,
         readings=gimbal_readings(station, []) if step.readings == "auto" else None,
-        drift_mm=step.drift_mm,
     )
 
 

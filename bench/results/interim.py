@@ -30,8 +30,6 @@ from sequences.script import ChooseStep, Until
 
 _WORTH_NAMING = 0.1
 """A part is named if it is more than this share of all parts together."""
-_NEED_THE_RIM = frozenset({"auto", "pupil", "rim", "field", "coma"})
-"""Models that are compared or fitted only if enough poses show the rim of the beam."""
 _FEWEST_LABELLED = 3
 """Poses that must show the tag before a pose without it is chosen; docs/sequences.md gives the reason."""
 
@@ -45,7 +43,6 @@ class Interim:
     calibration: Calibration | None  # The calibration; None if the poses do not determine the camera
     why: str = ""  # Why there is no calibration; empty if there is one
     passport: Passport | None = None  # Passport that the calibration uses, if any
-    model: str = "spherical"
 
 
 class Decisions:
@@ -86,8 +83,8 @@ class Decisions:
         try:
             calibration = calibrate([m.view for m in found if m.view is not None], options)
         except CalibrationError as error:
-            return Interim(found, None, str(error), options.passport, options.model)
-        return Interim(found, calibration, "", options.passport, options.model)
+            return Interim(found, None, str(error), options.passport)
+        return Interim(found, calibration, "", options.passport)
 
 
 def decide(step: ChooseStep, job: Job, history: History, interim: Interim) -> UntilDecided:
@@ -197,19 +194,14 @@ def _choose(
     chosen = history.chosen
     labelled = sum(m.facts.get("named_by", "tag") in {"tag", "part of the tag"} for m in interim.measurements)
     record = job.record_step(step.pose.index) if step.pose is not None else None
-    fixed = {
-        goal: float(np.sqrt(sum(p**2 for p in parts.values()))) for goal, parts in decided["fixed"].items()
-    }
     wish = Wish(
         decided["wanted"],
         decided["now"],
-        fixed,
-        rim=interim.passport is None and interim.model in _NEED_THE_RIM,
         roll=2 * aligned_poses(m.facts for m in interim.measurements) > len(taken),
         needs_tag=True,
         min_stars=record.gates.min_stars if record else 0,
     )
-    readings = solve_options(job, step.solve, []).gimbal if _readings_enter(interim.calibration) else None
+    readings = solve_options(job, step.solve, []).gimbal
     choice: Choice | str = ""
     for needs_tag in (True,) if labelled < _FEWEST_LABELLED or failed else (True, False):
         choice = choose_pose(
@@ -224,11 +216,6 @@ def _choose(
         if isinstance(choice, Choice):
             break
     return choice
-
-
-def _readings_enter(calibration: Calibration | None) -> bool:
-    """Return whether the readings of the gimbal are expected to enter: as in the last calibration, if there is one."""
-    return calibration is None or (calibration.gimbal is not None and calibration.gimbal.entered)
 
 
 def _pose(angles_deg: Mapping[str, float]) -> dict[str, float]:

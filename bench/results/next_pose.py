@@ -16,13 +16,13 @@ from numpy.typing import NDArray
 
 from bench.report.until_text import meaning_of_goal
 from bench.results.forecasts import expected_bench
+from bench.results.solve_options import stated_radial_sigma
 from bench.stations.sections import AxisConfig
 from bench.stations.station import Station
 from calib.engine import Calibration
 from calib.model.collimator import Collimator
 from calib.model.gimbal_readings import GimbalReadings
 from calib.model.passport import Passport
-from calib.studies.expected_uncertainty import Sigmas
 from calib.studies.pose_choice import (
     Angles,
     GimbalModel,
@@ -30,7 +30,8 @@ from calib.studies.pose_choice import (
     WeighedPose,
     fit_gimbal_model,
 )
-from calib.studies.predicted_views import RIM_IN_VIEW, ExpectedBench, rim_share
+from calib.studies.pose_gains import Sigmas
+from calib.studies.predicted_views import ExpectedBench
 from sequences.reader import Located
 
 Array = NDArray[np.float64]
@@ -43,8 +44,6 @@ LARGEST_ROLL_DEG = 90.0
 """Largest roll that is chosen, degrees: beyond a quarter of a turn, the pattern of the stars repeats itself."""
 ALIGNED_ROLL_DEG = 5.0
 """A pose avoids edges along the pixels if its roll differs by at least this from those recorded, degrees."""
-ENOUGH_RIMS = 0.6
-"""Share of the poses that should show the rim, if the model needs it."""
 MORE_STARS = 1.2
 """A chosen pose should show this many times the stars that its gate asks for."""
 _K = 2.0
@@ -57,8 +56,8 @@ class Choice:
     angles_deg: Angles  # Angle by axis, degrees (``pan_deg``)
     # Expanded uncertainties, px, that are expected with this pose added, by name of the goal.
     expected: Mapping[str, float]
-    # What the poses so far lack besides information: ``rim``, ``roll``, or nothing.
-    lacks: Literal["", "rim", "roll"]
+    # What the poses so far lack besides information: ``roll``, or nothing.
+    lacks: Literal["", "roll"]
     why: str
 
 
@@ -69,10 +68,7 @@ class Wish:
     wanted: Mapping[str, float]  # Goals: largest expanded uncertainties allowed, px, by name
     # Expanded uncertainties reached, px; empty if the camera is not determined yet.
     now: Mapping[str, float]
-    fixed: Mapping[str, float]  # Part of each that no pose lowers, px
-    # rim, roll: Whether the model needs poses that show the rim; whether the poses so far need another roll.
-    rim: bool
-    roll: bool
+    roll: bool  # Whether the poses so far need another roll
     needs_tag: bool  # Whether the pose must show the whole tag
     min_stars: int  # Stars that a recording must have to be accepted
 
@@ -93,7 +89,7 @@ def choose_pose(
     passport: Passport that the calibrations use, if any.
     taken_deg: Angles of the poses recorded so far, degrees, in the order of the views of the calibration.
     refused_deg: Angles of the poses that failed, degrees.
-    readings: What the readings of the gimbal are worth, without angles, if they enter the calibrations.
+    readings: What the readings of the gimbal are worth, without angles, if the calibrations use them.
     Returns: The pose; or why there is none, as a sentence.
     """
     if calibration is None and station.value.expected is None:
@@ -116,7 +112,7 @@ def choose_pose(
     weighed = weigher.weigh(_grid(axes)) if axes else []
     if not weighed:
         return "No pose within the limits of the stage shows enough of the target, besides those recorded."
-    lacks = _lacks(bench, gimbal, taken_deg, station.value, wish)
+    lacks: Literal["", "roll"] = "roll" if wish.roll and "roll" in station.value.axes else ""
     chosen = _best_of(weigher.before, weighed, wish, lacks, taken_deg)
     for share in REFINEMENTS:
         finer = weigher.weigh(_around(chosen.angles_deg, axes, share))
@@ -129,18 +125,31 @@ def _bench(
     station: Located[Station], calibration: Calibration | None, taken_deg: Sequence[Angles]
 ) -> ExpectedBench:
     """Return the bench as it is known now: that of the last calibration, else the expected one."""
+    value = station.value
     if calibration is None:
-        return expected_bench(station)
+        assert value.expected is not None
+        bench = replace(expected_bench(station), errors=value.expected.errors(value.collimator))
+    else:
+        bench = _found(value, calibration, len(taken_deg))
+    return replace(bench, terms=value.budget.terms(value.collimator), radial_sigma=stated_radial_sigma(value))
+
+
+def _found(station: Station, calibration: Calibration, poses: int) -> ExpectedBench:
+    """Return the bench that a calibration found."""
     if calibration.collimator is not None:
         found = calibration.collimator
         collimator = Collimator(found.x, found.y, found.r)
     else:  # the planar model has a centre for each view
         x, y, z = (float(value) for value in calibration.centres.mean(axis=0))
         collimator = Collimator(x, y, abs(z))
-    target = station.value.target.pattern()
-    expected = station.value.expected
-    half_angle = expected.half_angle_deg if expected else _seen_half_angle_deg(calibration, len(taken_deg))
-    return ExpectedBench(calibration.camera, collimator, half_angle, target=target)
+    expected = station.expected
+    return ExpectedBench(
+        calibration.camera,
+        collimator,
+        expected.half_angle_deg if expected else _seen_half_angle_deg(calibration, poses),
+        target=station.target.pattern(),
+        amplitudes={one.name: one.plain for one in calibration.amplitudes} or None,
+    )
 
 
 def _seen_half_angle_deg(calibration: Calibration, poses: int) -> float:
@@ -210,17 +219,8 @@ def _around(pose: Angles, axes: Mapping[str, Array], share: float) -> Iterator[d
             yield near
 
 
-def _lacks(
-    bench: ExpectedBench, gimbal: GimbalModel, taken_deg: Sequence[Angles], station: Station, wish: Wish
-) -> Literal["", "rim", "roll"]:
-    if wish.roll and "roll" in station.axes:
-        return "roll"
-    shown = sum(rim_share(bench, gimbal.rotation(pose)) >= RIM_IN_VIEW for pose in taken_deg)
-    return "rim" if wish.rim and shown < ENOUGH_RIMS * len(taken_deg) else ""
-
-
 def _best_of(
-    before: Sigmas,
+    before: Sigmas | None,
     weighed: Sequence[WeighedPose],
     wish: Wish,
     lacks: str,
@@ -232,37 +232,30 @@ def _best_of(
 
 
 def _brings(pose: WeighedPose, lacks: str, taken_deg: Sequence[Angles]) -> bool:
-    if lacks == "rim":
-        return pose.rim_share >= RIM_IN_VIEW
     if lacks == "roll":
         turned = [abs(pose.angles_deg["roll_deg"] - taken.get("roll_deg", 0.0)) % 45.0 for taken in taken_deg]
         return all(ALIGNED_ROLL_DEG <= angle <= 45.0 - ALIGNED_ROLL_DEG for angle in turned)
     return True
 
 
-def _score(before: Sigmas, pose: WeighedPose, wish: Wish) -> tuple[float, float, float]:
-    """Return what is compared: how far from determined, the widest expected uncertainty by its goal, and their sum."""
+def _score(before: Sigmas | None, pose: WeighedPose, wish: Wish) -> tuple[float, float]:
+    """Return what is compared: the widest expected uncertainty by its goal, and their sum."""
     expected = _expected(before, pose.after, wish)
     shares = {name: value / wish.wanted[name] for name, value in expected.items()}
     missed = [share for name, share in shares.items() if wish.now.get(name, np.inf) > wish.wanted[name]]
-    return pose.after.missing, max(missed or shares.values()), sum(shares.values())
+    return max(missed or shares.values()), sum(shares.values())
 
 
-def _expected(before: Sigmas, after: Sigmas, wish: Wish) -> dict[str, float]:
-    """Return the expanded uncertainties to expect: the part that poses lower shrinks as star noise does."""
-    pairs = {
-        "expanded_fx_px": (before.fx_px, after.fx_px),
-        "worst_corner_px": (before.worst_px, after.worst_px),
+def _expected(before: Sigmas | None, after: Sigmas, wish: Wish) -> dict[str, float]:
+    """Return the expanded uncertainties to expect: those that are reached shrink as the forecast does."""
+    later = {"expanded_fx_px": after.fx_px, "worst_corner_px": after.worst_px}
+    if before is None:
+        return {name: _K * later[name] for name in wish.wanted}
+    earlier = {"expanded_fx_px": before.fx_px, "worst_corner_px": before.worst_px}
+    return {
+        name: wish.now[name] * later[name] / earlier[name] if name in wish.now else _K * later[name]
+        for name in wish.wanted
     }
-    found = {}
-    for name in wish.wanted:
-        earlier, later = pairs[name]
-        if name not in wish.now or not np.isfinite(earlier):
-            found[name] = _K * later
-            continue
-        fixed = min(wish.fixed.get(name, 0.0), wish.now[name])
-        found[name] = float(np.sqrt(fixed**2 + (wish.now[name] ** 2 - fixed**2) * (later / earlier) ** 2))
-    return found
 
 
 def _rounded(angles_deg: Angles) -> dict[str, float]:
@@ -271,8 +264,6 @@ def _rounded(angles_deg: Angles) -> dict[str, float]:
 
 
 def _reason(wish: Wish, lacks: str) -> str:
-    if lacks == "rim":
-        return "too few poses show the rim of the beam, which the model needs"
     if lacks == "roll":
         return "the edges of the stars run along the pixels; another roll makes their errors independent"
     missed = [name for name, goal in wish.wanted.items() if wish.now.get(name, np.inf) > goal]

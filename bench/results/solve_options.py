@@ -17,6 +17,7 @@ from bench.stations.station import Station
 from bench.views.expected_grid import best_angles_deg
 from calib.calibration import Calibration, CalibrationOptions
 from calib.errors import DegenerateViews
+from calib.model.budget_row import WORST_CORNER
 from calib.model.gimbal_readings import GimbalReadings, ParallaxBound
 from calib.uncertainty.projection_uncertainty import projection_uncertainty
 from calib.view import View
@@ -122,12 +123,13 @@ def limited_numbers(calibration: Calibration) -> dict[str, float]:
     Returns: By name without unit: ``rms``, ``mean``, ``sigma_...`` of each parameter, ``expanded_fx``,
       ``expanded_fy``, ``worst_corner``.
     """
-    k, sigma = calibration.coverage_factor, calibration.sigma
+    one, each, sigma = calibration.coverage_factor, calibration.coverage_factors, calibration.sigma
     found = {"rms": calibration.rms_px, "mean": calibration.mean_px}
     found |= {f"sigma_{name}": value for name, value in sigma.items()}
-    found |= {f"expanded_{name}": k * sigma[name] for name in ("fx", "fy")}
+    found |= {f"expanded_{name}": each.get(name, one) * sigma[name] for name in ("fx", "fy")}
     corners = projection_uncertainty(calibration.camera, calibration.camera_covariance).sigma_px
-    found["worst_corner"] = k * float(np.nanmax(corners[[0, 0, -1, -1], [0, -1, 0, -1]], initial=0.0))
+    k = each.get(WORST_CORNER, one)
+    found[WORST_CORNER] = k * float(np.nanmax(corners[[0, 0, -1, -1], [0, -1, 0, -1]], initial=0.0))
     return found
 
 

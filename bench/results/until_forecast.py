@@ -62,7 +62,7 @@ def _course(planned: Plan, until: Until) -> ExpectedCourse:
     )
     taken = [{f"{axis}_deg": angle for axis, angle in pose.angles_deg.items()} for pose in before]
     earlier, bench = len(taken) - until.starts, forecast_bench(planned)
-    wish = Wish(until.goals, {}, {}, rim=False, roll=False, needs_tag=True, min_stars=record.gates.min_stars)
+    wish = Wish(until.goals, {}, roll=False, needs_tag=True, min_stars=record.gates.min_stars)
     while True:
         recorded = len(taken) - earlier
         found = _forecast(bench, taken)
@@ -73,7 +73,13 @@ def _course(planned: Plan, until: Until) -> ExpectedCourse:
         if why := _why_not(until, found, reached, recorded, len(taken)):
             return ExpectedCourse(until.first, None, reached, f"Expected: {why}")
         choice = choose_pose(
-            planned.station, None, bench.passport, taken_deg=taken, refused_deg=[], wish=wish
+            planned.station,
+            None,
+            bench.passport,
+            taken_deg=taken,
+            refused_deg=[],
+            wish=wish,
+            readings=bench.readings,
         )
         if not isinstance(choice, Choice):
             return ExpectedCourse(until.first, None, reached, f"Expected: {choice}")

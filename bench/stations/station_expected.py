@@ -6,7 +6,7 @@ from typing import Annotated
 
 from pydantic import Field
 
-from bench.stations.station_collimator import CollimatorConfig, GimbalConfig
+from bench.stations.station_collimator import CollimatorConfig
 from bench.stations.station_fields import FocalLength
 from calib.studies.collimator_errors import TYPICAL_DEFOCUS, TYPICAL_RMS_PX, CollimatorErrors
 from sequences.plain_number import Within
@@ -17,19 +17,25 @@ _Coefficient = Annotated[float, Within(-1000, 1000)]
 
 
 class ExpectedCollimatorConfig(StrictModel):
-    """How far the views of this collimator deviate from the model that is fitted to them."""
+    """How far the views of this collimator deviate from an ideal one."""
 
     rms_px: Annotated[
         float,
         Field(
             ge=0,
             le=100,
-            description="rms_px that a finished run of this bench has in its results.json; 0: no errors.",
+            description="RMS length of the errors that follow the collimator, star noise included, px; 0: none.",
         ),
     ] = TYPICAL_RMS_PX
     pupil_wander_mm: Annotated[
         float,
         Field(ge=0, le=1000, description="Random shift of the camera's pupil across the beam between poses."),
+    ] = 0.0
+    pose_rms_px: Annotated[
+        float,
+        Field(
+            ge=0, le=100, description="RMS length of the errors that differ from pose to pose, px; 0: small."
+        ),
     ] = 0.0
 
 
@@ -47,15 +53,14 @@ class ExpectedConfig(StrictModel):
     ] = 0.02
     collimator: ExpectedCollimatorConfig = ExpectedCollimatorConfig()
 
-    def errors(self, collimator: CollimatorConfig, gimbal: GimbalConfig | None) -> CollimatorErrors:
+    def errors(self, collimator: CollimatorConfig) -> CollimatorErrors:
         """Return the expected errors of the collimator.
 
         Returns: Errors for a forecast; a defocus that is not stated has a typical size.
         """
-        off = gimbal.pupil_off_pivot_mm if gimbal else None
         return CollimatorErrors(
             self.collimator.rms_px,
             self.collimator.pupil_wander_mm,
             collimator.defocus.value if collimator.defocus else TYPICAL_DEFOCUS,
-            off.value if off else 0.0,
+            self.collimator.pose_rms_px,
         )

@@ -22,6 +22,7 @@ from calib.joint.left_out import left_out_rms, rotation_covariance
 from calib.joint.posterior import Posterior, posterior
 from calib.joint.words import notes, require_determined
 from calib.model.beam import inside_guard_band, visible_discs
+from calib.model.budget_row import WORST_CORNER
 from calib.model.collimator import Collimator
 from calib.model.gimbal import SCALES
 from calib.model.gimbal_estimate import GimbalEstimate
@@ -100,6 +101,7 @@ def _calibration(
     size = len(bench.layout.camera)
     gradients = row_gradients(found, found.covariance[:size, :size])
     parts = variances(found, np.concatenate([unit, gradients]))
+    corner = float(np.sqrt(gradients[-1] @ found.covariance @ gradients[-1]))
     budget = {group: np.sqrt(np.maximum(part[: len(at)], 0.0)) for group, part in parts.items()}
     rows = budget_rows(found, gradients, {group: part[len(at) :] for group, part in parts.items()})
     result = Calibration(
@@ -138,7 +140,10 @@ def _calibration(
         ),
         witnesses=_witnesses(found),
         amplitudes=_amplitudes(found),
-        coverage_factors=dict(zip(names, factors, strict=True)),
+        coverage_factors={
+            **dict(zip(names, factors, strict=True)),
+            WORST_CORNER: found.expanded(gradients[-1]) / corner,
+        },
         glass=_glass(found, views),
     )
     return replace(result, notes=notes(result, found))

@@ -40,6 +40,11 @@ class Amplitude:
     unit: str  # ``urad`` of the direction; 1 for factors of what is stated, and for coefficients
     expected: float  # Median of its prior
 
+    @property
+    def plain(self) -> float:
+        """Its value as the adjustment has it: without a unit, a direction in rad."""
+        return self.value * (1e-6 if self.unit == "urad" else 1.0)
+
     def to_dict(self) -> dict[str, Any]:
         """Return the amplitude as plain numbers and names, ready for JSON."""
         return asdict(self)

@@ -1,6 +1,6 @@
 """Choice of the next pose during a measurement: what each possible pose would add to the poses already recorded.
 
-The information of the views adds up, as in `calib.studies.planning`. The gimbal's angles of a possible pose become the
+The information of the views adds up (`calib.studies.pose_gains`). The gimbal's angles of a possible pose become the
 rotation that the camera will see, by a gimbal model fitted to the poses recorded so far. Two neighbouring poses share
 most errors of the collimator and of the pixel grid, so the information of a pose next to a recorded one counts less.
 """
@@ -8,7 +8,7 @@ most errors of the collimator and of the pixel grid, so the information of a pos
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import islice
 
 import numpy as np
@@ -16,15 +16,13 @@ from numpy.typing import NDArray
 
 from calib.adjustment.poses import SAME_POSE_DEG
 from calib.errors import TooFewStars
-from calib.model.collimator import CENTRE
 from calib.model.gimbal_readings import AXES
-from calib.model.passport import Passport
 from calib.model.rotation import euler_zxy, log_map, nearest_rotation
-from calib.studies.expected_fit import ExpectedFit, weighed_certificate
-from calib.studies.expected_uncertainty import PoseJudge, Sigmas
+from calib.studies.expected_posterior import with_distortion
 from calib.studies.gimbal_model import GimbalModel as ReadGimbal
 from calib.studies.hand_eye_fit import starts
 from calib.studies.pose_distance import distance_deg, share_of_news
+from calib.studies.pose_gains import PoseGains, Sigmas
 from calib.studies.predicted_views import ExpectedBench, predicted_view, rim_share
 from calib.view import View
 
@@ -95,9 +93,8 @@ class WeighedPose:
 class PoseWeigher:
     """Weighs possible poses against the poses recorded so far.
 
-    Uncertainties are those of star noise (Cramér-Rao bound; Rao, 1945), with a passport's values held as exact: the
-    uncertainty of a passport is the same after every pose. A certificate that is weighed against readings of the gimbal
-    counts with its uncertainty. The discount for neighbouring poses is this project's own.
+    Uncertainties are those of the joint adjustment for the expected amplitudes. The discount for neighbouring poses is
+    this project's own.
 
     bench: Bench as it is known now: camera and collimator of the last calibration, or the expected ones.
     taken_deg: Angles of the poses recorded so far, degrees.
@@ -114,7 +111,7 @@ class PoseWeigher:
         refused_deg: Sequence[Angles] = (),
         min_stars: int = 0,
     ) -> None:
-        self._bench = replace(bench, passport=weighed_certificate(bench) or _as_exact(bench.passport))
+        self._bench = with_distortion(bench)
         self._gimbal = gimbal
         self._taken = tuple(taken_deg)
         self._refused = tuple(refused_deg)
@@ -130,10 +127,10 @@ class PoseWeigher:
                 if view is not None
             ]
         )
-        self.before = Sigmas(np.inf, np.inf, 1.0)
+        self.before: Sigmas | None = None
         if self._shown:
-            fit = self._fit(self._shown)
-            self.before = PoseJudge(fit).sigmas(*self._known(_sums(fit)))
+            gains = self._gains(self._shown)
+            self.before = gains.sigmas(gains.covariance(self._news))
 
     def possible(self, candidates_deg: Iterable[Angles]) -> list[Angles]:
         """Return the poses that show enough of the target and repeat no recorded or failed pose.
@@ -152,22 +149,16 @@ class PoseWeigher:
         shown = [(pose, view) for pose in candidates_deg if (view := self._possible_view(pose)) is not None]
         if not shown:
             return []
-        # Recorded poses are part of the fit: the axes that all of these poses turn decide which parameters are free.
-        fit = self._fit([*self._shown, *shown])
-        judge, sums = PoseJudge(fit), _sums(fit)
-        known = self._known(sums[: len(self._shown)])
+        gains = self._gains([*self._shown, *shown])
+        known = gains.covariance(self._news)
         return [
             WeighedPose(
                 pose,
-                judge.sigmas(*(known + share_of_news(pose, self._taken) * own)),
+                gains.with_pose(known, len(self._shown) + k, share_of_news(pose, self._taken)),
                 rim_share(self._bench, self._gimbal.rotation(pose)),
             )
-            for (pose, _), own in zip(shown, sums[len(self._shown) :], strict=True)
+            for k, (pose, _) in enumerate(shown)
         ]
-
-    def _known(self, sums: Array) -> Array:
-        """Return (2, G, G) what the recorded poses give together; (n, 2, G, G) `sums` are what each gives."""
-        return np.einsum("n,nkij->kij", self._news, sums)
 
     def _possible_view(self, pose: Angles) -> View | None:
         if any(distance_deg(pose, other) < SAME_POSE_DEG for other in (*self._taken, *self._refused)):
@@ -183,24 +174,11 @@ class PoseWeigher:
         except TooFewStars:
             return None
 
-    def _fit(self, shown: Sequence[tuple[Angles, View]]) -> ExpectedFit:
-        """Return the expected adjustment of the views of some poses."""
+    def _gains(self, shown: Sequence[tuple[Angles, View]]) -> PoseGains:
+        """Return what the views of some poses say."""
         poses = [pose for pose, _ in shown]
         rotations = np.array([self._gimbal.rotation(pose) for pose in poses])
-        return ExpectedFit(self._bench, [view for _, view in shown], rotations, poses, candidates=True)
-
-
-def _sums(fit: ExpectedFit) -> Array:
-    """Return (n, 2, G, G) the information of each view and the covariance of its score."""
-    return np.array([(share.information, share.noise + share.field_noise) for share in fit.shares])
-
-
-def _as_exact(passport: Passport | None) -> Passport | None:
-    """Return the passport of the centre, with its values as exact."""
-    if passport is None:
-        return None
-    centre = passport.subset(CENTRE)
-    return replace(centre, covariance=0.0 * centre.covariance)
+        return PoseGains(self._bench, [view for _, view in shown], rotations, poses)
 
 
 def _head(angles_deg: Angles) -> Array:

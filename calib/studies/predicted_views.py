@@ -49,20 +49,18 @@ class ExpectedBench:
         Passport of the collimator, if one will be used.
     needs_tag
         Whether a pose must show the whole tag.
-    model
-        Model that will be fitted: one of `calib.model.aberrations.LADDER`, ``drift`` or ``planar``. Of the comparison
-        ``auto``, ``radial`` is expected, which needs no rim of the beam.
     errors
         Errors of the collimator.
     readings
-        Uncertainty of the gimbal's readings and the bound of their parallax, if they may enter the adjustment; its
+        Uncertainty of the gimbal's readings and the bound of their parallax, if they will be recorded; its
         angles do not matter.
     terms
         Type B terms of the uncertainty budget.
     radial_sigma
         Prior 1-sigma of the radial term, if the bench states it.
-    drift_mm
-        Prior 1-sigma per axis of the centre of a view, mm, for the model ``drift``.
+    amplitudes
+        Sizes of the errors by name, if a run is under way (`calib.joint.amplitudes`); None for those that `errors`
+        says.
     """
 
     camera: CameraModel
@@ -72,12 +70,11 @@ class ExpectedBench:
     target: StarTarget = field(default_factory=StarTarget)
     passport: Passport | None = None
     needs_tag: bool = True
-    model: str = "spherical"
     errors: CollimatorErrors = field(default_factory=CollimatorErrors)
     readings: GimbalReadings | None = None
     terms: tuple[TypeBTerm, ...] = ()
     radial_sigma: float | None = None
-    drift_mm: float = 0.3
+    amplitudes: Mapping[str, float] | None = None
 
 
 def predicted_view(bench: ExpectedBench, pose: Mapping[str, float], name: str) -> tuple[View, Array]:

@@ -44,10 +44,10 @@ from tests.support.drawn_benches import POSES, STAR_SIGMA_PX, DrawnBench, draw_b
 
 ERRORS = {
     "ideal": CollimatorErrors(),
-    "S1": CollimatorErrors(rms_px=0.31, pupil_wander_mm=8.5, pupil_off_pivot_mm=30.0),
-    "S2": CollimatorErrors(rms_px=0.125, pupil_off_pivot_mm=30.0),
-    "S3": CollimatorErrors(rms_px=0.09),
-    "like-bench": CollimatorErrors(rms_px=0.068, pupil_wander_mm=0.05, pupil_off_pivot_mm=2.0),
+    "S1": CollimatorErrors(rms_px=0.1, pupil_wander_mm=8.5),
+    "S2": CollimatorErrors(rms_px=0.05, pose_rms_px=0.16),
+    "S3": CollimatorErrors(rms_px=0.05, pose_rms_px=0.12),
+    "like-bench": CollimatorErrors(rms_px=0.068, pupil_wander_mm=0.05),
 }
 BOUNDS = {
     "ideal": ParallaxBound(0.0, 1e-6, 0.0, 0.5),
@@ -77,7 +77,6 @@ def expected(profile: str, poses: int, asked: str) -> Forecast:
         target,
         passport,
         needs_tag=False,
-        model="radial",
         errors=ERRORS[profile],
         readings=readings,
     )

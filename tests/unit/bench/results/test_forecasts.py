@@ -35,16 +35,13 @@ def test_what_a_station_does_not_state_is_typical():
     planned = plan("nine_pose")
     station = planned.station.value
     expected = ExpectedConfig(focal_px=3300, r_mm=255, half_angle_deg=12)
-    typical = expected.errors(station.collimator.model_copy(update={"defocus": None}), None)
+    typical = expected.errors(station.collimator.model_copy(update={"defocus": None}))
     assert (typical.rms_px, typical.defocus) == (TYPICAL_RMS_PX, TYPICAL_DEFOCUS)
-    assert typical.pupil_off_pivot_mm == 0
-    assert expected.errors(station.collimator, station.gimbal).pupil_off_pivot_mm == 2
 
 
 def test_a_plan_is_forecast_as_its_last_solve_step_calibrates(solved):
     bench = forecast_bench(solved("{distortion: [k1, k2, p1, p2]}"))
     assert tuple(bench.camera.distortion) == distortion_names("k1k2p1p2")
-    assert bench.model == "auto"
     assert bench.passport.is_certificate
     assert bench.readings.parallax is not None
     assert {term.kind for term in bench.terms} >= {"print_scale", "print_bow", "effective_radius"}
@@ -55,21 +52,19 @@ def test_a_plan_is_forecast_as_its_last_solve_step_calibrates(solved):
 
 
 def test_a_limit_that_cannot_be_met_is_named_with_its_term(solved):
-    solve = "{model: radial, passport: none, readings: witness, limits: {expanded_fx_px: 1, sigma_k2: 1e-9, rms_px: 9}}"
+    solve = "{passport: none, readings: witness, limits: {expanded_fx_px: 1, sigma_k2: 1e-9, rms_px: 9}}"
     found = expected_uncertainty(solved(solve))
-    k2, fx, alone, parallax = found.remarks
+    k2, fx, alone = found.remarks
     assert fx.startswith("U(fx) of at most 1 px will not be met")
     assert "More poses help little" in fx
     assert fx.endswith("The largest is the parallax, not bounded.")
     assert k2.startswith("sigma_k2 of at most 1e-09 will not be met")
     assert "Nothing but the stars" in alone
-    assert parallax.startswith("A parallax of about 1 %")
 
 
 def test_a_limit_that_more_poses_can_meet_says_so(solved):
-    (fx, *_) = expected_uncertainty(solved("{model: radial, limits: {expanded_fx_px: 1.7}}")).remarks
-    assert fx.startswith("U(fx) of at most 1.7 px will not be met: 2")
-    assert "The largest term is the readings of the gimbal" in fx
+    (fx, *_) = expected_uncertainty(solved("{limits: {expanded_fx_px: 1.5}}")).remarks
+    assert fx.startswith("U(fx) of at most 1.5 px will not be met: 1.6")
     assert fx.endswith("more poses lower it.")
 
 
@@ -80,12 +75,12 @@ def test_poses_that_a_run_chooses_are_forecast_and_a_term_that_no_pose_lowers_is
     )
     found = expected_uncertainty(plan(str(tmp_path / "until.yaml")))
     assert found.chosen == found.poses - 3 > 0
-    assert "will not be met: 1.6 expected. More poses help little" in found.remarks[0]
-    assert "The largest is the scale and eccentricity of the gimbal." in found.remarks[0]
+    assert "will not be met: 1.4 expected. More poses help little" in found.remarks[0]
+    assert found.remarks[0].endswith("The largest is the parallax.")
 
 
 def test_suggested_poses_stay_within_limits_and_never_repeat(solved):
-    planned = solved("{model: field}")
+    planned = solved("{}")
     taken = [{f"{axis}_deg": angle for axis, angle in pose.angles_deg.items()} for pose in planned.poses]
     for pose in suggest_poses(planned, 3):
         assert min(distance_deg(pose.angles_deg, other) for other in taken) >= 0.2
@@ -97,9 +92,9 @@ def test_the_plan_prints_the_expected_uncertainty_with_its_largest_terms(capsys)
     with pytest.raises(SystemExit):
         main(["plan", "nine_pose", "-s", "simulated", "--suggest", "1"])
     printed = capsys.readouterr().out
-    assert "Expected with 9 poses, radial model; U with k = 2." in printed
+    assert "Expected with 9 poses, joint model; U with k = 2" in printed
     assert "U(fx)" in printed
-    assert "\n  readings of the gimbal  " in printed
+    assert "\n  scale and eccentricity of the gimbal  " in printed
     (suggested,) = re.findall(r"\nSuggested: \{pan_deg: .*", printed)
     assert re.search(r"U\(fx\) [\d.]+ px instead of [\d.]+ px, .* \(k = 2[.\d]*\)$", suggested)
     assert "1 sigma" not in printed
@@ -109,6 +104,6 @@ def test_the_plan_prints_the_expected_uncertainty_with_its_largest_terms(capsys)
     found = json.loads(capsys.readouterr().out)
     expected = found["expected"]
     assert expected["poses"] == 9
-    assert 1.5 < expected["expanded_fx_px"] < 2.5
-    assert {row["name"] for row in expected["budget_rows"]} >= {"stars", "effective radius"}
+    assert 1 < expected["expanded_fx_px"] < 2.5
+    assert {row["name"] for row in expected["budget_rows"]} >= {"stars", "parallax"}
     assert found["suggested"][0].keys() == {"pan_deg", "tilt_deg", "worst_px", "rim_share", "why"}

@@ -17,9 +17,7 @@ from bench.results.solve_options import gimbal_readings
 from bench.stations.station import load_station
 from calib.model.budget_row import BudgetRow
 from calib.model.rotation import euler_zxy
-from calib.studies.expected_uncertainty import Sigmas
 from calib.studies.pose_choice import GimbalModel, PoseWeigher, fit_gimbal_model
-from calib.studies.predicted_views import rim_share
 from sequences.script import ChooseStep
 
 TAKEN = [
@@ -47,8 +45,6 @@ def wish(**changes):
     given = {
         "wanted": WANTED,
         "now": {},
-        "fixed": {},
-        "rim": False,
         "roll": False,
         "needs_tag": True,
         "min_stars": 40,
@@ -161,7 +157,7 @@ def test_what_poses_lower_is_no_fixed_part():
 
 
 @pytest.mark.parametrize(("stars", "left"), [(0.01, 1.0), (1.0, 2 / 9), (10.0, 1.01 / 8.01)])
-def test_parallax_stays_unless_the_stars_determine_the_focal_length_without_readings(stars, left):
+def test_what_is_known_beforehand_weighs_less_the_more_the_poses_say(stars, left):
     parts = fixed_parts(calibration(stars=stars, parallax=1.0).budget_rows, more=8.0)
     assert parts["expanded_fx_px"]["parallax"] == pytest.approx(2.0 * left, rel=1e-3)
     assert fixed_parts(calibration(parallax=1.0).budget_rows, more=8.0)["expanded_fx_px"]["parallax"] == 2.0
@@ -212,18 +208,6 @@ def test_no_pose_is_repeated_and_no_failed_pose_chosen_again():
 
 
 @pytest.mark.usefixtures("coarse")
-def test_a_rim_that_is_lacking_is_brought_into_view():
-    middle = [{"pan_deg": float(pan), "tilt_deg": 0.0} for pan in (-0.5, 0.5, 0.0)]
-    found = choose(middle, rim=True, needs_tag=False)
-    assert found.lacks == "rim"
-    assert "rim" in found.why
-    bench = expected_bench(load_station("simulated"))
-    angles = [found.angles_deg["pan_deg"], found.angles_deg["tilt_deg"]]
-    assert rim_share(bench, euler_zxy(*angles)) >= next_pose.RIM_IN_VIEW
-    assert rim_share(bench, euler_zxy(0.0, 0.0)) < next_pose.RIM_IN_VIEW
-
-
-@pytest.mark.usefixtures("coarse")
 def test_readings_that_enter_count_in_the_choice_of_the_next_pose():
     station = load_station("simulated")
     readings = gimbal_readings(station.value, [])
@@ -236,19 +220,15 @@ def test_readings_that_enter_count_in_the_choice_of_the_next_pose():
     assert told[readings] < 0.97 * told[None]
 
 
-@pytest.mark.parametrize(("entered", "given"), [(True, True), (False, False), (None, False)])
 @pytest.mark.usefixtures("numbers")
-def test_readings_are_given_to_the_choice_if_they_entered_the_last_calibration(
-    job, monkeypatch, entered, given
-):
+def test_readings_are_given_to_the_choice_as_the_calibrations_use_them(job, monkeypatch):
     asked = []
     monkeypatch.setattr(
         interim, "choose_pose", lambda *_, readings, **__: asked.append(readings) or "No pose is left."
     )
-    gimbal = None if entered is None else SimpleNamespace(entered=entered)
-    decided(job, HistoryOf([1, 2, 3]), calibration(3.0, 0.5, gimbal=gimbal))
-    assert [one is not None for one in asked] == [given] * len(asked)
+    decided(job, HistoryOf([1, 2, 3]), calibration(3.0, 0.5))
     assert asked
+    assert all(one is not None for one in asked)
 
 
 def test_no_pose_left_is_said():
@@ -285,9 +265,7 @@ def test_more_poses_leave_less_and_a_neighbour_brings_less_than_a_far_pose():
     assert by_far.after.worst_px < by_near.after.worst_px < weigher.before.worst_px
     assert weigher.possible([near, repeat]) == [near]
     few = PoseWeigher(bench, GimbalModel(np.eye(3), np.eye(3)), TAKEN[:1])
-    assert isinstance(few.before, Sigmas)
-    assert few.before.missing >= 1
-    assert few.weigh([far])[0].after.missing < few.before.missing
+    assert few.weigh([far])[0].after.fx_px < few.before.fx_px
 
 
 def test_poses_that_turn_an_axis_by_little_are_weighed_with_the_readings_of_the_recorded_ones():
@@ -297,5 +275,5 @@ def test_poses_that_turn_an_axis_by_little_are_weighed_with_the_readings_of_the_
     wide = [{"pan_deg": pan, "tilt_deg": 3.0} for pan in (-4.0, 1.0, 4.0)]
     close = [{"pan_deg": 1.0 + off, "tilt_deg": 3.0} for off in (0.0, 0.1)]
     alone, beside = weigher.weigh(close)[0], weigher.weigh(wide)[1]
-    assert alone.after.fx_px == pytest.approx(beside.after.fx_px, rel=1e-6)
+    assert alone.after.fx_px == pytest.approx(beside.after.fx_px, rel=1e-3)
     assert alone.after.fx_px < weigher.before.fx_px
