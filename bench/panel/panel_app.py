@@ -273,13 +273,13 @@ class Panel:
 
     # ---------------------------------------------------------------- a batch
     def _batch(self, request: Request) -> BatchView:
-        from bench.panel.batch_view import BatchView
-
         folder = self._folder(request)
         if not (folder / QUEUE_COPY).is_file():
             raise RunFolderError(
                 "This is a run, not a batch.", where=str(folder), remedy="Open it from the list."
             )
+        from bench.panel.batch_view import BatchView
+
         return self._batches.setdefault(folder, BatchView(folder))
 
     async def _batch_stream(self, request: Request) -> EventStream:
