@@ -68,7 +68,7 @@ class DeviceHold:
         except BlockingIOError as error:
             self.release()
             raise self.BUSY(
-                "Another program of this bench holds it, perhaps through another port.",
+                f"Another program holds it, perhaps through another port: {error.strerror}.",
                 where=device,
                 remedy="End the other run, or the program that uses it, then try again.",
             ) from error

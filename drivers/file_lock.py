@@ -10,6 +10,8 @@ import os
 import time
 from typing import Final
 
+from drivers.lock_holder import holder_text
+
 _HELD: Final = {errno.EWOULDBLOCK, errno.EACCES, errno.EDEADLK}
 
 try:
@@ -44,6 +46,7 @@ def lock(descriptor: int, *, shared: bool = False, wait: bool = False) -> None:
 
     descriptor: Descriptor of the open file; on Windows the file must be open for writing.
     wait: Wait, without limit, until no other process holds the lock.
+    Raises BlockingIOError: Another process holds the lock; the error's ``strerror`` says which one.
     Raises OSError: The file cannot be locked.
     """
     try:
@@ -51,4 +54,5 @@ def lock(descriptor: int, *, shared: bool = False, wait: bool = False) -> None:
     except OSError as error:
         if error.errno not in _HELD:
             raise
-        raise BlockingIOError(errno.EWOULDBLOCK, "another process holds it") from error
+        holder = "" if shared else holder_text(os.fstat(descriptor).st_ino)
+        raise BlockingIOError(errno.EWOULDBLOCK, holder or "another process") from error

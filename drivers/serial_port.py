@@ -16,12 +16,14 @@ import os
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from pathlib import Path
 from typing import Any, ParamSpec, Protocol, TypeVar
 
 import serial
 
 from drivers import file_lock
 from drivers.errors import PortBusy, PortDenied, PortError, PortLost, PortNotFound
+from drivers.lock_holder import holder_text
 from drivers.port_address import PORT_REMEDY, refused_port
 
 try:
@@ -225,11 +227,21 @@ def _descriptor(port: Any) -> int | None:
     return getattr(port, "fd", None)
 
 
+def _holder_of(address: str) -> str:
+    """Return who holds a local port, as the end of a sentence; empty if it is not known."""
+    with contextlib.suppress(OSError, ValueError):
+        holder = holder_text(Path(address).stat().st_ino)
+        return f": {holder}" if holder else ""
+    return ""
+
+
 def _why_not_opened(address: str, error: BaseException) -> PortError:
     code = getattr(error, "errno", None)
     if code in {errno.EBUSY, errno.EAGAIN, errno.EWOULDBLOCK}:
         return PortBusy(
-            "another program holds the port.", where=address, remedy="Close that program, then start again."
+            f"another program holds the port{_holder_of(address)}.",
+            where=address,
+            remedy="Close that program, then start again.",
         )
     if code in {errno.EACCES, errno.EPERM}:
         return PortDenied(

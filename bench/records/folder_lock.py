@@ -35,7 +35,7 @@ def lock_folder(path: Path) -> int:
         if error.errno not in {errno.EWOULDBLOCK, errno.EACCES}:
             raise StorageError(f"The folder cannot be locked: {error.strerror}.", where=str(path)) from error
         raise RunFolderError(
-            "Another process is working on this run.",
+            f"Another process is working on this run: {error.strerror}.",
             where=str(path),
             remedy="Wait until that process ends, or stop it.",
         ) from error

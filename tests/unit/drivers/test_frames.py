@@ -247,7 +247,7 @@ def test_a_serial_number_that_nothing_can_tell_is_refused(monkeypatch):
 
 
 def test_a_second_opener_of_a_video_device_is_refused_until_it_is_given_back(video, webcam):
-    with pytest.raises(CameraBusy, match="Another program of this bench holds it"):
+    with pytest.raises(CameraBusy, match="Another program holds it"):
         OpenCvFrameCamera.open("7", clock=SystemClock(), system=video[1])
     webcam.close()
     OpenCvFrameCamera.open("7", clock=SystemClock(), system=video[1]).close()

@@ -125,7 +125,7 @@ def test_another_camera_is_refused_and_given_back(device, clock):
 
 def test_a_second_opener_is_refused_before_the_camera_is_touched(package, camera, clock):
     package.open = lambda *_, **__: pytest.fail("it was opened")
-    with pytest.raises(CameraBusy, match="Another program of this bench holds it"):
+    with pytest.raises(CameraBusy, match="Another program holds it"):
         NeuromorphicEvk4.open(serial=SERIAL, clock=clock, utc_now=lambda: NOW)
 
 

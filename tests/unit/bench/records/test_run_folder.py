@@ -2,6 +2,7 @@
 
 import errno
 import os
+import pwd
 import shutil
 import subprocess
 import sys
@@ -104,6 +105,10 @@ def test_a_second_process_is_refused_and_the_first_one_s_end_frees_the_folder(ru
     refused = second()
     assert refused.returncode != 0
     assert "Another process is working on this run" in refused.stderr
+    if Path("/proc/locks").exists():  # who holds it: process, user, since when, and the folder
+        user = pwd.getpwuid(os.getuid()).pw_name
+        assert f"process {os.getpid()} of {user}, since 20" in refused.stderr
+        assert f"UTC, in {run.path}" in refused.stderr
     run.close()
     accepted = second()
     assert accepted.returncode == 0, accepted.stderr

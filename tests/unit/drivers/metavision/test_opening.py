@@ -67,7 +67,7 @@ def test_another_camera_under_that_name_is_refused(devices, clock):
 @pytest.mark.usefixtures("camera")
 def test_a_second_opener_is_refused_before_the_camera_is_touched(devices, clock):
     devices[SERIAL] = RuntimeError("it was touched")
-    with pytest.raises(CameraBusy, match="Another program of this bench holds it"):
+    with pytest.raises(CameraBusy, match="Another program holds it"):
         MetavisionEvk4.open(serial=SERIAL, clock=clock)
 
 
