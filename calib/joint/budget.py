@@ -64,21 +64,26 @@ def _at_node(marginal: Marginal, node: Node, gradients: Array) -> dict[str, Arra
     own = marginal.own_information(squares)
     found[names.POSE_FIELDS] = (own[None, :, None] * fields**2).sum(axis=(0, 1))
     if marginal.uses_readings:
-        weights, _ = marginal.reading_weights(squares)
-        pulled = weights @ (marginal.rows @ x + marginal.own_rows @ fields[marginal.problem.bench.poses])
-        loose = squares[hyper.at(amp.STAR)] * marginal.loose
-        found[names.STARS] = found[names.STARS] + (pulled * (loose @ pulled)).sum(axis=(0, 1))
+        pulled = marginal.rows @ x + marginal.own_rows @ fields[marginal.problem.bench.poses]
+        pulled = marginal.reading_weights(squares)[:, :, None] * pulled
+        loose = squares[hyper.at(amp.STAR)] * marginal.loose[:, :, None]
+        found[names.STARS] = found[names.STARS] + (loose * pulled**2).sum(axis=(0, 1))
         found[names.READINGS] = marginal.reading_variance(squares) * (pulled**2).sum(axis=(0, 1))
-    faults = dict(node.faults)
-    for one in marginal.problem.knowledge.statements:
-        seen = one.rows @ x
-        part = (seen * (one.information(faults.get(one.name, "")) @ seen)).sum(axis=0)
-        found[one.group] = found.get(one.group, 0.0) + part
-    for block in marginal.problem.blocks:
-        seen = x[block.places]
-        part = (seen * np.linalg.solve(block.covariance(squares), seen)).sum(axis=0)
-        found[block.group] = found.get(block.group, 0.0) + part
+    stated = marginal.problem.stated(node.faults)
+    seen = stated.rows @ x
+    _add(found, stated.groups, seen * (stated.inside @ seen))
+    random = marginal.problem.random
+    seen = x[random.places]
+    _add(found, random.groups, seen * (node.solution.inside @ seen))
     return found
+
+
+def _add(found: dict[str, Array], groups: Sequence[str], parts: Array) -> None:
+    """Add (T, p) parts to those of their groups."""
+    names_of = dict.fromkeys(groups)
+    member = np.array([[group == name for group in groups] for name in names_of], float)
+    for name, part in zip(names_of, member @ parts, strict=True):
+        found[name] = found.get(name, 0.0) + part
 
 
 def row_gradients(posterior: Posterior, camera_covariance: Array) -> Array:

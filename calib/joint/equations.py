@@ -15,7 +15,6 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.joint.fields import field_columns
 from calib.joint.layout import Layout
 from calib.joint.readings import Readings
 from calib.model.camera import CameraModel
@@ -51,6 +50,10 @@ class ViewStars:
     points_px: Array  # (N, 2)
     whitening: Array  # (N, 2, 2) W with W^T W the inverse covariance
     polynomials: Array  # (N, K)
+
+    def whitened(self, values: Array) -> Array:
+        """Return (N, 2, ...) values of the image times the whitening."""
+        return np.asarray(np.einsum("nab,nb...->na...", self.whitening, values))
 
     @classmethod
     def of(cls, view: View, layout: Layout) -> ViewStars:
@@ -151,7 +154,7 @@ class Bench:
     def whitened(self, state: State) -> list[Array]:
         """Return for each view (N,) the lengths of the residuals over their sigma."""
         return [
-            np.linalg.norm((one.whitening @ e[:, :, None])[:, :, 0], axis=1)
+            np.linalg.norm(one.whitened(e), axis=1)
             for one, e in zip(self.stars, self.residuals(state), strict=True)
         ]
 
@@ -226,16 +229,21 @@ class Bench:
         one, r_mm = self.stars[v], self.layout.basis.reference[2]
         in_camera = points @ rotation.T
         predicted, by_point, by_camera = camera.project_with_jacobians(in_camera)
-        by_star = by_point @ rotation
-        fields = field_columns(one.polynomials, r_mm * by_star[:, :, 0], r_mm * by_star[:, :, 1])
-        turn = -by_point @ skew(in_camera)
-        residual = one.points_px - predicted
-        columns = np.concatenate([by_camera, by_star[:, :, 2:], fields, residual[:, :, None], turn], axis=2)
-        columns = one.whitening @ columns
-        size = self.layout.size
-        lengths = np.linalg.norm(columns[:, :, size], axis=1)
+        residual = one.whitened(one.points_px - predicted)
+        lengths = np.hypot(residual[:, 0], residual[:, 1])
         weights = robust_weights(lengths, limit)
-        rows = (np.sqrt(weights)[:, None, None] * columns).reshape(-1, size + 4)
+        root = np.sqrt(weights)[:, None]
+        by_point = root[:, :, None] * one.whitened(by_point)
+        by_star = by_point @ rotation
+        size, k = self.layout.size, by_camera.shape[2]
+        columns = np.empty((len(points), 2, size + 4))
+        columns[:, :, :k] = root[:, :, None] * one.whitened(by_camera)
+        columns[:, :, k] = by_star[:, :, 2]
+        fields = columns[:, :, k + 1 : size].reshape(len(points), 2, 2, -1)
+        np.multiply((r_mm * by_star[:, :, :2])[..., None], one.polynomials[:, None, None], out=fields)
+        columns[:, :, size] = root * residual
+        columns[:, :, size + 1 :] = -by_point @ skew(in_camera)
+        rows = columns.reshape(-1, size + 4)
         own, turning = rows[:, : size + 1], rows[:, size + 1 :]
         q, upper = np.linalg.qr(turning)
         across = q.T @ own

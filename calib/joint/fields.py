@@ -53,6 +53,8 @@ def _triangle() -> Array:
 
 
 _TO_ORTHONORMAL = _triangle()
+#: (M, K) the polynomials on the grid.
+_ON_DISC = _powers(_DISC) @ _TO_ORTHONORMAL
 
 
 @dataclass(frozen=True)
@@ -73,7 +75,7 @@ class FieldBasis:
         """
         h = _DISC * self.radius_mm / self.reference[2]
         values = displacement(h)
-        return np.asarray((_powers(_DISC) @ _TO_ORTHONORMAL).T @ values / len(h)).T.reshape(-1)
+        return np.asarray(_ON_DISC.T @ values / len(h)).T.reshape(-1)
 
     @cached_property
     def radial(self) -> Array:
@@ -109,13 +111,3 @@ def both(per_axis: NDArray[np.bool_]) -> NDArray[np.int64]:
     """Return the places of coefficients of X and of Y whose polynomials are wanted."""
     wanted = np.flatnonzero(per_axis)
     return np.concatenate([wanted, wanted + len(DEGREES)])
-
-
-def field_columns(polynomials: Array, by_x: Array, by_y: Array) -> Array:
-    """Return (N, 2, 2 K) image displacements by a field's coefficients.
-
-    polynomials: (N, K). by_x, by_y: (N, 2) image displacements by displacements of the stars.
-    """
-    return np.concatenate(
-        [by_x[:, :, None] * polynomials[:, None], by_y[:, :, None] * polynomials[:, None]], axis=2
-    )

@@ -59,13 +59,13 @@ def _of_pose(optimum: Optimum, pose: int, star: float, squares: Array) -> tuple[
     own, pull = marginal.own[pose] / star, marginal.own_pull[pose] / star
     between = marginal.between[pose] / star
     if marginal.uses_readings:
-        weights, _ = marginal.reading_weights(squares)
+        weights = marginal.reading_weights(squares)[:, :, None]
         for v in np.flatnonzero(marginal.problem.bench.poses == pose):
-            rows, own_rows = weights[v] @ marginal.rows[v], weights[v] @ marginal.own_rows[v]
+            rows, own_rows = weights[v] * marginal.rows[v], weights[v] * marginal.own_rows[v]
             information = information + marginal.rows[v].T @ rows
-            right = right + rows.T @ equations.off[v]
+            right = right + rows.T @ marginal.off[v]
             own = own + marginal.own_rows[v].T @ own_rows
-            pull = pull + own_rows.T @ equations.off[v]
+            pull = pull + own_rows.T @ marginal.off[v]
             between = between + own_rows.T @ marginal.rows[v]
     expected = marginal.own_information(squares)
     own = own + np.diag(expected)
@@ -79,13 +79,14 @@ def rotation_covariance(optimum: Optimum) -> Array:
     marginal, solution = optimum.marginal, optimum.solution
     bench, equations = marginal.problem.bench, marginal.equations
     squares = np.exp(2.0 * optimum.eta)
-    loose = squares[marginal.problem.hyper.at(amp.STAR)] * np.linalg.inv(equations.turns)
+    back = np.swapaxes(marginal.axes, 1, 2)
+    loose = squares[marginal.problem.hyper.at(amp.STAR)] * (back * marginal.loose[:, None]) @ marginal.axes
     places = bench.layout.pose_places
     by_shared = -equations.coupling @ equations.maps[bench.poses]
     by_field = -equations.coupling[:, :, places]
     if marginal.uses_readings:
-        weights, _ = marginal.reading_weights(squares)
-        kept = marginal.reading_variance(squares) * weights
+        weights = marginal.reading_weights(squares)
+        kept = marginal.reading_variance(squares) * (back * weights[:, None]) @ marginal.axes
         share = np.eye(3) - kept
         by_shared, by_field = kept @ by_shared, kept @ by_field
         by_shared[:, :, bench.gimbal_places] += share @ equations.gimbal

@@ -8,7 +8,7 @@ docs/adjustment.md.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -19,12 +19,10 @@ from calib.joint.equations import Bench, Equations, State
 from calib.joint.fields import DEGREES
 from calib.joint.knowledge import Knowledge
 from calib.joint.layout import POSE_DEGREES, POSE_PLACES, RandomBlock
+from calib.joint.prior import NO_FAULT, Faults, RandomPrior, Stated, inverse_of
 
 Array = NDArray[np.float64]
 
-#: Names of statements with their faults (`calib.joint.knowledge.FAULTS`).
-Faults = tuple[tuple[str, str], ...]
-NO_FAULT: Faults = ()
 _POSE_DEGREE = np.tile(DEGREES, 2)[POSE_PLACES]
 
 
@@ -37,29 +35,25 @@ class Problem:
     blocks: Sequence[RandomBlock]
     hyper: amp.Hyperprior
 
+    @cached_property
+    def random(self) -> RandomPrior:
+        """The prior of all shared unknowns that have amplitudes."""
+        return RandomPrior.of(self.blocks)
 
-def _inverse_of_one(matrix: Array) -> tuple[Array, float]:
-    """Return the inverse of a (K, K) positive definite matrix and the logarithm of its determinant."""
-    from scipy.linalg.lapack import dpotrf, dpotri
+    @cached_property
+    def _stated(self) -> dict[Faults, Stated]:
+        return {}
 
-    scale = 1.0 / np.sqrt(np.diag(matrix))
-    lower, fault = dpotrf(matrix * scale[:, None] * scale, lower=1)
-    if fault:
-        raise np.linalg.LinAlgError("not positive definite")
-    inverse = dpotri(lower, lower=1)[0]
-    inverse = inverse + inverse.T  # the other triangle is zero
-    np.fill_diagonal(inverse, 0.5 * np.diag(inverse))
-    logarithm = 2.0 * float((np.log(np.diag(lower)) - np.log(scale)).sum())
-    return np.asarray(inverse * scale[:, None] * scale), logarithm
+    def stated(self, faults: Faults = NO_FAULT) -> Stated:
+        """Return all statements, of which some may be at fault."""
+        if faults not in self._stated:
+            self._stated[faults] = Stated.of(self.knowledge.statements, faults)
+        return self._stated[faults]
 
-
-def _inverse(matrices: Array) -> tuple[Array, Array]:
-    """Return the inverses of (..., K, K) positive definite matrices and the logarithms of their determinants."""
-    scale = 1.0 / np.sqrt(np.diagonal(matrices, axis1=-2, axis2=-1))
-    lower = np.linalg.cholesky(matrices * scale[..., :, None] * scale[..., None, :])
-    back = np.linalg.inv(lower) * scale[..., None, :]
-    logarithm = 2.0 * (np.log(np.diagonal(lower, axis1=-2, axis2=-1)) - np.log(scale)).sum(axis=-1)
-    return np.swapaxes(back, -1, -2) @ back, logarithm
+    @cached_property
+    def pose_amplitudes(self) -> NDArray[np.int64]:
+        """(F,) place of the amplitude of each coefficient of an own field."""
+        return self.hyper.places(amp.POSE)[_POSE_DEGREE - POSE_DEGREES[0]]
 
 
 @dataclass(frozen=True)
@@ -72,30 +66,53 @@ class Solution:
     fields: Array  # (n, F) steps of the poses' own fields
     own: Array  # (n, F, F) covariance of the own fields, if the shared unknowns were known
     follow: Array  # (n, F, S) how the own fields follow the shared unknowns, with a minus sign
+    inside: Array  # (K, K) prior information of the shared unknowns with amplitudes
     gradient: Array  # (A,) of the value by the logarithms of the amplitudes
 
 
+@dataclass(frozen=True)
+class _Normal:
+    """The normal equations for given amplitudes: shared unknowns, own fields of the poses, and what is between."""
+
+    information: Array  # (S, S)
+    pull: Array  # (S,)
+    own: Array  # (n, F, F)
+    own_pull: Array  # (n, F)
+    between: Array  # (n, F, S)
+    inside: Array  # (K, K) prior information of the shared unknowns with amplitudes
+    constant: float  # Of the value
+
+
 class Marginal:
-    """The linearised problem: likelihood and solution as functions of the amplitudes."""
+    """The linearised problem: likelihood and solution as functions of the amplitudes.
+
+    Readings are turned into the principal axes of each view's rotation, so that each has three independent parts.
+    """
 
     def __init__(self, problem: Problem, equations: Equations, state: State) -> None:
         self.problem, self.equations, self.state = problem, equations, state
         bench, places = problem.bench, problem.bench.layout.pose_places
         self._poses, maps = bench.poses, equations.maps
-        self._statements: dict[Faults, tuple[Array, Array, float, float]] = {}
         mapped = equations.squares @ maps
-        self.shared = np.einsum("nbs,nbt->st", maps, mapped, optimize=True)
-        self.pull = np.einsum("nbs,nb->s", maps, equations.right)
+        size = maps.shape[2]
+        self.shared = maps.reshape(-1, size).T @ mapped.reshape(-1, size)
+        self.pull = maps.reshape(-1, size).T @ equations.right.reshape(-1)
         self.between = mapped[:, places]
         self.own = equations.squares[:, places[:, None], places]
         self.own_pull = equations.right[:, places]
         self._sigma2 = bench.readings.sigma_rad**2 if bench.readings else 0.0
         self.uses_readings = len(equations.off) > 0
+        # loose: (m, 3) variances of the stars' rotations, unit amplitude. axes: (m, 3, 3) their axes, in rows. rows,
+        # own_rows, off: (m, 3, S), (m, 3, F), (m, 3) what the readings say in these axes.
+        self.loose, columns = np.linalg.eigh(np.linalg.inv(equations.turns))
+        self.axes = np.swapaxes(columns, 1, 2)
+        self.rows, self.own_rows = np.zeros((0, 3, size)), np.zeros((0, 3, len(places)))
+        self.off = np.zeros((0, 3))
         if self.uses_readings:
-            self.rows = equations.coupling @ maps[bench.poses]
-            self.rows[:, :, bench.gimbal_places] += equations.gimbal
-            self.own_rows = equations.coupling[:, :, places]
-            self.loose = np.linalg.inv(equations.turns)
+            rows = equations.coupling @ maps[bench.poses]
+            rows[:, :, bench.gimbal_places] += equations.gimbal
+            self.rows, self.own_rows = self.axes @ rows, self.axes @ equations.coupling[:, :, places]
+            self.off = (self.axes @ equations.off[:, :, None])[:, :, 0]
 
     @cached_property
     def dimensions(self) -> tuple[int, int, int]:
@@ -106,85 +123,36 @@ class Marginal:
         """Return (n, ...) the sums over the views of each pose of (m, ...) values."""
         if len(values) == self.problem.bench.n_poses:
             return values
-        return np.stack(
-            [values[self._poses == pose].sum(axis=0) for pose in range(self.problem.bench.n_poses)]
-        )
+        found = np.zeros((self.problem.bench.n_poses, *values.shape[1:]))
+        np.add.at(found, self._poses, values)
+        return found
 
     # -- priors
-    def prior(self, squares: Array, faults: Faults) -> tuple[Array, Array, float, float]:
-        """Return information, right-hand side, cost and log-determinant of all priors of the shared unknowns.
-
-        faults: Statements that are at fault, by name.
-        """
-        b = self.state.shared
-        information, pull, cost, logarithm = self._stated(faults)
-        information, pull = information.copy(), pull.copy()
-        for block in self.problem.blocks:
-            inside, own = _inverse_of_one(block.covariance(squares))
-            at = block.places
-            information[at[:, None], at] += inside
-            pull[at] -= inside @ b[at]
-            cost += float(b[at] @ inside @ b[at])
-            logarithm += own
-        return information, pull, cost, logarithm
-
-    def _stated(self, faults: Faults) -> tuple[Array, Array, float, float]:
-        """Return the part of `prior` that does not depend on the amplitudes; it is computed once."""
-        if faults not in self._statements:
-            b = self.state.shared
-            information, pull = np.zeros((len(b), len(b))), np.zeros(len(b))
-            cost = logarithm = 0.0
-            for one in self.problem.knowledge.statements:
-                inside = one.information(dict(faults).get(one.name, ""))
-                off = one.values - one.rows @ b
-                information += one.rows.T @ inside @ one.rows
-                pull += one.rows.T @ (inside @ off)
-                cost += float(off @ inside @ off)
-                logarithm -= float(np.linalg.slogdet(inside)[1])
-            self._statements[faults] = information, pull, cost, logarithm
-        return self._statements[faults]
-
     @cached_property
-    def curvature(self) -> Array:
-        """(A,) rough curvature of the value by each amplitude: what its unknowns and the hyperprior bring."""
-        hyper, (n, _, _) = self.problem.hyper, self.dimensions
-        found = 2.0 * np.diag(hyper.information).copy()
-        found[hyper.at(amp.STAR)] += 4.0 * self.equations.observed
-        found[hyper.at(amp.READING)] += 4.0 * len(self._poses) * self.uses_readings
-        for d, name in enumerate(amp.POSE, start=POSE_DEGREES[0]):
-            found[hyper.at(name)] += 2.0 * n * np.count_nonzero(d == _POSE_DEGREE)
-        for block in self.problem.blocks:
-            for at, shape in block.parts:
-                found[at] += shape.shape[1]
-        return found
+    def rows_observed(self) -> float:
+        """Number of star coordinates that are left when the rotations are found."""
+        return self.equations.observed - 3.0 * len(self._poses)
 
     def prior_cost(self, squares: Array, state: State) -> float:
         """Return the cost of all priors at a state."""
-        b, cost = state.shared, 0.0
-        for one in self.problem.knowledge.statements:
-            off = one.values - one.rows @ b
-            cost += float(off @ one.information() @ off)
-        for block in self.problem.blocks:
-            inside, _ = _inverse_of_one(block.covariance(squares))
-            cost += float(b[block.places] @ inside @ b[block.places])
-        return cost + float((self.own_information(squares) * state.fields**2).sum())
+        random = self.problem.random
+        b = state.shared[random.places]
+        inside, _ = inverse_of(random.covariance(squares))
+        total = self.problem.stated().off(state.shared)[1] + float(b @ inside @ b)
+        return total + float((self.own_information(squares) * state.fields**2).sum())
 
     def own_information(self, squares: Array) -> Array:
         """Return (F,) prior information of the coefficients of an own field."""
-        at = self.problem.hyper.places(amp.POSE)[_POSE_DEGREE - POSE_DEGREES[0]]
-        return (_POSE_DEGREE + 1.0) / squares[at]
+        return (_POSE_DEGREE + 1.0) / squares[self.problem.pose_amplitudes]
 
     def reading_variance(self, squares: Array) -> float:
         """Return the variance of a component of a reading's rotation, rad^2."""
         return float(squares[self.problem.hyper.at(amp.READING)]) * self._sigma2
 
-    def reading_weights(self, squares: Array) -> tuple[Array, float]:
-        """Return (m, 3, 3) the weights of the readings against the stars' rotations, and the log-determinant."""
-        hyper = self.problem.hyper
-        covariance = squares[hyper.at(amp.STAR)] * self.loose
-        covariance = covariance + squares[hyper.at(amp.READING)] * self._sigma2 * np.eye(3)
-        weights, logarithms = _inverse(covariance)
-        return weights, float(logarithms.sum())
+    def reading_weights(self, squares: Array) -> Array:
+        """Return (m, 3) the weights of the readings against the stars' rotations, in the principal axes."""
+        star = squares[self.problem.hyper.at(amp.STAR)]
+        return np.asarray(1.0 / (star * self.loose + self.reading_variance(squares)))
 
     # -- solution
     def solve(self, eta: Array, faults: Faults = NO_FAULT, *, slope: bool = True) -> Solution:
@@ -194,116 +162,133 @@ class Marginal:
         slope: Whether the gradient is wanted; else it is zero.
         Raises numpy.linalg.LinAlgError: If the amplitudes leave nothing that determines an unknown.
         """
-        hyper, equations = self.problem.hyper, self.equations
-        n, f, _ = self.dimensions
+        n, f, size = self.dimensions
         squares = np.exp(2.0 * eta)
-        w = 1.0 / squares[hyper.at(amp.STAR)]
-        information, pull, cost, logarithm = self.prior(squares, faults)
-        information = information + w * self.shared
-        pull = pull + w * self.pull
-        own, own_pull, between = w * self.own, w * self.own_pull, w * self.between
-        cost += w * equations.cost
-        logarithm += (equations.observed - 3.0 * len(self._poses)) * 2.0 * eta[hyper.at(amp.STAR)]
-        if self.uses_readings:
-            weights, extra = self.reading_weights(squares)
-            logarithm += extra
-            weighted, y = weights @ self.rows, equations.off
-            size = self.rows.shape[2]
-            information += self.rows.reshape(-1, size).T @ weighted.reshape(-1, size)
-            pull += np.einsum("mas,ma->s", weighted, y)
-            own_weighted = weights @ self.own_rows
-            own += self._by_pose(np.swapaxes(self.own_rows, 1, 2) @ own_weighted)
-            own_pull += self._by_pose(np.einsum("maf,ma->mf", own_weighted, y))
-            between += self._by_pose(np.swapaxes(own_weighted, 1, 2) @ self.rows)
-            cost += float(np.einsum("ma,mab,mb->", y, weights, y))
-        expected = self.own_information(squares)
-        own[:, range(f), range(f)] += expected
-        own_pull -= expected * self.state.fields
-        cost += float((expected * self.state.fields**2).sum())
-        logarithm -= n * float(np.log(expected).sum())
-        inverse, logs = _inverse(own)
-        follow = inverse @ between
-        alone = (inverse @ own_pull[:, :, None])[:, :, 0]
-        flat = follow.reshape(n * f, -1)
-        information = information - between.reshape(n * f, -1).T @ flat
-        pull = pull - own_pull.reshape(-1) @ flat
-        cost -= float((own_pull * alone).sum())
-        covariance, last = _inverse_of_one(information)
+        normal = self._normal(squares, faults)
+        inverse, logs = _inverses(normal.own)
+        follow = inverse @ normal.between
+        alone = (inverse @ normal.own_pull[:, :, None])[:, :, 0]
+        flat = follow.reshape(n * f, size)
+        information = normal.information - normal.between.reshape(n * f, size).T @ flat
+        pull = normal.pull - normal.own_pull.reshape(-1) @ flat
+        covariance, last = inverse_of(information)
         step = covariance @ pull
-        cost -= float(pull @ step)
-        away = eta - hyper.mean
-        value = cost + logarithm + last + float(logs.sum() + away @ hyper.information @ away)
-        found = Solution(value, step, covariance, alone - follow @ step, inverse, follow, np.zeros(len(eta)))
-        if not slope:
-            return found
-        return Solution(value, step, covariance, found.fields, inverse, follow, self._gradient(eta, found))
+        away = eta - self.problem.hyper.mean
+        value = normal.constant + logs + last - float(pull @ step) - float((normal.own_pull * alone).sum())
+        value += float(away @ self.problem.hyper.information @ away)
+        fields = alone - follow @ step
+        found = Solution(value, step, covariance, fields, inverse, follow, normal.inside, np.zeros(len(eta)))
+        return replace(found, gradient=self._gradient(eta, squares, found, faults)) if slope else found
 
-    def _gradient(self, eta: Array, found: Solution) -> Array:
+    def _normal(self, squares: Array, faults: Faults) -> _Normal:
+        """Return the normal equations."""
+        hyper, random, stated = self.problem.hyper, self.problem.random, self.problem.stated(faults)
+        stated_pull, stated_cost = stated.off(self.state.shared)
+        n, f, _ = self.dimensions
+        star = squares[hyper.at(amp.STAR)]
+        w = 1.0 / star
+        inside, logarithm = inverse_of(random.covariance(squares))
+        b, fields = self.state.shared[random.places], self.state.fields
+        information, pull = stated.information + w * self.shared, stated_pull + w * self.pull
+        information[random.places[:, None], random.places] += inside
+        pull[random.places] -= inside @ b
+        expected = self.own_information(squares)
+        own = w * self.own
+        own[:, range(f), range(f)] += expected
+        own_pull, between = w * self.own_pull - expected * fields, w * self.between
+        constant = stated_cost + w * self.equations.cost + float(b @ inside @ b)
+        constant += stated.logarithm + logarithm + self.rows_observed * float(np.log(star))
+        constant += float((expected * fields**2).sum()) - n * float(np.log(expected).sum())
+        normal = _Normal(information, pull, own, own_pull, between, inside, constant)
+        return self._with_readings(normal, squares) if self.uses_readings else normal
+
+    def _with_readings(self, normal: _Normal, squares: Array) -> _Normal:
+        """Return the normal equations with the readings."""
+        weights = self.reading_weights(squares)
+        size = self.rows.shape[2]
+        rows = (weights[:, :, None] * self.rows).reshape(-1, size)
+        own_rows = weights[:, :, None] * self.own_rows
+        across = np.swapaxes(own_rows, 1, 2)
+        return _Normal(
+            normal.information + self.rows.reshape(-1, size).T @ rows,
+            normal.pull + self.off.reshape(-1) @ rows,
+            normal.own + self._by_pose(across @ self.own_rows),
+            normal.own_pull + self._by_pose((across @ self.off[:, :, None])[:, :, 0]),
+            normal.between + self._by_pose(across @ self.rows),
+            normal.inside,
+            normal.constant + float((weights * self.off**2).sum()) - float(np.log(weights).sum()),
+        )
+
+    # -- gradient
+    def _gradient(self, eta: Array, squares: Array, found: Solution, faults: Faults) -> Array:
         """Return the gradient of the value: number minus expected square of what each amplitude scales."""
-        hyper = self.problem.hyper
-        n, _, _ = self.dimensions
-        squares = np.exp(2.0 * eta)
+        hyper, random = self.problem.hyper, self.problem.random
+        n, f, size = self.dimensions
         gradient = 2.0 * hyper.information @ (eta - hyper.mean)
         followed = found.follow @ found.covariance
         spread = np.diagonal(found.own, axis1=1, axis2=2) + (followed * found.follow).sum(axis=2)
-        share = self.own_information(squares) * (spread + (self.state.fields + found.fields) ** 2).sum(axis=0)
-        for d, name in enumerate(amp.POSE, start=POSE_DEGREES[0]):
-            own = d == _POSE_DEGREE
-            gradient[hyper.at(name)] += 2.0 * (n * np.count_nonzero(own) - share[own].sum())
-        b = self.state.shared + found.step
-        for block in self.problem.blocks:
-            inside, _ = _inverse_of_one(block.covariance(squares))
-            second = found.covariance[np.ix_(block.places, block.places)] + np.outer(
-                b[block.places], b[block.places]
-            )
-            left = inside - inside @ second @ inside
-            for at, shape in block.parts:
-                gradient[at] += 2.0 * squares[at] * float(((left @ shape) * shape).sum())
-        return gradient + self._noise_gradient(eta, squares, found, followed)
+        expected = self.own_information(squares)
+        second = spread + (self.state.fields + found.fields) ** 2
+        own = 2.0 * (n - expected * second.sum(axis=0))
+        gradient += np.bincount(self.problem.pose_amplitudes, own, len(eta))
+        b = (self.state.shared + found.step)[random.places]
+        held = found.inside @ found.covariance[random.places[:, None], random.places]
+        pulled = found.inside @ b
+        left = found.inside - held @ found.inside - np.outer(pulled, pulled)
+        parts = 2.0 * squares[random.amplitudes] * ((left @ random.shapes) * random.shapes).sum(axis=0)
+        gradient += np.bincount(random.amplitudes, parts, len(eta))
+        # Of all unknowns the priors and the readings determine so many, and the stars the rest.
+        taken = float(np.trace(held) + (expected * spread).sum())
+        taken += float((self.problem.stated(faults).information * found.covariance).sum())
+        return gradient + self._noise_gradient(squares, found, size + n * f - taken)
 
-    def _noise_gradient(self, eta: Array, squares: Array, found: Solution, followed: Array) -> Array:
-        """Return the gradient by the noise of the stars and of the readings."""
-        hyper, equations = self.problem.hyper, self.equations
-        gradient = np.zeros(len(eta))
+    def _noise_gradient(self, squares: Array, found: Solution, determined: float) -> Array:
+        """Return the gradient by the noise of the stars and of the readings.
+
+        determined: Number of unknowns that stars and readings determine.
+        """
+        hyper = self.problem.hyper
+        gradient = np.zeros(len(squares))
         star, reading = hyper.at(amp.STAR), hyper.at(amp.READING)
         step, fields = found.step, found.fields
-        left = equations.cost - 2.0 * float(self.pull @ step) - 2.0 * float((self.own_pull * fields).sum())
-        left += float(step @ self.shared @ step) + 2.0 * float((fields * (self.between @ step)).sum())
-        left += float(np.einsum("nf,nfg,ng->", fields, self.own, fields))
-        spread = float((found.covariance * self.shared).sum()) - 2.0 * float((self.between * followed).sum())
-        spread += float(((self.own @ found.follow) * followed).sum() + (self.own * found.own).sum())
-        rows = equations.observed - 3.0 * len(self._poses)
-        gradient[star] = 2.0 * (rows - (left + spread) / squares[star])
-        if not self.uses_readings:
-            return gradient
-        weights, _ = self.reading_weights(squares)
-        direct = self.rows - self.own_rows @ found.follow[self._poses]
-        residual = (
-            equations.off - self.rows @ step - np.einsum("maf,mf->ma", self.own_rows, fields[self._poses])
+        cost = (
+            self.equations.cost - 2.0 * float(self.pull @ step) - 2.0 * float((self.own_pull * fields).sum())
         )
-        second = direct @ found.covariance @ np.swapaxes(direct, 1, 2)
-        second = second + self.own_rows @ found.own[self._poses] @ np.swapaxes(self.own_rows, 1, 2)
-        second = second + residual[:, :, None] * residual[:, None]
-        inside = weights - weights @ second @ weights
-        gradient[star] += 2.0 * squares[star] * float((inside * self.loose).sum())
-        gradient[reading] = (
-            2.0 * squares[reading] * self._sigma2 * float(np.trace(inside, axis1=1, axis2=2).sum())
-        )
+        cost += float(step @ self.shared @ step) + 2.0 * float((fields * (self.between @ step)).sum())
+        cost += float((fields * (self.own @ fields[:, :, None])[:, :, 0]).sum())
+        if self.uses_readings:
+            weights = self.reading_weights(squares)
+            direct = self.rows - self.own_rows @ found.follow[self._poses]
+            spread = ((direct @ found.covariance) * direct).sum(axis=2)
+            spread += ((self.own_rows @ found.own[self._poses]) * self.own_rows).sum(axis=2)
+            left = self.off - self.rows @ step - (self.own_rows @ fields[self._poses][:, :, None])[:, :, 0]
+            inside = weights - weights**2 * (spread + left**2)
+            determined -= float((weights * spread).sum())
+            gradient[star] = 2.0 * squares[star] * float((inside * self.loose).sum())
+            gradient[reading] = 2.0 * squares[reading] * self._sigma2 * float(inside.sum())
+        gradient[star] += 2.0 * (self.rows_observed - cost / squares[star] - determined)
         return gradient
 
     def rotation_steps(self, eta: Array, found: Solution) -> Array:
         """Return (m, 3) the rotation vectors to the posterior mean of each view, rad."""
         basis = self.equations.maps @ found.step
         basis[:, self.problem.bench.layout.pose_places] += found.fields
-        by_stars = self.equations.turned - np.einsum(
-            "mab,mb->ma", self.equations.coupling, basis[self._poses]
-        )
+        by_stars = self.equations.turned - (self.equations.coupling @ basis[self._poses][:, :, None])[:, :, 0]
         if not self.uses_readings:
-            return by_stars
+            return np.asarray(by_stars)
         squares = np.exp(2.0 * eta)
-        weights, _ = self.reading_weights(squares)
         predicted = self.equations.gimbal @ found.step[self.problem.bench.gimbal_places]
         already = self.equations.off - self.equations.turned  # readings to the present rotation
-        away = predicted - already - by_stars
-        share = squares[self.problem.hyper.at(amp.STAR)] * self.loose @ weights
-        return np.asarray(by_stars + (share @ away[:, :, None])[:, :, 0])
+        away = (self.axes @ (predicted - already - by_stars)[:, :, None])[:, :, 0]
+        share = squares[self.problem.hyper.at(amp.STAR)] * self.loose * self.reading_weights(squares)
+        return np.asarray(by_stars + (np.swapaxes(self.axes, 1, 2) @ (share * away)[:, :, None])[:, :, 0])
+
+
+def _inverses(matrices: Array) -> tuple[Array, float]:
+    """Return the inverses of (n, K, K) positive definite matrices, and the sum of the logarithms of determinants."""
+    found = np.empty_like(matrices)
+    total = 0.0
+    for k, matrix in enumerate(matrices):
+        found[k], logarithm = inverse_of(matrix)
+        total += logarithm
+    return found, total

@@ -15,9 +15,11 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from calib.joint.curvature import best_amplitudes, expected_curvature
 from calib.joint.knowledge import FAULTS, Statement
-from calib.joint.marginal import NO_FAULT, Faults, Marginal, Solution
-from calib.joint.solve import Optimum, best_amplitudes, relative_step
+from calib.joint.marginal import Marginal, Solution
+from calib.joint.prior import NO_FAULT, Faults
+from calib.joint.solve import Optimum, relative_step
 
 Array = NDArray[np.float64]
 
@@ -30,12 +32,9 @@ _STRETCH = 1.2
 _LARGEST_WEIGHT = 10.0
 #: The linear equations hold for steps of this share of focal length and radius; samples beyond lose their weight.
 _HOLDS = 0.02
-_DIFFERENCE = 0.05
-#: Smallest curvature of an amplitude: beyond it the quadratic approximation says nothing.
-_LEAST_CURVATURE = 0.1
 #: A fault is followed if its evidence may reach that of no fault within this logarithm.
 _FOLLOWED = 2.0
-_FAULT_STEPS = 40
+_FAULT_STEPS = 20
 #: Within this number of sigma of the others, a larger uncertainty never makes a statement more probable.
 _AGREES = 1.0
 
@@ -146,7 +145,7 @@ def _innovation(one: Statement, b: Array, covariance: Array, fault: str, probabi
 def posterior(optimum: Optimum) -> Posterior:
     """Return the posterior about an optimum."""
     marginal = optimum.marginal
-    curvature = _curvature(marginal, optimum.eta, optimum.solution.gradient)
+    curvature = 0.5 * expected_curvature(marginal, optimum.eta, optimum.solution)
     lower: Array = np.asarray(np.linalg.cholesky(curvature), np.float64)
     modes = [(NO_FAULT, optimum.eta, optimum.solution, 1.0), *_faults(optimum, curvature)]
     whole = sum(weight for *_, weight in modes)
@@ -162,18 +161,6 @@ def posterior(optimum: Optimum) -> Posterior:
     return Posterior(
         optimum, tuple(nodes), spread, probabilities, Node(weight / whole, eta, faults, solution)
     )
-
-
-def _curvature(marginal: Marginal, eta: Array, gradient: Array) -> Array:
-    """Return the (A, A) curvature of minus the logarithm of the density, from differences of its gradient.
-
-    Directions along which it is too small get a least curvature.
-    """
-    ahead = np.array([marginal.solve(eta + step).gradient for step in _DIFFERENCE * np.eye(len(eta))])
-    rows = (ahead - gradient) / (2.0 * _DIFFERENCE)
-    whole = 0.5 * (rows + rows.T)
-    values, vectors = np.linalg.eigh(whole)
-    return np.asarray((vectors * np.maximum(values, _LEAST_CURVATURE)) @ vectors.T)
 
 
 def _samples(
@@ -214,8 +201,7 @@ def _faults(optimum: Optimum, curvature: Array) -> list[tuple[Faults, Array, Sol
             gain = 0.25 * float(start.gradient @ np.linalg.solve(curvature, start.gradient))
             if 0.5 * (start.value - optimum.solution.value) - gain > _FOLLOWED:
                 continue
-            eta = best_amplitudes(marginal, optimum.eta, _FAULT_STEPS, faults)
-            ended = marginal.solve(eta, faults, slope=False)
+            eta, ended = best_amplitudes(marginal, optimum.eta, _FAULT_STEPS, faults)
             evidence = float(np.exp(min(0.5 * (optimum.solution.value - ended.value), 500.0)))
             if evidence > 1.0:
                 found.append((faults, eta, ended, probability * (evidence - 1.0)))

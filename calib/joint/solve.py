@@ -1,11 +1,12 @@
 """The search: from a start to the state and the amplitudes of the largest posterior.
 
 Steps of Gauss and Newton at given amplitudes, shortened while they do not lower the cost; between them the amplitudes
-are searched by L-BFGS-B with the exact gradient. A worse likelihood is never accepted.
+are searched by Newton's method (`calib.joint.curvature`). A worse likelihood is never accepted.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,8 +14,9 @@ from numpy.typing import NDArray
 
 from calib.errors import NotConverged
 from calib.joint import amplitudes as amp
-from calib.joint.equations import Equations, State, robust_sigma
-from calib.joint.marginal import NO_FAULT, Faults, Marginal, Problem, Solution
+from calib.joint.curvature import FINE, ROUGH, best_amplitudes
+from calib.joint.equations import State, robust_sigma
+from calib.joint.marginal import Marginal, Problem, Solution
 
 Array = NDArray[np.float64]
 
@@ -25,7 +27,8 @@ _SMALL_PX, _SMALL_SHARE = 1e-3, 0.02
 #: A start is near if a step moves no focal length by more than this share.
 _NEAR = 0.003
 _HALVINGS = 6
-_QUICK, _LONG = 12, 60
+#: Largest numbers of steps of a search of amplitudes: in a round, and at the end.
+_QUICK, _LONG = 4, 30
 #: Before the state is found, a round changes no logarithm of an amplitude by more than this.
 _FARTHEST = 1.0
 #: No step moves a focal length or the radius by more than this share.
@@ -65,12 +68,9 @@ def search(problem: Problem, start: State, rounds: int) -> Optimum:
     for k in range(rounds):
         equations = bench.linearised(state, limit)
         marginal = Marginal(problem, equations, state)
-        if k >= _FIRST_ROUNDS:
-            eta = trusted_amplitudes(marginal, eta)
-        found = solved(marginal, eta)
+        eta, found = trusted_amplitudes(marginal, eta) if k >= _FIRST_ROUNDS else (eta, solved(marginal, eta))
         if k > _FIRST_ROUNDS and small(marginal, found):
-            eta = better_amplitudes(marginal, eta)
-            found = marginal.solve(eta)
+            eta, found = better_amplitudes(marginal, eta)
             if small(marginal, found):
                 return Optimum(marginal, eta, found, k + 1, converged=True)
         state = shortened(marginal, eta, found)
@@ -118,14 +118,28 @@ def small(marginal: Marginal, found: Solution) -> bool:
     return bool((steps < _SMALL_SHARE * sigmas).all() or (steps[:4] < _SMALL_PX).all())
 
 
-def trusted_amplitudes(marginal: Marginal, eta: Array) -> Array:
+def trusted_amplitudes(marginal: Marginal, eta: Array) -> tuple[Array, Solution]:
     """Return better amplitudes whose step stays where the equations hold: half way back until it does."""
-    better = best_amplitudes(marginal, eta, _QUICK, farthest=_FARTHEST)
+    better, found = searched(marginal, eta, _QUICK, farthest=_FARTHEST)
     for _ in range(_HALVINGS):
-        if relative_step(marginal, solved(marginal, better).step) < _TRUSTED:
-            return better
+        if relative_step(marginal, found.step) < _TRUSTED:
+            return better, found
         better = 0.5 * (better + eta)
-    return eta
+        found = solved(marginal, better)
+    return eta, solved(marginal, eta)
+
+
+def searched(
+    marginal: Marginal, eta: Array, steps: int, farthest: float = np.inf, enough: float = ROUGH
+) -> tuple[Array, Solution]:
+    """Return the best amplitudes from a start, and their solution, as `best_amplitudes`.
+
+    Raises NotConverged: If the equations cannot be solved.
+    """
+    try:
+        return best_amplitudes(marginal, eta, steps, farthest=farthest, enough=enough)
+    except np.linalg.LinAlgError as error:
+        raise NotConverged("The joint adjustment cannot be solved.") from error
 
 
 def relative_step(marginal: Marginal, step: Array) -> float:
@@ -135,47 +149,14 @@ def relative_step(marginal: Marginal, step: Array) -> float:
     return float(max(focal / abs(b[0]), centre / abs(b[layout.index["r"]])))
 
 
-def better_amplitudes(marginal: Marginal, eta: Array) -> Array:
+def better_amplitudes(marginal: Marginal, eta: Array) -> tuple[Array, Solution]:
     """Return the best end of two searches, from a start and from the expected ones, where the equations hold."""
-    ends = [best_amplitudes(marginal, start, steps=_LONG) for start in (eta, marginal.problem.hyper.mean)]
-    found = [(solved(marginal, one), one) for one in (eta, *ends)]
-    held = [
-        (one.value, k) for k, (one, _) in enumerate(found) if relative_step(marginal, one.step) < _TRUSTED
-    ]
-    return found[min(held)[1]][1] if held else eta
-
-
-def best_amplitudes(
-    marginal: Marginal, eta: Array, steps: int, faults: Faults = NO_FAULT, farthest: float = np.inf
-) -> Array:
-    """Return the logarithms of the amplitudes of the largest posterior, from a start.
-
-    farthest: Largest change of each.
-    """
-    from scipy.optimize import minimize
-
-    scale = 1.0 / np.sqrt(marginal.curvature)
-
-    def target(at: Array) -> tuple[float, Array]:
-        try:
-            found = marginal.solve(scale * at, faults)
-        except np.linalg.LinAlgError:
-            return 1e12, np.zeros(len(at))
-        return found.value, scale * found.gradient
-
-    bounds = [
-        (max(low, own - farthest) / s, min(high, own + farthest) / s)
-        for (low, high), own, s in zip(marginal.problem.hyper.bounds, eta, scale, strict=True)
-    ]
-    ended = minimize(
-        target,
-        eta / scale,
-        jac=True,
-        method="L-BFGS-B",
-        bounds=bounds,
-        options={"maxiter": steps, "ftol": 1e-7, "gtol": 1e-2},
-    )
-    return np.asarray(scale * ended.x if ended.fun <= target(eta / scale)[0] else eta)
+    ends = [(eta, solved(marginal, eta)), searched(marginal, marginal.problem.hyper.mean, _LONG)]
+    at, _ = min(ends, key=lambda end: end[1].value)
+    at, found = searched(marginal, at, _LONG, enough=FINE)
+    if relative_step(marginal, found.step) < _TRUSTED:
+        return at, found
+    return eta, marginal.solve(eta)
 
 
 def shortened(marginal: Marginal, eta: Array, found: Solution) -> State:
@@ -184,29 +165,31 @@ def shortened(marginal: Marginal, eta: Array, found: Solution) -> State:
     turns = marginal.rotation_steps(eta, found)
     share = relative_step(marginal, found.step)
     size = min(1.0, _LONGEST / share) if share > 0 else 1.0
-    before = cost(marginal, eta, marginal.state, marginal.equations)
+    before = cost(marginal, eta, marginal.state, marginal.equations.lengths)
     for _ in range(_HALVINGS):
         state = bench.moved(marginal.state, size * found.step, size * found.fields, size * turns)
         if size * share > _CURVED:  # a large step turns the views by more than its linear part
             state = bench.aligned(state, marginal.equations.weights)
-        after = cost(marginal, eta, state, marginal.equations)
+        after = cost(marginal, eta, state, bench.whitened(state))
         if after <= before * (1.0 + 1e-9):
             return state
         size *= 0.5
     return state
 
 
-def cost(marginal: Marginal, eta: Array, state: State, equations: Equations) -> float:
-    """Return the cost of a state: stars as the equations weigh them, readings, priors; infinite behind the camera."""
-    bench, hyper = marginal.problem.bench, marginal.problem.hyper
+def cost(marginal: Marginal, eta: Array, state: State, lengths: Sequence[Array]) -> float:
+    """Return the cost of a state: stars as the equations weigh them, readings, priors; infinite behind the camera.
+
+    lengths: For each view (N,) lengths of the residuals over their sigma.
+    """
+    bench, hyper, weights = marginal.problem.bench, marginal.problem.hyper, marginal.equations.weights
     squares = np.exp(2.0 * eta)
-    lengths = bench.whitened(state)
     if not all(np.isfinite(one).all() for one in lengths):
         return float("inf")
-    stars = sum(float(w @ one**2) for w, one in zip(equations.weights, lengths, strict=True))
+    stars = sum(float(w @ one**2) for w, one in zip(weights, lengths, strict=True))
     total = stars / squares[hyper.at(amp.STAR)]
     total += marginal.prior_cost(squares, state)
     if marginal.uses_readings and bench.readings is not None:
-        variance = squares[hyper.at(amp.READING)] * bench.readings.sigma_rad**2
+        variance = marginal.reading_variance(squares)
         total += float((bench.readings_off(state) ** 2).sum()) / variance
     return total

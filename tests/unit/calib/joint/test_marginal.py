@@ -4,10 +4,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.optimize import minimize
 
 from calib import CalibrationOptions, Passport, calibrate
 from calib.joint.adjust import adjust
 from calib.joint.budget import variances
+from calib.joint.curvature import best_amplitudes, expected_curvature
 from calib.joint.knowledge import CERTIFICATE, FAULTS, WRONG
 from calib.joint.posterior import posterior
 from calib.model.gimbal_readings import GimbalReadings, ParallaxBound
@@ -63,8 +65,22 @@ def test_gradient_with_a_fault_is_that_of_finite_differences(optimum):
 
 
 def test_amplitudes_of_the_optimum_have_no_slope(optimum):
-    scaled = optimum.solution.gradient / np.sqrt(optimum.marginal.curvature)
-    assert np.abs(scaled).max() < 0.1
+    curvature = expected_curvature(optimum.marginal, optimum.eta, optimum.solution)
+    free = np.abs(optimum.solution.gradient) / np.sqrt(np.diag(curvature))
+    assert free.max() < 0.1
+
+
+def test_search_of_amplitudes_ends_where_that_of_scipy_does(optimum):
+    marginal, hyper = optimum.marginal, optimum.marginal.problem.hyper
+
+    def target(eta):
+        found = marginal.solve(eta)
+        return found.value, found.gradient
+
+    options = {"maxiter": 400, "maxfun": 800, "ftol": 1e-12, "gtol": 1e-6}
+    theirs = minimize(target, hyper.mean, jac=True, method="L-BFGS-B", bounds=hyper.bounds, options=options)
+    _, ours = best_amplitudes(marginal, hyper.mean, 40)
+    assert ours.value == pytest.approx(theirs.fun, abs=0.01)
 
 
 def test_parts_of_the_budget_add_up_to_the_variance(optimum):

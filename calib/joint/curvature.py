@@ -1,0 +1,135 @@
+"""The expected curvature of the likelihood of the amplitudes, and the search of the best ones with it.
+
+The expected information of variance components, 2 a_j^2 a_k^2 |U_j^T P U_k|^2, with P = Q - Q V Q for the prior
+information Q and the posterior covariance V of the unknowns (Harville, 1977, section 5). It is positive definite.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calib.joint import amplitudes as amp
+from calib.joint.marginal import Marginal, Solution
+from calib.joint.prior import NO_FAULT, Faults
+
+Array = NDArray[np.float64]
+
+#: No step of the search changes a logarithm by more than this.
+_LONGEST = 1.5
+_HALVINGS = 5
+#: A search ends where a step promises less than this of -2 log: 0.01 is a tenth of a sigma.
+ROUGH, FINE = 0.02, 1e-3
+#: The curvature is found again after a step that changes a logarithm by more than this.
+_CURVED = 0.3
+
+
+def expected_curvature(marginal: Marginal, eta: Array, found: Solution) -> Array:
+    """Return (A, A) the expected second derivatives of the value by the logarithms of the amplitudes."""
+    problem, squares = marginal.problem, np.exp(2.0 * eta)
+    n, f, size = marginal.dimensions
+    random = problem.random
+    scale = np.sqrt(marginal.own_information(squares))
+    fields = (scale[:, None] * found.follow).reshape(n * f, size)
+    across = fields @ found.covariance
+    own = -(across @ fields.T)
+    blocks = np.eye(f) - scale[:, None] * found.own * scale
+    for k in range(n):
+        own[k * f : (k + 1) * f, k * f : (k + 1) * f] += blocks[k]
+    shapes = random.shapes * np.sqrt(squares[random.amplitudes])
+    pulled = found.inside @ shapes
+    at = random.places
+    shared = shapes.T @ pulled - pulled.T @ found.covariance[at[:, None], at] @ pulled
+    both = across[:, at] @ pulled
+    parts = np.block([[own, both], [both.T, shared]])
+    belongs = np.zeros((len(parts), len(eta)))
+    belongs[range(len(parts)), np.concatenate([np.tile(problem.pose_amplitudes, n), random.amplitudes])] = 1.0
+    whole = 4.0 * belongs.T @ (parts**2) @ belongs
+    star = problem.hyper.at(amp.STAR)
+    whole[star, star] += 4.0 * marginal.rows_observed
+    whole += 2.0 * problem.hyper.information
+    return _with_readings(marginal, squares, found, pulled, whole) if marginal.uses_readings else whole
+
+
+def _with_readings(marginal: Marginal, squares: Array, found: Solution, pulled: Array, whole: Array) -> Array:
+    """Return the curvature with that by the noise of the readings.
+
+    pulled: (K, Q) prior information times scaled shapes of the shared unknowns.
+    """
+    problem, poses = marginal.problem, marginal.problem.bench.poses
+    n_rows = 3 * len(poses)
+    weights = marginal.reading_weights(squares)
+    scaled = np.sqrt(marginal.reading_variance(squares)) * weights
+    direct = marginal.rows - marginal.own_rows @ found.follow[poses]
+    seen = (scaled[:, :, None] * direct).reshape(n_rows, -1)
+    across = seen @ found.covariance
+    parts = np.diag((scaled**2 / weights).reshape(-1)) - across @ seen.T
+    own = scaled[:, :, None] * marginal.own_rows
+    local = own @ found.own[poses] @ np.swapaxes(own, 1, 2)
+    for v in range(len(poses)):
+        parts[3 * v : 3 * v + 3, 3 * v : 3 * v + 3] -= local[v]
+    reading = problem.hyper.at(amp.READING)
+    both = across[:, problem.random.places] @ pulled
+    row = 4.0 * np.bincount(problem.random.amplitudes, (both**2).sum(axis=0), len(squares))
+    whole[reading] += row
+    whole[:, reading] += row
+    whole[reading, reading] += 4.0 * float((parts**2).sum())
+    return whole
+
+
+def best_amplitudes(
+    marginal: Marginal,
+    eta: Array,
+    steps: int,
+    faults: Faults = NO_FAULT,
+    farthest: float = np.inf,
+    enough: float = FINE,
+) -> tuple[Array, Solution]:
+    """Return the logarithms of the amplitudes of the largest posterior, from a start, and their solution.
+
+    Steps of Newton with the expected curvature, halved while the value does not fall.
+
+    steps: Largest number of them. farthest: Largest change of each logarithm. enough: Smallest promise of a step.
+    Raises numpy.linalg.LinAlgError: If the equations cannot be solved at the start.
+    """
+    bounds = np.array(marginal.problem.hyper.bounds).T
+    low, high = np.maximum(bounds[0], eta - farthest), np.minimum(bounds[1], eta + farthest)
+    found = marginal.solve(eta, faults)
+    curvature = expected_curvature(marginal, eta, found)
+    for _ in range(steps):
+        step = _newton(curvature, found.gradient, eta <= low, eta >= high)
+        if -float(found.gradient @ step) < enough:
+            break
+        step *= min(1.0, _LONGEST / float(np.abs(step).max()))
+        for _ in range(_HALVINGS):
+            ahead = np.clip(eta + step, low, high)
+            tried = _tried(marginal, ahead, faults)
+            if tried is not None and tried.value < found.value:
+                break
+            step = 0.5 * step
+        else:
+            break
+        assert tried is not None
+        if float(np.abs(ahead - eta).max()) > _CURVED:
+            curvature = expected_curvature(marginal, ahead, tried)
+        eta, found = ahead, tried
+    return eta, found
+
+
+def _tried(marginal: Marginal, eta: Array, faults: Faults) -> Solution | None:
+    """Return the solution; None if the equations cannot be solved."""
+    try:
+        return marginal.solve(eta, faults)
+    except np.linalg.LinAlgError:
+        return None
+
+
+def _newton(
+    curvature: Array, gradient: Array, lowest: NDArray[np.bool_], highest: NDArray[np.bool_]
+) -> Array:
+    """Return the step to the minimum of a quadratic; what would leave its bounds stays."""
+    held = (lowest & (gradient > 0)) | (highest & (gradient < 0))
+    free = np.flatnonzero(~held)
+    step = np.zeros(len(gradient))
+    step[free] = -np.linalg.solve(curvature[free[:, None], free], gradient[free])
+    return step
