@@ -61,7 +61,7 @@ def _at_node(marginal: Marginal, node: Node, gradients: Array) -> dict[str, Arra
     stars = stars + 2.0 * (fields * (marginal.between @ x)).sum(axis=(0, 1))
     stars = stars + (fields * (marginal.own @ fields)).sum(axis=(0, 1))
     found = {names.STARS: stars / squares[hyper.at(amp.STAR)]}
-    own = marginal.own_information(squares)
+    own = marginal.problem.own_information(squares)
     found[names.POSE_FIELDS] = (own[None, :, None] * fields**2).sum(axis=(0, 1))
     if marginal.uses_readings:
         pulled = marginal.rows @ x + marginal.own_rows @ fields[marginal.problem.bench.poses]

@@ -29,7 +29,7 @@ def expected_curvature(marginal: Marginal, eta: Array, found: Solution) -> Array
     problem, squares = marginal.problem, np.exp(2.0 * eta)
     n, f, size = marginal.dimensions
     random = problem.random
-    scale = np.sqrt(marginal.own_information(squares))
+    scale = np.sqrt(marginal.problem.own_information(squares))
     fields = (scale[:, None] * found.follow).reshape(n * f, size)
     across = fields @ found.covariance
     own = -(across @ fields.T)

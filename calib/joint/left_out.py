@@ -67,7 +67,7 @@ def _of_pose(optimum: Optimum, pose: int, star: float, squares: Array) -> tuple[
             own = own + marginal.own_rows[v].T @ own_rows
             pull = pull + own_rows.T @ marginal.off[v]
             between = between + own_rows.T @ marginal.rows[v]
-    expected = marginal.own_information(squares)
+    expected = marginal.problem.own_information(squares)
     own = own + np.diag(expected)
     pull = pull - expected * optimum.state.fields[pose]
     follow = np.linalg.solve(own, np.column_stack([between, pull]))

@@ -55,6 +55,10 @@ class Problem:
         """(F,) place of the amplitude of each coefficient of an own field."""
         return self.hyper.places(amp.POSE)[_POSE_DEGREE - POSE_DEGREES[0]]
 
+    def own_information(self, squares: Array) -> Array:
+        """Return (F,) prior information of the coefficients of an own field."""
+        return np.asarray((_POSE_DEGREE + 1.0) / squares[self.pose_amplitudes])
+
 
 @dataclass(frozen=True)
 class Solution:
@@ -139,11 +143,7 @@ class Marginal:
         b = state.shared[random.places]
         inside, _ = inverse_of(random.covariance(squares))
         total = self.problem.stated().off(state.shared)[1] + float(b @ inside @ b)
-        return total + float((self.own_information(squares) * state.fields**2).sum())
-
-    def own_information(self, squares: Array) -> Array:
-        """Return (F,) prior information of the coefficients of an own field."""
-        return (_POSE_DEGREE + 1.0) / squares[self.problem.pose_amplitudes]
+        return total + float((self.problem.own_information(squares) * state.fields**2).sum())
 
     def reading_variance(self, squares: Array) -> float:
         """Return the variance of a component of a reading's rotation, rad^2."""
@@ -192,7 +192,7 @@ class Marginal:
         information, pull = stated.information + w * self.shared, stated_pull + w * self.pull
         information[random.places[:, None], random.places] += inside
         pull[random.places] -= inside @ b
-        expected = self.own_information(squares)
+        expected = self.problem.own_information(squares)
         own = w * self.own
         own[:, range(f), range(f)] += expected
         own_pull, between = w * self.own_pull - expected * fields, w * self.between
@@ -227,7 +227,7 @@ class Marginal:
         gradient = 2.0 * hyper.information @ (eta - hyper.mean)
         followed = found.follow @ found.covariance
         spread = np.diagonal(found.own, axis1=1, axis2=2) + (followed * found.follow).sum(axis=2)
-        expected = self.own_information(squares)
+        expected = self.problem.own_information(squares)
         second = spread + (self.state.fields + found.fields) ** 2
         own = 2.0 * (n - expected * second.sum(axis=0))
         gradient += np.bincount(self.problem.pose_amplitudes, own, len(eta))

@@ -17,11 +17,11 @@ from calib.calibration import CalibrationOptions
 from calib.errors import DegenerateViews
 from calib.joint import amplitudes as amp
 from calib.joint.adjust import lens_names, posed
+from calib.joint.curvature import expected_curvature
 from calib.joint.equations import State
-from calib.joint.fields import DEGREES
-from calib.joint.layout import POSE_DEGREES, POSE_PLACES
-from calib.joint.marginal import NO_FAULT, Marginal, Problem, Solution
+from calib.joint.marginal import Marginal, Problem, Solution
 from calib.joint.posterior import Node, Posterior
+from calib.joint.prior import NO_FAULT
 from calib.joint.solve import Optimum
 from calib.model.lens import is_fisheye
 from calib.studies.predicted_views import ExpectedBench
@@ -36,8 +36,6 @@ _PAIRS = 8
 #: Distortion of a lens at the corner of the sensor, as a share of the distance from the axis: as large as that of the
 #: camera of arXiv:2512.16092.
 _THIRD_ORDER, _FIFTH_ORDER = 0.003, -0.002
-#: For each coefficient of a pose's own field the place of its amplitude in `amp.POSE`.
-OWN_DEGREES = np.tile(DEGREES, 2)[POSE_PLACES] - POSE_DEGREES[0]
 #: Robust limit of predicted stars; they have no residuals.
 _LIMIT = 1.0
 
@@ -118,7 +116,7 @@ def expected_posterior(
     eta = expected_amplitudes(bench, hyper)
     try:
         middle = _still(marginal.solve(eta, slope=False))
-        spread = np.linalg.inv(hyper.information + fisher_information(marginal, eta, middle))
+        spread = np.linalg.inv(0.5 * expected_curvature(marginal, eta, middle))
         lower = np.linalg.cholesky(spread)
         deviates = np.random.default_rng(0).standard_normal((_PAIRS, len(eta)))
         places = [eta, *(eta + lower @ z for z in (*deviates, *-deviates))]
@@ -132,68 +130,6 @@ def expected_posterior(
     return Posterior(optimum, nodes, np.sqrt(np.diag(spread)), {}, replace(nodes[0], solution=middle))
 
 
-def own_information(hyper: amp.Hyperprior, squares: Array) -> Array:
-    """Return (F,) prior information of the coefficients of an own field, for (A,) squares of the amplitudes."""
-    degrees = OWN_DEGREES + POSE_DEGREES[0]
-    return np.asarray((degrees + 1.0) / squares[hyper.places(amp.POSE)[OWN_DEGREES]])
-
-
 def _still(found: Solution) -> Solution:
     """Return a solution whose mean is the expected bench itself: statements do not move a forecast."""
     return replace(found, step=np.zeros_like(found.step), fields=np.zeros_like(found.fields))
-
-
-def fisher_information(marginal: Marginal, eta: Array, found: Solution) -> Array:
-    """Return the (A, A) Fisher information of the logarithms of the amplitudes.
-
-    Of a restricted likelihood with the covariance C it is tr(P dC_j P dC_k) / 2 (Searle, Casella and McCulloch, 1992,
-    section 6.6); dC_j is 2 a_j^2 Z U_j U_j^T Z^T, so an element is twice the squared sum of the elements of
-    a_j a_k U_j^T Z^T P Z U_k. Noise of stars and readings is taken as separate from the fields.
-    """
-    squares = np.exp(2.0 * eta)
-    columns, owners, precision = _random_effects(marginal, squares, found)
-    seen = (columns.T @ precision @ columns) ** 2
-    sums = np.zeros((len(eta), len(owners)))
-    sums[owners, range(len(owners))] = 1.0
-    information = 2.0 * sums @ seen @ sums.T
-    hyper = marginal.problem.hyper
-    star = hyper.at(amp.STAR)
-    information[star, star] = 2.0 * max(
-        marginal.equations.observed - 3.0 * len(marginal.problem.bench.poses), 1.0
-    )
-    if marginal.uses_readings:
-        weights, _ = marginal.reading_weights(squares)
-        direct = marginal.rows - marginal.own_rows @ found.follow[marginal.problem.bench.poses]
-        second = direct @ found.covariance @ np.swapaxes(direct, 1, 2)
-        inside = marginal.reading_variance(squares) * (weights - weights @ second @ weights)
-        at = hyper.at(amp.READING)
-        information[at, at] = 2.0 * float((inside * np.swapaxes(inside, 1, 2)).sum())
-    return information
-
-
-def _random_effects(
-    marginal: Marginal, squares: Array, found: Solution
-) -> tuple[Array, NDArray[np.int64], Array]:
-    """Return the random coefficients of all blocks and poses: their columns, owners, and precision.
-
-    Returns: (K, C) columns a_j U_j; (C,) amplitude of each; (K, K) Sigma^-1 - Sigma^-1 V Sigma^-1.
-    """
-    from scipy.linalg import block_diag
-
-    blocks, hyper = marginal.problem.blocks, marginal.problem.hyper
-    inverses = [np.linalg.inv(block.covariance(squares)) for block in blocks]
-    shapes, owners = [], []
-    for block in blocks:
-        shapes.append(np.hstack([np.sqrt(squares[at]) * shape for at, shape in block.parts]))
-        owners += [at for at, shape in block.parts for _ in range(shape.shape[1])]
-    expected = own_information(hyper, squares)
-    n, f, _ = marginal.dimensions
-    shapes.append(np.diag(np.tile(1.0 / np.sqrt(expected), n)))
-    owners += list(np.tile(hyper.places(amp.POSE)[OWN_DEGREES], n))
-    places = np.concatenate([block.places for block in blocks])
-    follow = found.follow.reshape(n * f, -1)
-    moved = np.vstack([np.eye(follow.shape[1])[places], -follow])
-    covariance = moved @ found.covariance @ moved.T
-    covariance[len(places) :, len(places) :] += block_diag(*found.own)
-    inverse = block_diag(*inverses, np.diag(np.tile(expected, n)))
-    return block_diag(*shapes), np.array(owners, np.int64), inverse - inverse @ covariance @ inverse

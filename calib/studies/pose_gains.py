@@ -16,7 +16,7 @@ from calib.joint import amplitudes as amp
 from calib.joint.equations import Equations, turns_of
 from calib.joint.layout import POSE_PLACES
 from calib.joint.marginal import Problem
-from calib.studies.expected_posterior import Angles, expected_amplitudes, own_information, posed_bench
+from calib.studies.expected_posterior import Angles, expected_amplitudes, posed_bench
 from calib.studies.predicted_views import ExpectedBench
 from calib.uncertainty.projection_uncertainty import projection_derivatives
 from calib.view import View
@@ -119,7 +119,7 @@ def _reduced(problem: Problem, equations: Equations, squares: Array) -> Array:
         whole += np.swapaxes(rows, 1, 2) @ weights @ rows
     at = bench.layout.pose_places
     between = whole[:, at]
-    own = between[:, :, at] + np.diag(own_information(hyper, squares))
+    own = between[:, :, at] + np.diag(problem.own_information(squares))
     return np.asarray(whole - np.swapaxes(between, 1, 2) @ np.linalg.solve(own, between))
 
 

@@ -137,7 +137,7 @@ def test_a_wrong_certificate_beside_right_readings_is_named(views):
 def test_result_has_amplitudes_witnesses_and_factors(views):
     result = calibrate(views, KNOWN)
     assert {one.name for one in result.amplitudes} >= {"star noise", "readings", "pose field, degree 2"}
-    assert set(result.coverage_factors) == set(result.parameter_names)
+    assert set(result.coverage_factors) == {*result.parameter_names, "worst_corner"}
     assert result.coverage_factor == result.coverage_factors["fx"]
     shares = [row.share["fx"] for row in result.budget_rows]
     assert sum(shares) == pytest.approx(1.0, rel=1e-6)
