@@ -190,7 +190,7 @@ def _samples(
 
 @cache
 def _directions(size: int) -> Array:
-    """Return (size, size) orthogonal directions as long as normal deviates; with their opposites, the second moments hold.
+    """Return (size, size) orthogonal directions as long as normal deviates: their second moments are exact.
 
     The uncertainties differ by 4 % from those of 1000 samples; with independent deviates by 14 %.
     """
