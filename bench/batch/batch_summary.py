@@ -19,6 +19,7 @@ from bench.batch.schedule import Item, by_priority
 from bench.history.chart_findings import find_charts
 from bench.history.chart_groups import group_runs
 from bench.history.merged_runs import RunPlace
+from bench.records.estimates import parameters_data
 from bench.records.journal import read_journal
 from bench.records.reading import read_json
 from bench.records.run_folder import JOURNAL, PLAN, REPORT
@@ -193,14 +194,10 @@ def _run_facts(run: IndexedRun | None, planned_poses: int | None) -> dict[str, A
         "model": run.model,
         "rms_px": run.rms_px,
         "sealed": run.sealed,
-        "parameters": _parameters(run),
+        "parameters": parameters_data(run.parameters),
         "ledger_number": run.ledger_number,
         "ledger_head": run.ledger_head,
     }
-
-
-def _parameters(run: IndexedRun) -> dict[str, dict[str, float]]:
-    return {name: {"value": value, "sigma": sigma} for name, (value, sigma) in run.parameters.items()}
 
 
 def _point(run: IndexedRun) -> dict[str, Any]:
@@ -208,7 +205,7 @@ def _point(run: IndexedRun) -> dict[str, Any]:
         "item": run.id,
         "begun_utc": run.begun_utc,
         "temperature_c": run.temperature_c,
-        "parameters": _parameters(run),
+        "parameters": parameters_data(run.parameters),
     }
 
 

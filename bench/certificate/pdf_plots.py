@@ -12,8 +12,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from bench.certificate.certificate_data import Certificate
+from bench.records.estimates import coverage_factor
 from bench.records.results import Results
-from bench.report.calibration_tables import coverage_factor
 from bench.report.target_words import STARS, TargetWords, words_of
 
 if TYPE_CHECKING:

@@ -16,6 +16,7 @@ from bench.base.errors import UsageError
 from bench.commands.calibration_text import unit_text
 from bench.commands.options import BEGIN, QUEUE_STATUS, ExistingFile, OutputFolder, epilog
 from bench.commands.output import JSON, STOPPED, show
+from bench.records.estimates import REPEATS_TEXT, factors_text
 from bench.report.text import with_uncertainty
 
 _K = 2.0
@@ -138,14 +139,18 @@ def _trend_lines(camera: Mapping[str, Any]) -> list[str]:
     """Return one line per parameter of a camera, if more than one of its runs has a result."""
     lines = []
     for trend in camera["parameters"]:
-        mean, expanded = with_uncertainty(trend["mean"], _K * trend["sigma"])
+        mean, expanded = with_uncertainty(trend["mean"], trend["expanded"])
         unit = unit_text(trend["name"])
         line = f"  {trend['name']:<3} {mean:>12} ± {expanded:<9} {unit:<3} Birge {trend['birge']:.2f}"
+        line += "  REPEATS" if trend["repeats"] else ""
         if trend["per_hour"] is not None:
             slope, slope_u = with_uncertainty(trend["per_hour"]["value"], _K * trend["per_hour"]["sigma"])
             line += f"  {slope:>10} ± {slope_u} per hour{'  CHANGES' if trend['per_hour']['seen'] else ''}"
         lines.append(line)
     if lines:
-        head = f"Camera {camera['camera']}, {camera['model']} model, {len(camera['runs'])} results; U with k = 2:"
+        factors = factors_text(trend["coverage_factor"] for trend in camera["parameters"])
+        head = f"Camera {camera['camera']}, {camera['model']} model, {len(camera['runs'])} results; U with {factors}:"
         lines.insert(0, head)
+    if any(trend["repeats"] for trend in camera["parameters"]):
+        lines.append(f"  REPEATS: {REPEATS_TEXT}")
     return lines

@@ -19,6 +19,7 @@ from bench.commands.calibration_text import unit_text
 from bench.commands.keys import key_or_draft
 from bench.commands.output import show, wants_json
 from bench.commands.workers import LiveLine, open_workers
+from bench.records.estimates import coverage_factor, factors_text
 from bench.report.target_words import words_for
 from bench.report.text import with_uncertainty
 from bench.results.forms import forms
@@ -112,13 +113,16 @@ def run_text(row: Mapping[str, Any]) -> str:
     if row.get("skipped"):
         where = f"; its results are in {row['results']}" if row["results"] else ""
         return printable(f"{name}: was done before{where}.")
-    shown, k = [], row["coverage_factor"]
+    shown, factors = [], []
     for parameter in _SHOWN:
         if parameter in row["sigma"]:
-            value, expanded = with_uncertainty(row["values"][parameter], k * row["sigma"][parameter])
+            factors.append(coverage_factor(row, parameter))
+            value, expanded = with_uncertainty(
+                row["values"][parameter], factors[-1] * row["sigma"][parameter]
+            )
             shown.append(f"{parameter} {value} ± {expanded} {unit_text(parameter)}".rstrip())
     located = f"{row['stars']} {words_for(row.get('board')).points}"  # rows of earlier versions have no board
-    parts = [f"{', '.join(shown)} (U with k = {k:.3g})", f"{row['views']} views, {located}"]
+    parts = [f"{', '.join(shown)} (U with {factors_text(factors)})", f"{row['views']} views, {located}"]
     if row["left_out"]:
         parts.append(f"{len(row['left_out'])} recordings left out")
     if not row["converged"]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any, cast
 
-from bench.report.calibration_tables import coverage_factor
+from bench.records.estimates import coverage_factor
 from bench.report.target_words import TargetWords, words_for
 from bench.report.text import exact, unit_of, with_uncertainty
 
@@ -45,13 +45,16 @@ def calibration_text(calibration: CalibrationData, words: TargetWords) -> str:
     values = {**calibration["camera"], **(calibration["collimator"] or {})}
     views = calibration["views"]
     points = sum(view["n"] for view in views)
-    k = coverage_factor(calibration)
+    own, k = calibration.get("coverage_factors"), coverage_factor(calibration)
     model = calibration["model"].capitalize()
     counted = f"{len(views)} view{'' if len(views) == 1 else 's'}"
-    lines = [f"{model} model, {counted}, {points} {words.points}; U with k = {exact(round(k, 2))}:"]
+    factors = "the k of each value" if own else f"k = {exact(round(k, 2))}"
+    lines = [f"{model} model, {counted}, {points} {words.points}; U with {factors}:"]
     for name, sigma in calibration["sigma"].items():
+        k = coverage_factor(calibration, name)
         value, expanded = with_uncertainty(values[name], k * sigma)
-        lines.append(f"  {name:<3} {value:>12} ± {expanded:<8} {unit_text(name)}".rstrip())
+        unit = f"{unit_text(name):<3} (k = {k:.2f})" if own else unit_text(name)
+        lines.append(f"  {name:<3} {value:>12} ± {expanded:<8} {unit}".rstrip())
     lines.append(
         f"Reprojection error: rms {calibration['rms_px']:.4f} px, mean {calibration['mean_px']:.4f} px"
         f" (how well the model fits the {words.points}; this is not the accuracy)."
@@ -63,9 +66,9 @@ def calibration_text(calibration: CalibrationData, words: TargetWords) -> str:
 
 def _planar_text(calibration: CalibrationData) -> str:
     """Return the planar calibration in a few lines, without its notes: it is not the result."""
-    k = coverage_factor(calibration)
     shown = []
     for name in ("fx", "fy", "cx", "cy"):
+        k = coverage_factor(calibration, name)
         value, expanded = with_uncertainty(calibration["camera"][name], k * calibration["sigma"][name])
         shown.append(f"{name} {value} ± {expanded} px")
     return (

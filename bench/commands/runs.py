@@ -16,6 +16,7 @@ from bench.commands.ledger import bench_ledger, ledger_findings
 from bench.commands.options import MOMENT, MOMENT_FORM, ExistingFolder, epilog, status_text
 from bench.commands.output import JSON, show
 from bench.commands.run_choice import RunChoice, print_findings
+from bench.records.estimates import REPEATS_TEXT
 from bench.records.run_folder import JOURNAL
 from bench.records.run_index import IndexedRun, RunIndex, run_folders
 from bench.report.text import with_uncertainty
@@ -237,15 +238,19 @@ def signed(number: float) -> str:
 
 
 def _agreement_lines(runs: Sequence[IndexedRun], compared: Sequence[Agreement]) -> Iterator[str]:
+    from bench.results.agreement import repeats
+
     head = f"{len(runs)} runs of camera {runs[0].camera}, {runs[0].model} model."
-    yield f"{head} ± is the expanded uncertainty U (about 95 %): k = 2 for a mean, the k of its report for a run."
+    yield f"{head} ± is the expanded uncertainty U (about 95 %), with the k of the report."
     for parameter in compared:
-        mean, expanded = with_uncertainty(parameter.mean, 2.0 * parameter.sigma)
-        yield f"{parameter.name}: mean {mean} ± {expanded}, Birge ratio {parameter.birge:.2f}"
+        mean, expanded = with_uncertainty(parameter.mean, parameter.expanded)
+        yield f"{parameter.name}: mean {mean} ± {expanded} (k = {parameter.k:.2f}), Birge ratio {parameter.birge:.2f}"
+        if repeats(parameter.birge, len(runs)):
+            yield f"  {REPEATS_TEXT}"
         for run, deviation in zip(runs, parameter.deviations, strict=True):
-            found, sigma = run.parameters[parameter.name]
-            value, own = with_uncertainty(found, run.k * sigma)
+            found = run.parameters[parameter.name]
+            value, own = with_uncertainty(found.value, found.expanded)
             begun = run.begun_utc[:16].replace("T", " ")
             yield (
-                f"  {begun}  {value:>12} ± {own:<8} (k = {run.k:.2f})  {signed(deviation):>6} sigma  {run.id}"
+                f"  {begun}  {value:>12} ± {own:<8} (k = {found.k:.2f})  {signed(deviation):>6} sigma  {run.id}"
             )

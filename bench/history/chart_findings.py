@@ -80,15 +80,15 @@ def _group(group: ChartGroup, parameter: str | None, baseline: int | None) -> Js
 
 
 def _parameter(name: str, runs: Sequence[ChartRun], baseline: int | None) -> Json:
-    values = [run.parameters[name][0] for run in runs]
-    sigmas = [run.parameters[name][1] for run in runs]
+    found = [run.parameters[name] for run in runs]
+    values, sigmas = [one.value for one in found], [one.sigma for one in found]
     chart: Json = {
         "name": name,
         "unit": parameter_unit(name),
         "meaning": meaning_of(name),
         "values": values,
         "sigmas": sigmas,
-        "expanded": [run.k * sigma for run, sigma in zip(runs, sigmas, strict=True)],
+        "expanded": [one.expanded for one in found],
         "lower": None,
         "upper": None,
         "ewma": None,

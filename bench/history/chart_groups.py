@@ -13,6 +13,7 @@ from typing import Any, Literal, NamedTuple
 
 from bench.history.merged_runs import RunPlace
 from bench.history.table_rows import kind_of
+from bench.records.estimates import Estimate
 from bench.records.run_index import IndexedRun
 
 Level = Literal["camera", "type"]
@@ -42,8 +43,7 @@ class ChartRun:
     serial: str
     begun: datetime
     temperature_c: float | None  # Temperature of the camera, degrees Celsius; None if it is not known
-    k: float
-    parameters: Mapping[str, tuple[float, float]]  # Value and standard uncertainty by name
+    parameters: Mapping[str, Estimate]  # By name
 
 
 @dataclass
@@ -114,7 +114,9 @@ def _point(run: IndexedRun) -> ChartRun | str:
     """Return a run as a chart has it, or why it is in none."""
     if not run.parameters:
         return "have no result"
-    if any(not (math.isfinite(value) and 0 < sigma < math.inf) for value, sigma in run.parameters.values()):
+    if any(
+        not (math.isfinite(value) and 0 < sigma < math.inf) for value, sigma, *_ in run.parameters.values()
+    ):
         return "have a value or an uncertainty that is no usable number"
     try:
         begun = datetime.fromisoformat(run.begun_utc)
@@ -122,7 +124,7 @@ def _point(run: IndexedRun) -> ChartRun | str:
         return "have no time of their begin"
     if begun.tzinfo is None:
         begun = begun.replace(tzinfo=UTC)
-    return ChartRun(run.id, run.folder, run.camera, begun, run.temperature_c, run.k, run.parameters)
+    return ChartRun(run.id, run.folder, run.camera, begun, run.temperature_c, run.parameters)
 
 
 def _left_out(why: str, names: Sequence[str]) -> str:

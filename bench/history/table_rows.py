@@ -70,12 +70,12 @@ def table_row(
 def _parameters(run: IndexedRun) -> dict[str, Any]:
     row: dict[str, Any] = {}
     other = {}
-    for name, (value, sigma) in run.parameters.items():
+    for name, one in run.parameters.items():
         if name not in PARAMETERS:
-            other[name] = {"value": _finite(value), "sigma": _finite(sigma)}
+            other[name] = {"value": _finite(one.value), "sigma": _finite(one.sigma)}
             continue
-        expanded = run.coverage_factor * sigma if run.coverage_factor is not None else None
-        row |= dict(zip(parameter_columns(name), (value, sigma, expanded), strict=True))
+        expanded = one.expanded if run.coverage_factor is not None else None
+        row |= dict(zip(parameter_columns(name), (one.value, one.sigma, expanded), strict=True))
     row["other_parameters"] = json.dumps(other) if other else None
     return row
 

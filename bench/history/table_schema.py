@@ -86,7 +86,9 @@ _RESULT: Sequence[Column] = (
     Column("converged", "truth", "", "whether the calibration converged"),
     Column("rms_px", "number", "px", "root mean square of the residuals; it is no accuracy"),
     Column("degrees_of_freedom", "number", "", "degrees of freedom of the calibration"),
-    Column("coverage_factor", "number", "", "k of the expanded uncertainties"),
+    Column(
+        "coverage_factor", "number", "", "common k of the expanded uncertainties; a value can have its own"
+    ),
     Column(
         "corner_expanded_px", "number", "px", "expanded uncertainty of an image point in the worst corner"
     ),
@@ -148,7 +150,7 @@ def _of_parameter(parameter: str) -> tuple[Column, ...]:
     meanings = (
         meaning_of(parameter) or _FURTHER[parameter],
         f"standard uncertainty of {parameter}",
-        f"expanded uncertainty of {parameter}, `coverage_factor` times the standard uncertainty",
+        f"expanded uncertainty of {parameter}, its own k times the standard uncertainty",
     )
     names = parameter_columns(parameter)
     return tuple(Column(name, "number", unit, text) for name, text in zip(names, meanings, strict=True))

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from bench.base.errors import StorageError
+from bench.records.estimates import coverage_factor
 from bench.records.reading import read_json
 from bench.records.run_folder import PLAN, RESULTS
 
@@ -59,7 +60,7 @@ def read_final(folder: Path) -> dict[str, float]:
     try:
         results = read_json(folder / RESULTS)
         calibration = results["calibration"]
-        k = float(calibration["coverage_factor"])
+        k = coverage_factor(calibration, "fx")
         found = {"coverage_factor": k, "expanded_fx_px": k * float(calibration["sigma"]["fx"])}
         corner = results.get("projection", {}).get("worst_corner", {}).get("expanded_px")
         return found if corner is None else {**found, "worst_corner_px": float(corner)}

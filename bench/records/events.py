@@ -244,7 +244,9 @@ class AttemptLost(TypedDict):
 class Solved(TypedDict):
     """Payload of ``solved``: model, convergence, rms, values and standard uncertainties by parameter.
 
-    ``coverage_factor`` is the k of the expanded uncertainty; an earlier version did not write it.
+    ``coverage_factor`` is the common k of the expanded uncertainties, ``coverage_factors`` the k of each value that has
+    its own, and ``shared`` the part of each standard uncertainty that all runs on the bench share. An earlier version
+    did not write them.
     """
 
     model: str
@@ -253,6 +255,8 @@ class Solved(TypedDict):
     values: Mapping[str, float]
     sigma: Mapping[str, float]
     coverage_factor: NotRequired[float]
+    coverage_factors: NotRequired[Mapping[str, float]]
+    shared: NotRequired[Mapping[str, float]]
 
 
 class WireLogState(TypedDict):

@@ -6,6 +6,8 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from typing import Any
 
+from bench.records.estimates import Estimate, parameters_data
+
 
 @dataclass(frozen=True)
 class IndexedRun:
@@ -36,21 +38,14 @@ class IndexedRun:
     # calibration.
     model: str | None
     rms_px: float | None
-    # Value and standard uncertainty of each parameter, by name.
-    parameters: Mapping[str, tuple[float, float]]
-    # The k of its expanded uncertainties; None without a calibration, or if an earlier version made it.
+    parameters: Mapping[str, Estimate]  # By name
+    # The common k of its expanded uncertainties; None without a calibration, or if an earlier version made it.
     coverage_factor: float | None = None
     # ledger_number, ledger_head: Its number in the ledger of its bench, and the hash of its line there; None
     # for a rehearsal.
     ledger_number: int | None = None
     ledger_head: str | None = None
 
-    @property
-    def k(self) -> float:
-        """The k of its expanded uncertainties; 2 if it is not known."""
-        return self.coverage_factor or 2.0
-
     def to_dict(self) -> dict[str, Any]:
         """Return the run as JSON carries it."""
-        parameters = {name: {"value": v, "sigma": s} for name, (v, s) in self.parameters.items()}
-        return {**asdict(self), "parameters": parameters}
+        return {**asdict(self), "parameters": parameters_data(self.parameters)}

@@ -14,6 +14,7 @@ from typing import Any
 
 from bench.base.bounded_json import parse_json
 from bench.base.errors import BenchError
+from bench.records.estimates import estimates
 from bench.records.events import Event
 from bench.records.history import Attempt, History
 from bench.records.journal_entry import Entry
@@ -48,16 +49,6 @@ def run_facts(history: History, folder: Path) -> dict[str, Any]:
     }
 
 
-def run_parameters(history: History) -> dict[str, tuple[float, float]]:
-    """Return value and standard uncertainty of each parameter that was estimated.
-
-    Returns: Value and standard uncertainty by name; a number that the journal does not have is NaN.
-    """
-    sigma = history.solved.get("sigma", {})
-    values = history.solved.get("values", {})
-    return {name: (_number(value), _number(sigma[name])) for name, value in values.items() if name in sigma}
-
-
 def run_details(history: History, entries: Sequence[Entry], folder: Path) -> dict[str, Any]:
     """Return what the table of runs has beyond the row of the index.
 
@@ -81,7 +72,7 @@ def run_details(history: History, entries: Sequence[Entry], folder: Path) -> dic
         "light_type": _type_of(light),
         "light_serial": _text(light.get("serial")),
         "converged": history.solved.get("converged"),
-        "parameters": list(run_parameters(history)),
+        "parameters": list(estimates(history.solved)),
         "resumed": history.resumed,
         "recordings_lost": sum(history.lost.values()),
         "poses_skipped": len(history.skipped),
@@ -137,7 +128,8 @@ def _warnings(history: History, results: _Json, fault: str | None) -> list[str]:
     found = [str(note) for note in notes] if isinstance(notes, list) else []
     found += [f"The ledger had a break: {one}" for one in history.ledger.get("faults", ())]
     found += [f"The computer was too busy: {history.busy}."] if history.busy else []
-    unusable = [name for name, (v, s) in run_parameters(history).items() if not (math.isfinite(v) and s > 0)]
+    parameters = estimates(history.solved).items()
+    unusable = [name for name, one in parameters if not (math.isfinite(one.value) and one.sigma > 0)]
     found += [f"{name} has no usable value or uncertainty." for name in unusable]
     return [*found, *([fault] if fault else [])]
 
@@ -180,10 +172,6 @@ def _part(whole: _Json, name: str) -> _Json:
 
 def _text(value: object) -> str | None:
     return None if value is None or value == "" else str(value)
-
-
-def _number(value: object) -> float:
-    return float(value) if isinstance(value, int | float) else math.nan
 
 
 def _reported(history: History, name: str) -> list[float]:

@@ -17,12 +17,13 @@ from pathlib import Path
 from typing import Any
 
 from bench.base.errors import BenchError, JournalBroken, StorageError
+from bench.records.estimates import Estimate, estimates
 from bench.records.folder_lock import is_locked
 from bench.records.history import History, replay
 from bench.records.indexed_run import IndexedRun
 from bench.records.journal import read_journal
 from bench.records.ledger_breaks import KnownRun
-from bench.records.run_facts import run_details, run_facts, run_parameters
+from bench.records.run_facts import run_details, run_facts
 from bench.records.run_folder import JOURNAL, RESULTS, is_sealed
 from bench.records.storage import make_folder, storage_errors
 
@@ -34,7 +35,7 @@ __all__ = [
 INDEX = "runs.sqlite3"
 QUEUE_COPY = "queue.yaml"
 """A file that the folder of a batch has and a run folder has not."""
-VERSION = 6
+VERSION = 7
 _COMMIT_EVERY = 100
 """Rows between two commits, so that another process that starts a run does not wait for a long list."""
 _COLUMNS = (
@@ -46,8 +47,8 @@ _SCHEMA = f"""
 CREATE TABLE runs (folder TEXT PRIMARY KEY, size INTEGER, mtime_ns INTEGER, results_mtime_ns INTEGER,
     {", ".join(_COLUMNS)}) WITHOUT ROWID;
 CREATE TABLE details (folder TEXT PRIMARY KEY, found TEXT) WITHOUT ROWID;
-CREATE TABLE parameters (folder TEXT, name TEXT, place INTEGER, value REAL, sigma REAL, PRIMARY KEY (folder, name))
-    WITHOUT ROWID;
+CREATE TABLE parameters (folder TEXT, name TEXT, place INTEGER, value REAL, sigma REAL, k REAL, shared REAL,
+    PRIMARY KEY (folder, name)) WITHOUT ROWID;
 PRAGMA user_version = {VERSION};
 """
 
@@ -222,13 +223,13 @@ def _run(index: sqlite3.Connection, folder: Path) -> IndexedRun:
     ended = facts.pop("ended")
     facts |= {name: bool(facts[name]) for name in ("simulated", "rehearsal")}
     rows = index.execute(
-        "SELECT name, value, sigma FROM parameters WHERE folder = ? ORDER BY place", (str(folder),)
+        "SELECT name, value, sigma, k, shared FROM parameters WHERE folder = ? ORDER BY place", (str(folder),)
     )
     return IndexedRun(
         folder=str(folder),
         how=ended or ("running" if is_locked(folder) else "cut off"),
         sealed=is_sealed(folder),
-        parameters={name: (_nan_of(value), _nan_of(sigma)) for name, value, sigma in rows},
+        parameters={name: Estimate(*map(_nan_of, numbers)) for name, *numbers in rows},
         **facts,
     )
 
@@ -253,10 +254,10 @@ def _index(index: sqlite3.Connection, folder: Path, stamp: tuple[int, int, int])
     index.execute(f"INSERT OR REPLACE INTO runs VALUES ({places})", row)  # noqa: S608
     index.execute("DELETE FROM parameters WHERE folder = ?", (str(folder),))
     rows = [
-        (str(folder), name, place, *both)
-        for place, (name, both) in enumerate(run_parameters(history).items())
+        (str(folder), name, place, *one)
+        for place, (name, one) in enumerate(estimates(history.solved).items())
     ]
-    index.executemany("INSERT INTO parameters VALUES (?, ?, ?, ?, ?)", rows)
+    index.executemany("INSERT INTO parameters VALUES (?, ?, ?, ?, ?, ?, ?)", rows)
     details = json.dumps(found, separators=(",", ":"))
     index.execute("INSERT OR REPLACE INTO details VALUES (?, ?)", (str(folder), details))
 
@@ -281,7 +282,7 @@ def read_run_and_details(folder: Path) -> tuple[IndexedRun, dict[str, Any]]:
         folder=str(folder),
         how=ended or ("running" if is_locked(folder) else "cut off"),
         sealed=is_sealed(folder),
-        parameters=run_parameters(history),
+        parameters=estimates(history.solved),
         **facts,
     )
     return run, details

@@ -14,12 +14,14 @@ from zoneinfo import ZoneInfo
 
 from markupsafe import Markup
 
+from bench.records.estimates import REPEATS_TEXT, factors_text
 from bench.report.chart_page import chart_section, choose_drawn
 from bench.report.html import environment
 from bench.report.text import NOTHING, duration, fixed, meaning_of, number, unit_of, with_uncertainty
 from bench.report.trend_plots import Series, against_temperature, bars_of, over_time, timeline
 
 _K = 2.0
+"""Of a slope."""
 _SCATTER_SIGMAS = 3.0
 """A Birge ratio is significant if it exceeds 1 by more than this number of its own standard deviations."""
 _LEAST_RANGE_C = 0.2
@@ -145,7 +147,7 @@ def _key_figures(summary: Json) -> list[tuple[str, str]]:
 
 def _run_row(item: Json, zone: tzinfo | None) -> RunRow:
     found = item["parameters"].get(_HEADLINE)
-    focal = " ± ".join(with_uncertainty(found["value"], _K * found["sigma"])) if found else NOTHING
+    focal = " ± ".join(with_uncertainty(found["value"], found["expanded"])) if found else NOTHING
     poses = "" if item["poses"] is None else f" / {item['poses']}"
     return RunRow(
         item["item"],
@@ -207,6 +209,7 @@ def _camera_section(camera: Json, place: int, zone: tzinfo | None) -> dict[str, 
         "trends": [_trend_row(trend, len(runs), warm=warm) for trend in trends],
         "time_plot": Markup(time_plot),  # noqa: S704
         "warm_plot": Markup(warm_plot),  # noqa: S704
+        "factors": factors_text(trend["coverage_factor"] for trend in trends),
         "verdict": _verdict(trends, len(runs)),
     }
 
@@ -237,7 +240,7 @@ def _scatters(trend: Json, runs: int) -> bool:
 def _trend_row(trend: Json, runs: int, *, warm: bool) -> TrendRow:
     name = trend["name"]
     unit = "" if unit_of(name) == "1" else unit_of(name)
-    mean, expanded = with_uncertainty(trend["mean"], _K * trend["sigma"])
+    mean, expanded = with_uncertainty(trend["mean"], trend["expanded"])
     moves = trend["per_hour"] is not None and trend["per_hour"]["seen"]
     follows = warm and trend["per_c"] is not None and trend["per_c"]["seen"]
     scattered = _scatters(trend, runs)
@@ -245,6 +248,8 @@ def _trend_row(trend: Json, runs: int, *, warm: bool) -> TrendRow:
         verdict, label = "marginal", "drifts" if moves else "follows temperature"
     elif scattered:
         verdict, label = "marginal", "scatters"
+    elif trend["repeats"]:
+        verdict, label = "marginal", "repeats"
     else:
         verdict, label = "pass", "steady"
     return TrendRow(
@@ -281,6 +286,8 @@ def _verdict(trends: Sequence[Json], runs: int) -> str:
         )
     if scattered:
         findings.append(f"{', '.join(scattered)} scattered more than the stated uncertainties predict")
+    if repeating := [t["name"] for t in trends if t["repeats"]]:
+        findings.append(f"{', '.join(repeating)}: {REPEATS_TEXT.rstrip('.')}")
     if not findings:
         return f"All {runs} results agree within their uncertainties; no significant change of a parameter."
     return f"{'; '.join(findings)}."

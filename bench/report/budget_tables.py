@@ -8,8 +8,8 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+from bench.records.estimates import coverage_factor
 from bench.records.results import BudgetRowData, CalibrationData
-from bench.report.calibration_tables import coverage_factor
 from bench.report.target_words import STARS, TargetWords
 from bench.report.text import NOTHING, number
 

@@ -9,12 +9,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from bench.records.results import CalibrationData, CameraData, ComparisonRow, GimbalCheckData, Results
+from bench.records.estimates import coverage_factor
+from bench.records.results import CalibrationData, ComparisonRow, GimbalCheckData, Results
 from bench.report.bench_knowledge import parallax_rows
 from bench.report.target_words import STARS, TargetWords
 from bench.report.text import NOTHING, angle, fixed, meaning_of, number, unit_of, with_uncertainty
 
-_USUAL_COVERAGE_FACTOR = 2.0
 _OF_STARS = "stars"
 """Name of their noise in a budget, whatever the target is."""
 _VERDICTS = {
@@ -53,18 +53,6 @@ class Cell:
 
     text: str
     shade: float
-
-
-def coverage_factor(calibration: CameraData, name: str = "") -> float:
-    """Return the coverage factor k: U = k u has a coverage probability of about 95 % (JCGM 100, 6.2 and annex G).
-
-    calibration: ``calibration`` or ``planar`` of results.json.
-    name: A value that may have a k of its own; empty for the common one.
-    Returns: Its ``coverage_factor``; 2 if it has none.
-    """
-    if own := (calibration.get("coverage_factors") or {}).get(name):
-        return float(own)
-    return float(calibration.get("coverage_factor") or _USUAL_COVERAGE_FACTOR)
 
 
 def values(calibration: CalibrationData) -> list[ValueRow]:

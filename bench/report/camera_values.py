@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from bench.records.estimates import coverage_factor
 from bench.records.results import CameraData
 from calib.model.camera import PINHOLE, CameraModel
 from calib.uncertainty.projection_uncertainty import camera_difference, projection_uncertainty
@@ -57,7 +58,7 @@ def change_maps(then: CameraData, now: CameraData) -> tuple[Array, Array, Array]
             return None
         camera = camera_of(one["camera"], one["image_size"])
         sigma = projection_uncertainty(camera, covariance).sigma_px
-        found.append((camera, float(one.get("coverage_factor") or 2.0) * sigma))
+        found.append((camera, coverage_factor(one) * sigma))
     difference = camera_difference(found[1][0], found[0][0])
     expanded = np.hypot(found[0][1], found[1][1])
     return difference.grid_px, np.linalg.norm(difference.offset_px, axis=2), expanded

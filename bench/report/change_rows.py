@@ -6,8 +6,8 @@ import math
 from dataclasses import dataclass
 from datetime import datetime
 
+from bench.records.estimates import coverage_factor
 from bench.records.results import CameraData, ChangeData, Results
-from bench.report.calibration_tables import coverage_factor
 from bench.report.text import NOTHING, exact, fixed, moment, number, unit_of, with_uncertainty
 
 _DAY_S, _HOUR_S = 86400.0, 3600.0

@@ -7,8 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from bench.records.estimates import coverage_factor
 from bench.records.results import Results
-from bench.report import calibration_tables
 from bench.report.camera_values import camera_covariance, camera_of, change_maps
 from bench.report.choice import PLOTS
 from bench.report.lens_plot import distortion_curve, field_angles_deg, outermost_deg
@@ -69,7 +69,7 @@ def _camera_plots(results: Results, stars: Sequence[Array]) -> dict[str, str]:
         return {}
     camera, k = (
         camera_of(calibration["camera"], calibration["image_size"]),
-        calibration_tables.coverage_factor(calibration),
+        coverage_factor(calibration),
     )
     found, points = projection_uncertainty(camera, covariance), np.concatenate(stars) if stars else None
     plots = {

@@ -16,6 +16,7 @@ from typing import Any
 import jinja2
 from markupsafe import Markup
 
+from bench.records.estimates import coverage_factor
 from bench.records.results import Results
 from bench.report import budget_tables, calibration_tables, device_tables, pose_tables, run_tables, text
 from bench.report.bench_knowledge import source_rows
@@ -70,7 +71,7 @@ def render_report(data: ReportData, *, draw: bool = True) -> str:
 def _result_parts(results: Results, words: TargetWords) -> dict[str, Any]:
     """Return what the template prints about the calibration."""
     calibration, halves = results["calibration"], results.get("halves")
-    k = calibration_tables.coverage_factor(calibration)
+    k = coverage_factor(calibration)
     return {
         "calibration": calibration,
         "k": text.exact(round(k, 2)),

@@ -7,9 +7,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from bench.records.estimates import coverage_factor, factors_text
 from bench.records.results import CalibrationData, Results
 from bench.report import budget_tables, pose_tables, run_tables
-from bench.report.calibration_tables import coverage_factor
 from bench.report.change_rows import change_sentence
 from bench.report.target_words import words_of
 from bench.report.text import exact, number, with_uncertainty
@@ -59,13 +59,13 @@ def verdict(results: Results) -> Verdict:
 
 def _focal_lengths(calibration: CalibrationData) -> str:
     """Return fx and fy with their expanded uncertainties."""
-    k, sigma, found = coverage_factor(calibration, "fx"), calibration["sigma"], []
+    sigma, found, factors = calibration["sigma"], [], []
     for name in ("fx", "fy"):
         if name in sigma:
-            own = coverage_factor(calibration, name)
-            value, expanded = with_uncertainty(calibration["camera"][name], own * sigma[name])
+            factors.append(coverage_factor(calibration, name))
+            value, expanded = with_uncertainty(calibration["camera"][name], factors[-1] * sigma[name])
             found.append(f"{name} {value} ± {expanded} px")
-    return f"{', '.join(found)} (k = {_k(k)}, about 95 %)." if found else ""
+    return f"{', '.join(found)} ({factors_text(factors)}, about 95 %)." if found else ""
 
 
 def _directions(results: Results) -> str:

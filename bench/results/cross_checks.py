@@ -90,8 +90,9 @@ def _focal_uncertainty(calibration: Calibration) -> float | None:
     """Return the larger U of fx and fy, as a share of the value; None if neither was estimated."""
     values = dict(zip(calibration.parameter_names, calibration.values.tolist(), strict=True))
     sigmas = calibration.sigma
-    shares = [sigmas[name] / values[name] for name in ("fx", "fy") if name in values]
-    return calibration.coverage_factor * max(shares) if shares else None
+    k, own = calibration.coverage_factor, calibration.coverage_factors
+    shares = [own.get(name, k) * sigmas[name] / values[name] for name in ("fx", "fy") if name in values]
+    return max(shares, default=None)
 
 
 def _pairs(pairs: PairRatios) -> dict[str, Any]:

@@ -19,6 +19,7 @@ from bench.base.bounded_json import parse_json
 from bench.base.errors import BenchError
 from bench.base.home import home_folder
 from bench.evidence.seal import read_manifest
+from bench.records.estimates import coverage_factor
 from bench.records.ledger import Ledger
 from bench.records.ledger_runs import LedgerRun
 from bench.records.results import (
@@ -145,7 +146,8 @@ def _compared(run: LedgerRun, found: _Sealed, results: Results) -> PreviousData:
         "camera": dict(then["camera"]),
         "sigma": {name: then["sigma"][name] for name in then["camera"]},
         "covariance": _of_camera(then),
-        "coverage_factor": float(then.get("coverage_factor") or 2.0),
+        "coverage_factor": coverage_factor(then),
+        "coverage_factors": then.get("coverage_factors", {}),
     }
     return {
         "run": run.run_id,

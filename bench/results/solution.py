@@ -6,6 +6,7 @@ that calculates it again, use the same function.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import datetime
@@ -109,7 +110,20 @@ def main_numbers(calibration: Calibration) -> Solved:
         "values": dict(zip(calibration.parameter_names, calibration.values.tolist(), strict=True)),
         "sigma": dict(calibration.sigma),
         "coverage_factor": calibration.coverage_factor,
+        "coverage_factors": dict(calibration.coverage_factors),
+        "shared": shared_parts(calibration),
     }
+
+
+def shared_parts(calibration: Calibration) -> dict[str, float]:
+    """Return the standard uncertainty of each parameter that all runs on this bench share, from the budget.
+
+    Only what was evaluated from the views of this run (type A) is its own. Certificate, glass, print and the
+    statements about the gimbal (type B) are the same in each run.
+    """
+    own = {row.name for row in calibration.budget_rows if row.type == "A"}
+    parts = [part for source, part in calibration.budget.items() if source not in own]
+    return {name: math.hypot(*(part.get(name, 0.0) for part in parts)) for name in calibration.sigma}
 
 
 def _notes(job: Job, step: SolveStep, history: History, measurements: Sequence[Measurement]) -> list[str]:

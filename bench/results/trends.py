@@ -13,8 +13,9 @@ from dataclasses import dataclass
 from datetime import datetime
 from typing import Any
 
+from bench.records.estimates import Estimate
 from bench.records.run_index import IndexedRun
-from bench.results.agreement import agreement
+from bench.results.agreement import Agreement, agreement, repeats
 
 SIGNIFICANT_SIGMAS = 3.5
 """A slope is significant if it exceeds this number of standard uncertainties. By chance, one slope in 2000 does so; a
@@ -51,10 +52,8 @@ class Trend:
     """One parameter of one camera in several runs."""
 
     name: str
-    # mean, sigma, birge: As in `agreement.Agreement`.
-    mean: float
-    sigma: float
-    birge: float
+    agreed: Agreement
+    repeats: bool  # As `agreement.repeats` finds
     # per_hour, per_c: Slope against time and against the camera's temperature; None if time or temperature
     # varies too little.
     per_hour: Slope | None
@@ -63,13 +62,13 @@ class Trend:
     def to_dict(self) -> dict[str, Any]:
         """Return the content as JSON holds it.
 
-        Returns: ``name mean sigma birge per_hour per_c``.
+        Returns: ``name mean sigma coverage_factor expanded birge repeats per_hour per_c``.
         """
+        agreed = self.agreed.to_dict()
+        del agreed["deviations"]
         return {
-            "name": self.name,
-            "mean": self.mean,
-            "sigma": self.sigma,
-            "birge": self.birge,
+            **agreed,
+            "repeats": self.repeats,
             "per_hour": self.per_hour.to_dict() if self.per_hour else None,
             "per_c": self.per_c.to_dict() if self.per_c else None,
         }
@@ -124,14 +123,14 @@ def trends_of(runs: Sequence[IndexedRun]) -> list[Trend]:
     known_c = [t for t in warm if t is not None]
     found = []
     for name in runs[0].parameters:
-        values = [run.parameters.get(name, (0.0, 0.0)) for run in runs]
-        if not all(sigma > 0 for _, sigma in values):
+        values = [run.parameters.get(name, Estimate(0.0, 0.0)) for run in runs]
+        if not all(one.sigma > 0 for one in values):
             continue
         agreed = agreement(name, values)
-        y, sigma = [v for v, _ in values], [s for _, s in values]
+        y, sigma = [one.value for one in values], [one.sigma for one in values]
         per_hour = fit_slope(hours, y, sigma) if hours[-1] - hours[0] >= LEAST_SPAN_H else None
         per_c = fit_slope(known_c, y, sigma) if len(known_c) == len(runs) else None
-        found.append(Trend(name, agreed.mean, agreed.sigma, agreed.birge, per_hour, per_c))
+        found.append(Trend(name, agreed, repeats(agreed.birge, len(runs)), per_hour, per_c))
     return found
 
 

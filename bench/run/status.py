@@ -17,6 +17,7 @@ from bench.base.errors import RunFolderError, StorageError
 from bench.base.home import home_folder
 from bench.evidence.ledger_authorisation import known_authorisations
 from bench.evidence.shown_state import home_trust, shown_state
+from bench.records.estimates import estimates, factors_text
 from bench.records.folder_lock import is_locked
 from bench.records.history import History, replay
 from bench.records.journal import read_journal
@@ -31,7 +32,6 @@ from bench.run.machine import END_STATES
 from bench.run.time_left import TimeLeft
 
 LAST_LINES = 5
-_USUAL_K = 2.0
 
 
 @dataclass(frozen=True)
@@ -195,12 +195,12 @@ def _result_text(history: History) -> str:
     solved = history.solved
     if not solved or not solved["converged"]:
         return ""
-    k, parts = solved.get("coverage_factor", _USUAL_K), []
-    for name in ("fx", "fy"):
-        if name in solved["sigma"]:
-            value, expanded = with_uncertainty(solved["values"][name], k * solved["sigma"][name])
-            parts.append(f"{name} {value} ± {expanded} px")
-    return f"{', '.join(parts)} (k = {k:.3g})" if parts else ""
+    found = {name: one for name, one in estimates(solved).items() if name in {"fx", "fy"}}
+    parts = [
+        "{} {} ± {} px".format(name, *with_uncertainty(one.value, one.expanded))
+        for name, one in found.items()
+    ]
+    return f"{', '.join(parts)} ({factors_text(one.k for one in found.values())})" if parts else ""
 
 
 def _most_poses(plan: _Plan, history: History, known: int) -> int:

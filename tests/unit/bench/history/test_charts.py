@@ -11,6 +11,7 @@ import pytest
 from bench.history.chart_findings import find_charts, needs_attention
 from bench.history.chart_groups import ChartGroup, ChartKey, ChartRun, group_runs
 from bench.history.merged_runs import RunPlace
+from bench.records.estimates import Estimate
 from bench.records.run_index import IndexedRun
 from bench.report.chart_page import MOST_DRAWN, render_charts
 
@@ -24,7 +25,7 @@ def run(n, *, fx=3345.0, sigma=1.0, **facts):
         "folder": f"/runs/{n}", "id": f"run-{n}", "sequence": "Three", "station": "Bench 1", "camera": "1", "operator": None,
         "simulated": False, "rehearsal": False, "begun_utc": (BEGUN + timedelta(hours=n)).isoformat(), "how": "finished",
         "sealed": True, "accepted": 3, "recordings": 3, "deviations": 0, "temperature_c": 40.0, "model": "radial",
-        "rms_px": 0.1, "parameters": {"fx": (fx, sigma)}, "coverage_factor": 2.2,
+        "rms_px": 0.1, "parameters": {"fx": Estimate(fx, sigma, 2.2)}, "coverage_factor": 2.2,
     }  # fmt: skip
     return IndexedRun(**{**told, **facts})
 
@@ -38,8 +39,8 @@ def steady(count, rng, parameters=("fx",), shift=lambda n, name: 0.0, warm=True)
     key = ChartKey("camera", "measured", "b", "s", "EVK4", "1", "c", "t", "radial", tuple(parameters))
     runs = [
         ChartRun(
-            f"run-{n}", f"/{n}", "1", BEGUN + timedelta(hours=n), 40.0 + rng.normal(0, 0.5) if warm else None, 2.0,
-            {name: (3345.0 + rng.normal() + shift(n, name), 1.0) for name in parameters},
+            f"run-{n}", f"/{n}", "1", BEGUN + timedelta(hours=n), 40.0 + rng.normal(0, 0.5) if warm else None,
+            {name: Estimate(3345.0 + rng.normal() + shift(n, name), 1.0) for name in parameters},
         )
         for n in range(count)
     ]  # fmt: skip
@@ -57,7 +58,7 @@ def chart_of(page, name="fx"):
         (run(1, rehearsal=True), DETAILS, PLACE),
         (run(1, model="planar"), DETAILS, PLACE),
         (run(1, station="Bench 2"), DETAILS, PLACE),
-        (run(1, parameters={"fx": (1.0, 1.0), "k1": (1.0, 1.0)}), DETAILS, PLACE),
+        (run(1, parameters={"fx": Estimate(1.0, 1.0), "k1": Estimate(1.0, 1.0)}), DETAILS, PLACE),
         (run(1), {**DETAILS, "target_serial": "T-2"}, PLACE),
         (run(1), {**DETAILS, "collimator_serial": "C-2"}, PLACE),
         (run(1), {**DETAILS, "camera_type": "Other"}, PLACE),
@@ -146,7 +147,9 @@ def test_runs_without_temperatures_have_no_picture_over_temperature():
 
 def test_a_camera_whose_runs_scatter_more_than_stated_is_told():
     group = steady(30, np.random.default_rng(8))
-    group.runs = [replace(one, parameters={"fx": (one.parameters["fx"][0], 0.2)}) for one in group.runs]
+    group.runs = [
+        replace(one, parameters={"fx": one.parameters["fx"]._replace(sigma=0.2)}) for one in group.runs
+    ]
     assert "times as much as their stated uncertainties predict" in chart_of(find_charts([group]))["verdict"]
 
 

@@ -64,7 +64,7 @@ def test_the_document_shows_the_schema():
     stated = [(n, KINDS[k or "text"], m) for n, k, m in column.findall(of_a_run)]
     for name, unit, meaning in column.findall(parameters):
         end = f"_{unit}" if unit else ""
-        expanded = f"expanded uncertainty of {name}, `coverage_factor` times the standard uncertainty"
+        expanded = f"expanded uncertainty of {name}, its own k times the standard uncertainty"
         stated += [
             (f"{name}{end}", "number", meaning),
             (f"{name}_sigma{end}", "number", f"standard uncertainty of {name}"),

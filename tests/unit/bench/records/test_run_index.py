@@ -7,6 +7,7 @@ from datetime import UTC, datetime
 import pytest
 
 from bench.base.errors import StorageError, UsageError
+from bench.records.estimates import Estimate
 from bench.records.events import Event
 from bench.records.journal import Journal
 from bench.records.run_folder import RunFolder
@@ -45,7 +46,16 @@ def make(
         if fx:
             values = {"fx": fx, "r": 255.0}
             sigmas = {"fx": sigma, "r": 0.1}
-            journal.append(Event.SOLVED, model=model, rms_px=0.1, values=values, sigma=sigmas)
+            journal.append(
+                Event.SOLVED,
+                model=model,
+                rms_px=0.1,
+                values=values,
+                sigma=sigmas,
+                coverage_factor=2.2,
+                coverage_factors={"r": 2.4},
+                shared={"fx": 0.3},
+            )
         if ended:
             journal.append(Event.RUN_ENDED, how=ended, why="")
     return path
@@ -77,8 +87,13 @@ def test_a_row_is_what_the_journal_says(index, three):
         True,
     )
     assert (run.temperature_c, run.model, run.rms_px) == (40.5, "spherical", 0.1)
-    assert run.parameters == {"fx": (3345.0, 0.5), "r": (255.0, 0.1)}
-    assert run.to_dict()["parameters"]["fx"] == {"value": 3345.0, "sigma": 0.5}
+    assert run.parameters == {"fx": (3345.0, 0.5, 2.2, 0.3), "r": (255.0, 0.1, 2.4, 0.0)}
+    assert run.to_dict()["parameters"]["fx"] == {
+        "value": 3345.0,
+        "sigma": 0.5,
+        "coverage_factor": 2.2,
+        "expanded": 1.1,
+    }
 
 
 def test_runs_come_oldest_first_and_as_chosen(index, three):
@@ -161,7 +176,7 @@ def test_an_index_that_cannot_be_written_says_so(tmp_path, three):
 
 
 def test_runs_that_scatter_as_they_say_have_a_birge_ratio_near_one():
-    found = agreement("fx", [(100.0 + d, 1.0) for d in (-1.0, 1.0, -1.0, 1.0)])
+    found = agreement("fx", [Estimate(100.0 + d, 1.0) for d in (-1.0, 1.0, -1.0, 1.0)])
     assert found.mean == 100.0
     assert found.sigma == 0.5
     assert found.birge == pytest.approx((4 / 3) ** 0.5)
@@ -169,7 +184,7 @@ def test_runs_that_scatter_as_they_say_have_a_birge_ratio_near_one():
 
 
 def test_the_better_known_value_weighs_more():
-    found = agreement("r", [(255.0, 0.1), (256.0, 1.0)])
+    found = agreement("r", [Estimate(255.0, 0.1), Estimate(256.0, 1.0)])
     assert found.mean == pytest.approx(255.0 + 1 / 101)
     assert found.deviations == pytest.approx([-1 / 1.01**0.5, 1 / 1.01**0.5])
 

@@ -7,6 +7,7 @@ from html.parser import HTMLParser
 import numpy as np
 import pytest
 
+from bench.records.estimates import Estimate, parameters_data
 from bench.records.run_index import IndexedRun
 from bench.report.batch_page import render_batch
 from bench.results.trends import by_camera, fit_slope, trends_of
@@ -14,13 +15,15 @@ from bench.results.trends import by_camera, fit_slope, trends_of
 EVENING = datetime(2026, 3, 1, 19, tzinfo=UTC)
 
 
-def run(number, *, fx=0.0, sigma=0.5, temperature_c=40.0, camera="1", hours=None):
+def run(number, *, fx=0.0, k1=0.0, sigma=0.5, shared=0.0, temperature_c=40.0, camera="1", hours=None):
     begun = EVENING + timedelta(hours=number / 2 if hours is None else hours)
     return IndexedRun(
         folder=f"/runs/r{number:03d}", id=f"r{number:03d}", sequence="s", station="t", camera=camera, operator=None,
         simulated=True, rehearsal=False, begun_utc=begun.isoformat().replace("+00:00", "Z"), how="finished", sealed=True, accepted=9,
         recordings=9, deviations=0, temperature_c=temperature_c, model="spherical", rms_px=0.05,
-        parameters={"fx": (3300.0 + fx, sigma), "k1": (0.06, 0.001)},
+        parameters={
+            "fx": Estimate(3300.0 + fx, sigma, 2.2, shared), "k1": Estimate(0.06 + k1, 0.001, 2.3),
+        },
     )  # fmt: skip
 
 
@@ -31,7 +34,7 @@ def test_a_drift_is_seen_where_there_is_one(drift_px_h):
     fx, k1 = trends_of(runs)
     assert fx.per_hour.significant is (drift_px_h > 0)
     assert fx.per_hour.value == pytest.approx(drift_px_h, abs=3 * fx.per_hour.sigma)
-    assert k1.birge == 0
+    assert k1.agreed.birge == 0
     assert fx.per_c is None  # one temperature all night
     assert not k1.per_hour.significant
 
@@ -75,7 +78,7 @@ def item(key, how="finished", why="", **facts):
         "begun_utc": "2026-03-01T19:00:00+00:00", "ended_utc": "2026-03-01T19:10:00+00:00", "took_s": 600.0,
         "report": None, "camera": "1", "poses": 9, "accepted": 9, "recordings": 10, "deviations": 0,
         "temperature_c": None, "model": "spherical", "rms_px": 0.05, "sealed": True,
-        "parameters": {"fx": {"value": 3300.0, "sigma": 0.5}},
+        "parameters": parameters_data({"fx": Estimate(3300.0, 0.5)}),
     }  # fmt: skip
     told["tries"] = [{"begun_utc": told["begun_utc"], "ended_utc": told["ended_utc"], "how": how}]
     return {**told, **facts}
@@ -113,7 +116,7 @@ def of_runs(runs):
     points = [
         {
             "item": r.id, "begun_utc": r.begun_utc, "temperature_c": r.temperature_c,
-            "parameters": {n: {"value": v, "sigma": s} for n, (v, s) in r.parameters.items()},
+            "parameters": parameters_data(r.parameters),
         }
         for r in runs
     ]  # fmt: skip
@@ -162,7 +165,10 @@ def test_the_page_tells_failures_and_what_was_not_begun_with_local_times():
 
 
 def test_the_page_says_in_words_what_changed_and_what_did_not():
-    steady = render_batch(summary(cameras=[of_runs([run(n) for n in range(12)])]))
+    noise = np.random.default_rng(3).normal(size=(12, 2))
+    steady = render_batch(
+        summary(cameras=[of_runs([run(n, fx=0.5 * a, k1=0.001 * b) for n, (a, b) in enumerate(noise)])])
+    )
     assert "All 12 results agree within their uncertainties" in steady
     drifting = render_batch(summary(cameras=[of_runs([run(n, fx=2.0 * n) for n in range(12)])]))
     assert "fx changed during the batch" in drifting
@@ -192,3 +198,25 @@ def test_the_same_summary_gives_the_same_page():
 def test_what_is_not_measured_says_so_at_the_top(flag):
     html = render_batch(summary(item("a-001"), **{flag: True}))
     assert '<div class="simulated-bar">' + flag.upper() in html
+
+
+def test_the_mean_of_many_runs_is_not_better_than_what_they_share():
+    drawn = np.random.default_rng(4)
+    runs = [run(n, fx=0.3 * drawn.normal(), sigma=0.5, shared=0.4, hours=0.1 * n) for n in range(60)]
+    fx = trends_of(runs)[0].agreed
+    assert 0.4 < fx.sigma < 0.41
+    assert fx.expanded == 2.2 * fx.sigma
+
+
+def test_runs_that_differ_much_less_than_they_say_are_told_and_their_mean_is_not_better():
+    runs = [run(n, fx=0.01 * n, hours=0.1 * n) for n in range(3)]
+    page = render_batch(summary(cameras=[of_runs(runs)]))
+    assert "the mean of many runs is not better than one run" in page
+    assert "agree within" not in page
+    assert '<span class="pill marginal">repeats</span>' in page
+    assert trends_of(runs)[0].agreed.sigma == pytest.approx(0.5, rel=0.01)
+
+
+def test_the_page_has_the_k_of_each_value():
+    page = render_batch(summary(cameras=[of_runs([run(n) for n in range(4)])]))
+    assert "expanded uncertainty with k = 2.2, 2.3" in page

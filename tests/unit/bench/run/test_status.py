@@ -86,6 +86,8 @@ def test_a_result_is_shown_with_the_factor_of_its_uncertainty(run):
     solved = {"model": "radial", "converged": True, "rms_px": 0.1, "values": values, "sigma": sigma}
     run.tell(Event.SOLVED, **solved, coverage_factor=2.42)
     assert "\nResult: fx 3345.8 ± 4.7 px, fy 3346.2 ± 4.8 px (k = 2.42)\n" in status_text(run.status())
+    run.tell(Event.SOLVED, **solved, coverage_factor=2.42, coverage_factors={"fx": 3.0})
+    assert run.status().result == "fx 3345.8 ± 5.8 px, fy 3346.2 ± 4.8 px (k = 3, 2.42)"
     run.tell(Event.SOLVED, **solved)  # of an earlier version
     assert run.status().result.endswith("(k = 2)")
     run.tell(Event.SOLVED, **{**solved, "converged": False})
