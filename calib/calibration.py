@@ -206,6 +206,8 @@ class Calibration:
         For each statement: what it says against what all others say. Of the joint adjustment; else empty.
     amplitudes
         The sizes of the errors that the joint adjustment estimated; else empty.
+    remarks
+        Those of the notes that explain a choice; every other note doubts the values.
     coverage_factors
         The k of each parameter by name, and that of the worst point of the sensor (``worst_corner``), if they differ;
         `coverage_factor` is that of fx.
@@ -245,6 +247,7 @@ class Calibration:
     amplitudes: tuple[Amplitude, ...] = ()
     coverage_factors: Mapping[str, float] = field(default_factory=dict)
     glass: Passport | None = None
+    remarks: tuple[str, ...] = ()
 
     @property
     def sigma(self) -> Mapping[str, float]:
@@ -338,6 +341,7 @@ class Calibration:
             ],
             "candidates": [asdict(candidate) for candidate in self.candidates],
             "notes": list(self.notes),
+            "remarks": list(self.remarks),
             **({"gimbal": self.gimbal.to_dict()} if self.gimbal else {}),
             "budget_rows": [row.to_dict() for row in self.budget_rows],
             "not_included": list(self.not_included),

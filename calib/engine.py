@@ -72,7 +72,8 @@ def calibrate(views: Sequence[View], options: CalibrationOptions | None = None) 
         result = _without_readings_that_widen(result, choice.fit, options, lens)
     named = (one.sentence for one in wrong if one.sentence)
     notes = (*named, *doubts, *result.notes, *choice.notes)
-    return replace(result, candidates=choice.candidates, notes=notes)
+    remarks = (*result.remarks, *choice.notes)
+    return replace(result, candidates=choice.candidates, notes=notes, remarks=remarks)
 
 
 def _jointly(
@@ -129,7 +130,7 @@ def _without_readings_that_widen(
         "readings."
     )
     result = summarize(alone, options, lens)
-    return replace(result, notes=(*result.notes, note))
+    return replace(result, notes=(*result.notes, note), remarks=(*result.remarks, note))
 
 
 def _check(views: Sequence[View], fewest: int) -> None:

@@ -53,6 +53,7 @@ def summarize(fitted: Fit, options: CalibrationOptions, lens: str = "") -> Calib
     lengths = np.linalg.norm(residuals, axis=1)
     rows = whole.observations.slices
     counted = [lengths[r][used[r]] for r in rows]
+    rims = _rims_out_of_view(fitted)
     return Calibration(
         model=fitted.model,
         camera=parameters.camera,
@@ -82,7 +83,8 @@ def summarize(fitted: Fit, options: CalibrationOptions, lens: str = "") -> Calib
             source: dict(zip(uncertainty.names, np.sqrt(np.maximum(variances, 0.0)).tolist(), strict=True))
             for source, variances in uncertainty.budget.items()
         },
-        notes=(*_notes(fitted, lens), *_doubts(fitted, uncertainty), *reading_notes(gimbal)),
+        notes=(*rims, *_notes(fitted, lens), *_doubts(fitted, uncertainty), *reading_notes(gimbal)),
+        remarks=tuple(rims),
         gimbal=gimbal,
         poses=whole.poses or (),
         budget_rows=budget.rows,
@@ -189,13 +191,14 @@ _SHARED = {
 
 def _notes(fitted: Fit, lens: str) -> tuple[str, ...]:
     """Return the notes for the reader of the result."""
-    notes = [*_weakness(fitted), *_rims_out_of_view(fitted)]
+    notes = _weakness(fitted)
     if not fitted.uncertainty.inconsistent:
         return tuple(notes)
-    notes.append(
-        f"Views differ {fitted.uncertainty.birge_ratio:.1f} times more than star noise explains. The uncertainties "
-        f"include what differs from view to view{_SHARED[fitted.uncertainty.common is not None]}"
-    )
+    differ = f"Views differ {fitted.uncertainty.birge_ratio:.1f} times more than star noise explains"
+    held = fitted.uncertainty.common is not None
+    if held and not lens and fitted.model not in ("spherical", "drift", "planar"):
+        return (*notes, f"{differ}: {_explained(fitted.model)}")
+    notes.append(f"{differ}. The uncertainties include what differs from view to view{_SHARED[held]}")
     if UNBOUNDED_PARALLAX in fitted.uncertainty.budget:
         notes.append(
             "Neither a certificate nor bounded readings determine the focal length: a parallax of about 1 % cannot be "
@@ -214,6 +217,13 @@ def _notes(fitted: Fit, lens: str) -> tuple[str, ...]:
     elif fitted.model not in ("drift", "planar"):
         notes.append(f"The collimator has errors that the {fitted.model} model does not describe.")
     return tuple(notes)
+
+
+def _explained(model: str) -> str:
+    return (
+        f"the collimator has errors that the {model} model does not describe, and the uncertainties hold them, as far "
+        "as the residuals show them."
+    )
 
 
 def _weakness(fitted: Fit) -> list[str]:

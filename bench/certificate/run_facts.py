@@ -277,7 +277,7 @@ def deviations_of(found: Results) -> tuple[Deviation, ...]:
 
     Returns: In the order of the run.
     """
-    texts = [str(one) for one in found.get("deviations") or []]
+    texts = [str(one) for one in (*(found.get("deviations") or ()), *(found.get("holds") or ()))]
     texts += [f"The run was interrupted: {one.get('what') or one}" for one in found.get("failures") or []]
     if resumed := int(found["run"].get("resumed") or 0):
         texts.append(f"The run was resumed {resumed} time{'s' if resumed > 1 else ''}.")

@@ -387,9 +387,10 @@ class ComputerBusy(TypedDict):
 
 
 class Deviation(TypedDict):
-    """Payload of ``deviation``."""
+    """Payload of ``deviation``; ``hold`` if a person only had the run wait."""
 
     what: str
+    hold: NotRequired[bool]
 
 
 class FailureData(TypedDict):

@@ -81,6 +81,7 @@ class History:
     """Number of recordings that the camera could not complete, by pose index."""
     states: list[StateEntered] = field(default_factory=list)
     deviations: list[str] = field(default_factory=list)
+    holds: list[str] = field(default_factory=list)  # Pauses that a person asked for and ended
     failures: list[FailureData] = field(default_factory=list)
     """The errors that ended the run before it was resumed, and the one that ended it last."""
     resumed: int = 0
@@ -250,7 +251,7 @@ def apply_entry(history: History, entry: Entry) -> None:
         case Event.STEP_DONE:
             history.done_steps.add(int(data["step"]))
         case Event.DEVIATION:
-            history.deviations.append(str(data["what"]))
+            (history.holds if data.get("hold") else history.deviations).append(str(data["what"]))
         case Event.SOLVED:
             history.solved = cast("Solved", data)
         case Event.UNTIL_DECIDED:

@@ -135,6 +135,7 @@ class CalibrationData(CameraData):
     views: Sequence[ViewData]
     candidates: NotRequired[Sequence[CandidateData]]
     notes: NotRequired[Sequence[str]]
+    remarks: NotRequired[Sequence[str]]  # Those of the notes that do not doubt the values
     gimbal: NotRequired[GimbalEstimateData]
     budget_rows: NotRequired[Sequence[BudgetRowData]]
     not_included: NotRequired[Sequence[str]]
@@ -425,6 +426,7 @@ class Results(TypedDict):
     gates: NotRequired[Sequence[GateData]]
     untils: NotRequired[Sequence[UntilDecided]]
     deviations: NotRequired[Sequence[str]]
+    holds: NotRequired[Sequence[str]]  # Pauses that a person asked for and ended
     failures: NotRequired[Sequence[FailureData]]
     devices_left: NotRequired[Sequence[Mapping[str, str]]]
     states: NotRequired[Sequence[StateEntered]]

@@ -111,6 +111,7 @@ def _run_parts(results: Results, words: TargetWords) -> dict[str, Any]:
         "recordings": pose_tables.recordings(poses, words),
         "gates": pose_tables.gates(results.get("gates") or [], words),
         "deviations": run_tables.deviations(results),
+        "holds": [str(hold) for hold in results.get("holds") or ()],
         "sources": source_rows(results.get("sources") or []),
         "walk": _markup(state_diagram(results["states"])) if results.get("states") else "",
     }

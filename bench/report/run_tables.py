@@ -99,10 +99,14 @@ def software(results: Results) -> list[tuple[str, str]]:
 
 
 def alerts(results: Results) -> list[str]:
-    """List what a reader must know before using the values: gates that did not pass, and every deviation.
+    """List what a reader must know before using the values: doubts of the calibration, gates, and every deviation.
 
-    Returns: A sentence for each gate, each ``until`` that did not meet its goals, and each deviation.
+    Returns: A sentence for each note that doubts the values, each gate that did not pass, each ``until`` that did not
+      meet its goals, and each deviation.
     """
+    calibration = results["calibration"]
+    remarks = calibration.get("remarks") or ()
+    doubts = [note for note in calibration.get("notes") or () if note not in remarks]
     details = [
         f"Gate {row.name}: {row.verdict} ({row.values}, limit {row.limit}; {row.count} passed)."
         for row in gates(results.get("gates") or [], words_of(results))
@@ -113,7 +117,7 @@ def alerts(results: Results) -> list[str]:
         for decided in results.get("untils") or []
         if decided.get("ended", "met") != "met"
     ]
-    return details + missed + deviations(results)
+    return details + missed + doubts + deviations(results)
 
 
 def deviations(results: Results) -> list[str]:

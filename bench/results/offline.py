@@ -140,7 +140,8 @@ def calibrate_sources(sources: Sequence[ViewSource], choices: OfflineOptions) ->
     with errors_in(words):
         calibration = calibrate(views, options)
     notes = tuple(words.fitting(note) for note in (*calibration.notes, *cautions))
-    calibration = replace(calibration, notes=notes)
+    remarks = tuple(map(words.fitting, calibration.remarks))
+    calibration = replace(calibration, notes=notes, remarks=remarks)
     planar = planar_calibration(views, options) if calibration.model != "planar" else None
     targets = [source.job.target if source.job else choices.target for source in used]
     target = targets[0] if all(one == targets[0] for one in targets) else None

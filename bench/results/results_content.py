@@ -95,6 +95,7 @@ def journal_content(job: Job, history: History, views: Sequence[ViewSummary]) ->
         "gates": _pose_gates(history),
         **({"untils": list(history.decisions)} if history.decisions else {}),
         "deviations": list(history.deviations),
+        "holds": list(history.holds),
         **({"failures": list(history.failures)} if history.failures else {}),
         **({"devices_left": [dict(end) for end in history.devices_left]} if history.devices_left else {}),
         "states": list(history.states),

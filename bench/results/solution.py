@@ -139,7 +139,8 @@ def _notes(job: Job, step: SolveStep, history: History, measurements: Sequence[M
 
 
 def _with_notes(calibration: Calibration, notes: Sequence[str], words: TargetWords) -> Calibration:
-    return replace(calibration, notes=tuple(words.fitting(note) for note in (*calibration.notes, *notes)))
+    fitting = tuple(words.fitting(note) for note in (*calibration.notes, *notes))
+    return replace(calibration, notes=fitting, remarks=tuple(map(words.fitting, calibration.remarks)))
 
 
 def _alignment_note(aligned: int, total: int) -> str:

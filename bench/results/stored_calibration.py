@@ -51,6 +51,7 @@ def stored_calibration(stored: Mapping[str, Any]) -> Calibration:
         gimbal=GimbalEstimate(**stored["gimbal"]) if stored.get("gimbal") else None,
         budget_rows=tuple(BudgetRow(**row) for row in stored["budget_rows"]),
         not_included=tuple(stored["not_included"]),
+        remarks=tuple(stored.get("remarks", ())),
         coverage_factors=stored.get("coverage_factors", {}),
     )
 

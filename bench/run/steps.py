@@ -132,7 +132,9 @@ class Steps:
         self._machine.fire("hold", step, by=by)
         held_s = self._run.clock.monotonic() - begin_s
         before = "parking" if isinstance(step, ParkStep) else f"step {step.number}"
-        self._run.log.write(Event.DEVIATION, what=f"Held by {by} for {held_s:.0f} s before {before}.")
+        self._run.log.write(
+            Event.DEVIATION, what=f"Held by {by} for {held_s:.0f} s before {before}.", hold=True
+        )
 
     # ------------------------------------------------------------------ attempts at a recording
 

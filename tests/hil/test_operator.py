@@ -72,7 +72,8 @@ def test_a_held_run_goes_on_where_it_was_and_ends_with_the_same_numbers(home, tm
     held = states(folder).index("holding")
     assert states(folder)[held - 2 : held] == ["slewing", "settling"]
     assert states(folder)[held + 1 : held + 5] == ["lighting", "slewing", "settling", "recording"]
-    assert any("Held by ada" in what for what in results(folder)["deviations"])
+    assert any("Held by ada" in what for what in results(folder)["holds"])
+    assert results(folder)["deviations"] == []
     assert not (folder / "control").exists()
     undisturbed = tmp_path / "undisturbed"
     quick, station = tmp_path / "quick.yaml", tmp_path / "station.yaml"

@@ -226,6 +226,7 @@ def _calibration(views, values):
         "views": [{"name": v.name, "n": len(v.ids), "rms_px": 0.08, "mean_px": 0.07} for v in views],
         "candidates": [],
         "notes": ["Three poses only: the distortion coefficients are weakly constrained."],
+        "remarks": ["Three poses only: the distortion coefficients are weakly constrained."],
     }
 
 

@@ -5,6 +5,7 @@ import copy
 import pytest
 
 from bench.report.change_rows import change
+from bench.report.html import render_report
 from bench.report.verdict import angle_text, verdict
 
 
@@ -41,6 +42,19 @@ def test_gates_that_fail_and_reservations_change_it(data):
     found = told(data, deviations=["Pose 2 was skipped."])
     assert (found.kind, found.headline) == ("marginal", "Calibrated, with reservations.")
     assert found.reasons == ("Pose 2 was skipped.",)
+
+
+def test_a_note_that_doubts_the_values_is_on_the_first_screen_and_a_pause_is_not(data):
+    results = copy.deepcopy(dict(data.results)) | {"holds": ["Held by ada@lab for 24 s before step 26."]}
+    doubt, remark = "Views differ 3.5 times more than star noise explains.", "The radial model predicts best."
+    results["calibration"] |= {"notes": [doubt, remark], "remarks": [remark]}
+    found = told(type(data)(results))
+    assert (found.kind, found.reasons) == ("marginal", (doubt,))
+    results["calibration"]["notes"] = [remark]
+    assert told(type(data)(results)).kind == "pass"
+    page = render_report(type(data)(results))
+    assert "<h3>Pauses</h3>" in page
+    assert "Held by ada@lab" in page
 
 
 def test_without_convergence_no_value_is_stated(data):

@@ -110,6 +110,13 @@ def test_the_budget_still_adds_up():
     )
 
 
+def test_one_sentence_says_what_differs_and_that_the_uncertainties_hold_it():
+    result = found("like-bench", 9)
+    (told,) = (note for note in result.notes if note.startswith("Views differ"))
+    assert "errors that the radial model does not describe, and the uncertainties hold them" in told
+    assert told not in result.remarks
+
+
 def test_many_views_before_imperfect_glass_do_not_contradict_a_right_certificate():
     glass = replace(COLLIMATORS["like-bench"], rim_roll_mm=0.0, rim_irregularity_mm=0.0)
     bench = draw_bench(glass, poses(50), 1)
