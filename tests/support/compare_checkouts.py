@@ -119,6 +119,7 @@ def _play(side: Side, scenario: Scenario, old: Path, mark: str, *, again: bool) 
         played_at = done.read_text().splitlines()[1]
         return Side(side.name, side.checkout, side.folder / scenario.name, played_at)
     done.unlink(missing_ok=True)
+    side.warm()
     begun, inside = time.monotonic(), side.enter(scenario.name)
     scenario.play(inside, old)
     done.write_text(f"{mark}\n{inside.folder}\n")

@@ -16,16 +16,21 @@ TEXT_RULES: dict[str, re.Pattern[str]] = {
         rf"|\b\d{{1,2}} {_MONTH} 20\d\d \d\d:\d\d(?::\d\d)?|\b(?:Mon|Tue|Wed|Thu|Fri|Sat|Sun) \d\d:\d\d(?: UTC)?"
     ),
     "date": re.compile(rf"\b20\d\d-\d\d-\d\d\b|\b\d{{1,2}} {_MONTH} 20\d\d\b"),
+    "hash of a recalculation": re.compile(r"(?<=\brun-)[0-9a-f]{8}\b"),
     "hash of a key": re.compile(r"SHA256:[A-Za-z0-9+/]{43}"),
     "public key": re.compile(r"AAAAC3NzaC1lZDI1NTE5[A-Za-z0-9+/=]+"),
     "hash": re.compile(r"\b(?:[0-9a-f]{64}|[0-9a-f]{32}|[0-9a-f]{16})\b"),
+    "duration": re.compile(
+        r"\b\d+ min (?:\d+ s\b|(?=earlier\b))|(?<= to )\d\d:\d\d\b|\d+\.\d s late in \d+ s|(?<=rehearsed in )\d+ s"
+    ),
+    "time of day": re.compile(r"^\d\d:\d\d:\d\d UTC"),
     "time left": re.compile(r"\b\d+:\d\d left"),
     "local port": re.compile(r"\b(?:127\.0\.0\.1|localhost):\d{4,5}\b"),
     "process": re.compile(r"\bprocess \d+\b"),
     "time in a state": re.compile(r"(?<=<text class=\"note\")[^<]*(?=</text>)"),
 }
 #: Keys of JSON objects whose numbers are times, durations or names of processes.
-NUMBER_KEYS = re.compile(r"^(t|pid|(.*_)?mono_s|.*_utc|took_s|elapsed_s)$")
+NUMBER_KEYS = re.compile(r"^(t|pid|(.*_)?mono_s|.*_utc|took_s|elapsed_s|hours|working_hours)$")
 #: Objects all of whose numbers tell how busy the computer was, or how much was said while a stage moved.
 NUMBER_PLACES = re.compile(r"/lateness/(counts|load|longest_s|lost_s)\b|/written-\d+/wire/[^/]+/size$")
 #: Events that tell of the computer, not of the run; their entries are left out.

@@ -54,6 +54,24 @@ class Side:
         (folder / "tmp").mkdir(parents=True)
         return Side(self.name, self.checkout, folder)
 
+    def warm(self) -> None:
+        """Compile the kernels, in a process of their own.
+
+        A process that compiles a kernel itself has more copies of it than one that reads it from the disk, and may call
+        another copy; a sum in another order then moves stars by some 1e-6 px.
+        """
+        self.enter("warming")
+        inside = Side(self.name, self.checkout, self.folder / "warming")
+        words = [sys.executable, "-m", "bench.warm_up"]
+        subprocess.run(
+            words,
+            env=inside.environment(),
+            cwd=inside.folder,
+            capture_output=True,
+            check=True,
+            timeout=PATIENCE_S,
+        )
+
     def environment(self) -> dict[str, str]:
         home = self.folder / "home"
         kept = {name: value for name, value in os.environ.items() if not name.startswith("STARBENCH_")}
