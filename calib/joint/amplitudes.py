@@ -22,7 +22,7 @@ COMMON = tuple(f"common field, degree {d}" for d in range(1, 6))
 TURN = tuple(f"field by turn, degree {d}" for d in range(1, 3))
 TURN_2 = tuple(f"field by turn squared, degree {d}" for d in range(2))
 RADIAL, SHIFTED, SHIFTED_TURN = "radial", "shifted axis", "shifted axis by turn"
-PARALLAX, TANGENTIAL = "parallax", "tangential"
+PARALLAX, TANGENTIAL, PRISM = "parallax", "tangential", "prism"
 #: A turn, as the tangent of its angle, at which the fields by turn have their amplitude.
 UNIT_TURN = 0.1
 
@@ -46,7 +46,8 @@ FAMILIES = (
     Family((*COMMON, *TURN, *TURN_2), (*(8e-6,) * 5, *(3e-6,) * 2, *(1e-6,) * 2), 1.3, 0.7),
     Family((RADIAL, PARALLAX), (0.05, 0.5), 1.3, 0.7),
     Family((SHIFTED, SHIFTED_TURN), (1e-3, 1e-4), 0.9, 0.5),
-    Family((TANGENTIAL,), (2e-4,), 0.3, 0.0),
+    Family((TANGENTIAL,), (4e-4,), 0.6, 0.0),
+    Family((PRISM,), (2e-4,), 0.3, 0.0),
 )
 #: Amplitudes are searched within this number of 1-sigma of the hyperprior.
 _REACH = 3.0

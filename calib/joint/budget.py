@@ -44,11 +44,11 @@ def variances(posterior: Posterior, gradients: Array) -> dict[str, Array]:
     gradients: (p, S) of the quantities.
     """
     found: dict[str, Array] = {}
-    for node in posterior.nodes:
+    for node, weight in zip(posterior.nodes, posterior.counted, strict=True):
         for group, own in _at_node(posterior.optimum.marginal, node, gradients).items():
-            found[group] = found.get(group, 0.0) + node.weight * own
+            found[group] = found.get(group, 0.0) + weight * own
     away = (posterior.means - posterior.mean) @ gradients.T
-    found[names.AMPLITUDES] = posterior.weights @ away**2
+    found[names.AMPLITUDES] = posterior.counted @ away**2
     return found
 
 

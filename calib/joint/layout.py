@@ -26,6 +26,8 @@ RADIAL = ("radial", "radial_4")
 #: Errors |x|^2 e of the image that turn with the camera: thin prism distortion of the lens (Weng et al., 1992), or what
 #: misaligned collimators do to a pupil that turns. Without them p1 and p2 would take these, and move cx and cy.
 PRISM = ("prism_x", "prism_y")
+#: Errors (x e) x of the image: with the prism terms the decentring of a lens whose family has no p1 and p2, a fisheye.
+DECENTRING = ("decentring_x", "decentring_y")
 #: radial_4 is typically so many times radial.
 _RADIAL_RATIO = 20.0
 #: Change of scale that comes with radial errors, as a share of what they do at the edge of the field.
@@ -78,7 +80,12 @@ class Layout:
         fields = [f"common_{k}" for k in self.common]
         for turns, degree in ((_TURNS, _TURN_DEGREE), (_TURNS_2, _TURN_2_DEGREE)):
             fields += [f"{name}_{k}" for name in turns for k in both(degree >= DEGREES)]
-        return (*self.camera, *CENTRE, *RADIAL, *PRISM, *fields, *self.terms, *self.gimbal)
+        return (*self.camera, *CENTRE, *RADIAL, *self.turning, *fields, *self.terms, *self.gimbal)
+
+    @cached_property
+    def turning(self) -> tuple[str, ...]:
+        """Names of the errors that turn with the camera."""
+        return PRISM if "p1" in self.camera else (*PRISM, *DECENTRING)
 
     @cached_property
     def index(self) -> Mapping[str, int]:
@@ -117,8 +124,10 @@ class Layout:
             size = np.prod((turns / amp.UNIT_TURN) ** powers, axis=1)
             found[:, field + places, self.places([f"{name}_{j}" for j in places])] = size[:, None]
         for pose, (turn, across) in enumerate(zip(turns, axes, strict=True)):
-            for name, axis in zip(PRISM, across, strict=True):
-                found[pose, field:, self.index[name]] = self.basis.shape(partial(_turning, turn, axis))
+            for name in self.turning:
+                own = _prism if name in PRISM else _decentring
+                axis = across[0] if name.endswith("x") else across[1]
+                found[pose, field:, self.index[name]] = self.basis.shape(partial(own, turn, axis))
         for name, shape in self.terms.items():
             found[:, field:, self.index[name]] = shape
         return found
@@ -130,14 +139,11 @@ class Layout:
 
         known: Names that a passport states. parallax_known: Whether something bounds the parallax.
         """
-        tangential = [*(name for name in self.camera if name in ("p1", "p2")), *PRISM]
-        blocks = []
-        if tangential:
-            blocks.append(
-                RandomBlock(
-                    rows.LENS, self.places(tangential), ((hyper.at(amp.TANGENTIAL), np.eye(len(tangential))),)
-                )
-            )
+        decentred = [name for name in ("p1", "p2", *DECENTRING) if name in self.index]
+        blocks = [
+            RandomBlock(rows.LENS, self.places(names), ((hyper.at(amplitude), np.eye(len(names))),))
+            for names, amplitude in ((decentred, amp.TANGENTIAL), (PRISM, amp.PRISM))
+        ]
         if not known & set(RADIAL):
             blocks.append(self._radial(hyper))
         if not any(name.startswith("common_") for name in known):
@@ -214,10 +220,16 @@ PARALLAX_SHAPES = np.column_stack(
 )
 
 
-def _turning(turn: Array, axis: Array, h: Array) -> Array:
+def _prism(turn: Array, axis: Array, h: Array) -> Array:
     """Return the field |x|^2 e of an image that is turned, on the target. h: (N, 2)."""
     away = h - turn
     return np.asarray((away * away).sum(axis=1, keepdims=True) * axis)
+
+
+def _decentring(turn: Array, axis: Array, h: Array) -> Array:
+    """Return the field 2 (x e) x of an image that is turned, on the target. h: (N, 2)."""
+    away = h - turn
+    return np.asarray(2.0 * (away @ axis)[:, None] * away)
 
 
 def _of_degree(degrees: Places, degree: int) -> Array:

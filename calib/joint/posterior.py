@@ -20,6 +20,7 @@ from calib.joint.knowledge import FAULTS, Statement
 from calib.joint.marginal import Marginal, Solution
 from calib.joint.prior import NO_FAULT, Faults
 from calib.joint.solve import Optimum, relative_step
+from calib.model.budget_row import GIMBAL_SCALE
 
 Array = NDArray[np.float64]
 
@@ -35,6 +36,8 @@ _HOLDS = 0.02
 #: A fault is followed if its evidence may reach that of no fault within this logarithm.
 _FOLLOWED = 2.0
 _FAULT_STEPS = 20
+#: Nodes whose fx is known only to this many U count half in the variances.
+_FAR = 2.0
 #: Within this number of sigma of the others, a larger uncertainty never makes a statement more probable.
 _AGREES = 1.0
 
@@ -82,26 +85,44 @@ class Posterior:
         return self.optimum.state.shared + np.array([node.solution.step for node in self.nodes])
 
     @cached_property
+    def counted(self) -> Array:
+        """(K,) weights for means and variances: nodes that lie far beyond U of fx lose theirs.
+
+        An improbable fault of a statement can be so wide that it makes nearly all of the variance, but little of U.
+        """
+        row = np.eye(1, self.means.shape[1])[0]
+        away = (self.means - self.weights @ self.means) @ row
+        within = np.array([node.solution.covariance[0, 0] for node in self.nodes])
+        share = np.sqrt(within + away**2) / (_FAR * self._half_width(row, self.weights @ self.means))
+        weights = self.weights / (1.0 + share**4)
+        return np.asarray(weights / weights.sum())
+
+    @cached_property
     def mean(self) -> Array:
         """(S,) mean of the shared unknowns."""
-        return np.asarray(self.weights @ self.means)
+        return np.asarray(self.counted @ self.means)
 
     @cached_property
     def covariance(self) -> Array:
         """(S, S) covariance of the shared unknowns."""
         away = self.means - self.mean
-        within = sum(node.weight * node.solution.covariance for node in self.nodes)
-        return np.asarray(within + (self.weights[:, None] * away).T @ away)
+        within = sum(
+            weight * node.solution.covariance for weight, node in zip(self.counted, self.nodes, strict=True)
+        )
+        return np.asarray(within + (self.counted[:, None] * away).T @ away)
 
     def expanded(self, row: Array) -> float:
         """Return the half width of the interval about the mean that covers 95.45 % of a linear function.
 
         row: (S,) gradient of the function.
         """
+        return self._half_width(row, self.mean)
+
+    def _half_width(self, row: Array, mean: Array) -> float:
         from scipy.optimize import brentq
         from scipy.special import ndtr
 
-        away = (self.means - self.mean) @ row
+        away = (self.means - mean) @ row
         sigmas = np.sqrt([row @ node.solution.covariance @ row for node in self.nodes])
 
         def missing(half: float) -> float:
@@ -203,9 +224,9 @@ def _directions(size: int) -> Array:
 def _faults(optimum: Optimum, curvature: Array) -> list[tuple[Faults, Array, Solution, float]]:
     """Return the faults that the views make more probable than they were: amplitudes, solution, odds against none."""
     marginal, found = optimum.marginal, []
-    for name in _possible(optimum):
+    for names in _possible(optimum):
         for fault, probability in FAULTS.items():
-            faults: Faults = ((name, fault),)
+            faults: Faults = tuple((name, fault) for name in names)
             try:
                 start = marginal.solve(optimum.eta, faults)
             except np.linalg.LinAlgError:
@@ -220,10 +241,17 @@ def _faults(optimum: Optimum, curvature: Array) -> list[tuple[Faults, Array, Sol
     return found
 
 
-def _possible(optimum: Optimum) -> list[str]:
-    """Return the statements that contradict the others by so much that a fault can be more probable than none."""
+def _possible(optimum: Optimum) -> list[tuple[str, ...]]:
+    """Return the statements that contradict the others by so much that a fault can be more probable than none.
+
+    One source states the scales of all axes, so they can be wrong together.
+    """
     alone = Posterior(optimum, (), np.zeros(0), {}, Node(1.0, optimum.eta, NO_FAULT, optimum.solution))
-    return [one.name for one in alone.innovations() if abs(one.normalised) > _AGREES]
+    said = alone.innovations()
+    scales = tuple(one.name for one in said if one.statement.group == GIMBAL_SCALE)
+    doubted = [one.name for one in said if abs(one.normalised) > _AGREES]
+    together = [scales] if len(scales) > 1 and set(scales) & set(doubted) else []
+    return [*((name,) for name in doubted), *together]
 
 
 def amplitude_table(posterior: Posterior) -> dict[str, tuple[float, float]]:

@@ -33,7 +33,16 @@ from calib.view import View
 Array = NDArray[np.float64]
 
 #: Amplitudes that are factors or coefficients, not directions.
-_PLAIN = (amp.STAR, amp.READING, amp.RADIAL, amp.SHIFTED, amp.SHIFTED_TURN, amp.PARALLAX, amp.TANGENTIAL)
+_PLAIN = (
+    amp.STAR,
+    amp.READING,
+    amp.RADIAL,
+    amp.SHIFTED,
+    amp.SHIFTED_TURN,
+    amp.PARALLAX,
+    amp.TANGENTIAL,
+    amp.PRISM,
+)
 
 
 def calibrate_jointly(
