@@ -111,4 +111,4 @@ def adjust(views: Sequence[View], options: CalibrationOptions) -> Optimum:
         camera, Collimator(named["x"], named["y"], named["r"]), near.rotations, start.offsets
     )
     problem, state = posed(views, options, start, lens)
-    return search(problem, approached(problem, state, ROUNDS), ROUNDS)
+    return search(problem, state, ROUNDS)

@@ -23,12 +23,12 @@ Array = NDArray[np.float64]
 #: Rounds with large robust limits, before the first search of amplitudes.
 _FIRST_ROUNDS = 1
 #: A step is small if it moves the camera by less than this, px, and less than this share of its sigma.
-_SMALL_PX, _SMALL_SHARE = 1e-3, 0.02
+_SMALL_PX, _SMALL_SHARE = 1e-3, 0.04
 #: A start is near if a step moves no focal length by more than this share.
 _NEAR = 0.003
 _HALVINGS = 6
 #: Largest numbers of steps of a search of amplitudes: in a round, and at the end.
-_QUICK, _LONG = 4, 30
+_QUICK, _LONG = 3, 30
 #: Before the state is found, a round changes no logarithm of an amplitude by more than this.
 _FARTHEST = 1.0
 #: No step moves a focal length or the radius by more than this share.
