@@ -152,8 +152,8 @@ def _early_end_lines(end: RunEnd) -> list[str]:
     return [
         f"The run {'was aborted' if end.how == 'aborted' else 'failed'}: {end.why}",
         *_device_lines(end),
-        "All recordings are kept. To continue:",
-        f"  starbench resume {end.folder}",
+        end.way_on[0],
+        f"  {end.way_on[1]}",
     ]
 
 

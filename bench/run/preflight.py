@@ -92,5 +92,5 @@ def require_no_faults(reasons: list[str]) -> None:
     if reasons:
         raise PreflightFailed(
             f"The bench is not ready: {'; '.join(reasons)}.",
-            remedy="Correct this, then continue with `starbench resume`.",
+            remedy="Correct this first.",
         )

@@ -22,6 +22,7 @@ from bench.records.events import Entering, Event, FailureData, LeftOff
 from bench.records.journal import Journal
 from bench.records.run_folder import RunFolder
 from bench.records.run_log import RunLog
+from bench.records.way_on import way_on
 from bench.report.until_text import decision_text
 from bench.results.interim import Decisions
 from bench.results.result import Outcome, ResultWriter
@@ -70,6 +71,7 @@ class RunEnd:
     failure: Failure | None = None
     opened: bool = False  # Whether the devices were open at some time
     devices: Sequence[DeviceEnd] = ()
+    way_on: tuple[str, str] = ("", "")  # What helps after a run that did not finish (`bench.records.way_on`)
 
 
 class Runner:
@@ -218,6 +220,7 @@ class Runner:
             failure,
             devices.was_opened,
             devices.ends(),
+            way_on(self.context.log.history, self.context.folder.path),
         )
 
     def _end_data(self) -> _EndData:

@@ -24,6 +24,7 @@ from bench.records.journal import read_journal
 from bench.records.journal_entry import Entry
 from bench.records.reading import read_json
 from bench.records.run_folder import JOURNAL, PLAN, is_sealed
+from bench.records.way_on import way_on
 from bench.report.text import with_uncertainty
 from bench.report.until_text import reached_text
 from bench.run.interlocks import interlock_text
@@ -248,7 +249,7 @@ def _advice(folder: Path, history: History, *, running: bool, sealed: bool) -> s
         return f"Finished and sealed. To check the seal: starbench verify {folder}"
     if history.ended == "finished":
         return f"The run has finished, but it is not sealed. To seal it: starbench resume {folder}"
-    return f"No process works on this run. To continue: starbench resume {folder}"
+    return "No process works on this run. {} {}".format(*way_on(history, folder))
 
 
 def _advice_while_running(folder: Path, history: History) -> str:

@@ -150,7 +150,7 @@ class Steps:
             if step.on_failure == "fail":
                 raise PoseFailed(
                     what,
-                    where=step.where,
+                    where=self._last_capture(pose.index),
                     remedy="Remove the cause, then continue with `starbench resume`; all attempts are kept.",
                 )
             if step.on_failure == "skip":
@@ -163,6 +163,11 @@ class Steps:
             self._machine.fire(
                 "hold", PromptStep(step.number, step.where, step.path, question, "abort", step.hold_s)
             )
+
+    def _last_capture(self, pose_index: int) -> str:
+        """Return the file of the last recording at a pose; empty if none was stored."""
+        stored = self._run.log.history.attempts_at(pose_index)
+        return stored[-1].stored["capture"] if stored else ""
 
     def keep_lost_recording(self, step: RecordStep, why: str) -> None:
         """Move what exists of an incomplete recording to quarantine, and journal it."""

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from bench.records.events import MeasuredFacts
 from bench.views.event_window import read_events, recorded_image, whole_image
+from bench.views.no_light import without_light
 from bench.views.stored_image import StoredImage
 from calib.errors import (
     CalibrationError,
@@ -105,7 +106,10 @@ def measure(
     try:
         whole = whole_image(read_events(path), image, periods, expected_hz, facts, compare_flicker=motion)
         stored = StoredImage.from_image(whole.image) if motion else None
-        found = find_stars(whole.image, target, name, expected_grid, facts, edge_width=motion)
+        try:
+            found = find_stars(whole.image, target, name, expected_grid, facts, edge_width=motion)
+        except TargetNotFound as error:
+            raise without_light(error, facts, whole.image.size) from error
         view = downweight_vignetted(found, target)
         if motion:
             facts["motion_px"] = motion_px(whole.halves(), target, facts)

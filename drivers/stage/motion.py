@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 
 from drivers.errors import MoveFailed, MoveTimeout, OutsideLimits
 from drivers.stage import AxisLimits
@@ -101,6 +101,7 @@ def check_travel(
     unit: str,
     *,
     slack: float = 0.0,
+    to_deg: Callable[[float], float] = float,
 ) -> None:
     """Check that the limits in the station file lie within the controller's own.
 
@@ -108,19 +109,30 @@ def check_travel(
 
     present: Lowest and highest position by the controller; None where it has no limit.
     slack: How far a limit may exceed the controller's, because of the controller's rounding.
+    to_deg: Returns the angle of a position.
     Raises OutsideLimits: A limit of the station file lies beyond the controller's.
     """
     lowest, highest = present
     if (lowest is not None and wanted[0] < lowest - slack) or (
         highest is not None and wanted[1] > highest + slack
     ):
+        counted = "" if unit == "deg" else f", which is {lowest} to {highest} {unit}"
         raise OutsideLimits(
-            f"the station file's limits, {wanted[0]:.8g} to {wanted[1]:.8g} {unit}, reach beyond the"
-            f" controller's, {lowest} to {highest} {unit}. Nothing was set.",
+            f"the station file's limits, {_range_deg(wanted, to_deg)}, reach beyond the"
+            f" controller's, {_range_deg(present, to_deg)}{counted}. Nothing was set.",
             where=axis,
             remedy="Check limits and scale in the station file; if the mechanics allow it, widen the"
             " controller's own limits with its maker's software.",
         )
+
+
+def _range_deg(ends: tuple[float | None, float | None], to_deg: Callable[[float], float]) -> str:
+    """Return a range of positions as angles, the lower one first."""
+    falls = to_deg(1.0) < to_deg(0.0)
+    low, high = (
+        "no limit" if end is None else f"{to_deg(end):.6g}" for end in (ends[::-1] if falls else ends)
+    )
+    return f"{low} to {high} deg"
 
 
 class MoveWatch:

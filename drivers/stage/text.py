@@ -268,7 +268,9 @@ class TextStage(WatchedStage[TextAxis]):
             None if query is None else self._number(query, axis, "counts")
             for query in (self._description.lowest, self._description.highest)
         )
-        motion.check_travel(axis.name, (ends[0], ends[1]), (lowest, highest), "counts", slack=1.0)
+        motion.check_travel(
+            axis.name, (ends[0], ends[1]), (lowest, highest), "counts", slack=1.0, to_deg=axis.to_angle_deg
+        )
         for setting in self._description.settings:
             self._set(axis, setting)
         for command in self._description.setup:

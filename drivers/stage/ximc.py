@@ -9,6 +9,7 @@ import math
 import struct
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import ClassVar
 
 from drivers.clock import Clock
@@ -385,7 +386,9 @@ class XimcStage(LinePerAxisStage[XimcAxis, XimcController]):
             controller.to_microsteps(present.left_steps, present.left_microsteps),
             controller.to_microsteps(present.right_steps, present.right_microsteps),
         )
-        motion.check_travel(axis.name, (ends[0], ends[1]), borders, "microsteps")
+        motion.check_travel(
+            axis.name, (ends[0], ends[1]), borders, "microsteps", to_deg=partial(self._angle_deg, axis)
+        )
         (left, left_micro), (right, right_micro) = map(controller.to_steps, ends)
         wanted = replace(
             present,

@@ -229,7 +229,7 @@ def check_scale(chain: ZaberChain, axis: ZaberAxis) -> None:
             remedy="Correct microsteps_per_deg in the station file.",
         )
     present = _setting(chain, axis, "limit.min"), _setting(chain, axis, "limit.max")
-    motion.check_travel(axis.name, _travel(axis), present, "microsteps")
+    motion.check_travel(axis.name, _travel(axis), present, "microsteps", to_deg=axis.to_angle_deg)
 
 
 def program(chain: ZaberChain, axis: ZaberAxis) -> None:

@@ -149,7 +149,8 @@ def test_what_is_only_history_is_cleared_before_a_move(homed, peer) -> None:
 def test_limits_beyond_the_controllers_travel_are_refused(peer, clock) -> None:
     peer.pan.settings["limit.max"] = "9000"
     with pytest.raises(
-        OutsideLimits, match=r"-15000 to 15000 microsteps, reach beyond the controller's, -15000 to 9000"
+        OutsideLimits,
+        match=r"-15 to 15 deg, reach beyond the controller's, -15 to 9 deg, which is -15000 to 9000 microsteps",
     ):
         ZaberStage(peer, axes(), clock=clock)
 
