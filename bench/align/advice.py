@@ -37,7 +37,10 @@ class Seen:
     best_coarse_detail: float | None
     # Best edge width since the camera was turned, px, if the present one is clearly worse; else None.
     better_before_px: float | None
-    trend: str  # Where the focus goes: ``better``, ``worse`` or empty
+    trend: (
+        str  # What the last turn of the ring has done: ``better``, ``worse``, or empty before the first one
+    )
+    turn_on: float | None  # How far to turn next, in units of the last turn; below 0 to turn back
     contrast: float | None  # Contrast inside the beam; None without light
     turn: TurnFigures  # Where to turn
 
@@ -58,7 +61,6 @@ BRIGHT_PERCENT: Final = 50.0
 """Level of the light from which the coarse detail has a slope while the lens is far out of focus."""
 _FAR_PX: Final = 3.5
 """Edge width from which it is only a rough one, and the coarse detail shows the way, px."""
-_TREND: Final = {"better": " This is the right way.", "worse": " This is the wrong way: turn it back."}
 _WORSE: Final = 1.2
 _FLAT_CONTRAST, _FLAT_DETAIL = 0.3, 0.22
 _LOADED_LINK: Final = 0.9
@@ -240,7 +242,19 @@ def _turn_on(seen: Seen, setting: LiveSetting) -> str:
             "Set the light's level to 100 %: far out of focus, a bright light shows best which way to turn the focus "
             "ring."
         )
-    return f"Turn the focus ring{_sharpness_text(seen)}.{_TREND.get(seen.trend, '')}"
+    return f"Turn the focus ring{_sharpness_text(seen)}.{_way(seen)}"
+
+
+def _way(seen: Seen) -> str:
+    """Return whether the last turn of the ring went the right way, and how far to turn next; empty before the first."""
+    if not seen.trend or seen.turn_on is None:
+        return ""
+    by = f"by about {abs(seen.turn_on):.1f} times the last turn"
+    if seen.turn_on > 0.0:
+        return f" This is the right way: turn on {by}."
+    if seen.trend == "better" or seen.turn_on > -1.0:
+        return f" You have passed the best place: turn back {by}."
+    return f" This is the wrong way: turn back {by}."
 
 
 def _is_dim(seen: Seen, setting: LiveSetting) -> bool:
@@ -276,7 +290,7 @@ def _focus(seen: Seen, setting: LiveSetting) -> Iterator[str]:
         return
     known = f", the best seen is {best:.1f} px" if best is not None and width > _WORSE * best else ""
     goal = "" if known and best is not None and best <= limit else f"; {limit:g} px or less is needed"
-    yield f"Turn the focus ring: edges are {width:.1f} px wide{known}{goal}.{_TREND.get(seen.trend, '')}"
+    yield f"Turn the focus ring: edges are {width:.1f} px wide{known}{goal}.{_way(seen)}"
 
 
 def _sharpness_text(seen: Seen) -> str:

@@ -11,7 +11,6 @@ import asyncio
 import json
 from collections.abc import AsyncIterator, Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import suppress
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -28,7 +27,6 @@ from bench.align.session import Session
 from bench.base.errors import UsageError
 from bench.web.pages import page_app, read_object
 from bench.web.stream import EventStream, Message
-from drivers.errors import DriverError
 
 PAGE = Path(__file__).parent / "page"
 BEAT_S = 1.0
@@ -155,7 +153,7 @@ class _Stream:
             await EventStream(self._messages(), heartbeat_s=BEAT_S)(scope, receive, send)
         finally:
             if session.owners.leave(self._page):
-                self._stops.submit(stop_motion_of, session, self._page)
+                self._stops.submit(session.stop_for_lost, self._page)
 
     async def _messages(self) -> AsyncIterator[Message]:
         session, shown, number = self._session, "", -1
@@ -170,16 +168,6 @@ class _Stream:
                 number = picture.number
                 yield Message(self._texts.picture(), "picture")
             known = await session.changes.after(known)
-
-
-def stop_motion_of(session: Session, page: str) -> None:
-    """Stop the stage if a page that is gone has set it in motion."""
-    if not session.is_open:
-        return
-    state = session.bench.stage.state
-    if state.work is not None and state.by == page:
-        with suppress(DriverError):  # said on the other pages by the session
-            session.stop("because the page that moved it is gone")
 
 
 def _picture_data(session: Session) -> dict[str, Any]:

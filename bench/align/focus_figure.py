@@ -1,14 +1,12 @@
-"""The focus figures of a live picture, and their course while a person turns the focus ring.
+"""The focus figures of a live picture.
 
 The edge width is one number from far out of focus to sharp. Near focus, it is the width of the stars' edges. Farther
 out, it follows from the blur circle that the print around the tag shows. If neither stars nor a tag are found, only the
-sharpness is measured.
-The module computes with arrays; times come in as arguments.
+sharpness is measured. The module computes with arrays.
 """
 
 from __future__ import annotations
 
-from collections import deque
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Final
@@ -40,10 +38,6 @@ _SIGMA_OF_CIRCLE: Final = 0.25
 """Standard deviation of the points of a uniform disc along one axis, as a share of the diameter."""
 _NEAR_TAG: Final = 40
 _TILT_PX, _TILT_SHARE = 0.15, 0.15
-_LEAST_BETTER: Final = 0.05
-_RECENT: Final = 3
-_CLEARLY, _LEAST_NOISE_PX, _NOISE_OVER = 3.0, 0.01, 12
-"""Number of standard deviations by which a width is clearly worse, their least value, px, and over how many values."""
 
 
 @dataclass(frozen=True)
@@ -159,92 +153,3 @@ def _circle(image: NDArray[np.float32], stars: QuickStars, target: StarTarget) -
     else:
         return None
     return found.diameter_px if found is not None else None
-
-
-class FocusCourse:
-    """The focus figures over time, with the best seen. Times come from the caller's clock.
-
-    kept_s: How long the course reaches back, s. The best values are kept until `forget`.
-    """
-
-    def __init__(self, *, kept_s: float = 600.0) -> None:
-        self._kept_s = kept_s
-        self._course: deque[tuple[float, float | None, float | None, float | None]] = deque(maxlen=6000)
-        self._best_here_px: float | None = None
-        self.best_edge_width_px: float | None = None
-        """Smallest edge width seen, px: the median of `_RECENT` neighbouring values."""
-        self.best_sharpness: float | None = None
-        """Largest sharpness seen, likewise."""
-        self.best_coarse_detail: float | None = None
-        """Most coarse detail seen, likewise."""
-
-    def add(self, time_s: float, figures: FocusFigures) -> None:
-        """Add the figures of a picture.
-
-        time_s: Time of the picture, s; it does not decrease.
-        """
-        self._course.append((time_s, figures.edge_width_px, figures.sharpness, figures.coarse_detail))
-        while self._course[0][0] < time_s - self._kept_s:
-            self._course.popleft()
-        width = self._recent(1)
-        if width is not None:
-            self.best_edge_width_px = min(width, self.best_edge_width_px or width)
-            self._best_here_px = min(width, self._best_here_px or width)
-        self.best_sharpness = _larger(self._recent(2), self.best_sharpness)
-        self.best_coarse_detail = _larger(self._recent(3), self.best_coarse_detail)
-
-    def turned(self) -> None:
-        """Note that the camera turns: stars elsewhere in the field have edges of another width."""
-        self._best_here_px = None
-
-    def better_before_px(self) -> float | None:
-        """Return the best edge width since the camera was last turned, if the present one is clearly worse.
-
-        Own rule: the median of the last `_RECENT` values is worse by more than `_CLEARLY` standard deviations and by
-        more than `_LEAST_BETTER`. The deviation is that of neighbouring values from each other (von Neumann, 1941).
-
-        Returns: Best width, px; None if the present one is as good.
-        """
-        best, now = self._best_here_px, self._recent(1)
-        widths = np.array([w for _, w, *_ in list(self._course)[-_NOISE_OVER:] if w is not None])
-        if best is None or now is None or len(widths) < _RECENT:
-            return None
-        noise_px = max(1.05 * float(np.median(np.abs(np.diff(widths)))), _LEAST_NOISE_PX)
-        return best if now > best + max(_CLEARLY * noise_px, _LEAST_BETTER * best) else None
-
-    def forget(self) -> None:
-        """Forget course and best values."""
-        self._course.clear()
-        self._best_here_px = self.best_edge_width_px = None
-        self.best_sharpness = self.best_coarse_detail = None
-
-    def trend(self, *, over_s: float = 4.0) -> str:
-        """Return where the focus goes: ``better``, ``worse``, or an empty text if it does not change.
-
-        The edge width counts; without it, the coarse detail does.
-
-        over_s: Length of the time that is compared, s.
-        Returns: ``better``, ``worse`` or empty.
-        """
-        if not self._course:
-            return ""
-        last_s = self._course[-1][0]
-        recent = [one for one in self._course if one[0] >= last_s - over_s]
-        for column, sign in ((1, -1.0), (3, 1.0)):
-            values = [float(v) for one in recent if (v := one[column]) is not None]
-            if len(values) >= 2 * _RECENT:
-                before, now = np.median(values[:_RECENT]), np.median(values[-_RECENT:])
-                change = sign * float(now - before) / max(float(before), 1e-9)
-                return "better" if change > _LEAST_BETTER else "worse" if change < -_LEAST_BETTER else ""
-        return ""
-
-    def _recent(self, column: int) -> float | None:
-        """Return the median of the newest values of a column; None if there are fewer than `_RECENT`."""
-        values = [float(v) for one in list(self._course)[-_RECENT:] if (v := one[column]) is not None]
-        return float(np.median(values)) if len(values) == _RECENT else None
-
-
-def _larger(one: float | None, other: float | None) -> float | None:
-    """Return the larger of two numbers that may be unknown."""
-    known = [value for value in (one, other) if value is not None]
-    return max(known, default=None)

@@ -16,7 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bench.align.advice import Seen, advice_for, dropped_share
-from bench.align.focus_figure import FocusCourse, FocusFigures
+from bench.align.focus_course import FocusCourse
+from bench.align.focus_figure import FocusFigures
 from bench.align.live_image import LiveImage, LiveSetting, LiveSlice, read_image, show
 from bench.align.signal_figures import SignalFigures
 from bench.align.star_watch import Found, StarWatch, StopWatch
@@ -30,6 +31,8 @@ from drivers.errors import RecordingFileError
 
 __all__ = ["LiveFigures", "LiveMeter", "LiveSetting", "LiveSlice", "measure_live"]
 
+TURNING: Final = "The stage turns. Advice comes when it stands."
+"""The only advice while the stage turns: what a blurred picture lacks is no fault of the bench."""
 _COMPARED_EVERY_S: Final = 1.0
 """Time from one measurement of the frequency by the events to the next, s."""
 
@@ -83,7 +86,7 @@ class LiveFigures:
     beam_share: float | None = None
     # Focus figures (`bench.align.focus_figure`) as plain values: ``edge_width_px``, ``best_edge_width_px``,
     # ``better_before_px``, ``blur_circle_px``, ``sharpness``, ``best_sharpness``, ``coarse_detail``,
-    # ``best_coarse_detail``, ``trend``, ``regions``, ``tilt``.
+    # ``best_coarse_detail``, ``trend``, ``turn_on``, ``regions``, ``tilt``.
     focus: Mapping[str, Any] = field(default_factory=dict)
     contrast: float | None = None  # Contrast of the pattern, 0 to 1
     saturation: float | None = None
@@ -142,6 +145,7 @@ class LiveMeter:
         self._course = FocusCourse()
         self._motion = SeenMotion()
         self._event_hz: tuple[float, float] | None = None
+        self._light: tuple[bool | None, float | None] = None, None
         self._size = (1280, 720)
 
     def measure(self, part: LiveSlice, setting: LiveSetting) -> tuple[NDArray[np.uint8], LiveFigures]:
@@ -171,7 +175,8 @@ class LiveMeter:
         in_beam = contrast(image.values, beam.lit) if beam.share > 0.0 else None
         watch.lap("beam")
         found = self._stars.look(part, setting, image, beam, watch)
-        if part.moving:
+        if part.moving or self._light != (setting.light_on, setting.level_percent):
+            self._light = setting.light_on, setting.level_percent
             self._course.turned()
         if found.time_s == part.time_s and found.focus != FocusFigures():
             self._course.add(part.time_s, found.focus)
@@ -187,6 +192,7 @@ class LiveMeter:
             best_coarse_detail=self._course.best_coarse_detail,
             better_before_px=self._course.better_before_px(),
             trend=self._course.trend(),
+            turn_on=self._course.turn_on(),
             contrast=in_beam,
             turn=self._turn(part, setting, beam, found),
         )
@@ -194,7 +200,7 @@ class LiveMeter:
         return shown, replace(
             figures,
             event_hz=event_hz,
-            advice=tuple(advice_for(seen, setting)),
+            advice=(TURNING,) if part.moving else tuple(advice_for(seen, setting)),
             took_ms=watch.lap("advice"),
         )
 
@@ -245,7 +251,8 @@ def _figures(part: LiveSlice, setting: LiveSetting, seen: Seen, found: Found) ->
         events_per_s=signal.events_per_s,
         link_share=signal.link_share,
         on_share=signal.on_share,
-        trigger_hz=signal.trigger_hz,
+        # A sync output may go on while the light is off.
+        trigger_hz=signal.trigger_hz if setting.light_on is not False else None,
         event_hz=signal.event_hz,
         jitter_us=signal.jitter_us,
         event_jitter_us=signal.event_jitter_us,
@@ -272,6 +279,7 @@ def _figures(part: LiveSlice, setting: LiveSetting, seen: Seen, found: Found) ->
             "coarse_detail": focus.coarse_detail,
             "best_coarse_detail": seen.best_coarse_detail,
             "trend": seen.trend,
+            "turn_on": seen.turn_on,
             "regions": {name: {"edge_width_px": width} for name, width in focus.regions.items()},
             "tilt": focus.tilt or None,
         },

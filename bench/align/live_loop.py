@@ -25,7 +25,7 @@ from typing import Any, TypeVar, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from bench.align.live_figures import LiveFigures, LiveSetting, LiveSlice
+from bench.align.live_figures import TURNING, LiveFigures, LiveSetting, LiveSlice
 from bench.align.meter import Meter
 from bench.base.clock import Aborted
 from bench.base.failure import Failure
@@ -98,7 +98,11 @@ def with_signal_of(figures: LiveFigures, signal: LiveFigures) -> LiveFigures:
 
     signal: Figures of the last slice of at least `bench.align.live_loop.SIGNAL_PERIODS`.
     """
-    kept = [one for one in signal.advice if any(word in one for word in _OF_THE_FLICKER)]
+    kept = [
+        one
+        for one in signal.advice
+        if any(word in one for word in _OF_THE_FLICKER) and figures.advice != (TURNING,)
+    ]
     return replace(
         figures,
         trigger_hz=signal.trigger_hz,
@@ -374,6 +378,7 @@ class LiveLoop:
         if not facts.complete and self._tasks:
             path.unlink(missing_ok=True)
             return None
+        moving = moving or self._moving()
         took_ms = (time.monotonic() - started_s) * 1e3
         reading_deg = dict(self._reading_deg())
         return _Slice(path, setting, facts, reading_deg, started_s, took_ms, shows_signal, moving)

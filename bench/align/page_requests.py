@@ -219,7 +219,7 @@ def _page_actions(session: Session) -> dict[str, Action]:
 
     return {
         "stop": lambda page, _: session.stop(f"on request of {session.owners.name(page)}"),
-        "leave": lambda page, _: _leave(session, page),
+        "leave": lambda page, _: session.stop_for_lost(page),
         "take": lambda page, _: _take(session, page),
         "beat": lambda page, _: session.owners.beat(page),
         "forget": forget,
@@ -252,12 +252,6 @@ def _take(session: Session, page: str) -> None:
         session.stop("because another page took over the controls")
 
 
-def _leave(session: Session, page: str) -> None:
-    """Stop what a page has set in motion, because it closes."""
-    if session.is_open and session.bench.stage.moving and session.bench.stage.state.by == page:
-        session.stop("because the page that moved it was closed")
-
-
 def _proposal(session: Session, files: PageFiles, body: Mapping[str, Any]) -> Proposal:
     """Return the change of a file that a request asks for."""
     copy = body.get("copy") or ""
@@ -284,6 +278,7 @@ def _proposal(session: Session, files: PageFiles, body: Mapping[str, Any]) -> Pr
         biases=bench.camera.biases if "biases" in wanted and bench.camera.is_event else None,
         frame=bench.camera.frame_settings if "biases" in wanted else None,
         level_percent=bench.light.reading.flicker.level_percent if "light" in wanted else None,
+        hands=bench.hands.seen,
     )
     proposal = propose_values(Path(files.station), values, Station, target=target)
     return Proposal(

@@ -65,9 +65,10 @@ class Happened:
         """Add a sentence.
 
         topic: What it is about and who did it. If the entry before has the same topic and is some seconds old
-          at most, this one takes its place. Empty for an entry of its own.
+          at most, this one takes its place. Empty for an entry of its own, unless it says the same again.
         """
         now_s = self._clock()
+        topic = topic or text
         with self._lock:
             last = self._entries[-1] if self._entries else None
             if last is not None and topic and topic == self._topic and now_s - last["time_s"] < _SAME_S:
@@ -325,6 +326,16 @@ class Session:
             raise
         self.say(f"The stage was stopped, {why}.")
 
+    def stop_for_lost(self, page: str) -> None:
+        """Stop the stage if a page that was closed or lost has set it in motion.
+
+        page: Id of the page.
+        """
+        bench = self._bench
+        if bench is not None and bench.stage.moving and bench.stage.state.by == page:
+            with suppress(DriverError):  # said by `stop`
+                self.stop("because the page that moved it is gone")
+
     def light(self, **changes: Any) -> dict[str, Any]:
         """Change the light. See `LightControl.set`.
 
@@ -374,8 +385,7 @@ class Session:
                 continue
             by = bench.stage.state.by
             if by and self.owners.is_lost(by):
-                with suppress(DriverError):  # said by `stop`
-                    self.stop("because the page that moved it is gone")
+                self.stop_for_lost(by)
 
     def _read_devices(self) -> None:
         """Read stage and light from time to time. A device that does not answer is shown, and asked again."""

@@ -37,6 +37,9 @@ from sequences.schema import Sequence as SequenceFile
 from sequences.tree import DocumentPath
 from sequences.yaml_text import parse
 
+Text = str | tuple[str, ...]
+"""YAML text of a value, or of each entry of a list."""
+
 
 def station_values(
     station: Station,
@@ -45,17 +48,24 @@ def station_values(
     biases: Mapping[str, int] | None = None,
     frame: Mapping[str, float | None] | None = None,
     level_percent: float | None = None,
-) -> tuple[dict[DocumentPath, str], list[str]]:
+    hands: Mapping[str, Any] | None = None,
+) -> tuple[dict[DocumentPath, Text], list[str]]:
     """Return what a station file must state, from what a session found.
 
     position_deg: Present angle by axis, degrees, which shall become zero; None leaves the zeros as they are.
     biases: Offsets of the biases; None leaves them as they are.
     frame: Exposure and gain of a frame camera by name; None leaves them as they are.
     level_percent: Level of the light that shall become 100 %; None leaves it as it is.
+    hands: What the hands of a simulated bench have left at lens and mount; None if they did nothing.
     Raises ControlRefused: If the present position cannot become zero.
     """
-    values: dict[DocumentPath, str] = {}
+    values: dict[DocumentPath, Text] = {}
     notes = []
+    if hands is not None:
+        values |= _hand_values(hands)
+        notes.append(
+            "Lens and mount of the simulated camera stay as they are now: a real bench keeps them by itself."
+        )
     for name, angle_deg in (position_deg or {}).items():
         values |= _zero_values(station, name, angle_deg)
     if position_deg:
@@ -81,7 +91,20 @@ def station_values(
     return values, notes
 
 
-def _zero_values(station: Station, name: str, angle_deg: float) -> dict[DocumentPath, str]:
+def _hand_values(seen: Mapping[str, Any]) -> dict[DocumentPath, Text]:
+    """Return how lens and mount of a simulated bench stand, as its station file states them."""
+    distance_m = seen["focus_distance_m"]
+    turn_deg = tuple(plain_number(float(angle), 4) for angle in seen["turn_deg"])
+    return {
+        ("simulation", "lens", "focus_distance_m"): distance_m
+        if isinstance(distance_m, str)
+        else plain_number(float(distance_m), 6),
+        ("simulation", "lens", "f_number"): plain_number(float(seen["f_number"]), 3),
+        ("simulation", "mount", "turn_deg"): turn_deg,
+    }
+
+
+def _zero_values(station: Station, name: str, angle_deg: float) -> dict[DocumentPath, Text]:
     """Return zero and limits of an axis such that the present angle becomes 0."""
     axis = station.axes[name]
     angle_deg = round(angle_deg, 4)
@@ -97,7 +120,7 @@ def _zero_values(station: Station, name: str, angle_deg: float) -> dict[Document
     place = ("stage", "axes", name)
     return {
         (*place, "zero_deg"): plain_number(axis.zero_deg - angle_deg, 4),
-        (*place, "limits_deg"): f"{plain_number(low, 4)} {plain_number(high, 4)}",
+        (*place, "limits_deg"): (plain_number(low, 4), plain_number(high, 4)),
     }
 
 
@@ -185,7 +208,7 @@ class Proposal:
 
 
 def propose_values(
-    source: Path, values: Mapping[DocumentPath, str], model: type[BaseModel], *, target: Path | None = None
+    source: Path, values: Mapping[DocumentPath, Text], model: type[BaseModel], *, target: Path | None = None
 ) -> Proposal:
     """Propose to set values of a file.
 
@@ -322,7 +345,7 @@ def _dumped(document: CommentedMap, yaml: YAML) -> bytes:
     return stream.getvalue()
 
 
-def _put(document: CommentedMap, path: DocumentPath, text: str) -> None:
+def _put(document: CommentedMap, path: DocumentPath, text: Text) -> None:
     here: Any = document
     for key in path[:-1]:
         if here.get(key) is None:
@@ -330,13 +353,10 @@ def _put(document: CommentedMap, path: DocumentPath, text: str) -> None:
             inner.fa.set_flow_style()
             _insert(here, str(key), inner)
         here = here[key]
-    last = path[-1]
-    if path[-1] == "limits_deg":
-        pair = CommentedSeq(text.split())
-        pair.fa.set_flow_style()
-        _insert(here, "limits_deg", pair)
-    else:
-        _insert(here, str(last), text)
+    value: str | CommentedSeq = text if isinstance(text, str) else CommentedSeq(text)
+    if isinstance(value, CommentedSeq):
+        value.fa.set_flow_style()
+    _insert(here, str(path[-1]), value)
 
 
 def _insert(mapping: CommentedMap, key: str, value: Any) -> None:

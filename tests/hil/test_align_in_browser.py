@@ -93,6 +93,36 @@ def test_a_person_looks_jogs_stops_and_writes_down(chromium, bench, tmp_path):
     assert one.hosts == {server.url.split("/")[2]}
 
 
+@pytest.mark.parametrize(("width", "height"), [(1400, 1000), (390, 844)], ids=["desk", "phone"])
+def test_the_picture_stays_in_view_and_stop_is_never_covered(chromium, bench, width, height):
+    server, session, _ = bench
+    session.light(on=True)
+    one = Tab(chromium, server.url)
+    one.tab.set_viewport_size({"width": width, "height": height})
+    one.wait("alignStats.images > 0")
+    ends = "(id => (r => [r.top, r.bottom, r.right])(document.getElementById(id).getBoundingClientRect()))"
+    on_top = (
+        "(r => document.elementFromPoint(r.left + r.width / 2, r.top + r.height / 2).id)"
+        "(document.getElementById('stop').getBoundingClientRect())"
+    )
+    for card in ("bias-card", "light-card", "course"):
+        one.tab.evaluate(f"document.getElementById('{card}').scrollIntoView({{block: 'end'}})")
+        wait_until(lambda: one.tab.evaluate(f"{ends}('picture')")[0] >= 0)
+        top, bottom, right = one.tab.evaluate(f"{ends}('picture')")
+        assert bottom < height - 200, card  # there is room for what is changed
+        assert right <= width
+        assert top >= one.tab.evaluate(f"{ends}('stop')")[1]
+        assert one.tab.evaluate(on_top) == "stop"
+    server.stop()
+    one.wait_text("#link", "The light may still be on.")
+    assert one.tab.evaluate(on_top) == "stop"
+    one.tab.evaluate("scrollTo(0, 0)")
+    top, bottom, _ = one.tab.evaluate(f"{ends}('link')")
+    assert one.tab.evaluate(f"{ends}('stop')")[1] <= top < bottom < height
+    assert one.tab.evaluate(on_top) == "stop"
+    one.tab.close()
+
+
 def test_lost_devices_are_shown_and_the_old_picture_does_not_look_new(chromium, bench):
     server, _, devices = bench
     one = Tab(chromium, server.url)

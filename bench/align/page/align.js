@@ -1,6 +1,6 @@
 // The align page: shows state and pictures as the server sends them, and sends what a person asks for.
 // Nothing is sent to the devices when the page opens, reloads or reconnects.
-import { el, fill, get, listen, post, setText } from "/assets/bench.js";
+import { el, fill, get, listen, post, setText, showLink } from "/assets/bench.js";
 import { draw } from "/assets/own/overlay.js";
 import { beginCourse, forgetCourse, showFigures } from "/assets/own/figures.js";
 
@@ -289,7 +289,7 @@ function showTurn(f) {
   const turn = f.turn || {}, wanted = {}, beyond = turn.beyond || {};
   for (const axis of state && state.stage ? state.stage.axes : []) {
     const step = turn[`${axis.name}_deg`];
-    if (axis.name !== "roll" && !(axis.name in beyond) && typeof step === "number" && Math.abs(step) >= 0.02) wanted[axis.name] = Math.round(step * 100) / 100;
+    if (axis.name !== "roll" && !(axis.name in beyond) && typeof step === "number" && Math.abs(step) >= 0.05) wanted[axis.name] = Math.round(step * 100) / 100;
   }
   const large = Object.values(wanted).some((step) => Math.abs(step) > 5);
   for (const name of Object.keys(wanted)) wanted[name] = Math.max(-5, Math.min(5, wanted[name]));
@@ -299,6 +299,14 @@ function showTurn(f) {
   button.disabled = button.dataset.barred !== "" || button.dataset.off === "1";
   setText(at("turn-note"), Object.keys(wanted).length
     ? `Turns ${Object.entries(wanted).map(([n, s]) => `${n} by ${s > 0 ? "+" : ""}${s.toFixed(turn.of === "beam" ? 0 : 1)}°`).join(", ")}${large ? "; at most 5° at a time" : ""}` : "");
+}
+
+/** What the devices may still do when the link is lost, by what was known last. */
+function mayBeOn() {
+  if (!state || state.devices.state !== "open") return "";
+  const light = state.light && state.light.on !== false ? "The light may still be on. " : "";
+  const stage = state.stage && state.stage.work ? "The stage was turning: it stops within a second if Starbench still runs. " : "";
+  return `${light}${stage}${light || stage ? "If the program has ended, look at the bench and switch off by hand. " : ""}`;
 }
 
 // ---------------------------------------------------------------- checks and files
@@ -348,7 +356,6 @@ async function write() {
     at("change").close();
     toast(`Written: ${done.file}`);
     loadFiles();
-get("/course").then((found) => beginCourse(found.edge_width_px)).catch(() => {});
   } catch (error) { setText(at("change-error"), error.message); }
 }
 
@@ -391,7 +398,7 @@ async function sendLight(body) {
   for (const [name, input] of Object.entries(fields)) {
     if (input.closest("label").hidden) continue;
     const value = number(input);
-    if (!Number.isFinite(value)) { toast(`${name} is not a number.`, true); return; }
+    if (!Number.isFinite(value)) { toast(`${input.closest("label").firstChild.textContent.trim()} is not a number. Nothing was sent.`, true); return; }
     if (state && state.light && state.light[name] !== value) wanted[name] = value;
   }
   if (body.on && state.light) for (const [name, input] of Object.entries(fields)) {
@@ -413,11 +420,15 @@ for (const f of [1.4, 2, 2.8, 4, 5.6, 8]) {
 
 addEventListener("pagehide", () => navigator.sendBeacon("/do/leave", JSON.stringify({ page })));
 addEventListener("visibilitychange", fetchImage);
+new ResizeObserver(([header]) => document.documentElement.style.setProperty("--top", `${header.target.offsetHeight}px`))
+  .observe(document.querySelector(".top"));
 addEventListener("resize", () => redraw(picture && picture.figures));
 
 // The stop button must work whatever else the page waits for; so nothing above awaits before the stream is open.
 const beat = new Worker("/assets/own/beat.js");
 beat.postMessage(page);
-listen(`/stream?page=${page}`, { state: showState, picture: showPicture });
+listen(`/stream?page=${page}`, { state: showState, picture: showPicture }, {
+  onlink: (isUp, lastMs) => showLink(isUp, lastMs, "Starbench", isUp ? "" : mayBeOn()),
+});
 loadFiles();
 get("/course").then((found) => beginCourse(found.edge_width_px)).catch(() => {});

@@ -63,10 +63,10 @@ function showFocus(f) {
     : course.length ? Math.min(...course.map(([, w]) => w)) : null;
   table(at("focus-figures"), [
     ["Edge width", digits(width, 2), "px"],
-    ["Best so far", digits(best, 2), "px"],
+    ["Best edge width", digits(best, 2), "px"],
     ["Sharpness", digits(focus.sharpness, 2), ""],
     ["Coarse detail", digits(focus.coarse_detail, 3), ""],
-    ["Best so far", digits(focus.best_coarse_detail, 3), ""],
+    ["Best coarse detail", digits(focus.best_coarse_detail, 3), ""],
   ]);
   setText(at("focus-note"), "smaller edges are sharper");
   const key = JSON.stringify([f.stars_time_s, width, best]);

@@ -58,16 +58,18 @@ async function request(url, options) {
   return found;
 }
 
-/** The bar that says that the link is down; `lastMs` is when the last data came. */
-export function showLink(isUp, lastMs = null, server = "Starbench") {
+/** The bar that says that the link is down; `lastMs` is when the last data came, `more` what else to say. */
+export function showLink(isUp, lastMs = null, server = "Starbench", more = "") {
+  document.body.classList.toggle("stale", !isUp);
   let bar = document.getElementById("link");
   if (isUp) { if (bar) bar.hidden = true; return; }
   if (!bar) {
     bar = el("div", { id: "link", role: "alert" });
-    document.body.prepend(bar);
+    const top = document.querySelector(".top"); // below the header, so that it covers nothing of it
+    if (top) top.after(bar); else document.body.prepend(bar);
   }
   const age = lastMs === null ? "" : ` What you see is ${Math.round((Date.now() - lastMs) / 1000)} s old.`;
-  setText(bar, `No link to ${server}.${age} The page tries again by itself.`);
+  setText(bar, `No link to ${server}.${age} ${more}The page tries again by itself.`);
   bar.hidden = false;
 }
 

@@ -13,6 +13,7 @@ from pages import served
 from bench.align.app import align_app
 from bench.align.page_requests import PageFiles
 from bench.stations.station import SHIPPED_STATIONS
+from bench.web.tokens import PageToken
 
 ONE, TWO = "page-one", "page-two"
 
@@ -217,7 +218,7 @@ def test_a_request_without_page_foreign_host_or_origin_is_refused(bench):
 
 def test_a_token_is_asked_for(tmp_path):
     session, devices = fake_session()
-    with served(align_app(session), token="a-long-enough-token") as server:
+    with served(align_app(session), token=PageToken("a-long-enough-token")) as server:
         origin = {"Origin": server.url.rstrip("/")}
         assert httpx.get(server.url + "state").status_code == 401
         answer = httpx.post(server.url + "do/stop", json={"page": ONE}, headers=origin)

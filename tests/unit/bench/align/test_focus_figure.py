@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from bench.align.focus_figure import FocusCourse, FocusFigures, measure_focus, tilt_of
+from bench.align.focus_course import FocusCourse
+from bench.align.focus_figure import FocusFigures, measure_focus, tilt_of
 from calib.stars.beam import find_beam
 from calib.stars.focus import coarse_detail
 from calib.stars.quick import find_stars_quickly
@@ -98,20 +99,49 @@ def test_noise_is_no_reason_to_turn_back():
     assert course.better_before_px() is None
 
 
+@pytest.mark.parametrize("period_s", [0.1, 1.3, 20.0])
 @pytest.mark.parametrize(
     ("widths", "expected"),
     [
         ((4, 3.5, 3, 2.5, 2, 1.5), "better"),
-        ((1.5, 2, 2.5, 3), ""),
+        ((4,) * 5 + (1.5,) * 5, "better"),
         ((1, 1, 1.5, 2, 2, 3), "worse"),
+        ((3, 3, 3, 2, 1, 1, 1, 2, 2, 2), "worse"),
         ((2,) * 8, ""),
     ],
 )
-def test_the_trend_of_the_last_seconds(widths, expected):
+def test_what_the_last_turn_has_done_is_said_at_any_speed_and_until_the_next_turn(widths, expected, period_s):
     course = FocusCourse()
-    for number, width in enumerate(widths):
-        course.add(0.5 * number, FocusFigures(edge_width_px=float(width)))
-    assert course.trend() == expected
+    for number, width in enumerate((*widths, *[widths[-1]] * 40)):
+        course.add(period_s * number, FocusFigures(edge_width_px=float(width)))
+        if number >= len(widths) + 2:
+            assert course.trend() == expected
+
+
+@pytest.mark.parametrize("seed", range(40))
+def test_turning_by_what_is_said_ends_at_the_best_place_within_some_turns(seed):
+    rng = np.random.default_rng(seed)
+    best, slope = rng.uniform(-30.0, 60.0), rng.choice([-1.0, 1.0]) * rng.uniform(0.05, 0.4)
+    course, place, turn, turns = FocusCourse(), 0.0, float(rng.choice([-10.0, 10.0])), 0
+    while True:
+        width = float(np.hypot(0.65, slope * (place - best)))
+        for number in range(5):
+            noisy = width * (1.0 + 0.02 * float(rng.normal()))
+            course.add(float(10 * turns + number), FocusFigures(edge_width_px=noisy))
+        if width <= 1.0:
+            break
+        ratio = course.turn_on()
+        turn *= 1.0 if ratio is None else ratio * float(rng.uniform(0.85, 1.15))  # by hand, so not exactly
+        place, turns = place + turn, turns + 1
+        assert turns < 10
+    assert turns <= 7
+
+
+def test_a_turn_of_the_camera_or_a_change_of_the_light_begins_anew():
+    course = course_of([4.0] * 5 + [3.0] * 5)
+    assert (course.trend(), course.turn_on()) == ("better", pytest.approx(2.9, abs=0.3))
+    course.turned()
+    assert (course.trend(), course.turn_on()) == ("", None)
 
 
 def test_the_trend_by_coarse_detail_alone():

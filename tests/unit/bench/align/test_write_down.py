@@ -68,6 +68,22 @@ def test_the_same_directions_stay_allowed_after_a_new_zero(station):
         assert counters[0] == pytest.approx(counters[1])
 
 
+def test_a_copy_of_a_practice_bench_keeps_what_the_hands_have_set(tmp_path):
+    source = SHIPPED_STATIONS / "simulated_unaligned.yaml"
+    seen = {"focus_distance_m": 3.86123, "f_number": 2.8, "turn_deg": [0.0, 0.0, 10.0], "ring_deg": 8.9}
+    values, notes = station_values(load_station(str(source)).value, hands=seen)
+    assert any("Lens and mount" in note for note in notes)
+    proposal = propose_values(source, values, Station, target=tmp_path / "mine.yaml")
+    proposal.write(proposal.mark)
+    simulation = load_station(str(tmp_path / "mine.yaml")).value.simulation
+    assert float(simulation["lens"]["focus_distance_m"]) == pytest.approx(3.86123)
+    assert [float(angle) for angle in simulation["mount"]["turn_deg"]] == [0.0, 0.0, 10.0]
+    infinity, _ = station_values(
+        load_station(str(source)).value, hands={**seen, "focus_distance_m": "infinity"}
+    )
+    assert infinity["simulation", "lens", "focus_distance_m"] == "infinity"
+
+
 def test_writing_twice_from_one_pose_changes_nothing_more(station):
     before = load_station(str(station)).value  # the devices were opened with this
     values, _ = station_values(before, position_deg={"pan": 2.0})

@@ -1,0 +1,212 @@
+"""The course of the focus while a person turns the focus ring: the best seen, the right way, and how far to turn.
+
+A turn of the ring shows as a change of the figures, whenever it comes and however quickly pictures come: what a turn
+has done is said until the next one. How far the person has turned is not known. So turns are counted in units of the
+first one, and each turn is taken to be as long as was asked for. The module computes with numbers; times come in as
+arguments.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from dataclasses import dataclass
+from typing import Final, Literal
+
+import numpy as np
+
+from bench.align.focus_figure import FocusFigures
+
+_LEAST_BETTER: Final = 0.05
+"""Smallest relative change that counts."""
+_RECENT: Final = 3
+_CLEARLY, _LEAST_NOISE, _NOISE_OVER = 3.0, 0.01, 12
+"""Number of standard deviations by which a value is clearly another one, their least value, and over how many."""
+_SHARPEST_PX: Final = 0.6
+"""Edge width of a sharp picture, if none sharper was seen, px."""
+_LARGEST_TURN, _LEAST_TURN = 3.0, 0.1
+"""Most and least that is asked for, in units of the last turn."""
+_BACK: Final = -2.0
+"""What is asked for after a turn that made the coarse detail worse: back, and as far again."""
+
+
+@dataclass
+class _Rest:
+    """A place of the ring."""
+
+    kind: Literal["width", "detail"]
+    value: float  # Edge width, px, or coarse detail
+    place: float  # In units of the first turn
+    settled: bool  # Whether the figure has stopped to change
+
+    def worse_than(self, other: _Rest) -> float:
+        """Return by how much the figure is worse than at another place, as a share; it is at least 0 by its kind."""
+        if self.kind != other.kind:
+            return 1.0 if self.kind == "detail" else -1.0  # edges that can be measured are sharper
+        change = (self.value - other.value) / max(other.value, 1e-9)
+        return change if self.kind == "width" else -change
+
+
+class FocusCourse:
+    """The focus figures over time, with the best seen. Times come from the caller's clock.
+
+    kept_s: How long the course reaches back, s. The best values are kept until `forget`.
+    """
+
+    def __init__(self, *, kept_s: float = 600.0) -> None:
+        self._kept_s = kept_s
+        self._course: deque[tuple[float, float | None, float | None, float | None]] = deque(maxlen=6000)
+        self._rests: list[_Rest] = []
+        self._best_here_px: float | None = None
+        self.best_edge_width_px: float | None = None
+        """Smallest edge width seen, px: the median of `_RECENT` neighbouring values."""
+        self.best_sharpness: float | None = None
+        """Largest sharpness seen, likewise."""
+        self.best_coarse_detail: float | None = None
+        """Most coarse detail seen, likewise."""
+
+    def add(self, time_s: float, figures: FocusFigures) -> None:
+        """Add the figures of a picture.
+
+        time_s: Time of the picture, s; it does not decrease.
+        """
+        self._course.append((time_s, figures.edge_width_px, figures.sharpness, figures.coarse_detail))
+        while self._course[0][0] < time_s - self._kept_s:
+            self._course.popleft()
+        width, detail = self._recent(1), self._recent(3)
+        if width is not None:
+            self.best_edge_width_px = min(width, self.best_edge_width_px or width)
+            self._best_here_px = min(width, self._best_here_px or width)
+            self._follow("width", width, self._noise(1))
+        elif detail is not None and figures.edge_width_px is None:
+            self._follow("detail", detail, self._noise(3))
+        self.best_sharpness = _larger(self._recent(2), self.best_sharpness)
+        self.best_coarse_detail = _larger(detail, self.best_coarse_detail)
+
+    def turned(self) -> None:
+        """Note that camera or light have changed: edges elsewhere in the field have another width."""
+        self._best_here_px = None
+        self._rests.clear()
+
+    def better_before_px(self) -> float | None:
+        """Return the best edge width since the camera was last turned, if the present one is clearly worse.
+
+        Own rule: the median of the last `_RECENT` values is worse by more than `_CLEARLY` standard deviations and by
+        more than `_LEAST_BETTER`. The deviation is that of neighbouring values from each other (von Neumann, 1941).
+
+        Returns: Best width, px; None if the present one is as good.
+        """
+        best, now = self._best_here_px, self._recent(1)
+        if best is None or now is None:
+            return None
+        return best if now > best + max(_CLEARLY * self._noise(1), _LEAST_BETTER * best) else None
+
+    def forget(self) -> None:
+        """Forget course and best values."""
+        self._course.clear()
+        self._rests.clear()
+        self._best_here_px = self.best_edge_width_px = None
+        self.best_sharpness = self.best_coarse_detail = None
+
+    def trend(self) -> str:
+        """Return what the last turn has done: ``better``, ``worse``, or an empty text before the first one.
+
+        The edge width counts; without it, the coarse detail does.
+        """
+        if len(self._rests) < 2:
+            return ""
+        return "worse" if self._rests[-1].worse_than(self._rests[-2]) > 0.0 else "better"
+
+    def turn_on(self) -> float | None:
+        """Return how far to turn next, in units of the last turn: below 0 to turn back; None before the first turn.
+
+        The square of the edge width is a parabola over the ring: the blur grows evenly on both sides of the best place
+        (thin lens, Hecht, Optics, section 5.2), and adds to the width of a sharp edge in squares. Three places give it.
+        Two places give it if the last turn has not passed the best one.
+        """
+        if len(self._rests) < 2:
+            return None
+        before, here = self._rests[-2:]
+        last = here.place - before.place
+        if here.kind == "detail" or before.kind == "detail":
+            return 1.0 if self.trend() == "better" else _BACK
+        best = self._vertex()
+        if best is None:
+            best = here.place + last * self._line(before.value, here.value)
+        ratio = (best - here.place) / last
+        if ratio > 0.0 and self.trend() == "worse":  # turns of another length than was asked for
+            ratio = self._line(before.value, here.value)
+        return math.copysign(min(max(abs(ratio), _LEAST_TURN), _LARGEST_TURN), ratio)
+
+    def _vertex(self) -> float | None:
+        """Return the best place by the last three ones; None if they do not enclose a minimum."""
+        rests = self._rests[-3:]
+        if len(rests) < 3 or any(one.kind == "detail" for one in rests):
+            return None
+        places = [one.place for one in rests]
+        if (
+            min(
+                abs(a - b)
+                for a, b in ((places[0], places[1]), (places[1], places[2]), (places[0], places[2]))
+            )
+            < 1e-3
+        ):
+            return None
+        bend, slope, _ = np.polyfit(places, [one.value**2 for one in rests], 2)
+        return float(-slope / (2.0 * bend)) if bend > 0.0 else None
+
+    def _line(self, before_px: float, here_px: float) -> float:
+        """Return how far to turn on in units of the last turn, if the blur has one sign at both places."""
+        sharp_px = min(_SHARPEST_PX, self.best_edge_width_px or _SHARPEST_PX)
+        before, here = (math.sqrt(max(width**2 - sharp_px**2, 1e-6)) for width in (before_px, here_px))
+        return here / (before - here) if before != here else _LARGEST_TURN
+
+    def _follow(self, kind: Literal["width", "detail"], value: float, noise: float) -> None:
+        """Take the newest figure: the ring stands where it stood, is being turned, or has been turned anew."""
+        now = _Rest(kind, value, 0.0, settled=False)
+        if not self._rests:
+            self._rests.append(_Rest(kind, value, 0.0, settled=True))
+            return
+        here = self._rests[-1]
+        changed = now.kind != here.kind or abs(value - here.value) > max(
+            _CLEARLY * noise, _LEAST_BETTER * here.value
+        )
+        if not changed:
+            here.settled = True
+        elif here.settled:
+            now.place = self._expected_place()
+            self._rests.append(now)
+        elif len(self._rests) > 1 and (now.worse_than(here) > 0.0) != (self.trend() == "worse"):
+            # Turned through the best place, or back, without a rest: how far is not known.
+            here.settled, here.place, now.place = True, 0.0, 1.0
+            self._rests[:] = [here, now]
+        else:
+            here.kind, here.value = kind, value
+        del self._rests[:-3]
+
+    def _expected_place(self) -> float:
+        """Return where the ring stands after a turn that was as long as was asked for."""
+        ratio = self.turn_on()
+        if ratio is None:
+            return 1.0
+        return self._rests[-1].place + ratio * (self._rests[-1].place - self._rests[-2].place)
+
+    def _values(self, column: int, count: int) -> list[float]:
+        return [float(v) for one in list(self._course)[-count:] if (v := one[column]) is not None]
+
+    def _recent(self, column: int) -> float | None:
+        """Return the median of the newest values of a column; None if there are fewer than `_RECENT`."""
+        values = self._values(column, _RECENT)
+        return float(np.median(values)) if len(values) == _RECENT else None
+
+    def _noise(self, column: int) -> float:
+        """Return the standard deviation of neighbouring values from each other."""
+        steps = np.abs(np.diff(self._values(column, _NOISE_OVER)))
+        least = _LEAST_NOISE if column == 1 else 0.0
+        return max(1.05 * float(np.median(steps)), least) if len(steps) else least
+
+
+def _larger(one: float | None, other: float | None) -> float | None:
+    """Return the larger of two numbers that may be unknown."""
+    known = [value for value in (one, other) if value is not None]
+    return max(known, default=None)
