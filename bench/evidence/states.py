@@ -6,26 +6,77 @@ those. Nothing is written, and nothing is asked over a network.
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterable
 from dataclasses import dataclass, field
-from datetime import datetime, timedelta
+from datetime import UTC, datetime, timedelta
 from enum import StrEnum
 from pathlib import Path
 
-from bench.base.errors import EvidenceError
+from bench.base.bounded_json import parse_json
+from bench.base.errors import EvidenceError, StorageError
 from bench.evidence.authorisation import check_authorisation
 from bench.evidence.beside_seal import read_beside
 from bench.evidence.faults import SealFault
 from bench.evidence.key_trust import Moments, Trust, judge_key
 from bench.evidence.openssh import NotInstalled
 from bench.evidence.seal import AUTHORISATION, AUTHORISATION_TIMESTAMP, TIMESTAMP
-from bench.evidence.sealed_time import stated_time
 from bench.evidence.signers import NAMESPACE, Signer
 from bench.evidence.ssh_keys import fingerprint
 from bench.evidence.sshsig import is_valid, read_signature
 from bench.evidence.timestamp import Stamp, check_timestamps
-from bench.records.run_folder import MANIFEST, SIGNATURE
+from bench.records.reading import read_json
+from bench.records.run_folder import JOURNAL, MANIFEST, RESULTS, SIGNATURE
 from bench.records.storage import storage_errors
+
+# When a folder says that it was made: by the bench's own clock, as the sealed files state it.
+
+_PLACES = (("certificate.json", ("issued_utc",)), (RESULTS, ("run", "calibrated_utc")))
+_LAST_BYTES = 1 << 20
+"""The last line of a journal is shorter than this."""
+
+
+def stated_time(folder: Path) -> datetime | None:
+    """Return when a folder says that it was made: the end of a run, the issue of a certificate, a recalculation.
+
+    Returns: The moment, UTC; None if no file states one.
+    Raises OSError: When a file cannot be read.
+    """
+    if (folder / JOURNAL).is_file():
+        return _last_time(folder / JOURNAL)
+    for name, keys in _PLACES:
+        path = folder / name
+        if path.is_file():
+            try:
+                found = read_json(path)
+                for key in keys:
+                    found = found[key]
+            except (StorageError, ValueError, LookupError, TypeError):
+                continue
+            if moment := _moment(found):
+                return moment
+    return None
+
+
+def _last_time(journal: Path) -> datetime | None:
+    """Return the time of the last line of a journal. Its hash chain is checked elsewhere."""
+    with journal.open("rb") as stream:
+        size = stream.seek(0, os.SEEK_END)
+        stream.seek(max(0, size - _LAST_BYTES))
+        lines = stream.read().splitlines()
+    try:
+        return _moment(parse_json(lines[-1])["utc"])
+    except (ValueError, LookupError, TypeError):
+        return None
+
+
+def _moment(text: object) -> datetime | None:
+    try:
+        moment = datetime.fromisoformat(str(text))
+        return moment.astimezone(UTC) if moment.tzinfo is not None else None
+    except (ValueError, OverflowError):
+        return None
+
 
 _CLOCK_SLACK = timedelta(minutes=10)
 """Clocks of a bench and of a time stamping authority may differ so much without a remark."""

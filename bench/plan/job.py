@@ -12,8 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from bench.base.errors import ScriptError
-from bench.plan.engine_options import calibration_options
-from bench.plan.plan import Plan, load_documents, make_plan
+from bench.plan.plan import DEFAULT_MODEL, Plan, load_documents, make_plan
 from bench.plan.script_steps import PoseStep, ScriptStep, with_parking
 from bench.records.run_folder import PASSPORT_COPY, SEQUENCE_COPY, STATION_COPY
 from bench.simulated import SimulatedBench
@@ -23,9 +22,43 @@ from bench.views.camera_kinds import CameraKind
 from bench.views.gates import Gate, at_most
 from bench.views.station_camera_kind import camera_kind
 from calib.boards.board import Board
+from calib.calibration import CalibrationOptions
+from calib.model.gimbal_readings import GimbalReadings
+from calib.model.passport import Passport
+from calib.model.type_b_terms import TypeBTerm
 from calib.target import StarTarget
 from drivers.light import LightSettings
-from sequences.script import ChooseStep, Flicker, LightStep, RecordStep
+from sequences.script import ChooseStep, Flicker, LightStep, RecordStep, SolveStep
+
+# The options of the calibration engine for a solve step of a sequence.
+
+
+def calibration_options(
+    step: SolveStep,
+    passport: Passport | None = None,
+    gimbal: GimbalReadings | None = None,
+    budget: tuple[TypeBTerm, ...] = (),
+) -> CalibrationOptions:
+    """Return the engine's options for a solve step.
+
+    passport: Passport of the collimator that the step uses (`bench.plan.plan.Plan.passport_for`).
+    gimbal: Readings of the gimbal, one for each view, if the step lets them enter the adjustment.
+    Returns: Model, distortion, loss, passport, readings, budget, guard band and drift. A step without a model
+      is solved with ``auto``.
+    """
+    passport = passport if step.model != "planar" else None  # it has no collimator
+    return CalibrationOptions(
+        step.model or DEFAULT_MODEL,
+        step.distortion,
+        step.loss,
+        step.huber_px,
+        passport=passport,
+        guard_band=step.guard_band,
+        drift_mm=step.drift_mm,
+        gimbal=gimbal,
+        budget=budget,
+    )
+
 
 __all__ = [
     "MAX_MOTION_DEG",

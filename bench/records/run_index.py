@@ -10,22 +10,67 @@ from __future__ import annotations
 import json
 import math
 import sqlite3
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import closing, contextmanager
+from dataclasses import asdict, dataclass
 from datetime import datetime
 from pathlib import Path
 from typing import Any
 
 from bench.base.errors import BenchError, JournalBroken, StorageError
-from bench.records.estimates import Estimate, estimates
+from bench.records.estimates import Estimate, estimates, parameters_data
 from bench.records.folder_lock import is_locked
 from bench.records.history import History, replay
-from bench.records.indexed_run import IndexedRun
 from bench.records.journal import read_journal
 from bench.records.ledger_breaks import KnownRun
 from bench.records.run_facts import run_details, run_facts
 from bench.records.run_folder import JOURNAL, RESULTS, is_sealed
 from bench.records.storage import make_folder, storage_errors
+
+# One run as the index lists it.
+
+
+@dataclass(frozen=True)
+class IndexedRun:
+    """One run."""
+
+    folder: str
+    id: str
+    # sequence, station, camera, operator, simulated, rehearsal: What was run; ``camera`` is the serial
+    # number, empty while no camera has answered.
+    sequence: str
+    station: str
+    camera: str
+    operator: str | None
+    simulated: bool
+    rehearsal: bool
+    begun_utc: str  # Time of the start, ISO 8601
+    how: str  # ``finished``, ``aborted``, ``failed``, ``running``, or ``cut off``
+    sealed: bool  # Whether it is sealed
+    # accepted, recordings, deviations: Number of recorded poses, of recordings made for them (also lost
+    # ones), and of deviations from the sequence.
+    accepted: int
+    recordings: int
+    deviations: int
+    # Temperature of the camera, mean of the accepted recordings, degrees Celsius; None if the camera does not
+    # report it.
+    temperature_c: float | None
+    # model, rms_px: Model and root mean square of the residuals of its calibration, px; None without a
+    # calibration.
+    model: str | None
+    rms_px: float | None
+    parameters: Mapping[str, Estimate]  # By name
+    # The common k of its expanded uncertainties; None without a calibration, or if an earlier version made it.
+    coverage_factor: float | None = None
+    # ledger_number, ledger_head: Its number in the ledger of its bench, and the hash of its line there; None
+    # for a rehearsal.
+    ledger_number: int | None = None
+    ledger_head: str | None = None
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the run as JSON carries it."""
+        return {**asdict(self), "parameters": parameters_data(self.parameters)}
+
 
 __all__ = [
     "INDEX", "QUEUE_COPY", "VERSION", "IndexedRun", "RunIndex", "is_batch", "is_rehearsal", "read_run",

@@ -20,6 +20,7 @@ from bench.records.estimates import coverage_factor
 from bench.records.results import Results
 from bench.report import budget_tables, calibration_tables, device_tables, pose_tables, run_tables, text
 from bench.report.bench_knowledge import source_rows
+from bench.report.calibration_tables import amplitude_rows, witness_rows
 from bench.report.change_rows import change
 from bench.report.choice import PLOTS, pictured_poses
 from bench.report.course import courses
@@ -27,7 +28,6 @@ from bench.report.target_words import TargetWords, words_of
 from bench.report.verdict import verdict
 from bench.report.view_picture import ViewPicture, thinned
 from bench.report.walk import state_diagram
-from bench.report.witness_tables import amplitude_rows, witness_rows
 
 _GRAPHIC_TAGS = frozenset({"section", "svg", "style"})
 """Elements whose text belongs to images and plots; in the template, sections contain nothing else."""

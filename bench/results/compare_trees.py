@@ -7,31 +7,247 @@ give. So a computer that rounds otherwise still compares every byte of them.
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import jinja2
+import numpy as np
+from numpy.typing import NDArray
 
-from bench.base.errors import BenchError, EvidenceError, StorageError
+from bench.base.errors import BenchError, EvidenceError, RunFolderError, StorageError
 from bench.evidence.findings import Findings
 from bench.evidence.instructions import instructions, kind_of
 from bench.evidence.seal import INSTRUCTIONS
 from bench.evidence.ssh_keys import fingerprint
 from bench.evidence.sshsig import read_signature
 from bench.records.reading import read_json
+from bench.records.results import Results
 from bench.records.run_folder import PLAN, REPORT, RESULTS, SIGNATURE
 from bench.records.written import EXPORTS
+from bench.report.choice import pictured_poses
+from bench.report.view_picture import ViewPicture
 from bench.results.compare_json import differences
-from bench.results.compare_numbers import add_faults, check_numbers, tolerance
-from bench.results.compare_views import Residuals, compare_views
+from bench.results.compare_numbers import TOLERANCE_SHARE, add_faults, check_numbers, same_stars, tolerance
 from bench.results.result import shown_files
 from bench.results.results_content import other_software
 from bench.results.stored_calibration import stored_calibration
-from bench.views.views_file import VIEWS, Measured
+from bench.views.views_file import (
+    VIEWS,
+    Measured,
+    StoredView,
+    has_pictures,
+    read_picture,
+    read_views,
+    views_file,
+)
 from calib.boards.board import Board
 from calib.target import StarTarget
+from calib.view import View
+
+# Compares views.h5 with the views that were made again: poses, stars, residuals, images, and that it holds no
+# more.
+
+Residuals = NDArray[np.float64]
+_BYTES_BY = ("starbench", "h5py", "numpy", "program")
+
+
+@dataclass(frozen=True)
+class _Picture:
+    """An image of views.h5; read when it is needed, because a run may have a thousand."""
+
+    read: Callable[[], NDArray[np.uint8]]
+
+    def decoded(self) -> NDArray[np.uint8]:
+        return self.read()
+
+
+@dataclass(frozen=True)
+class _Found:
+    """A view and its image, as `bench.views.views_file.views_file` takes them."""
+
+    view: View
+    image: _Picture | None
+
+
+@dataclass(frozen=True)
+class HeldViews:
+    """The content of views.h5."""
+
+    views: Sequence[StoredView]
+    # For each pose a function that reads its image, (H, W) uint8; None for recalculated results, which have
+    # no images.
+    pictures: Sequence[Callable[[], NDArray[np.uint8]] | None]
+
+    @classmethod
+    def read(cls, path: Path) -> Self:
+        """Read a views.h5; its images are read when they are needed.
+
+        Raises RunFolderError: When the file cannot be read, or does not have this layout.
+        """
+        views, pictured = read_views(path), has_pictures(path)
+        numbers = range(1, len(views) + 1)
+        return cls(views, [partial(read_picture, path, number) if pictured else None for number in numbers])
+
+    def as_file(self) -> bytes:
+        """Return the bytes of a views.h5 with this content.
+
+        Raises RunFolderError: When an image cannot be read.
+        """
+        pairs = zip(self.views, self.pictures, strict=True)
+        found = [_Found(stored.view, None if read is None else _Picture(read)) for stored, read in pairs]
+        return views_file(found, [stored.residuals_px for stored in self.views])
+
+    def shown(self, results: Results) -> list[ViewPicture]:
+        """Return the poses as the report shows them.
+
+        Raises RunFolderError: When an image cannot be read.
+        """
+        names = pictured_poses(results).names
+        return [
+            ViewPicture(
+                stored.view.name,
+                read() if read is not None and stored.view.name in names else None,
+                stored.view.points_px,
+                stored.view.points_px - stored.residuals_px,
+                stored.view.ids,
+            )
+            for stored, read in zip(self.views, self.pictures, strict=True)
+        ]
+
+
+@dataclass(frozen=True)
+class SeenView:
+    """How a stored view differs from the one found again."""
+
+    name: str
+    seen: Sequence[str]  # What differs: ``other star ids``
+    # Whether another program found it, and its stars are the same (`compare_numbers.same_stars`).
+    excused: bool
+
+
+def compare_views(
+    path: Path,
+    again: Sequence[Measured],
+    residuals_px: Sequence[Residuals],
+    used: Mapping[str, Any],
+    source: str,
+    found: Findings,
+) -> HeldViews | None:
+    """Compare a views.h5 with the views that were found again; those of another program roughly.
+
+    again: Views and images, in the order of the calibration.
+    residuals_px: For each view (N, 2) float64.
+    used: Software that made the file, by name.
+    source: What they were found in: ``recordings``.
+    found: Findings; they are added.
+    Returns: What the file holds; None if it cannot be read, or has other poses.
+    """
+    try:
+        held = HeldViews.read(path)
+        rewritten = held.as_file()  # this reads every image
+    except (RunFolderError, MemoryError, RuntimeError) as error:
+        what = error.what if isinstance(error, RunFolderError) else f"the file cannot be read ({error!r})"
+        found.fault("views", VIEWS, what)
+        return None
+    names = [one.view.name for one in held.views], [one.view.name for one in again if one.view is not None]
+    if names[0] != names[1]:
+        found.fault("views", VIEWS, f"it holds the poses {names[0]}; the {source} give {names[1]}")
+        return None
+    other = bool(other_software(used))
+    seen = [
+        _seen(*pair, other=other) for pair in zip(held.views, held.pictures, again, residuals_px, strict=True)
+    ]
+    tell_views(seen, source, found)
+    if path.read_bytes() != rewritten:  # a file with the same bytes holds nothing besides this content
+        if by := other_software(used, _BYTES_BY):
+            found.not_compared.append(f"bytes of {VIEWS} with its content: it was made with {by}")
+        else:
+            what = "it holds more than stars, residuals and images, or was not written by this program"
+            found.fault("views", VIEWS, what)
+    return held
+
+
+def _seen(
+    had: StoredView,
+    picture: Callable[[], NDArray[np.uint8]] | None,
+    again: Measured,
+    residuals: Residuals,
+    *,
+    other: bool,
+) -> SeenView:
+    """Compare one stored view."""
+    assert again.view is not None
+    seen = [f"other {what}" for what in views_differ(had.view, again.view)]
+    if not close(had.residuals_px, residuals):
+        seen.append("other residuals")
+    if (picture is None) != (again.image is None):
+        seen.append("an image" if picture is None else "no image")
+    elif picture is not None and again.image is not None:
+        stored, made = picture(), again.image.decoded()
+        if stored.shape != made.shape:
+            seen.append("an image of another size")
+        elif differ := np.count_nonzero(stored != made):
+            seen.append(f"another image: {differ} pixels differ")
+    return SeenView(again.view.name, seen, other and same_stars(had.view, again.view))
+
+
+def tell_views(views: Sequence[SeenView], source: str, found: Findings) -> None:
+    """Tell how the stored views of recordings differ from those found again.
+
+    source: What the views come from: ``recordings``.
+    found: Findings; they are added.
+    """
+    excused = [view for view in views if view.seen and view.excused]
+    if excused:
+        parts = ", ".join(dict.fromkeys(part for view in excused for part in view.seen))
+        names = ", ".join(view.name for view in excused)
+        found.not_compared.append(
+            f"{names} of {VIEWS} with the {source}: another program found the stars, with {parts}"
+        )
+    for view in views:
+        if view.excused:
+            continue
+        for what in view.seen:
+            found.fault("views", VIEWS, f"the {source} of {view.name} give {what}")
+
+
+def views_differ(stored: View, again: View) -> list[str]:
+    """Return which parts of two views differ.
+
+    stored: View of views.h5.
+    """
+    arrays: Sequence[tuple[str, Any, Any]] = [
+        ("image sizes", stored.image_size, again.image_size),
+        ("star ids", stored.ids, again.ids),
+        ("image points", stored.points_px, again.points_px),
+        ("points of the target", stored.target_mm, again.target_mm),
+        ("covariances", stored.covariances_px2, again.covariances_px2),
+    ]
+    if (stored.rim is None) != (again.rim is None):
+        return ["points of the rim"]
+    if stored.rim is not None and again.rim is not None:
+        arrays = [
+            *arrays,
+            ("points of the rim", stored.rim.points_mm, again.rim.points_mm),
+            ("sigmas of the rim", stored.rim.sigmas_mm, again.rim.sigmas_mm),
+        ]
+    return [name for name, had, due in arrays if not close(np.asarray(had, float), np.asarray(due, float))]
+
+
+def close(stored: NDArray[np.float64], again: NDArray[np.float64]) -> bool:
+    """Return whether two arrays are equal but for rounding.
+
+    stored, again: float64 arrays of any shape and unit.
+    Returns: Whether shapes are equal, and values within one millionth of the largest.
+    """
+    if stored.shape != again.shape:
+        return False
+    scale = float(np.max(np.abs(again), initial=0.0))
+    return bool(np.all(np.abs(stored - again) <= TOLERANCE_SHARE * scale))
+
 
 UNREADABLE = (ValueError, LookupError, TypeError, AttributeError, ArithmeticError, RecursionError)
 """Exceptions raised by results that are not of the expected form."""

@@ -24,17 +24,39 @@ from bench.report.choice import pictured_poses
 from bench.report.html import ReportData, render_report
 from bench.report.view_picture import ViewPicture
 from bench.results.exports import exports
-from bench.results.keep_views import keep_views_of_run
 from bench.results.previous_calibration import bench_ledger, previous_calibration
 from bench.results.results_content import results_content
 from bench.results.solution import Solution, main_numbers, solve_run
 from bench.results.station_software import run_software
+from bench.results.view_sources import decided_by_run
+from bench.views.camera_kinds import EventKind, FrameKind
+from bench.views.kept_views import KeptViews, view_key
 from bench.views.measure import Measurement
 from bench.views.views_file import VIEWS, views_file
 from calib.boards.board import Board
 from calib.calibration import Calibration
 from calib.target import StarTarget
 from sequences.script import SolveStep
+
+# Keeps the views that a run has found, so that `calibrate` need not find its stars again.
+
+
+def keep_views_of_run(job: Job, history: History, measured: Mapping[int, Measurement]) -> int:
+    """Keep the views of the accepted recordings of a run.
+
+    job: Task of the run. Views of a rehearsal, and of a board in place of the star target, are not kept.
+    """
+    if type(job.camera_kind) not in {EventKind, FrameKind} or job.board is not None:
+        return 0
+    kept, count = KeptViews.of_bench(), 0
+    for index, attempt in history.accepted().items():
+        found = measured.get(index)
+        if found is None or found.view is None:
+            continue
+        options = decided_by_run(job, job.record_step(index), attempt)
+        kept.write(view_key(str(attempt.stored["sha256"]), options), found.view)
+        count += 1
+    return count if not kept.remarks else 0
 
 
 @dataclass(frozen=True)

@@ -1,8 +1,8 @@
 """The station file: the devices of a bench, their ports, and their limits.
 
 The sections of the devices are in `station_stages`, `station_lights` and `station_cameras`, those of the collimator and
-of the gimbal's readings in `station_collimator`, the printed target in `station_target`, a board in its place in
-`station_board`, and the expected values in `station_expected`; `devices` opens the devices. docs/stations.md describes
+of the gimbal's readings in `station_collimator`, the printed target in `station_target`; a board in its place, the
+ledger and the expected values are here; `devices` opens the devices. docs/stations.md describes
 every key. A simulated bench and a real one differ in the station file only; the same sequences run on both.
 """
 
@@ -11,28 +11,188 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Mapping
-from pathlib import Path
+from pathlib import Path, PurePosixPath, PureWindowsPath
 from typing import Annotated, Any, Literal
 
-from pydantic import BeforeValidator, Field
+from pydantic import AfterValidator, BeforeValidator, Field, model_validator
+from pydantic_core import PydanticCustomError
 
 from bench.stations.sections import AxisConfig
-from bench.stations.station_board import BoardConfig
 from bench.stations.station_budget import BudgetConfig
 from bench.stations.station_cameras import CameraConfig, PictureFolderConfig, RecordedCameraConfig
 from bench.stations.station_collimator import CollimatorConfig, GimbalConfig
-from bench.stations.station_expected import ExpectedConfig
-from bench.stations.station_fields import SIMULATED_PREFIX, Text
+from bench.stations.station_fields import SIMULATED_PREFIX, FocalLength, Text
 from bench.stations.station_interlocks import InterlocksConfig
-from bench.stations.station_ledger import LedgerConfig
 from bench.stations.station_lights import LightConfig
 from bench.stations.station_messages import MessagesConfig
 from bench.stations.station_stages import StageConfig
 from bench.stations.station_target import TargetConfig
 from bench.stations.station_text import use_descriptions
+from calib.boards.board import Board, Kind
+from calib.errors import InputMismatch
+from calib.studies.collimator_errors import TYPICAL_DEFOCUS, TYPICAL_RMS_PX, CollimatorErrors
+from sequences.plain_number import Within
 from sequences.reader import Located, find_document, read_document
 from sequences.schema import Name
 from sequences.strict_model import StrictModel
+
+# The ledger section of a station file: the second place for the head of the ledger, and what a break of it
+# does.
+
+_STRICT = "strict"
+
+
+def _absolute(path: str) -> str:
+    """Accept an absolute path only: the station file is copied into every run folder. Raises PydanticCustomError."""
+    if not (PurePosixPath(path).is_absolute() or PureWindowsPath(path).is_absolute()):
+        raise PydanticCustomError(
+            "not_absolute", "must be an absolute path of a file, such as /mnt/office/bench2.heads."
+        )
+    return path
+
+
+class LedgerConfig(StrictModel):
+    """Second place for the head of the bench's ledger, and what an unexplained break of the ledger does."""
+
+    anchor: Annotated[
+        str | None,
+        Field(
+            min_length=2,
+            max_length=4096,
+            description="File on another disk or share; each new head of the ledger is added to it.",
+        ),
+        AfterValidator(lambda path: None if path is None else _absolute(path)),
+    ] = None
+    strict: Annotated[
+        bool, Field(description="Whether a break of the ledger that nobody has explained stops a run.")
+    ] = False
+
+    bare_words = (_STRICT,)
+
+    @model_validator(mode="before")
+    @classmethod
+    def _from_word(cls, value: Any) -> Any:
+        return {"strict": "true"} if value == _STRICT else value
+
+
+# Section `expected` of the station file: approximate values of the bench, for forecasts and studies only.
+
+_Side = Annotated[int, Within(8, 65_536, "px")]
+_Coefficient = Annotated[float, Within(-1000, 1000)]
+
+
+class ExpectedCollimatorConfig(StrictModel):
+    """How far the views of this collimator deviate from an ideal one."""
+
+    rms_px: Annotated[
+        float,
+        Field(
+            ge=0,
+            le=100,
+            description="RMS length of the errors that follow the collimator, star noise included, px; 0: none.",
+        ),
+    ] = TYPICAL_RMS_PX
+    pupil_wander_mm: Annotated[
+        float,
+        Field(ge=0, le=1000, description="Random shift of the camera's pupil across the beam between poses."),
+    ] = 0.0
+    pose_rms_px: Annotated[
+        float,
+        Field(
+            ge=0, le=100, description="RMS length of the errors that differ from pose to pose, px; 0: small."
+        ),
+    ] = 0.0
+
+
+class ExpectedConfig(StrictModel):
+    """Approximate properties of the bench, for plans and studies only; no estimator uses them."""
+
+    focal_px: Annotated[float, Within(10, 1e6, "px")]
+    r_mm: FocalLength
+    half_angle_deg: Annotated[float, Field(ge=0.01, lt=60, description="Half angle of the beam.")]
+    image_size: tuple[_Side, _Side] = (1280, 720)
+    k1: _Coefficient = 0.0
+    k2: _Coefficient = 0.0
+    star_sigma_px: Annotated[
+        float, Within(1e-4, 100, "px"), Field(description="Uncertainty of a star, per axis.")
+    ] = 0.02
+    collimator: ExpectedCollimatorConfig = ExpectedCollimatorConfig()
+
+    def errors(self, collimator: CollimatorConfig) -> CollimatorErrors:
+        """Return the expected errors of the collimator.
+
+        Returns: Errors for a forecast; a defocus that is not stated has a typical size.
+        """
+        return CollimatorErrors(
+            self.collimator.rms_px,
+            self.collimator.pupil_wander_mm,
+            collimator.defocus.value if collimator.defocus else TYPICAL_DEFOCUS,
+            self.collimator.pose_rms_px,
+        )
+
+
+# The board section of a station file: a flat board at finite distance that stands there in place of a
+# collimator.
+
+_Points = Annotated[int, Within(3, 200)]
+_Frequency = Annotated[float, Within(1, 1000, "Hz")]
+
+
+class BoardConfig(StrictModel):
+    """A board at finite distance, as a section or in one word: ``checkerboard:9x6:25mm``."""
+
+    kind: Kind
+    columns: Annotated[_Points, Field(description="Points along X; inner corners of a checkerboard.")]
+    rows: Annotated[_Points, Field(description="Points along Y; inner corners of a checkerboard.")]
+    pitch_mm: Annotated[float, Within(0.001, 10_000, "mm")]
+    frequencies_hz: Annotated[
+        tuple[_Frequency, ...] | None,
+        Field(description="Of blinking dots, row by row. Default: evenly spaced from 50 to 150 Hz."),
+    ] = None
+    flicker_hz: Annotated[
+        _Frequency | None,
+        Field(description="Frequency at which the board flickers by itself. Default: the light flickers."),
+    ] = None
+
+    @model_validator(mode="before")
+    @classmethod
+    def _from_text(cls, value: Any) -> Any:
+        if not isinstance(value, str):
+            return value
+        try:
+            board = Board.parse(value)
+        except InputMismatch as error:
+            raise PydanticCustomError(
+                "no_board", "{what} {remedy}", {"what": error.what, "remedy": error.remedy}
+            ) from None
+        return {
+            "kind": board.kind,
+            "columns": board.columns,
+            "rows": board.rows,
+            "pitch_mm": board.pitch_mm,
+            **({"frequencies_hz": board.frequencies_hz} if board.frequencies_hz else {}),
+        }
+
+    @model_validator(mode="after")
+    def _exists(self) -> BoardConfig:
+        try:
+            self.board()
+        except InputMismatch as error:
+            raise PydanticCustomError(
+                "no_board", "{what} {remedy}", {"what": error.what, "remedy": error.remedy}
+            ) from None
+        return self
+
+    def board(self) -> Board:
+        """Return the board for the calibration engine."""
+        return Board(self.kind, self.columns, self.rows, self.pitch_mm, self.frequencies_hz or ())
+
+    @property
+    def own_hz(self) -> float | None:
+        """Frequency of the board's own flicker, Hz; the lowest one of blinking dots; None if the light drives it."""
+        frequencies = self.board().frequencies_hz
+        return min(frequencies) if frequencies else self.flicker_hz
+
 
 SHIPPED_STATIONS = Path(__file__).parent
 

@@ -13,7 +13,6 @@ from pydantic import AfterValidator, Field, PrivateAttr
 from pydantic_core import PydanticCustomError
 
 from bench.stations.description_fields import Described
-from bench.stations.device_description import find_description, read_light_protocol, read_stage_protocol
 from bench.stations.light_description import LightProtocol
 from bench.stations.placeholders import ToFillIn
 from bench.stations.sections import AxisConfig, LightSection, PortName, StageSection
@@ -27,9 +26,38 @@ from drivers.stage.text import TextAxis, TextStage
 from drivers.wire_log import WireLog
 from sequences.errors import DocumentFaults
 from sequences.plain_number import Within
-from sequences.reader import Located
+from sequences.reader import Located, find_document, read_document
 from sequences.schema import Axis
 from sequences.tree import Fault
+
+# Descriptions of devices: YAML files that say how a stage or a light is talked to, without code.
+
+SHIPPED_DESCRIPTIONS: Final = Path(__file__).parent / "descriptions"
+
+
+def read_stage_protocol(path: Path) -> Located[StageProtocol]:
+    """Read the description of a stage."""
+    return read_document(path, StageProtocol)
+
+
+def read_light_protocol(path: Path) -> Located[LightProtocol]:
+    """Read the description of a light."""
+    return read_document(path, LightProtocol)
+
+
+def find_description(name_or_path: str, folder: Path | None) -> Path:
+    """Find the file of a description.
+
+    name_or_path: Name of a shipped description, or a path.
+    folder: Folder to which a path is relative; None for the working directory.
+    Returns: The file, which need not exist if a path was given.
+    Raises DocumentFaults: If a bare name is neither a file nor shipped; the message lists the shipped names.
+    """
+    path = Path(name_or_path)
+    if folder is not None and (path.name != name_or_path or path.suffix):
+        return folder / path
+    return find_document(name_or_path, SHIPPED_DESCRIPTIONS)
+
 
 PROTOCOL_COPIES: Final = {"stage": "protocol-stage.yaml", "light": "protocol-light.yaml"}
 """Byte-exact copies of the descriptions in a run folder, by section."""

@@ -3,7 +3,7 @@
 By the script or at random, scattered by a person's hand, and shaken by it. Frames: camera's axes at zero angles, X
 right, Y down, Z away, mm. A pose is the board's rotation and the place of its middle. The same seed and number give the
 same placement. ``optics`` draws the board; blinking dots and the lines of a screen are lights of their own, those of
-``pixels.many_lights``.
+``pixels.sensor_stream``.
 """
 
 from __future__ import annotations

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from bench.stations.device_description import find_description, read_light_protocol
+from bench.stations.station_text import find_description, read_light_protocol
 from drivers.light import Light
 from drivers.light.gardasoft import GardasoftLight
 from drivers.light.scpi import ScpiLight

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from bench.stations.device_description import find_description, read_stage_protocol
+from bench.stations.station_text import find_description, read_stage_protocol
 from drivers.errors import PortLost
 from drivers.stage import AxisLimits, Stage
 from drivers.stage.dynamixel import DynamixelAxis, DynamixelStage

@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable
 
-from bench.stations.device_description import find_description, read_stage_protocol
+from bench.stations.station_text import find_description, read_stage_protocol
 from drivers.clock import SystemClock
 from drivers.stage import AxisLimits, Stage
 from drivers.stage.dynamixel import DynamixelAxis, DynamixelStage

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import pytest
 
-from bench.stations.device_description import find_description, read_light_protocol
+from bench.stations.station_text import find_description, read_light_protocol
 from drivers.clock import SystemClock
 from drivers.errors import DeviceRefused, SettingRefused, WrongDevice
 from drivers.light import LightSettings

@@ -10,8 +10,14 @@ import pytest
 from scipy.spatial import cKDTree
 
 from bench.stations.station_target import TargetConfig
-from bench.stations.target.cad_files import GDS_CELL, GDS_OPAQUE, GDS_OUTLINE, OPAQUE_LAYER, OUTLINE_LAYER
-from bench.stations.target.draw import drawing_file
+from bench.stations.target.draw import (
+    GDS_CELL,
+    GDS_OPAQUE,
+    GDS_OUTLINE,
+    OPAQUE_LAYER,
+    OUTLINE_LAYER,
+    drawing_file,
+)
 from bench.stations.target.shapes import draw_target
 from calib.stars.detect import detect_stars
 from simulators.optics.outlines import black_polygons

@@ -10,9 +10,8 @@ from drivers.camera.evt3 import Evt3Decoder
 from simulators.config import bench_config
 from simulators.optics import scene
 from simulators.optics.board_scene import images_of_lights
-from simulators.pixels.many_lights import ManyLightsSensor
 from simulators.pixels.sensor import Sensor
-from simulators.pixels.sensor_stream import CameraState, SensorStream
+from simulators.pixels.sensor_stream import CameraState, ManyLightsSensor, SensorStream
 from simulators.world.board import BoardState
 from simulators.world.world import LightState, World
 

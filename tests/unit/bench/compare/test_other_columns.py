@@ -7,9 +7,7 @@ import pytest
 
 from bench.base.errors import ScriptError
 from bench.compare import methods, real_data, scenes
-from bench.compare.page import render_page
-from bench.compare.paper import PAPER_NAMES, PAPER_TABLE_1
-from bench.compare.plots import images_plot
+from bench.compare.page import PAPER_NAMES, PAPER_TABLE_1, images_plot, render_page
 from bench.compare.real_data import data_digest, read_data
 from bench.compare.run_comparison import Task, compare, row_key, run_task
 from bench.compare.scenes import finding_key, recordings_key

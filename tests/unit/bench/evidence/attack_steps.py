@@ -7,7 +7,7 @@ import h5py
 
 from bench.evidence.verify import verify_folder
 from bench.results.again_run import check_run_again
-from bench.results.compare_views import HeldViews
+from bench.results.compare_trees import HeldViews
 from bench.results.recorded_with import check_recorded_with
 
 CAPTURE = "captures/pose-00%d-attempt-1.raw"

@@ -11,7 +11,7 @@ from bench.records.journal import read_journal
 from bench.records.journal_entry import FIRST_PREV, encode_line
 from bench.records.written import written_files
 from bench.report.html import ReportData, render_report
-from bench.results.compare_views import HeldViews
+from bench.results.compare_trees import HeldViews
 from bench.results.exports import exports
 from bench.results.result import json_bytes
 from bench.results.stored_calibration import stored_calibration

@@ -17,12 +17,11 @@ from bench.evidence.beside_seal import add_beside
 from bench.evidence.key_trust import Trust
 from bench.evidence.keys import create_key
 from bench.evidence.seal import RESERVED, seal_folder
-from bench.evidence.sealed_time import stated_time
 from bench.evidence.shown_state import shown_state
 from bench.evidence.signers import AUTHORISATION_NAMESPACE, NAMESPACE, Signer
 from bench.evidence.ssh_keys import fingerprint
 from bench.evidence.sshsig import sign
-from bench.evidence.states import State, standing_of, state_of
+from bench.evidence.states import State, standing_of, state_of, stated_time
 from bench.evidence.verify import verify_folder
 
 NOW = datetime(2026, 5, 1, tzinfo=UTC)

@@ -9,7 +9,7 @@ from datetime import UTC, datetime, timedelta
 import pytest
 from journals import BEGIN, MadeRun
 
-from bench.panel import leave
+from bench.panel import run_head
 from bench.panel.process_state import ProcessState, look_at_process
 from bench.panel.run_head import head_of
 from bench.panel.run_model import RunModel
@@ -184,7 +184,7 @@ def test_a_hold_says_how_long_it_may_last(run):
     run.write("entering", state="holding", by="Ada", **{"from": "checking"})
     head = _head(run)
     assert "Ada holds the run" in head["leave"]["text"]
-    assert leave.MAX_HOLD_H * 3600 == MAX_HOLD_S
+    assert run_head.MAX_HOLD_H * 3600 == MAX_HOLD_S
     assert head["can"] == {"hold": False, "release": True, "skip": True, "abort": True, "answer": False}
     assert head["end_utc"] == ""
 

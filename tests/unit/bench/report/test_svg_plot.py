@@ -94,7 +94,7 @@ def test_long_names_of_poses_take_more_rows_and_many_poses_have_no_legend():
 
 def test_a_report_and_its_charts_load_no_library_that_draws():
     code = (
-        "import sys; import bench.report.figures, bench.report.course_plot, bench.report.batch_page,"
+        "import sys; import bench.report.figures, bench.report.course, bench.report.batch_page,"
         " bench.report.control_chart, bench.compare.page, bench.report.study_plot;"
         " print('matplotlib' in sys.modules)"
     )

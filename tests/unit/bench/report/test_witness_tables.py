@@ -2,7 +2,7 @@
 
 import pytest
 
-from bench.report.witness_tables import amplitude_rows, witness_rows
+from bench.report.calibration_tables import amplitude_rows, witness_rows
 
 
 def witness(name="certificate", **changed):

@@ -10,7 +10,7 @@ from report_sample import sample
 from bench.evidence.findings import Findings
 from bench.results import compare_numbers
 from bench.results.compare_numbers import same_stars
-from bench.results.compare_views import SeenView, tell_views
+from bench.results.compare_trees import SeenView, tell_views
 from bench.results.results_content import other_software, software
 from calib.view import View
 

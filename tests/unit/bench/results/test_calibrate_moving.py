@@ -133,7 +133,7 @@ def test_a_board_that_moves_along_its_edges_or_too_little_is_named_with_what_to_
 
 @pytest.mark.slow
 def test_a_simulated_moving_board_is_reconstructed_where_it_stands_at_the_time_of_the_picture():
-    from bench.compare.moving import record_moving
+    from bench.compare.scenes import record_moving
     from bench.compare.spec import ComparisonConfig
     from bench.simulated import virtual_camera
     from calib.boards.board import Board

@@ -10,8 +10,7 @@ from report_sample import sample
 
 from bench.evidence.findings import Findings
 from bench.report import figures
-from bench.results.compare_trees import MadeAgain, compare_trees
-from bench.results.compare_views import HeldViews
+from bench.results.compare_trees import HeldViews, MadeAgain, compare_trees
 from bench.results.result import json_bytes, shown_files
 from bench.results.results_content import software
 from bench.results.stored_calibration import stored_calibration

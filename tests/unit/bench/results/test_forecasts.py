@@ -8,7 +8,7 @@ import pytest
 from bench.commands.cli import main
 from bench.plan.plan import SHIPPED_SEQUENCES, load_documents, make_plan
 from bench.results.forecasts import expected_uncertainty, forecast_bench, suggest_poses
-from bench.stations.station_expected import ExpectedConfig
+from bench.stations.station import ExpectedConfig
 from calib.model.camera import distortion_names
 from calib.studies.collimator_errors import TYPICAL_DEFOCUS, TYPICAL_RMS_PX
 from calib.studies.pose_distance import distance_deg

@@ -5,9 +5,9 @@ from solved_run import write_solved_run
 from bench.plan.job import Job
 from bench.records.history import replay
 from bench.records.journal import read_journal
-from bench.results.keep_views import keep_views_of_run
 from bench.results.offline import with_kept_views
 from bench.results.offline_options import OfflineOptions
+from bench.results.result import keep_views_of_run
 from bench.results.view_sources import view_sources
 from bench.views.kept_views import KeptViews, pack_view
 from bench.views.measure import Measurement

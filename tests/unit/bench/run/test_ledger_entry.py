@@ -15,7 +15,7 @@ from bench.run.ledger_entry import (
     refuse_broken_ledger,
 )
 from bench.run.runner import RunEnd
-from bench.stations.station_ledger import LedgerConfig
+from bench.stations.station import LedgerConfig
 
 CLOCKS = {"utc_now": lambda: datetime(2026, 3, 1, tzinfo=UTC), "monotonic": lambda: 0.0}
 

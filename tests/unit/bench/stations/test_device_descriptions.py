@@ -6,15 +6,15 @@ from pathlib import Path
 
 import pytest
 
-from bench.stations.device_description import (
+from bench.stations.device_identities import serial_devices
+from bench.stations.station import load_station
+from bench.stations.station_text import (
     SHIPPED_DESCRIPTIONS,
+    description_documents,
     find_description,
     read_light_protocol,
     read_stage_protocol,
 )
-from bench.stations.device_identities import serial_devices
-from bench.stations.station import load_station
-from bench.stations.station_text import description_documents
 from sequences.errors import DocumentFaults
 
 PTU = (SHIPPED_DESCRIPTIONS / "flir_ptu.yaml").read_text()

@@ -15,8 +15,15 @@ from bench.commands.cli import cli
 from bench.stations.station import load_station
 from bench.stations.station_target import TargetConfig
 from bench.stations.target.draw import WRITERS, drawing_file
-from bench.stations.target.lettering import COLUMNS, GLYPHS, ROWS, text_rectangles, text_width
-from bench.stations.target.shapes import draw_target, scale_bar_mm
+from bench.stations.target.shapes import (
+    COLUMNS,
+    GLYPHS,
+    ROWS,
+    draw_target,
+    scale_bar_mm,
+    text_rectangles,
+    text_width,
+)
 from bench.stations.target.use import optics_of, use_of
 
 SMALL = {"squares": (16, 18), "pitch_mm": 3.0, "tag_square": (6, 7), "serial": "a-7"}
