@@ -31,7 +31,7 @@ Array = NDArray[np.float64]
 MISJUDGED, WRONG = "misjudged", "wrong"
 MISJUDGED_TIMES = 5.0
 #: Probability of each fault before the views are seen.
-FAULTS = {MISJUDGED: 0.02, WRONG: 0.005}
+FAULTS = {MISJUDGED: 0.05, WRONG: 0.02}
 #: Names of witnesses.
 CERTIFICATE, PASSPORT = "certificate of the collimator", "passport of the collimator"
 SCALE_OF, PARALLAX, ORTHOGONAL = "scale of {}", "pupil and defocus", "axes at a right angle"
@@ -46,8 +46,10 @@ _SKEW_PX = 5.0
 _ASPECT_SIGMA, _FREE_ASPECT = 3e-4, 0.1
 #: The principal point lies in the middle of the sensor to this share of its diagonal.
 _MIDDLE_SHARE = 0.1
-#: If nobody had stated it: a certificate's radius, a scale, a share of the field.
-_FREE_RADIUS, _FREE_SCALE, _FREE_PARALLAX = 0.05, 0.02, 0.02
+#: If nobody had stated it, or stated it wrongly: a certificate's radius, the scale of an axis, that of a print, its
+#: thermal expansion, the parallax over the one that is expected without a bound.
+_FREE_RADIUS, _FREE_SCALE, _FREE_PARALLAX = 0.02, 0.005, 2.0
+_FREE_TERMS = {"thermal": 1e-3, "print_scale": 5e-3}
 _SKEW_DEG = 0.1
 #: Standard uncertainty that stands for exact, as a share.
 _EXACT = 1e-7
@@ -146,7 +148,7 @@ def gather(
             term.source,
             {term.name: 1.0},
             (0.0, max(term.standard_uncertainty, 1e-12)),
-            None if term.kind == "effective_radius" else _FREE_SCALE if term.kind in SCALE_TERMS else None,
+            _FREE_TERMS.get(term.kind),
             term.unit,
             term,
         )
@@ -260,7 +262,7 @@ def _parallax(layout: Layout, stated: tuple[float, float], unbounded: float) -> 
     unit = amp.UNIT_TURN
     value, sigma = stated[0], max(stated[1], 1e-9)
     source = "station: pupil_off_pivot_mm and defocus"
-    free = max(2.0 * unbounded, _FREE_PARALLAX)
+    free = max(_FREE_PARALLAX * unbounded, 5.0 * sigma)
     along = {names[0]: 0.5 / unit, names[3]: 0.5 / unit}
     found = [_scalar(layout, PARALLAX, rows.PARALLAX, source, along, (value, sigma), free, "1")]
     other = 0.2 * sigma + 2e-5

@@ -15,6 +15,7 @@ from functools import cache, cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from calib.joint import amplitudes as amp
 from calib.joint.curvature import best_amplitudes, expected_curvature
 from calib.joint.knowledge import FAULTS, Statement
 from calib.joint.marginal import Marginal, Solution
@@ -227,33 +228,50 @@ def _directions(size: int) -> Array:
 def _faults(optimum: Optimum, curvature: Array) -> list[tuple[Faults, Array, Solution, float]]:
     """Return the faults that the views make more probable than they were: amplitudes, solution, odds against none."""
     marginal, found = optimum.marginal, []
-    for names in _possible(optimum):
+    starts = (optimum.eta, _usual(optimum))
+    for names in _possible(optimum, starts[1]):
         for fault, probability in FAULTS.items():
             faults: Faults = tuple((name, fault) for name in names)
-            try:
-                start = marginal.solve(optimum.eta, faults)
-            except np.linalg.LinAlgError:
-                continue
+            start, eta = min(
+                ((marginal.solve(eta, faults), eta) for eta in starts), key=lambda one: one[0].value
+            )
             gain = 0.25 * float(start.gradient @ np.linalg.solve(curvature, start.gradient))
             if 0.5 * (start.value - optimum.solution.value) - gain > _FOLLOWED:
                 continue
-            eta, ended = best_amplitudes(marginal, optimum.eta, _FAULT_STEPS, faults)
+            eta, ended = best_amplitudes(marginal, eta, _FAULT_STEPS, faults)
             evidence = float(np.exp(min(0.5 * (optimum.solution.value - ended.value), 500.0)))
             if evidence > 1.0:
                 found.append((faults, eta, ended, probability * (evidence - 1.0)))
     return found
 
 
-def _possible(optimum: Optimum) -> list[tuple[str, ...]]:
+def _usual(optimum: Optimum) -> Array:
+    """Return the amplitudes with those of the collimator as they are expected.
+
+    A wrong statement makes the errors of the collimator look large, and then hardly contradicts the others.
+    """
+    hyper = optimum.marginal.problem.hyper
+    kept = hyper.places((amp.STAR, amp.READING, *amp.POSE))
+    eta = hyper.mean.copy()
+    eta[kept] = optimum.eta[kept]
+    return eta
+
+
+def _possible(optimum: Optimum, usual: Array) -> list[tuple[str, ...]]:
     """Return the statements that contradict the others by so much that a fault can be more probable than none.
 
     One source states the scales of all axes, so they can be wrong together.
+
+    usual: (A,) expected amplitudes of the collimator; the contradictions at these count too.
     """
-    alone = Posterior(optimum, (), np.zeros(0), {}, Node(1.0, optimum.eta, NO_FAULT, optimum.solution))
-    said = alone.innovations()
-    scales = tuple(one.name for one in said if one.statement.group == GIMBAL_SCALE)
-    doubted = [one.name for one in said if abs(one.normalised) > _AGREES]
-    together = [scales] if len(scales) > 1 and set(scales) & set(doubted) else []
+    doubted: dict[str, None] = {}
+    scales: tuple[str, ...] = ()
+    solved = (optimum.eta, optimum.solution), (usual, optimum.marginal.solve(usual, slope=False))
+    for eta, solution in solved:
+        said = Posterior(optimum, (), np.zeros(0), {}, Node(1.0, eta, NO_FAULT, solution)).innovations()
+        doubted |= dict.fromkeys(one.name for one in said if abs(one.normalised) > _AGREES)
+        scales = tuple(one.name for one in said if one.statement.group == GIMBAL_SCALE)
+    together = [scales] if len(scales) > 1 and doubted else []
     return [*((name,) for name in doubted), *together]
 
 

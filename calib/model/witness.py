@@ -19,7 +19,7 @@ class Witness:
     # expected, expected_sigma: The same by all others; None for a joint statement.
     expected: float | None
     expected_sigma: float | None
-    # Stated minus expected over the sigma of that difference: 2 is unusual, 4 a contradiction. For a joint
+    # Stated minus expected over the sigma of that difference: 2 is unusual, 3 a contradiction. For a joint
     # statement the root mean square, without a sign.
     innovation: float
     # Probability that the statement is at fault: wrong, or its sigma several times too small.
