@@ -18,6 +18,7 @@ from sequences.wording import did_you_mean
 
 _OF_THE_RUN = frozenset({"camera temperature", "event rate", "illumination", "light", "light frequency"})
 """Conditions that the run records; a second statement could contradict it."""
+_NO_NAMES = frozenset({"-", "n/a", "none", "unknown", "tbd", "todo", "?"})
 
 
 def faults_of_lab(lab: Located[LabConfig], found: Results) -> list[Fault]:
@@ -40,6 +41,7 @@ def _contradictions(lab: LabConfig, found: Results) -> Iterator[tuple[DocumentPa
         for name in ("maker", "model"):
             if getattr(lab.item, name) is not None:
                 yield ("item", name), f"the camera {serial} identified itself in the run; leave it out."
+    yield from _names(lab)
     yield from _dates(lab, found)
     symbols = list(found["calibration"]["camera"])
     for at, rule in enumerate(lab.decision_rules or ()):
@@ -55,6 +57,23 @@ def _contradictions(lab: LabConfig, found: Results) -> Iterator[tuple[DocumentPa
         if condition.name.lower() in _OF_THE_RUN:
             yield ("conditions", at, "name"), "the run itself recorded this condition; leave it out."
     yield from _sources(lab, found)
+
+
+def _names(lab: LabConfig) -> Iterator[tuple[DocumentPath, str]]:
+    """Yield what should identify somebody or something and does not."""
+    author = lab.authorised_by.name if lab.authorised_by else None
+    stated = (
+        ("laboratory", "name", lab.laboratory.name),
+        ("customer", "name", lab.customer.name),
+        ("item", "serial", lab.item.serial),
+        ("authorised_by", "name", author),
+    )
+    for part, key, text in stated:
+        if text is not None and text.lower() in _NO_NAMES:
+            yield (
+                (part, key),
+                f"{text!r} identifies nothing. A certificate needs the {'number' if key == 'serial' else key}.",
+            )
 
 
 def _dates(lab: LabConfig, found: Results) -> Iterator[tuple[DocumentPath, str]]:

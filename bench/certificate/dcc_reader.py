@@ -10,10 +10,10 @@ import hashlib
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from decimal import Decimal, InvalidOperation
 from typing import TYPE_CHECKING
 
 from bench.base.errors import EvidenceError
-from bench.certificate.dcc_numbers import number
 from bench.certificate.dcc_units import length_mm
 from bench.certificate.dcc_xml import NAMESPACES, library, qualified, read_dcc, short
 
@@ -110,6 +110,18 @@ def _lengths(root: _Element) -> list[Length]:
             label = real.findtext("si:label", "", NAMESPACES).strip()
             found.append(Length(quantity.get("id", ""), label, name, value_mm, uncertainty_mm, float(k)))
     return found
+
+
+def number(text: str | None) -> Decimal | None:
+    """Return a number of D-SI.
+
+    Returns: The number; None if the text is not a finite number in decimal notation.
+    """
+    try:
+        found = Decimal((text or "").strip())
+    except InvalidOperation:
+        return None
+    return found if found.is_finite() and abs(found.adjusted()) <= 300 else None
 
 
 def _choose(lengths: Sequence[Length], wanted: str, where: str) -> Length:

@@ -165,35 +165,6 @@ def unit_fault(unit: str) -> str | None:
     return next(filter(None, map(_product_fault, products)), None)
 
 
-def unit_powers(unit: str) -> dict[str, int]:
-    r"""Return the units in a unit of D-SI, each with its prefix and its power, to compare units.
-
-    Returns: Power by unit, without ``\one``; empty for text that is not a unit of D-SI.
-
-    Examples
-    --------
-    >>> unit_powers(r"\milli\metre\per\second\tothe{2}")
-    {'\\milli\\metre': 1, '\\second': -2}
-    """
-    found: dict[str, int] = {}
-    if unit_fault(unit) is not None:
-        return found
-    prefix, last, sign = "", "", 1
-    for word in unit.split("\\")[1:]:
-        power = _POWER.fullmatch(word)
-        if power is not None:
-            found[last] += sign * (int(float(power[1].replace("_", "."))) - 1)
-        elif word == "per":
-            sign = -1
-        elif word in PREFIXES or word in BINARY_PREFIXES:
-            prefix = f"\\{word}"
-        else:
-            last, prefix = f"{prefix}\\{word}", ""
-            found[last] = found.get(last, 0) + sign
-    found.pop(r"\one", None)
-    return {name: power for name, power in found.items() if power != 0}
-
-
 def _product_fault(words: Sequence[str]) -> str | None:
     """Return why words are not a product of units with prefixes and powers."""
     prefix, unit = "", ""

@@ -37,9 +37,6 @@ REF_TYPES = {
 }
 """The refTypes of Starbench and their meanings. Those that begin with ``basic_`` are PTB's."""
 
-WITHOUT_UNCERTAINTY = frozenset((STATISTIC, BUDGET, EARLIER, DEGREES_OF_FREEDOM, LIMIT))
-"""refTypes of numbers that have no uncertainty of their own."""
-
 _RELEASE = re.compile(r"\d{1,3}(?:\.\d{1,3}){0,3}(?![0-9A-Za-z])")
 
 

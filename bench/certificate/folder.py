@@ -10,7 +10,7 @@ import os
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
-from bench.base.errors import EvidenceError, UsageError
+from bench.base.errors import UsageError
 from bench.certificate.certificate_data import CERTIFICATE, Certificate
 from bench.evidence.keys import BenchKey
 from bench.evidence.seal import seal_folder
@@ -53,20 +53,12 @@ def certificate_files(
     """Return the files of a certificate's folder, without those of its seal. Same input, same bytes.
 
     sign: Returns the DCC with a signature in it; None for none.
-    Raises EvidenceError: When the DCC does not pass its own checks.
     Raises UsageError: When a library is missing, or a text has characters that cannot be printed.
     """
     from bench.certificate.dcc import render_dcc
-    from bench.certificate.dcc_checks import check_dcc
     from bench.certificate.pdf import render_pdf
 
     dcc = render_dcc(certificate)
-    if faults := check_dcc(dcc):
-        raise EvidenceError(
-            f"The digital certificate would be wrong: {'; '.join(faults[:5])}.",
-            where=DCC,
-            remedy="Correct lab.yaml where it is named; otherwise report this.",
-        )
     dcc = dcc if sign is None else sign(dcc)
     attachments = {DCC: dcc, RESULTS: results}
     return {

@@ -12,6 +12,7 @@ from datetime import datetime
 from pathlib import Path
 
 from bench.base.errors import EvidenceError
+from bench.certificate import run_facts
 from bench.certificate.certificate_data import CERTIFICATE, Amends, Certificate
 from bench.certificate.compose import Identity, compose
 from bench.certificate.contradictions import faults_of_lab
@@ -197,6 +198,7 @@ def _wanted(source: Source, lab: LabConfig, folder: Path, amends: str, also: str
         folder=str(folder),
         amends=amends,
         also=also,
+        ended_utc=run_facts.utc_seconds(source.found["run"]["finished_utc"]),
     )
 
 

@@ -39,6 +39,7 @@ class Wanted:
     folder: str
     amends: str = ""  # Number of the certificate that it replaces; empty if none
     also: str = ""  # Why a second certificate of the run is issued; empty: a second one is refused
+    ended_utc: str = ""  # When the calibration ended
 
 
 @contextmanager
@@ -70,6 +71,11 @@ def reserve(ledger: Ledger, wanted: Wanted, now: datetime) -> Numbered:
     with ledger.locked() as journal:
         found = numbers(journal.entries)
         _refuse_clock(journal.entries, now, ledger.path)
+        if f"{now:%Y-%m-%d}" < wanted.ended_utc[:10]:  # the run may be of another bench
+            raise EvidenceError(
+                f"The computer's clock says {now:%Y-%m-%d}, but the calibration ended on {wanted.ended_utc[:10]}.",
+                remedy="Set the clock.",
+            )
         own = _own_open_number(found, wanted)
         refuse_second(found, wanted)
         if own is None:

@@ -29,9 +29,7 @@ class _Found:
     number: str
     dcc_version: str
     si_version: str
-    # content, schema: Faults by our checks and by the schema; schema is None if there was none at hand.
-    content: list[str]
-    schema: list[str] | None
+    schema: list[str] | None  # Faults by the schema; None if there was none at hand
     signature: DccSignature | None  # The valid signature; None if there is none or it is not valid
     signature_fault: str  # Why the signature is not valid; empty if it is, or there is none
 
@@ -39,7 +37,6 @@ class _Found:
     def faults(self) -> list[str]:
         """All faults, each with what found it."""
         return [
-            *(f"content, {fault}" for fault in self.content),
             *(f"schema, {fault}" for fault in self.schema or []),
             *([f"signature: {self.signature_fault}"] if self.signature_fault else []),
         ]
@@ -63,8 +60,8 @@ class _Found:
 def check(path: Path, schemas: Path | None, trusted: Path | None) -> int:
     """Check a digital calibration certificate: an XML FILE, or the folder of a certificate.
 
-    Its content is checked for completeness and contradictions, its form against PTB's schemas if you have them, and its
-    signature if it has one. Exit status 0: no fault; 1: faults.
+    Its form is checked against PTB's schemas if you have them, and its signature if it has one. For a certificate of
+    Starbench, `starbench verify` compares its content with the results. Exit status 0: no fault; 1: faults.
     """
     found = _check(path, schemas, trusted)
     if found.faults:
@@ -78,7 +75,6 @@ def check(path: Path, schemas: Path | None, trusted: Path | None) -> int:
 
 
 def _check(path: Path, schemas: Path | None, trusted: Path | None) -> _Found:
-    from bench.certificate.dcc_checks import check_dcc
     from bench.certificate.dcc_keys import load_certificates
     from bench.certificate.dcc_schema import schema_faults, schema_folder
     from bench.certificate.dcc_signature import verify_signature
@@ -106,7 +102,6 @@ def _check(path: Path, schemas: Path | None, trusted: Path | None) -> _Found:
         number=number.strip(),
         dcc_version=versions.dcc,
         si_version=versions.si,
-        content=check_dcc(data, where),
         schema=None if folder is None else schema_faults(data, folder, where),
         signature=signature,
         signature_fault=signature_fault,
@@ -195,7 +190,6 @@ def _fault_lines(found: _Found) -> Iterator[str]:
 
 def _valid_lines(found: _Found, trusted: Path | None) -> Iterator[str]:
     yield f"Certificate {found.number}: DCC {found.dcc_version} with D-SI {found.si_version}."
-    yield "Content: no faults."
     if found.schema is not None:
         yield "Schema: valid."
     if found.signature is not None:
@@ -229,7 +223,6 @@ def _object(found: _Found) -> dict[str, Any]:
         "dcc_version": found.dcc_version,
         "si_version": found.si_version,
         "ok": not found.faults,
-        "content": found.content,
         "schema": found.schema,
         "signature": None
         if one is None

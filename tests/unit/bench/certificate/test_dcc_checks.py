@@ -1,9 +1,8 @@
 import dcc_mutations
 import pytest
+from dcc_checks import check_dcc
 from dcc_mutations import MUTATIONS
 from lxml import etree
-
-from bench.certificate.dcc_checks import check_dcc
 
 OURS = [one for one in MUTATIONS if one.ours]
 

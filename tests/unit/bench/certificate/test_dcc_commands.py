@@ -42,7 +42,6 @@ def test_a_valid_certificate(signed):
     assert status == 0
     assert said.splitlines() == [
         "Certificate SIMULATED-SB-2026-00017: DCC 3.2.1 with D-SI 2.1.0.",
-        "Content: no faults.",
         SIGNED,
         "Not checked: the form. Name the folder of PTB's schemas with --schemas or in STARBENCH_DCC_SCHEMAS to check it.",
     ]
@@ -57,8 +56,7 @@ def test_faults(signed):
     signed.write_bytes(signed.read_bytes().replace(b">3346.4<", b">3346.5<", 1))
     status, said = run(signed)
     assert status == 1
-    assert "2 faults:\n  content, line " in said
-    assert "signature: The signature is not valid" in said
+    assert "1 fault:\n  signature: The signature is not valid" in said
     found = json.loads(run(signed, "--json")[1])
     assert (found["ok"], found["signature"], found["schema"]) == (False, None, None)
     assert found["signature_fault"].startswith("The signature is not valid")

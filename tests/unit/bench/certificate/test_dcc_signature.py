@@ -1,10 +1,10 @@
 import dcc_mutations
 import lab_pki
 import pytest
+from dcc_checks import check_dcc
 from lxml import etree
 
 from bench.base.errors import EvidenceError
-from bench.certificate.dcc_checks import check_dcc
 from bench.certificate.dcc_keys import load_certificates, load_signing_key
 from bench.certificate.dcc_signature import sign_dcc, signer_of_files, verify_signature, without_signature
 

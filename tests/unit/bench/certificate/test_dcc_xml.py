@@ -3,10 +3,10 @@ import tracemalloc
 
 import dcc_mutations
 import pytest
+from dcc_checks import check_dcc
 
 from bench.base.errors import EvidenceError, UsageError
 from bench.certificate import dcc_xml
-from bench.certificate.dcc_checks import check_dcc
 from bench.certificate.dcc_signature import verify_signature, without_signature
 from bench.certificate.dcc_xml import read_dcc, read_xml, short, to_bytes
 

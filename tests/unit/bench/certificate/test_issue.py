@@ -343,6 +343,7 @@ def test_missing_clauses_are_named_all_at_once_with_their_key(lab):
             "previous_certificate: {number: X, date: 2027",
             "before",
         ),
+        ("name: Customer & Sons <GmbH>", "name: TBD", "customer.name: 'TBD' identifies nothing"),
         ("issuer: PTB, ", "", "sources.issuer: is missing. ISO/IEC 17025, 7.8.4.1 c"),
         (
             "name: relative humidity",
@@ -544,6 +545,15 @@ def test_the_clock_and_other_open_numbers_stop_the_issue(lab):
         lab.issue("third")
     declare_void(lab.ledger, "SIMULATED-SB-2026-00002", reason="disk full", by="Ada")
     assert lab.issue("third").certificate.number == "SIMULATED-SB-2026-00003"
+
+
+def test_a_certificate_is_not_issued_on_a_day_before_the_calibration_ended(lab):
+    ended = lab.now + timedelta(days=1)
+    run = {**sample_results()["run"], "finished_utc": ended.isoformat()}
+    lab.run = write_sealed_run(lab.path / "run2", lab.home, results={**sample_results(), "run": run})
+    with pytest.raises(EvidenceError, match="but the calibration ended on 2026-11-22"):
+        lab.issue()
+    assert lab.numbers() == {}
 
 
 def test_deviations_of_the_run_enter_by_themselves(lab):

@@ -1,17 +1,19 @@
-"""Checks of the covariance matrices in a digital calibration certificate, and of the results against them."""
+"""Checks of covariance matrices and budgets in a digital calibration certificate, and of the results against them."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
+from dcc_numbers import StatedResult, line_of, stated_results, unit_powers
 from numpy.typing import NDArray
 from scipy.special import chdtri
 
-from bench.certificate.dcc_numbers import StatedResult, line_of, number, stated_results
-from bench.certificate.dcc_units import product, unit_powers
-from bench.certificate.dcc_words import JOINT
+from bench.certificate.dcc_reader import number
+from bench.certificate.dcc_units import product
+from bench.certificate.dcc_words import BUDGET, COMBINED, CONTRIBUTION, JOINT
 from bench.certificate.dcc_xml import NAMESPACES, qualified, short
 
 if TYPE_CHECKING:
@@ -19,6 +21,7 @@ if TYPE_CHECKING:
 
 _ASYMMETRY = 1e-9
 _MOST_SIZE = 500
+_BUDGET_TOLERANCE = 0.01
 
 
 def covariance_faults(root: _Element) -> Iterator[str]:
@@ -194,3 +197,37 @@ def _member_faults(one: StatedResult, line: int, label: str, text: str, unit: st
         yield f"line {line}: the joint list has {one.name} in {short(unit)}, the result in {short(one.unit)}"
     if value is not None and abs(float(value - one.value)) > 0.51 * one.step:
         yield f"line {line}: {one.name} is {one.value} as a result and {value} in the joint list"
+
+
+def budget_faults(root: _Element) -> Iterator[str]:
+    """Yield budgets whose rows do not add up, or not to the uncertainty of their result (JCGM 100:2008, 5.1)."""
+    results = {one.id: one for one in stated_results(root) if one.id}
+    for budget in root.iterfind(".//dcc:result[@refId]", NAMESPACES):
+        named = results.get(budget.get("refId", ""))
+        rows, combined = _numbers(budget, CONTRIBUTION), _numbers(budget, COMBINED)
+        if named is not None and rows and combined:
+            yield from _sum_faults(line_of(budget), named, math.hypot(*rows), combined[0])
+
+
+def _sum_faults(line: int, result: StatedResult, summed: float, combined: float) -> Iterator[str]:
+    if abs(summed - combined) > _BUDGET_TOLERANCE * combined:
+        yield (
+            f"line {line}: the rows of the budget of {result.name} add up to {summed:.4g}, but the combined standard"
+            f" uncertainty is {combined:.4g}"
+        )
+    expanded = result.k * combined
+    if not expanded - 0.51 * result.step <= float(result.U) <= 1.001 * expanded + result.step:
+        yield (
+            f"line {line}: U = {result.U} of {result.name} is not k times the combined standard uncertainty of its"
+            f" budget, {expanded:.3g}"
+        )
+
+
+def _numbers(budget: _Element, name: str) -> list[float]:
+    """Return the numbers of a budget that have a name."""
+    found = []
+    for quantity in budget.iterfind(f".//dcc:quantity[@refType='{BUDGET}']", NAMESPACES):
+        if quantity.findtext("dcc:name/dcc:content", "", NAMESPACES) == name:
+            value = number(quantity.findtext("si:real/si:value", None, NAMESPACES))
+            found += [] if value is None else [float(value)]
+    return found

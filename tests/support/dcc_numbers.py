@@ -1,25 +1,30 @@
 """Checks of units, uncertainties and digits in a digital calibration certificate, which its schema does not make.
 
-Each function yields one line a fault, with the line of the file. `bench.certificate.dcc_covariance` checks covariances.
+Each function yields one line a fault, with the line of the file. `dcc_covariances` checks covariances and budgets.
 """
 
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Iterator
 from dataclasses import dataclass
-from decimal import Decimal, InvalidOperation
+from decimal import Decimal
 from typing import TYPE_CHECKING
 
 from scipy.special import ndtri, stdtrit
 
-from bench.certificate.dcc_units import unit_fault
-from bench.certificate.dcc_words import DEGREES_OF_FREEDOM, JOINT, WITHOUT_UNCERTAINTY
+from bench.certificate.dcc_reader import number
+from bench.certificate.dcc_units import BINARY_PREFIXES, PREFIXES, unit_fault
+from bench.certificate.dcc_words import BUDGET, DEGREES_OF_FREEDOM, EARLIER, JOINT, LIMIT, STATISTIC
 from bench.certificate.dcc_xml import NAMESPACES, qualified, short
 
 if TYPE_CHECKING:
     from lxml.etree import _Element
 
+WITHOUT_UNCERTAINTY = frozenset((STATISTIC, BUDGET, EARLIER, DEGREES_OF_FREEDOM, LIMIT))
+"""refTypes of numbers that have no uncertainty of their own."""
+_POWER = re.compile(r"tothe\{(-?\d{1,2}(?:[._]\d{1,2})?)\}")
 _MOST_DIGITS = 2
 _K_TOLERANCE = 0.03
 """Relative difference allowed between k and the quantile: k = 2 is commonly stated with 95 %, for which it is 1.96."""
@@ -80,18 +85,6 @@ def line_of(element: _Element) -> int:
     return line if isinstance(line, int) else 0
 
 
-def number(text: str | None) -> Decimal | None:
-    """Return a number of D-SI.
-
-    Returns: The number; None if the text is not a finite number in decimal notation.
-    """
-    try:
-        found = Decimal((text or "").strip())
-    except InvalidOperation:
-        return None
-    return found if found.is_finite() and abs(found.adjusted()) <= 300 else None
-
-
 def stated_results(root: _Element) -> list[StatedResult]:
     """Return the results of a DCC that can be read.
 
@@ -139,6 +132,30 @@ def _needs_uncertainty(quantity: _Element) -> bool:
     if any(True for _ in quantity.iterancestors(qualified("dcc:metaData"))):
         return False
     return not set(quantity.get("refType", "").split()) & WITHOUT_UNCERTAINTY
+
+
+def unit_powers(unit: str) -> dict[str, int]:
+    r"""Return the units in a unit of D-SI, each with its prefix and its power, to compare units.
+
+    Returns: Power by unit, without ``\one``; empty for text that is not a unit of D-SI.
+    """
+    found: dict[str, int] = {}
+    if unit_fault(unit) is not None:
+        return found
+    prefix, last, sign = "", "", 1
+    for word in unit.split("\\")[1:]:
+        power = _POWER.fullmatch(word)
+        if power is not None:
+            found[last] += sign * (int(float(power[1].replace("_", "."))) - 1)
+        elif word == "per":
+            sign = -1
+        elif word in PREFIXES or word in BINARY_PREFIXES:
+            prefix = f"\\{word}"
+        else:
+            last, prefix = f"{prefix}\\{word}", ""
+            found[last] = found.get(last, 0) + sign
+    found.pop(r"\one", None)
+    return {name: power for name, power in found.items() if power != 0}
 
 
 def unit_faults(root: _Element) -> Iterator[str]:

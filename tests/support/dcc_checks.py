@@ -1,7 +1,6 @@
 """Checks of a digital calibration certificate that its schema does not make: is it complete, does it contradict itself.
 
-`check_dcc` needs neither schema nor network. It is meant for DCCs of Starbench; most checks hold for others too.
-Numbers are checked in `dcc_numbers`, `dcc_covariance` and `dcc_budgets`, signatures in `dcc_signature`.
+`check_dcc` needs neither schema nor network. Numbers are checked in `dcc_numbers` and `dcc_covariances`.
 """
 
 from __future__ import annotations
@@ -14,19 +13,19 @@ from decimal import Decimal
 from itertools import islice
 from typing import TYPE_CHECKING
 
-from bench.certificate.dcc_budgets import budget_faults
-from bench.certificate.dcc_covariance import covariance_faults
-from bench.certificate.dcc_numbers import (
+from dcc_covariances import budget_faults, covariance_faults
+from dcc_numbers import (
     StatedResult,
     coverage_faults,
     digit_faults,
     missing_uncertainties,
-    number,
     number_faults,
     stated_results,
     unit_faults,
 )
+
 from bench.certificate.dcc_parties import NO_NUMBER
+from bench.certificate.dcc_reader import number
 from bench.certificate.dcc_words import SIMULATED, SIMULATED_TYPE
 from bench.certificate.dcc_xml import NAMESPACES, library, qualified, read_dcc, short
 
