@@ -22,6 +22,7 @@ from bench.commands.options import (
 )
 from bench.commands.output import JSON, STOPPED, ask_passphrase, error_object, show
 from bench.records.captures import CAPTURES
+from bench.records.run_folder import REPORT
 from bench.report.target_words import words_of
 from bench.report.text import fixed, with_uncertainty
 
@@ -154,6 +155,7 @@ def _early_end_lines(end: RunEnd) -> list[str]:
         *_device_lines(end),
         end.way_on[0],
         f"  {end.way_on[1]}",
+        *([f"Report: {end.folder / REPORT}"] if (end.folder / REPORT).is_file() else []),
     ]
 
 

@@ -12,6 +12,7 @@ import secrets
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from datetime import datetime
+from functools import partial
 from pathlib import Path
 from typing import Any, TextIO, cast
 
@@ -42,6 +43,7 @@ from bench.results.result import Outcome
 from bench.results.station_software import plugins_of_run, run_software
 from bench.run.control import remove_inbox
 from bench.run.crash_log import archive_crash, crash_log, read_crash
+from bench.run.ended_page import remove_ended_page, write_ended_page
 from bench.run.ledger_entry import (
     enter_in_ledger,
     ledger_entry,
@@ -160,6 +162,7 @@ def resume_run(folder_path: Path, launch: Launch) -> RunEnd:
             journal.append(
                 Event.RUN_RESUMED, torn_bytes=len(journal.torn), software=run_software(job.station), **extra
             )
+            remove_ended_page(folder)
             # After the journal: a process that dies in between neither loses the crash nor counts it twice.
             archive_crash(folder)
             lines = [*ledger_lines(place), *intentions(job, history, crash)]
@@ -226,9 +229,12 @@ def _run_and_seal(
             with crash_log(folder.path):
                 end = Runner(job, folder, journal, open_devices, clock, progress, messages.write).run()
             wire_log.close()
+            sealing_key = partial(key_to_seal, home_folder(), key, clock.utc_now(), launch.ask_passphrase)
             if end.how == "finished":
                 journal.close()
-                seal(folder, key_to_seal(home_folder(), key, clock.utc_now(), launch.ask_passphrase))
+                seal(folder, sealing_key())
+            else:
+                write_ended_page(folder, sealing_key, progress.say)
             what = f"{end.how}{': ' if end.why else ''}{end.why}{_devices_left(end)}"
             messages.write("failure" if end.how == "failed" else "end", what, journal.head)
         except BaseException as error:

@@ -7,7 +7,7 @@ kept as evidence; the sequence step decides what follows the last one.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Unpack
 
 from bench.base.errors import PoseFailed
@@ -146,7 +146,7 @@ class Steps:
         """
         while (reasons := self._try_attempts(step)) is not None:
             pose = step.pose
-            what = f"Pose {pose.index} ({pose.name}) failed {counted(step.attempts, 'attempt')}: {'; '.join(reasons)}."
+            what = f"Pose {pose.index} ({pose.name}) failed {counted(step.attempts, 'attempt')}: {_joined(reasons)}."
             if step.on_failure == "fail":
                 raise PoseFailed(
                     what,
@@ -203,7 +203,12 @@ class Steps:
             if pose.index in history.accepted():
                 return None
             reasons = list(history.attempts_at(pose.index)[-1].reasons)
-            self._run.say(f"Pose {pose.index} ({pose.name}), attempt {attempt}: {'; '.join(reasons)}")
+            self._run.say(f"Pose {pose.index} ({pose.name}), attempt {attempt}: {_joined(reasons)}")
         self.fire_at("back_off", step, wait_s=0.0)
         self.reach(step)
         return None if pose.index in history.skipped else reasons
+
+
+def _joined(reasons: Sequence[str]) -> str:
+    """Return several reasons as one text without a full stop."""
+    return "; ".join(reason.removesuffix(".") for reason in reasons)

@@ -188,6 +188,8 @@ def test_a_signal_stops_the_run_safely_and_it_can_be_resumed(home, tmp_path, num
     assert lines[-1]["event"] == "run_ended"
     assert number.name in lines[-1]["why"]
     assert not list((folder / "captures").glob("*.part"))
+    assert f"Report: {folder / 'report.html'}" in said
+    assert number.name in (folder / "report.html").read_text()
 
 
 CREEPING = """\

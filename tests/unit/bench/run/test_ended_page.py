@@ -1,0 +1,83 @@
+"""A run that failed or was aborted has a page: why, what to do, what was recorded; signed, and gone when it goes on."""
+
+from datetime import UTC, datetime
+
+import pytest
+
+from bench.base.errors import EvidenceError
+from bench.evidence.keys import NAMESPACE, create_key
+from bench.evidence.sshsig import is_valid, read_signature
+from bench.records.events import Event
+from bench.records.journal import Journal
+from bench.records.run_folder import REPORT, RunFolder
+from bench.run.ended_page import PAGE_SIGNATURE, remove_ended_page, write_ended_page
+
+NOW = datetime(2026, 3, 1, 20, 0, tzinfo=UTC)
+ERROR = {
+    "kind": "PoseFailed",
+    "what": "Pose 1 <left> failed.",
+    "where": "captures/a.raw",
+    "remedy": "Check the lamp.",
+}
+
+
+@pytest.fixture
+def key(tmp_path):
+    return create_key(tmp_path / "home")
+
+
+@pytest.fixture
+def folder(tmp_path):
+    with (
+        RunFolder.create(tmp_path / "run") as folder,
+        Journal.create(folder.journal_path, utc_now=lambda: NOW, monotonic=lambda: 0.0) as journal,
+    ):
+        journal.append(Event.RUN_STARTED, id="run-7", simulated=True, sequence="Three", station="Bench")
+        stored = {"pose": 1, "pose_name": "left", "attempt": 1, "capture": "captures/a.raw"}
+        journal.append(Event.CAPTURE_STORED, **stored, facts={"events": 49893})
+        reasons = ["The picture is dark.", "stars 0, needed >= 40"]
+        journal.append(
+            Event.ATTEMPT_CHECKED, pose=1, attempt=1, accepted=False, stars=0, reasons=reasons, gates=[], measured={}
+        )  # fmt: skip
+        journal.append(Event.RUN_ENDED, how="failed", why="dark", error=ERROR, devices=[])
+        yield folder
+
+
+def test_the_page_says_why_what_to_do_and_what_was_recorded(folder, key):
+    write_ended_page(folder, lambda: key, pytest.fail)
+    page = (folder.path / REPORT).read_text()
+    assert "The run failed." in page
+    assert "Pose 1 &lt;left&gt; failed. (captures/a.raw)" in page
+    assert "Check the lamp." in page
+    assert f"starbench resume {folder.path}" in page
+    assert "0 of 1 recordings accepted" in page
+    assert "The picture is dark; stars 0, needed &gt;= 40" in page
+    assert "SIMULATED" in page
+
+
+def test_the_bench_has_signed_the_page(folder, key):
+    write_ended_page(folder, lambda: key, pytest.fail)
+    page, signature = ((folder.path / name).read_bytes() for name in (REPORT, PAGE_SIGNATURE))
+    found = read_signature(signature)
+    assert is_valid(found, page)
+    assert (found.public_key, found.namespace) == (key.public_key, NAMESPACE)
+    assert not is_valid(found, page.replace(b"failed", b"passed"))
+
+
+def test_a_run_that_goes_on_has_no_page_of_its_earlier_end(folder, key):
+    write_ended_page(folder, lambda: key, pytest.fail)
+    remove_ended_page(folder)
+    assert not (folder.path / REPORT).exists()
+    assert not (folder.path / PAGE_SIGNATURE).exists()
+    folder.write_atomic(REPORT, b"of the results")
+    remove_ended_page(folder)
+    assert (folder.path / REPORT).read_bytes() == b"of the results"
+
+
+def test_a_page_that_cannot_be_signed_is_said(folder):
+    def no_key():
+        raise EvidenceError("The key expired.")
+
+    said = []
+    write_ended_page(folder, no_key, said.append)
+    assert said == ["The page of the run could not be written: The key expired."]
