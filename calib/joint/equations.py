@@ -187,14 +187,14 @@ class Bench:
         named = self.named_gimbal(state.shared)
         return self.readings.off(state.gimbal, named, state.rotations)
 
-    def linearised(self, state: State, limit: float) -> Equations:
+    def linearised(self, state: State, limit: float, weights: Sequence[Array] | None = None) -> Equations:
         """Return the equations at a state.
 
-        limit: Sigma of the stars over the stated one, for the robust weights.
+        limit: Sigma of the stars over the stated one, for the robust weights. weights: Those weights, if known.
         """
         camera = self.camera(state.shared)
         found = [
-            self._view(v, points, state.rotations[v], camera, limit)
+            self._view(v, points, state.rotations[v], camera, weights[v] if weights else limit)
             for v, points in enumerate(self.points(state))
         ]
         squares = np.zeros((self.n_poses, self.layout.size, self.layout.size))
@@ -223,15 +223,18 @@ class Bench:
         )
 
     def _view(
-        self, v: int, points: Array, rotation: Array, camera: CameraModel, limit: float
+        self, v: int, points: Array, rotation: Array, camera: CameraModel, robust: Array | float
     ) -> _ViewEquations:
-        """Linearise the stars of one view."""
+        """Linearise the stars of one view.
+
+        robust: (N,) weights, or the limit from which they follow.
+        """
         one, r_mm = self.stars[v], self.layout.basis.reference[2]
         in_camera = points @ rotation.T
         predicted, by_point, by_camera = camera.project_with_jacobians(in_camera)
         residual = one.whitened(one.points_px - predicted)
         lengths = np.hypot(residual[:, 0], residual[:, 1])
-        weights = robust_weights(lengths, limit)
+        weights = robust_weights(lengths, robust) if isinstance(robust, float) else robust
         root = np.sqrt(weights)[:, None]
         by_point = root[:, :, None] * one.whitened(by_point)
         by_star = by_point @ rotation

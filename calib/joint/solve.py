@@ -22,6 +22,9 @@ Array = NDArray[np.float64]
 
 #: Rounds with large robust limits, before the first search of amplitudes.
 _FIRST_ROUNDS = 1
+#: Stars are weighed again in so many rounds, and then no more: a k-step M-estimator (Bickel, 1975). Where the errors at
+#: the rim are no smooth field, the weights would go on to fall for 20 rounds.
+_REWEIGHTED = 7
 #: A step is small if it moves the camera by less than this, px, and less than this share of its sigma.
 _SMALL_PX, _SMALL_SHARE = 1e-3, 0.04
 #: A start is near if a step moves no focal length by more than this share.
@@ -64,17 +67,18 @@ def search(problem: Problem, start: State, rounds: int) -> Optimum:
     eta, state = problem.hyper.mean, start
     bench = problem.bench
     limit = 3.0 * robust_sigma(bench.whitened(state))
-    found = None
+    found, weights = None, None
     for k in range(rounds):
-        equations = bench.linearised(state, limit)
+        equations = bench.linearised(state, limit, weights)
         marginal = Marginal(problem, equations, state)
         eta, found = trusted_amplitudes(marginal, eta) if k >= _FIRST_ROUNDS else (eta, solved(marginal, eta))
         if k > _FIRST_ROUNDS and small(marginal, found):
             eta, found = better_amplitudes(marginal, eta)
             if small(marginal, found):
                 return Optimum(marginal, eta, found, k + 1, converged=True)
-        state = shortened(marginal, eta, found)
-        spread = robust_sigma(bench.whitened(state))
+        state, lengths = shortened(marginal, eta, found)
+        weights = equations.weights if k >= _REWEIGHTED else None
+        spread = robust_sigma(lengths)
         limit = spread if k else 3.0 * spread
         if k >= _FIRST_ROUNDS:
             limit = max(limit, float(np.exp(eta[problem.hyper.at(amp.STAR)])))
@@ -89,11 +93,11 @@ def approached(problem: Problem, start: State, rounds: int) -> State:
     Raises NotConverged: If the equations cannot be solved.
     """
     state, bench, eta = start, problem.bench, problem.hyper.mean
+    lengths = bench.whitened(state)
     for _ in range(rounds):
-        limit = 3.0 * robust_sigma(bench.whitened(state))
-        marginal = Marginal(problem, bench.linearised(state, limit), state)
+        marginal = Marginal(problem, bench.linearised(state, 3.0 * robust_sigma(lengths)), state)
         before, found = state, solved(marginal, eta)
-        state = shortened(marginal, eta, found)
+        state, lengths = shortened(marginal, eta, found)
         if np.abs(state.shared / np.where(before.shared == 0.0, 1.0, before.shared) - 1.0)[:2].max() < _NEAR:
             break
     return state
@@ -159,8 +163,8 @@ def better_amplitudes(marginal: Marginal, eta: Array) -> tuple[Array, Solution]:
     return eta, marginal.solve(eta)
 
 
-def shortened(marginal: Marginal, eta: Array, found: Solution) -> State:
-    """Return the state after a step, which is halved while the cost rises."""
+def shortened(marginal: Marginal, eta: Array, found: Solution) -> tuple[State, list[Array]]:
+    """Return the state after a step, which is halved while the cost rises, and the lengths of its residuals."""
     bench = marginal.problem.bench
     turns = marginal.rotation_steps(eta, found)
     share = relative_step(marginal, found.step)
@@ -170,11 +174,11 @@ def shortened(marginal: Marginal, eta: Array, found: Solution) -> State:
         state = bench.moved(marginal.state, size * found.step, size * found.fields, size * turns)
         if size * share > _CURVED:  # a large step turns the views by more than its linear part
             state = bench.aligned(state, marginal.equations.weights)
-        after = cost(marginal, eta, state, bench.whitened(state))
-        if after <= before * (1.0 + 1e-9):
-            return state
+        lengths = bench.whitened(state)
+        if cost(marginal, eta, state, lengths) <= before * (1.0 + 1e-9):
+            break
         size *= 0.5
-    return state
+    return state, lengths
 
 
 def cost(marginal: Marginal, eta: Array, state: State, lengths: Sequence[Array]) -> float:
