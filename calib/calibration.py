@@ -20,8 +20,15 @@ from calib.model.type_b_terms import TypeBTerm
 from calib.model.witness import Amplitude, Witness
 
 Array = NDArray[np.float64]
-ModelName = Literal["spherical", "radial", "pupil", "rim", "field", "coma", "drift", "planar", "auto"]
-EngineModel = ModelName | Literal["joint"]
+ModelName = Literal[
+    "auto", "joint", "spherical", "planar", "radial", "pupil", "rim", "field", "coma", "drift"
+]
+#: Methods for comparison: the spherical model of arXiv:2512.16092, and Zhang's.
+REFERENCE_MODELS = ("spherical", "planar")
+#: Models of earlier versions: what they describe is part of the joint adjustment.
+EARLIER_MODELS = ("radial", "pupil", "rim", "field", "coma", "drift")
+#: The version of each engine: results of another version are not compared with those of this one.
+ENGINES = {"joint": 1, "reference": 1}
 LossName = Literal["l2", "huber", "cauchy"]
 
 
@@ -32,16 +39,12 @@ class CalibrationOptions:
     Parameters
     ----------
     model
-        ``spherical``: all views share one centre. ``radial``: the same with a radial distortion of the target's map.
-        ``pupil``, ``rim``, ``field``, ``coma``: the same with more and more aberrations of the collimator
-        (`calib.model.aberrations.LADDER`); they need the rim of the beam. ``drift``: the centre of each view may differ
-        from the shared one by about `drift_mm`. ``planar``: each view has its own centre (Zhang's model, for
-        comparison).
-        ``joint``: every effect is a parameter with a prior (`calib.joint`).
-        ``auto``: the data choose (`calib.selection`).
+        ``auto``, ``joint``: every effect is a parameter with a prior (`calib.joint`). For comparison: ``spherical``:
+        all views share one centre. ``planar``: each view has its own centre (Zhang's model).
+        Names of earlier versions mean ``joint``.
     distortion
-        Names of the coefficients to estimate, or the name of a set in `calib.model.camera.DISTORTION_SETS`. ``auto``:
-        the data choose (`calib.lens_choice`).
+        Names of the coefficients to estimate, or the name of a set in `calib.model.camera.DISTORTION_SETS`. The joint
+        adjustment always estimates k1 to k3, p1 and p2, or all kb. ``auto``: it chooses between these two families.
     loss
         ``l2``, ``huber`` or ``cauchy``; it acts on the length of each residual vector.
     huber_px
@@ -50,15 +53,13 @@ class CalibrationOptions:
     max_iterations
         Largest number of steps of each refinement.
     passport
-        Passport of the collimator; one view is then enough. Its aberrations are held. With a certificate, which states
-        the radius alone, the model ``auto`` is ``radial``.
+        Passport of the collimator; one view is then enough. A certificate states the radius alone.
     guard_band
         Stars farther from the centre of the visible disc than this share of its radius are left out.
     drift_mm
-        Prior 1-sigma per axis of the centre of a view about the shared one, mm, for the model ``drift``.
+        Of sequences of earlier versions; it has no effect.
     gimbal
-        Readings of the gimbal, one for each view in their order. They enter the adjustment if their parallax is
-        bounded.
+        Readings of the gimbal, one for each view in their order.
     radial_sigma
         Prior 1-sigma of the radial term of the target's map, if the bench states it (bow of the reticle and distortion
         of the collimator); None for what is typical of real collimators.
@@ -67,13 +68,12 @@ class CalibrationOptions:
     passport_source
         Where the passport comes from, for its row of the budget.
     parallax_sigma
-        1-sigma of the parallax, as a share of the focal length, that enters if views are inconsistent and nothing else
-        determines or bounds it: no passport, no readings, no aberration of the pupil.
+        Parallax of a collimator with large radial terms, as a share of the focal length, if nothing bounds it.
 
     Attributes
     ----------
     compares_lenses
-        Whether the data choose the distortion: `distortion` is then that of the first comparison, k1 and k2.
+        Whether the data choose the family of the lens.
 
     Raises
     ------
@@ -81,7 +81,7 @@ class CalibrationOptions:
         If an option is unknown or out of range.
     """
 
-    model: EngineModel = "spherical"
+    model: ModelName = "auto"
     distortion: str | Sequence[str] = ("k1", "k2")
     loss: LossName = "huber"
     huber_px: float | None = None
@@ -101,7 +101,7 @@ class CalibrationOptions:
             object.__setattr__(self, "distortion", "k1k2")
             object.__setattr__(self, "compares_lenses", True)
         for what, value, known in (
-            ("model", self.model, (*get_args(ModelName), "joint")),
+            ("model", self.model, get_args(ModelName)),
             ("loss", self.loss, get_args(LossName)),
         ):
             if value not in known:
@@ -250,6 +250,12 @@ class Calibration:
     remarks: tuple[str, ...] = ()
 
     @property
+    def engine(self) -> dict[str, str | int]:
+        """Name and version of the engine that makes results of this model."""
+        name = "joint" if self.model == "joint" else "reference"
+        return {"name": name, "version": ENGINES[name]}
+
+    @property
     def sigma(self) -> Mapping[str, float]:
         """Standard uncertainty (1 sigma) of each parameter, by name."""
         sigmas = np.sqrt(np.diag(self.covariance))
@@ -313,6 +319,7 @@ class Calibration:
         poses = zip(self.views, self.rotations.tolist(), self.centres.tolist(), strict=True)
         return {
             "model": self.model,
+            "engine": dict(self.engine),
             "converged": self.converged,
             "iterations": self.iterations,
             "image_size": list(self.camera.image_size),

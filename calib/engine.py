@@ -1,4 +1,4 @@
-"""From views to a calibrated camera: `calibrate` checks its input, and fits or chooses a model."""
+"""From views to a calibrated camera: `calibrate` checks its input, and adjusts jointly or by a reference method."""
 
 from __future__ import annotations
 
@@ -8,18 +8,24 @@ from dataclasses import replace
 
 from calib.adjustment.bundle import Bundle
 from calib.adjustment.observations import Observations
-from calib.calibration import Calibration, CalibrationOptions, Candidate, ViewSummary
+from calib.calibration import (
+    EARLIER_MODELS,
+    REFERENCE_MODELS,
+    Calibration,
+    CalibrationOptions,
+    Candidate,
+    ViewSummary,
+)
 from calib.diagnosis.checks import check_adjustment, check_views
 from calib.diagnosis.gross_stars import GrossStars, find_gross_stars, without_gross_stars
 from calib.errors import DegenerateViews, InputMismatch
-from calib.fit import Fit, fit_model, model_to_fit, without_readings
+from calib.fit import fit_model
 from calib.joint.result import calibrate_jointly
-from calib.lens_choice import choose_lens, compare_lenses, lens_name
 from calib.model.camera import PINHOLE
-from calib.model.collimator import Collimator
+from calib.model.collimator import CENTRE, Collimator
+from calib.model.lens import is_fisheye
 from calib.model.type_b_terms import corrected_passport, corrected_views
-from calib.selection import Choice, choose, enough_poses
-from calib.summary import expanded_focal_px, summarize
+from calib.summary import summarize
 from calib.view import View
 
 __all__ = ["Calibration", "CalibrationOptions", "Candidate", "ViewSummary", "calibrate"]
@@ -28,7 +34,7 @@ __all__ = ["Calibration", "CalibrationOptions", "Candidate", "ViewSummary", "cal
 def calibrate(views: Sequence[View], options: CalibrationOptions | None = None) -> Calibration:
     """Calibrate a camera from views of the star target through a collimator.
 
-    The method is that of arXiv:2512.16092, extended by aberrations, passports and uncertainties.
+    The geometry is that of arXiv:2512.16092; the adjustment is that of docs/adjustment.md.
 
     Parameters
     ----------
@@ -51,7 +57,7 @@ def calibrate(views: Sequence[View], options: CalibrationOptions | None = None) 
     DegenerateViews
         If the views do not constrain the camera; says why.
     PassportContradicted
-        If the views contradict the passport.
+        If the views contradict the passport of a reference method.
     NotConverged
         If the adjustment did not reach an optimum.
     """
@@ -61,19 +67,14 @@ def calibrate(views: Sequence[View], options: CalibrationOptions | None = None) 
     wrong = find_gross_stars(views)
     known_r = options.passport.values_by_name["r"] if options.passport else None
     doubts = check_views(without_gross_stars(views, wrong), known_r_mm=known_r)
-    if options.model == "joint":
+    if options.model not in REFERENCE_MODELS:
         return _jointly(views, options, wrong, doubts)
-    choice = _choice(views, options, wrong)
-    lens = ""
-    if choice.fit.uncertainty.inconsistent and not options.compares_lenses:
-        lens = compare_lenses(options, choice.fit).sentence(lens_name(options.distortion))
-    result = summarize(choice.fit, options, lens)
-    if not enough_poses(choice.fit):
-        result = _without_readings_that_widen(result, choice.fit, options, lens)
+    if options.passport:  # the collimator of these methods is ideal
+        held = [name for name in CENTRE if name in options.passport.names]
+        options = replace(options, passport=options.passport.subset(held))
+    result = summarize(fit_model(views, options, options.model, wrong=wrong), options)
     named = (one.sentence for one in wrong if one.sentence)
-    notes = (*named, *doubts, *result.notes, *choice.notes)
-    remarks = (*result.remarks, *choice.notes)
-    return replace(result, candidates=choice.candidates, notes=notes, remarks=remarks)
+    return replace(result, notes=(*named, *doubts, *result.notes))
 
 
 def _jointly(
@@ -81,14 +82,23 @@ def _jointly(
 ) -> Calibration:
     """Return the result of the joint adjustment, with the checks of wrong data."""
     result, parameters = calibrate_jointly(views, options, wrong)
-    named = tuple(one.sentence for one in wrong if one.sentence)
+    named = [one.sentence for one in wrong if one.sentence]
+    remarks = []
+    if options.model in EARLIER_MODELS:
+        remarks.append(
+            f"The model {options.model} of earlier versions is part of the joint adjustment, which made this result."
+        )
+    if options.compares_lenses:
+        lens = "fisheye" if is_fisheye(result.camera.distortion) else "k1k2k3p1p2"
+        remarks.append(f"The data chose the lens model {lens}.")
     kept = without_gross_stars(views, wrong)
     names = tuple(name for name in result.parameter_names if name in (*PINHOLE, "x", "y", "r"))
     bundle = Bundle(Observations.from_views(kept), names)
     ideal = Collimator(parameters.collimator.x, parameters.collimator.y, parameters.collimator.r)
     shown = replace(parameters, collimator=ideal, gimbal=None)
     found = check_adjustment(kept, bundle, shown, result.sigma)
-    return replace(result, notes=(*named, *doubts, *result.notes, *found))
+    notes = (*named, *doubts, *result.notes, *found, *remarks)
+    return replace(result, notes=notes, remarks=(*result.remarks, *remarks))
 
 
 def _corrected(
@@ -98,39 +108,6 @@ def _corrected(
     if options.passport:
         options = replace(options, passport=corrected_passport(options.passport, options.budget))
     return options, corrected_views(views, options.budget)
-
-
-def _choice(views: Sequence[View], options: CalibrationOptions, wrong: Sequence[GrossStars]) -> Choice:
-    """Fit the model that is asked for, or let the data choose."""
-    if options.compares_lenses:
-        return choose_lens(views, options, wrong)
-    if options.model == "auto" and not options.passport:
-        return choose(views, options, wrong)
-    return Choice(fit_model(views, options, model_to_fit(options), wrong=wrong))
-
-
-def _without_readings_that_widen(
-    joint: Calibration, fitted: Fit, options: CalibrationOptions, lens: str
-) -> Calibration:
-    """Return the result of the certificate alone if readings of few poses make its uncertainty larger.
-
-    Few poses determine hardly how much the readings disagree with the stars. The coverage factor for so few degrees of
-    freedom can cost more than the readings bring.
-    """
-    certificate = options.passport is not None and options.passport.is_certificate
-    if not certificate or joint.gimbal is None or not joint.gimbal.entered:
-        return joint
-    alone, options = without_readings(fitted, options), replace(options, gimbal=None)
-    with_readings, without = joint.coverage_factor * joint.sigma["fx"], expanded_focal_px(alone, options)
-    if without >= with_readings:
-        return joint
-    note = (
-        "The readings of the gimbal did not enter. With so few poses they would enlarge the expanded uncertainty of "
-        f"fx from {without:.1f} to {with_readings:.1f} px. The certificate determines the radius. Add poses to use the "
-        "readings."
-    )
-    result = summarize(alone, options, lens)
-    return replace(result, notes=(*result.notes, note), remarks=(*result.remarks, note))
 
 
 def _check(views: Sequence[View], fewest: int) -> None:

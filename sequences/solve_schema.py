@@ -15,7 +15,7 @@ from sequences.plain_number import Within
 from sequences.strict_model import StrictModel
 
 CalibrationModel = Literal[
-    "spherical", "radial", "pupil", "rim", "field", "coma", "drift", "planar", "joint", "auto"
+    "auto", "joint", "spherical", "planar", "radial", "pupil", "rim", "field", "coma", "drift"
 ]
 DistortionTerm = Literal["k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6", "skew", "kb1", "kb2", "kb3", "kb4"]
 DistortionSet = Literal[
@@ -85,7 +85,7 @@ class SolveConfig(StrictModel):
 
     model: Annotated[
         CalibrationModel | None,
-        Field(description="Default: auto with a passport or the gimbal's readings, else spherical."),
+        Field(description="Default: auto, the joint adjustment; with a board planar."),
     ] = None
     distortion: Annotated[
         Annotated[DistortionSet, Tag("set")] | Annotated[tuple[DistortionTerm, ...], Tag("list")],

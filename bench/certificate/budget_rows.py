@@ -20,13 +20,12 @@ from bench.records.results import BudgetRowData, CalibrationData
 from bench.report.budget_tables import overlap
 from bench.report.target_words import STARS as STAR_WORDS
 from bench.report.target_words import TargetWords
-from calib.uncertainty.budget_parts import PASSPORT, PRIORS, READINGS, STARS
-from calib.uncertainty.common_errors import COMMON_ERRORS
-from calib.uncertainty.covariance import INCONSISTENCY, coverage_factor
+from calib.model.budget_row import COMMON_FIELD, PASSPORT, POSE_FIELDS, PRIORS, READINGS, STARS
+from calib.uncertainty.covariance import coverage_factor
 
 _CERTAIN = (PASSPORT, PRIORS)
 """Sources of the adjustment whose variance is known: their degrees of freedom are infinite."""
-_TYPE_A = (STARS, INCONSISTENCY, COMMON_ERRORS)
+_TYPE_A = (STARS, POSE_FIELDS, COMMON_FIELD)
 _SAME = 1e-3
 """Largest relative difference between the combined rows and the stated uncertainty: below its last printed digit."""
 _OVERLAP = (
@@ -234,8 +233,8 @@ def _stated_value(row: Mapping[str, Any], source: RowSource) -> tuple[float | No
 
 _SOURCES = {
     STARS: "residuals of the stars, with the gimbal's readings if there are any",
-    INCONSISTENCY: "differences between the views",
-    COMMON_ERRORS: "residuals that all views share",
+    POSE_FIELDS: "differences between the views",
+    COMMON_FIELD: "residuals that all views share",
     PRIORS: "station, and expected sizes",
 }
 

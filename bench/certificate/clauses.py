@@ -12,7 +12,7 @@ from typing import Any
 
 from bench.certificate.lab_config import LabConfig
 from bench.records.results import Results
-from calib.uncertainty.budget_parts import PASSPORT
+from calib.model.budget_row import PASSPORT
 
 Path = tuple[str, ...]
 RUN = "the sealed run"

@@ -47,7 +47,7 @@ from bench.certificate.number_format import SIMULATED
 from bench.certificate.statements import statements_of
 from bench.records.results import Results
 from bench.report.target_words import words_of
-from calib.uncertainty.budget_parts import PASSPORT
+from calib.model.budget_row import PASSPORT
 
 
 @dataclass(frozen=True)

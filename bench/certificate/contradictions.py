@@ -11,7 +11,7 @@ from bench.certificate.clauses import unanswered
 from bench.certificate.lab_config import LabConfig, PreviousConfig
 from bench.certificate.run_facts import is_unnamed
 from bench.records.results import Results
-from calib.uncertainty.budget_parts import PASSPORT
+from calib.model.budget_row import PASSPORT
 from sequences.reader import Located
 from sequences.tree import DocumentPath, Fault
 from sequences.wording import did_you_mean

@@ -9,8 +9,10 @@ import click
 
 from bench.commands.options import CheckedStation, Number
 
-MODELS = ["spherical", "radial", "pupil", "rim", "field", "coma", "drift", "planar", "auto"]
-MODEL_HELP = "Model of the collimator and its aberrations (docs/calibration.md)."
+MODELS = ["auto", "joint", "spherical", "planar", "radial", "pupil", "rim", "field", "coma", "drift"]
+MODEL_HELP = (
+    "auto: the joint adjustment. spherical, planar: for comparison. Others: names of earlier versions."
+)
 LOSSES = ["l2", "huber", "cauchy"]
 LOSS_HELP = "Loss function for outliers: l2 gives them full weight, huber less, cauchy least."
 _Command = TypeVar("_Command", bound=Callable[..., Any])

@@ -160,7 +160,7 @@ def parse_passport(data: bytes, where: str) -> Passport:
         ) from error
     except InputMismatch as error:
         raise UsageError(error.what, where=where, remedy=remedy) from error
-    unknown = [name for name in passport.terms if name not in EXPECTED_SIGMA]
+    unknown = [name for name in passport.terms if not _is_known(name)]
     if unknown:
         raise UsageError(
             f"The passport has the unknown parameter {unknown[0]!r}.", where=where, remedy=remedy
@@ -169,6 +169,11 @@ def parse_passport(data: bytes, where: str) -> Passport:
         what = f"The passport's radius r is not positive, or below {LEAST_R_MM:g} mm; no collimator is that short."
         raise UsageError(what, where=where, remedy=remedy)
     return passport
+
+
+def _is_known(name: str) -> bool:
+    """Return whether a parameter is a term of the collimator, or a coefficient of its common field (``common_7``)."""
+    return name in EXPECTED_SIGMA or (name.startswith("common_") and name.removeprefix("common_").isdecimal())
 
 
 def passport_bytes(passport: Passport) -> bytes:

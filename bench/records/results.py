@@ -119,9 +119,17 @@ class CameraData(TypedDict):
     coverage_factors: NotRequired[Numbers]  # The k of each value; empty or missing if all have the common one
 
 
+class EngineData(TypedDict):
+    """The engine that made a calibration; earlier versions did not state it."""
+
+    name: str
+    version: int
+
+
 class CalibrationData(CameraData):
     """A calibration (`calib.calibration.Calibration.to_dict`)."""
 
+    engine: NotRequired[EngineData]
     converged: bool
     iterations: int
     collimator: Numbers | None  # None for a planar model

@@ -33,7 +33,7 @@ from bench.results.compare_trees import (
 from bench.results.offline import OfflineResult, calibrate_paths
 from bench.results.offline_folder import SOURCES, Stars, offline_files, source_data
 from bench.results.offline_options import StationFile
-from bench.results.results_content import other_software
+from bench.results.results_content import other_engine, other_software
 from bench.results.stored_options import options_of_data
 from bench.stations.station import load_station
 from calib.errors import CalibrationError
@@ -66,7 +66,7 @@ def check_recalculated(folder: Path) -> Findings:
         if stored["sources"] != described["sources"]:
             found.fault("results", RESULTS, f"its sources are not those of {SOURCES}")
             return found
-        if why := _cannot(described):
+        if why := other_engine(stored) or _cannot(described):
             found.not_compared.append(f"{RESULTS} with its sources: {why}")
             return found
         again = _calibrated(folder, described)

@@ -41,7 +41,7 @@ from bench.results.compare_trees import (
 )
 from bench.results.compare_wire import check_wire_log
 from bench.results.previous_calibration import change_since
-from bench.results.results_content import other_software, results_content, software
+from bench.results.results_content import other_engine, other_software, results_content, software
 from bench.results.solution import main_numbers, solve_run
 from bench.results.station_software import plugins_missing, plugins_of_run, plugins_stated
 from bench.views.camera_kinds import CameraKind
@@ -111,7 +111,9 @@ def check_run_again(folder: Path) -> Findings:
         return found
     if other := other_software(evidence.used):
         found.remarks.append(f"the results were made with {other}")
-    if (made := _made_again(evidence, measured, found)) is not None:
+    if why := other_engine(read_json(folder / RESULTS)):
+        found.not_compared.append(f"{RESULTS}, exports and {REPORT}: {why}")
+    elif (made := _made_again(evidence, measured, found)) is not None:
         compare_trees(folder, made, found)
     return found
 

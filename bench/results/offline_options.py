@@ -20,7 +20,7 @@ from bench.results.point_files import Origin
 from bench.results.solve_options import solve_options
 from bench.stations.station import load_station
 from calib.boards.board import Board
-from calib.calibration import EngineModel, LossName
+from calib.calibration import LossName, ModelName
 from calib.engine import CalibrationOptions
 from calib.errors import CalibrationError
 from calib.target import StarTarget
@@ -44,7 +44,7 @@ class OfflineOptions:
 
     # model, distortion, loss, guard_band: Options of the engine, see `CalibrationOptions`; ``distortion`` is
     # the name of a set.
-    model: EngineModel | None = None
+    model: ModelName | None = None
     distortion: str | None = None
     loss: LossName | None = None
     guard_band: float | None = None
@@ -112,7 +112,7 @@ class OfflineOptions:
         named = passport if passport != NO_PASSPORT else None
         target, station_file = _target_of_station(station)
         made = cls(
-            cast("EngineModel | None", model),
+            cast("ModelName | None", model),
             distortion,
             cast("LossName | None", loss),
             guard_band,

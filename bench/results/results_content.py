@@ -19,7 +19,7 @@ from bench.results.forms import forms
 from bench.results.projection_facts import projection_facts
 from bench.results.solution import Solution
 from bench.views.camera_kinds import CameraKind
-from calib.calibration import Calibration, ViewSummary
+from calib.calibration import ENGINES, Calibration, ViewSummary
 from calib.view import View
 
 SCHEMA = "starbench/results/1"
@@ -152,6 +152,21 @@ def other_software(used: Mapping[str, Any], names: Sequence[str] | None = None) 
         f"{name.replace('_', ' ')} {used.get(name, 'not stated')} (here {here[name]})"
         for name in names or here
         if used.get(name) != here[name]
+    )
+
+
+def other_engine(results: Mapping[str, Any]) -> str:
+    """Return that results were made by another engine than those of this version; empty if they were not.
+
+    results: Content of results.json.
+    """
+    made = results["calibration"].get("engine", {"name": "an earlier one", "version": 0})
+    if ENGINES.get(made["name"]) == made["version"]:
+        return ""
+    here = " and ".join(f"{name} {number}" for name, number in ENGINES.items())
+    told = f"{made['name']} {made['version']}" if made["version"] else made["name"]
+    return (
+        f"made by another calibration engine ({told}; this version has {here}), so no number can be compared"
     )
 
 

@@ -13,6 +13,7 @@ from calib.adjustment.observations import Observations
 from calib.adjustment.parameters import AdjustmentParameters
 from calib.adjustment.poses import poses_of
 from calib.calibration import CalibrationOptions
+from calib.errors import CalibrationError
 from calib.joint import amplitudes as amp
 from calib.joint.equations import Bench, State, ViewStars, turns_of
 from calib.joint.fields import FIELD_RADIUS, FieldBasis, basis_of
@@ -30,6 +31,8 @@ from calib.view import View
 Array = NDArray[np.float64]
 
 ROUNDS = 40
+#: A fisheye lens is chosen if twice the logarithm of its odds exceeds this: strong evidence (Kass and Raftery, 1995).
+_EVIDENCE = 10.0
 
 
 def lens_names(chosen: Sequence[str]) -> tuple[str, ...]:
@@ -100,15 +103,27 @@ def posed(
 
 
 def adjust(views: Sequence[View], options: CalibrationOptions) -> Optimum:
-    """Return the optimum of the joint adjustment."""
-    lens = lens_names(options.distortion)
+    """Return the optimum of the joint adjustment; if the data choose the lens, that of the more probable family."""
+    found = _adjusted(views, options, lens_names(options.distortion))
+    if not options.compares_lenses:
+        return found
+    try:
+        other = _adjusted(views, options, FISHEYE)
+    except CalibrationError:  # these views cannot be those of such a lens
+        return found
+    return other if other.solution.value < found.solution.value - _EVIDENCE else found
+
+
+def _adjusted(views: Sequence[View], options: CalibrationOptions, lens: tuple[str, ...]) -> Optimum:
+    """Return the optimum with one family of the lens."""
     start = first_parameters(views, options, lens)
     problem, state = posed(views, options, start, lens)
-    near = approached(problem, state, ROUNDS)
+    rounds = min(ROUNDS, options.max_iterations)
+    near = approached(problem, state, rounds)
     named = dict(zip(problem.bench.layout.names, near.shared.tolist(), strict=True))
     camera = problem.bench.camera(near.shared)
     start = AdjustmentParameters(
         camera, Collimator(named["x"], named["y"], named["r"]), near.rotations, start.offsets
     )
     problem, state = posed(views, options, start, lens)
-    return search(problem, state, ROUNDS)
+    return search(problem, state, rounds)

@@ -20,7 +20,7 @@ from calib.joint.knowledge import READINGS
 from calib.joint.layout import CENTRE, RADIAL
 from calib.joint.left_out import left_out_rms, rotation_covariance
 from calib.joint.posterior import Posterior, posterior
-from calib.joint.words import notes, require_determined
+from calib.joint.words import MOST_SCATTER, contradiction, notes, require_determined
 from calib.model.beam import inside_guard_band, visible_discs
 from calib.model.budget_row import WORST_CORNER
 from calib.model.collimator import Collimator
@@ -55,10 +55,30 @@ def calibrate_jointly(
     """
     used = _used(views, options, wrong)
     kept = [view if own.all() else part_of(view, own) for view, own in zip(views, used, strict=True)]
-    found = posterior(adjust(kept, options))
+    found, contradicted = _posterior(kept, options)
+    if contradicted is not None:
+        options = replace(options, gimbal=None)
     parameters = _parameters(found)
     require_determined(found, kept, parameters, options)
-    return _calibration(found, views, used, parameters, options), parameters
+    result = _calibration(found, views, used, parameters, options)
+    if contradicted is not None:
+        result = replace(result, gimbal=contradicted, notes=(*result.notes, contradiction(contradicted)))
+    return result, parameters
+
+
+def _posterior(views: Sequence[View], options: CalibrationOptions) -> tuple[Posterior, GimbalEstimate | None]:
+    """Return the posterior, without readings that contradict the stars.
+
+    Returns: The posterior; and what was found out about readings that did not enter, else None.
+    """
+    found = posterior(adjust(views, options))
+    if options.gimbal is None:
+        return found, None
+    gimbal = _gimbal(found, _parameters(found), options)
+    if gimbal is None or gimbal.scatter < MOST_SCATTER:
+        return found, None
+    alone = posterior(adjust(views, replace(options, gimbal=None)))
+    return alone, replace(gimbal, entered=False, values={}, sigma={})
 
 
 def _used(

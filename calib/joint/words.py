@@ -14,6 +14,7 @@ from calib.joint.knowledge import READINGS
 from calib.joint.posterior import Posterior
 from calib.model import budget_row as rows
 from calib.model.gimbal import MOUNTING
+from calib.model.gimbal_estimate import GimbalEstimate
 from calib.model.rotation import exp_map
 from calib.model.witness import Witness
 from calib.view import View
@@ -23,6 +24,8 @@ from calib.view import View
 _DOUBTED = 0.1
 #: Readings that scatter this many times more than stated are named.
 _SCATTER = 2.0
+#: Readings that scatter this many times more than stated contradict the stars, and do not enter.
+MOST_SCATTER = 3.0
 _WEAK_FOCAL_SIGMA = 0.01
 _BACKWARDS = (
     "The gimbal's readings fit the stars only if the camera looked backwards on the head: the sign of one axis (pan or "
@@ -137,6 +140,16 @@ def _readings(result: Calibration) -> list[str]:
         f"{gimbal.reading_sigma_deg:.4f} degrees each."
     )
     return [text]
+
+
+def contradiction(gimbal: GimbalEstimate) -> str:
+    """Return the sentence on readings that did not enter."""
+    return (
+        f"The gimbal's readings contradict the stars: {gimbal.rms_deg:.3f} degrees rms, chi-square "
+        f"{gimbal.chi_square:.0f} with {gimbal.degrees_of_freedom} degrees of freedom. They did not enter. Check the "
+        "sign and the scale of each axis, the stated bounds, and whether an axis slipped. A camera that moves across "
+        "the beam from pose to pose does the same: the collimator's errors then differ from view to view."
+    )
 
 
 def _alone(result: Calibration) -> list[str]:

@@ -30,6 +30,10 @@ _ALTERNATIONS = 10
 _NEWTON_STEPS = 6
 #: Rolls of the mounting from which the search starts, degrees: a camera may hang upside down or on its side.
 _START_ROLLS_DEG = range(0, 360, 45)
+#: A camera that looks backwards; it is believed only if its sum of squares is this many times smaller.
+_BACKWARDS, _DOUBTED = np.diag([1.0, -1.0, -1.0]), 10.0
+#: Sums of squares below this are rounding, rad^2.
+_TINY = 1e-14
 #: Directions with a singular value below this share of the largest are left open.
 _OPEN = 1e-9
 
@@ -117,7 +121,8 @@ class Gimbal:
 def aligned_gimbal(rotations: Array, angles_deg: Array) -> Gimbal:
     """Return mounting and standing of a gimbal with unit scales, for the start of an adjustment.
 
-    From several rolls of the mounting: alternating least squares, where with A known B is the mean of G^T A^T R (mean
+    From several rolls of the mounting, and as many of a camera that looks backwards, which a wrong sign of an axis
+    imitates: alternating least squares, where with A known B is the mean of G^T A^T R (mean
     of rotations: Markley et al., 2007), then steps of Gauss and Newton on both. Own procedure.
 
     rotations: (n, 3, 3) rotations of the views, camera <- target.
@@ -125,7 +130,8 @@ def aligned_gimbal(rotations: Array, angles_deg: Array) -> Gimbal:
     """
     heads = Gimbal().heads(angles_deg)
     back = np.swapaxes(heads, 1, 2)
-    a = np.array([euler_zxy(0.0, 0.0, float(roll)) for roll in _START_ROLLS_DEG])
+    upright = np.array([euler_zxy(0.0, 0.0, float(roll)) for roll in _START_ROLLS_DEG])
+    a = np.concatenate([upright, upright @ _BACKWARDS])
     for _ in range(_ALTERNATIONS):
         b = nearest_rotation(np.mean(back @ np.swapaxes(a, 1, 2)[:, None] @ rotations, axis=1))
         a = nearest_rotation(np.mean(rotations @ np.swapaxes(b, 1, 2)[:, None] @ back, axis=1))
@@ -137,7 +143,9 @@ def aligned_gimbal(rotations: Array, angles_deg: Array) -> Gimbal:
         step = (inverse @ off.reshape(len(a), -1, 1))[:, :, 0]
         a, b = exp_map(step[:, :3]) @ a, exp_map(step[:, 3:]) @ b
     off = _seen_minus_read(rotations, a[:, None] @ heads, b)
-    best = int(np.argmin((off**2).sum(axis=(1, 2))))
+    sums = (off**2).sum(axis=(1, 2)) + _TINY
+    sums[a[:, 2, 2] < 0] *= _DOUBTED
+    best = int(np.argmin(sums))
     return Gimbal(a[best], b[best])
 
 

@@ -110,7 +110,7 @@ def calibrate_once(
     except CalibrationError as error:
         return Repetition(failed=str(error))
     names, sigmas = result.parameter_names, list(result.sigma.values())
-    off = (result.values - [truth[name] for name in names]) / sigmas
+    off = (result.values - [truth.get(name, 0.0) for name in names]) / sigmas
     chi_square = float(off @ np.linalg.solve(result.correlation, off))
     return Repetition(
         tuple(names), tuple(result.values.tolist()), tuple(sigmas), result.coverage_factor, chi_square
@@ -133,7 +133,7 @@ def study_of(bench: ExpectedBench, outcomes: Sequence[Repetition]) -> MonteCarlo
         )
     truth = {**bench.camera.to_dict(), **bench.collimator.to_dict()}
     names = good[-1].names
-    true = np.array([truth[name] for name in names])
+    true = np.array([truth.get(name, 0.0) for name in names])
     numbers = (
         np.array([one.values for one in good]),
         np.array([one.sigmas for one in good]),

@@ -105,7 +105,7 @@ def test_a_finished_batch_is_looked_at_summed_up_and_its_runs_are_listed(night):
     assert "2 runs with a result, 0 runs without" in status.stdout
     before = (folder / "out" / "summary.json").read_bytes()
     again = starbench("status", folder / "out", "--summary", home=folder / "home")
-    assert "Camera 00050423, radial model, 2 results" in again.stdout
+    assert "Camera 00050423, joint model, 2 results" in again.stdout
     assert (folder / "out" / "summary.json").read_bytes() == before
     runs = starbench("runs", folder / "out", home=folder / "home")
     assert runs.stdout.count("REHEARSAL") == 2

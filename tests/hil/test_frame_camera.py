@@ -101,7 +101,7 @@ def test_its_results_follow_from_its_pictures(finished, home):
 def test_bare_pictures_show_the_same_stars(finished, home):
     """Without the certificate and the readings of the run, their focal length is another one."""
     pictures = sorted((finished / "captures").iterdir())
-    again = starbench("calibrate", *pictures, "--model", "radial", "--json", home=home)
+    again = starbench("calibrate", *pictures, "--json", home=home)
     assert again.returncode == 0, again.stderr
     seen = [view["n"] for view in json.loads(again.stdout)["views"]]
     assert seen == [pose["stars"] for pose in results(finished)["poses"]]

@@ -27,7 +27,7 @@ def test_noisy_views_give_it_within_the_stated_uncertainty(bench, count):
     result = calibrate(views)
     for name, sigma in result.sigma.items():
         value = dict(zip(result.parameter_names, result.values, strict=True))[name]
-        assert abs(value - bench.truth[name]) < 4 * sigma
+        assert abs(value - bench.truth.get(name, 0.0)) < 4 * sigma
     assert result.rms_px == pytest.approx(0.05 * np.sqrt(2), rel=0.1)
     assert result.mean_px == pytest.approx(0.05 * np.sqrt(np.pi / 2), rel=0.1)
     assert [view.n for view in result.views] == [len(view) for view in views]
@@ -82,7 +82,8 @@ def test_the_result_is_plain_json_with_sigmas_under_the_same_names(bench):
     assert np.sqrt(shape["covariance"]["matrix"][0][0]) == pytest.approx(shape["sigma"]["fx"])
     assert {"rms_px", "mean_px", "views", "model", "converged"} <= set(shape)
     assert np.allclose(np.diag(result.correlation), 1.0)
-    assert result.correlation[0, 8] > 0.9  # f and r are nearly one parameter
+    at = [result.parameter_names.index(name) for name in ("fx", "r")]
+    assert result.correlation[at[0], at[1]] > 0.9  # nearly one parameter
 
 
 def test_the_planar_result_has_no_collimator(bench):
@@ -107,9 +108,7 @@ def test_two_views_of_one_name_are_refused(bench):
 
 def test_a_refinement_cut_short_says_so(bench):
     with pytest.raises(NotConverged, match="2 steps"):
-        calibrate(
-            bench.views(np.random.default_rng(26), 0.05), CalibrationOptions(loss="l2", max_iterations=2)
-        )
+        calibrate(bench.views(np.random.default_rng(26), 0.05), CalibrationOptions(max_iterations=2))
 
 
 @pytest.mark.parametrize(
@@ -127,7 +126,7 @@ def test_views_that_hardly_determine_the_focal_length_are_named_weak(make_bench)
     assert result.sigma["fx"] > 0.01 * result.camera.fx
     (note,) = [note for note in result.notes if "Weak geometry" in note]
     assert note.startswith("Weak geometry: f")
-    assert "beam is too narrow" in note
+    assert "poses turned farther would bind it" in note
     strong = calibrate(make_bench().views(np.random.default_rng(28), 0.05))
     assert not [note for note in strong.notes if "Weak" in note]
 
@@ -144,25 +143,24 @@ def test_stars_count_by_their_covariances(bench):
     honest, silent = (
         calibrate(
             [scattered(view, np.random.default_rng(i), stated=stated) for i, view in enumerate(views)],
-            CalibrationOptions(loss="l2"),
         )
         for stated in (True, False)
     )
     assert honest.camera.fx == pytest.approx(bench.fx, abs=4 * honest.sigma["fx"])
     assert honest.variance_factor == pytest.approx(1.0, abs=0.15)
-    assert honest.sigma["fx"] < 0.1 * silent.sigma["fx"]
+    assert honest.sigma["fx"] < silent.sigma["fx"]
+    assert min(weights.min() for weights in honest.weights) > 0.1 > silent.weights[0].min()
 
 
-@pytest.mark.parametrize("loss", ["huber", "cauchy"])
-def test_errors_too_small_to_be_gross_hardly_matter_to_a_robust_loss(bench, loss):
+def test_errors_too_small_to_be_gross_hardly_matter(bench):
     rng = np.random.default_rng(30)
-    views = bench.views(rng, 0.01)
+    clean = bench.views(rng, 0.01)
+    views = [replace(view, points_px=view.points_px.copy()) for view in clean]
     for view in views:
         view.points_px[rng.choice(len(view), 5, replace=False)] += [0.24, -0.32]
-    robust, plain = (calibrate(views, CalibrationOptions(loss=one)) for one in (loss, "l2"))
-    # On the length of the residual: a weight is a function of it alone.
+    robust, before = calibrate(views), calibrate(clean)
     gross = [np.linalg.norm(r, axis=1) > 0.3 for r in robust.residuals_px]
     assert [g.sum() for g in gross] == [5, 5, 5]
     assert max(w[g].max() for w, g in zip(robust.weights, gross, strict=True)) < 0.15
-    assert robust.camera.fx == pytest.approx(bench.fx, abs=3 * robust.sigma["fx"])
-    assert robust.sigma["fx"] < 0.4 * plain.sigma["fx"]
+    assert robust.camera.fx == pytest.approx(before.camera.fx, abs=0.3 * before.sigma["fx"])
+    assert robust.sigma["fx"] < 1.1 * before.sigma["fx"]

@@ -8,7 +8,7 @@ from report_sample import SMALL, sample
 from bench.report.budget_tables import budget_rows, combined, not_included, overlap
 from bench.report.html import render_report
 from bench.report.text import NOTHING
-from calib.uncertainty.common_errors import COMMON_ERRORS
+from calib.model.budget_row import COMMON_FIELD as COMMON_ERRORS
 
 TIMES = "\N{MULTIPLICATION SIGN}"
 

@@ -117,6 +117,21 @@ def test_where_the_sources_are_not_what_they_were_the_numbers_are_not_compared(
     ] in said
 
 
+@pytest.mark.parametrize("made", [None, {"name": "joint", "version": 99}])
+def test_results_of_another_engine_are_not_compared(forger, signers, key, made):
+    """Results of earlier versions name no engine."""
+
+    def change(content):
+        content["calibration"].pop("engine")
+        content["calibration"] |= {} if made is None else {"engine": made}
+
+    in_json("results.json", change)(forger)
+    forger.seal()
+    found = checked(forger.folder, signers)
+    assert any("made by another calibration engine" in one for one in found.not_compared)
+    assert not found.complete
+
+
 def test_options_of_a_later_version_are_refused_by_name():
     data = options_data(OfflineOptions(board=Board.parse("circles:9x6:25mm"), view_numbers=(1, 3)))
     assert options_of_data(json.loads(json.dumps(data)), None, None).view_numbers == (1, 3)

@@ -46,7 +46,7 @@ def test_camera_collimator_and_covariance_are_those_of_the_results(folder):
 
 def test_calibrating_again_with_the_same_options_gives_the_same_bits(folder):
     run = load(str(folder))
-    again = calibrate(run.views, CalibrationOptions(distortion="k1"))
+    again = calibrate(run.views, CalibrationOptions("spherical", distortion="k1"))
     assert again.to_dict() == {**run.results["calibration"], "notes": list(again.notes)}
     for residuals, pose, rotation, centre in zip(
         again.residuals_px, run.poses, again.rotations, again.centres, strict=True

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib.engine import calibrate
+from calib.engine import CalibrationOptions, calibrate
 from calib.errors import DegenerateViews
 from calib.model.rotation import exp_map, log_map
 from calib.studies.rig import relative_rotation
@@ -17,7 +17,7 @@ def two_cameras(bench, seed):
     rng = np.random.default_rng(seed)
     first = bench.views(rng, 0.05)
     second = [bench.view(v.name, TURN @ r, rng, 0.05) for v, r in zip(first, bench.rotations, strict=True)]
-    return calibrate(first), calibrate(second)
+    return tuple(calibrate(views, CalibrationOptions("spherical")) for views in (first, second))
 
 
 def test_the_relative_rotation_is_found_within_its_uncertainty(bench):
