@@ -1,7 +1,7 @@
 """A certificate as data. `certificate.json` holds it; the PDF, the DCC and every printed number derive from it.
 
 It holds values and texts only: no file, no clock, no key. Times are UTC, ``2026-03-31T09:15:00Z``; dates are
-``2026-03-31``. The parts stand in `party_data` and `result_data`; import them from here.
+``2026-03-31``. Numbers in brackets are clauses of ISO/IEC 17025:2017.
 """
 
 from __future__ import annotations
@@ -11,69 +11,315 @@ from dataclasses import dataclass
 from typing import Literal
 
 from bench.certificate import strict_json
-from bench.certificate.party_data import (
-    Accreditation,
-    Address,
-    AuthorisedBy,
-    Camera,
-    Condition,
-    Contact,
-    Customer,
-    Deviation,
-    Item,
-    Laboratory,
-    Lens,
-    Method,
-    PlaceKind,
-    Traceability,
-)
-from bench.certificate.result_data import (
-    BeforeAdjustment,
-    Budget,
-    BudgetRow,
-    Conformity,
-    Covariance,
-    FurtherResult,
-    Result,
-    Software,
-    ValueBefore,
-    Verdict,
-)
 
-__all__ = [
-    "CERTIFICATE",
-    "FORMAT",
-    "Accreditation",
-    "Address",
-    "Amends",
-    "AuthorisedBy",
-    "BeforeAdjustment",
-    "Budget",
-    "BudgetRow",
-    "Camera",
-    "Certificate",
-    "Change",
-    "Condition",
-    "Conformity",
-    "Contact",
-    "Covariance",
-    "Customer",
-    "Deviation",
-    "FurtherResult",
-    "Item",
-    "Laboratory",
-    "Lens",
-    "Method",
-    "PlaceKind",
-    "Result",
-    "Run",
-    "Software",
-    "Statement",
-    "Traceability",
-    "ValueBefore",
-    "Verdict",
-    "sha256",
-]
+PlaceKind = Literal["laboratory", "customer", "laboratoryBranch", "customerBranch", "other"]
+
+
+@dataclass(frozen=True)
+class Address:
+    """A postal address."""
+
+    # street, post_code, city: Street with its number, post code, city; empty where there is none.
+    street: str
+    post_code: str
+    city: str
+    country: str  # Code of the country, two letters (ISO 3166-1)
+
+    @property
+    def lines(self) -> tuple[str, ...]:
+        """The address as it is printed."""
+        return tuple(filter(None, (self.street, f"{self.post_code} {self.city}".strip(), self.country)))
+
+
+@dataclass(frozen=True)
+class Contact:
+    """How to reach somebody."""
+
+    # name, email, phone: Person or office, mail address, telephone number; empty where there is none.
+    name: str
+    email: str
+    phone: str
+
+
+@dataclass(frozen=True)
+class Accreditation:
+    """The accreditation of the laboratory."""
+
+    body: str
+    number: str
+    scope: str
+
+
+@dataclass(frozen=True)
+class Laboratory:
+    """The laboratory that calibrated (ISO/IEC 17025, 7.8.2.1 b and c)."""
+
+    name: str
+    address: Address
+    contact: Contact
+    accreditation: Accreditation | None  # Its accreditation; None if it has none for this calibration
+    # place_kind, place: Kind of the place where it calibrated (a word of the DCC), and the place in words.
+    place_kind: PlaceKind
+    place: str
+
+
+@dataclass(frozen=True)
+class Customer:
+    """The customer (7.8.2.1 e)."""
+
+    name: str
+    contact: Contact
+    address: Address
+
+
+@dataclass(frozen=True)
+class Camera:
+    """The calibrated camera, as it identified itself in the run."""
+
+    # maker, model, sensor, serial, firmware: What the camera reported; empty where it reports nothing.
+    maker: str
+    model: str
+    sensor: str
+    serial: str
+    firmware: str
+    image_size: tuple[int, ...]  # Width and height, px
+    biases: tuple[str, ...]  # Biases and their values as text, sorted by name; empty for a frame camera
+    biases_sha256: str  # SHA-256 of the biases; empty for a frame camera
+
+
+@dataclass(frozen=True)
+class Lens:
+    """The lens. Camera and lens are calibrated as one."""
+
+    # maker, model, serial: Identification; empty where there is none.
+    maker: str
+    model: str
+    serial: str
+    focus: str
+    aperture: str
+    # focus_locked, aperture_locked: Whether each is locked.
+    focus_locked: bool
+    aperture_locked: bool
+
+
+@dataclass(frozen=True)
+class Item:
+    """The calibrated item (7.8.2.1 g)."""
+
+    camera: Camera
+    lens: Lens
+    customer_id: str  # The customer's own number of the item; empty if there is none
+    condition: str
+
+
+@dataclass(frozen=True)
+class Method:
+    """The method of calibration (7.8.2.1 f)."""
+
+    id: str
+    version: str
+    text: str
+
+
+@dataclass(frozen=True)
+class Deviation:
+    """A deviation from the method, an addition or an exclusion (7.8.2.1 n)."""
+
+    text: str
+    # ``run`` if the sealed run states it, ``laboratory`` if the laboratory does.
+    source: Literal["run", "laboratory"]
+
+
+@dataclass(frozen=True)
+class Condition:
+    """A condition that influences the result (7.8.4.1 b)."""
+
+    name: str  # Name of the condition, such as ``room temperature``
+    value: float | None  # Its value; None if it is stated in words
+    unit: str  # Unit, ``1`` for none
+    # U, k: Expanded uncertainty and its coverage factor; None if not stated.
+    U: float | None
+    k: float | None
+    text: str  # The condition in words; empty if it has a value
+    source: str  # ``run``, or the instrument with the number of its certificate
+
+
+@dataclass(frozen=True)
+class Traceability:
+    """A reference to which the results are traceable (7.8.4.1 c)."""
+
+    what: str  # The reference, such as ``focal length of the collimator``
+    # value, U, k, unit: Its value, expanded uncertainty, coverage factor and unit; None where not stated.
+    value: float | None
+    U: float | None
+    k: float | None
+    unit: str
+    # number, issuer, date, sha256: Number, issuer and date of its certificate, and SHA-256 of the
+    # certificate's file; empty where not stated.
+    number: str
+    issuer: str
+    date: str
+    sha256: str
+    statement: str
+
+
+@dataclass(frozen=True)
+class AuthorisedBy:
+    """The person who is to authorise the certificate (7.8.2.1 o). The signature itself lies beside the seal."""
+
+    # name, role, key_fingerprint: Name, role, and fingerprint of the person's key (``SHA256:...``).
+    name: str
+    role: str
+    key_fingerprint: str
+
+
+Verdict = Literal["pass", "conditionalPass", "conditionalFail", "fail"]
+
+
+@dataclass(frozen=True)
+class Result:
+    """A result with its uncertainty (7.8.2.1 m, 7.8.4.1 a)."""
+
+    # symbol, name: Symbol as in results.json (``fx``), and name in words.
+    symbol: str
+    name: str
+    # value, u: Value and standard uncertainty, unrounded.
+    value: float
+    unit: str  # ``px``, ``mm`` or ``1``
+    u: float
+    U: float
+    # k, p: Coverage factor, and probability of coverage (0.9545).
+    k: float
+    p: float
+    nu_eff: float | None  # Effective degrees of freedom; None for infinite
+    # printed_value, printed_uncertainty: Both as printed, to the same digit, with a minus sign ``-`` and a
+    # point.
+    printed_value: str
+    printed_uncertainty: str
+    text: str  # The whole statement as printed: ``3346.4 px ± 2.5 px``
+    customer_supplied: bool  # Whether the value depends on data that the customer supplied (7.8.2.2)
+
+
+@dataclass(frozen=True)
+class Covariance:
+    """The joint covariance of all results, in their order."""
+
+    names: tuple[str, ...]
+    units: tuple[str, ...]
+    matrix: tuple[tuple[float, ...], ...]
+
+
+@dataclass(frozen=True)
+class FurtherResult:
+    """A number about the calibration that is itself an uncertainty or a residual: it has none of its own."""
+
+    # ``projection_centre``, ``projection_median``, ``projection_worst_corner``, ``rms``, ``mean`` or
+    # ``views``.
+    id: str
+    # name, value, unit, text: Name in words, value, unit (``px``, ``arcsec`` or ``1``) and the statement as
+    # printed.
+    name: str
+    value: float
+    unit: str
+    text: str
+
+
+@dataclass(frozen=True)
+class BudgetRow:
+    """A row of an uncertainty budget."""
+
+    name: str
+    type: Literal["A", "B"]  # Type of its evaluation, ``A`` or ``B`` (JCGM 100, 4.2 and 4.3)
+    # value, unit: Stated value, and its unit; None and empty for a source that the adjustment itself gives.
+    value: float | None
+    unit: str
+    # distribution, divisor: Distribution, and the divisor that gives the standard uncertainty; None for a
+    # source without a stated value.
+    distribution: str
+    divisor: float | None
+    # sensitivity, sensitivity_unit: Change of the result by one unit of the value; None and empty for a
+    # source without a stated value.
+    sensitivity: float | None
+    sensitivity_unit: str
+    # u, share: Contribution to the standard uncertainty of the result, in its unit; share of its variance, 0
+    # to 1.
+    u: float
+    share: float
+    nu: float | None  # Degrees of freedom; None for infinite
+    source: str  # Where the value comes from
+    # number, date, sha256: Number and date of its certificate, and SHA-256 of that; empty where there is
+    # none.
+    number: str
+    date: str
+    sha256: str
+
+
+@dataclass(frozen=True)
+class Budget:
+    """The uncertainty budget of one result."""
+
+    symbol: str
+    unit: str
+    rows: tuple[BudgetRow, ...]  # The rows; their squares add up to the square of ``u``
+    # u, nu_eff, k, U: Combined standard uncertainty, effective degrees of freedom (None for infinite),
+    # coverage factor and expanded uncertainty.
+    u: float
+    nu_eff: float | None
+    k: float
+    U: float
+    remarks: tuple[str, ...]  # What a reader must know about the rows
+
+
+@dataclass(frozen=True)
+class ValueBefore:
+    """A value of an earlier calibration."""
+
+    # symbol, value, U, unit: Symbol, value, expanded uncertainty (None if unknown) and unit.
+    symbol: str
+    value: float
+    U: float | None
+    unit: str
+
+
+@dataclass(frozen=True)
+class BeforeAdjustment:
+    """The calibration that was valid before this one, and the change since then (7.8.4.1 d)."""
+
+    text: str
+    # number, date, sha256: Number of its certificate or run, its date, SHA-256 of its seal; empty where there
+    # is none.
+    number: str
+    date: str
+    sha256: str
+    values: tuple[ValueBefore, ...]  # Its values; empty if they are not known
+    # change_rms_px, change_largest_px: RMS and largest change of the projection over the image since then;
+    # None if not known.
+    change_rms_px: float | None
+    change_largest_px: float | None
+
+
+@dataclass(frozen=True)
+class Conformity:
+    """A statement of conformity of one result (7.8.6)."""
+
+    symbol: str
+    specification: str
+    # lower, upper: Limits of tolerance; None where there is none.
+    lower: float | None
+    upper: float | None
+    unit: str
+    guard_band: float
+    rule: str
+    verdict: Verdict  # ``pass``, ``conditionalPass``, ``conditionalFail`` or ``fail``
+
+
+@dataclass(frozen=True)
+class Software:
+    """A program that contributed to the results."""
+
+    name: str
+    version: str
+
 
 FORMAT: Literal["starbench/certificate/1"] = "starbench/certificate/1"
 CERTIFICATE = "certificate.json"

@@ -11,15 +11,12 @@ from pathlib import Path
 from bench.base.bounded_json import parse_json
 from bench.base.errors import BenchError, UsageError
 from bench.certificate.certificate_data import CERTIFICATE, Certificate, sha256
-from bench.certificate.check_run import is_statement
+from bench.certificate.clauses import faults_of_lab
 from bench.certificate.compose import Identity, compose
-from bench.certificate.contradictions import faults_of_lab
 from bench.certificate.folder import DCC, LAB, PDF, PLOTS, certificate_files, require_libraries
 from bench.certificate.lab_config import LabConfig, lab_of
-from bench.certificate.number_format import SIMULATED, is_number_format, number_pattern
-from bench.certificate.sealed_run import run_of
-from bench.certificate.series_numbers import numbers
-from bench.certificate.written_with import other_writer
+from bench.certificate.sealed_run import is_statement, other_writer, run_of
+from bench.certificate.series import SIMULATED, is_number_format, number_pattern, numbers
 from bench.evidence.findings import Findings
 from bench.evidence.ledger_check import is_sealed_by, own_public_keys, sealed_strangers
 from bench.records.ledger import Ledger
@@ -196,7 +193,7 @@ def _check_number(certificate: Certificate, lab: LabConfig, found: Findings) -> 
 
 def _first_difference(stated: Certificate, derived: Certificate) -> str:
     """Name the first field that differs."""
-    from bench.certificate.amend import changes_of
+    from bench.certificate.issue import changes_of
 
     try:
         changes = changes_of(derived, stated)

@@ -1,7 +1,7 @@
 """Reads a length with its uncertainty from the digital calibration certificate of a reference, such as a collimator.
 
 `read_reference` takes number, date, issuer and value from the DCC as they are stated, and the hash of its bytes. It
-judges neither the signature (`dcc_signature`) nor the form (`dcc_schema`).
+judges neither the signature (`dcc_signature`) nor the form (`dcc_xml`).
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from decimal import Decimal, InvalidOperation
 from typing import TYPE_CHECKING
 
 from bench.base.errors import EvidenceError
-from bench.certificate.dcc_units import length_mm
+from bench.certificate.dcc_words import length_mm
 from bench.certificate.dcc_xml import NAMESPACES, library, qualified, read_dcc, short
 
 if TYPE_CHECKING:

@@ -15,8 +15,8 @@ from typing import Annotated, Any, Literal
 from pydantic import AfterValidator, BeforeValidator, Discriminator, Field, Tag, model_validator
 from pydantic_core import PydanticCustomError
 
-from bench.certificate.number_format import is_number_format
-from bench.certificate.party_data import PlaceKind
+from bench.certificate.certificate_data import PlaceKind
+from bench.certificate.series import is_number_format
 from bench.stations.station_collimator import Date
 from bench.stations.station_fields import Serial
 from sequences.reader import Located, check_document, read_document

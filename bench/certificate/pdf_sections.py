@@ -5,17 +5,20 @@ Turns a certificate into blocks of text; touches no files and computes nothing.
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Mapping, Sequence
 
 from bench.certificate import pdf_results
-from bench.certificate.certificate_data import Certificate, Condition, Traceability
+from bench.certificate.certificate_data import Certificate, Condition, Contact, Traceability
 from bench.certificate.pdf_blocks import (
     NU,
     Block,
     Cell,
     bullets,
+    filled,
     heading,
     mono,
+    notice,
     pairs,
     paragraph,
     stated,
@@ -25,9 +28,215 @@ from bench.certificate.pdf_blocks import (
     with_note,
     with_unit,
 )
-from bench.certificate.pdf_budgets import budgets
-from bench.certificate.pdf_evidence import authorisation, verification
 from bench.certificate.pdf_plots import Picture
+from bench.certificate.pdf_results import budgets
+from bench.report.text import moment
+
+_AUTHORISATION = "SHA256SUMS.authorised.sig"
+
+
+def state(certificate: Certificate) -> str:
+    """Return the state of the document, and what makes it a certificate (ISO/IEC 17025, 7.8.2.1 o)."""
+    person = certificate.authorised_by
+    return (
+        f"SEALED; not a certificate until authorised by {person.name}, {person.role} (key {person.key_fingerprint})"
+        f" \N{EN DASH} see {_AUTHORISATION}."
+    )
+
+
+def authorisation(certificate: Certificate) -> list[Block]:
+    """Return who authorises the certificate, and where the signature is (ISO/IEC 17025, 7.8.2.1 o).
+
+    Returns: The blocks.
+    """
+    person = certificate.authorised_by
+    rows: list[tuple[Cell, Cell]] = [
+        ("Authorised by", {"text": person.name, "bold": True}),
+        ("Role", person.role),
+        ("Key", mono(person.key_fingerprint)),
+        ("Signature", mono(_AUTHORISATION)),
+    ]
+    text = (
+        f"The signature of {person.name} is the file {_AUTHORISATION} beside this document. It is made with the key"
+        " above over the seal, and so over every file of the certificate. Without it this document is sealed by the"
+        " bench, but no person has authorised it."
+    )
+    return [{"kind": "signature", "rows": filled(rows), "lines": [state(certificate), text]}]
+
+
+def verification(certificate: Certificate, attachments: Mapping[str, bytes]) -> list[Block]:
+    """Return the commands that verify the certificate, the sealed run, and the attached files.
+
+    Returns: The blocks.
+    """
+    run, person = certificate.run, certificate.authorised_by
+    steps = [
+        {
+            "text": "The bench sealed the list of files. The answer begins with “Good” and names a key of the bench.",
+            "command": _check("starbench-report@v1", "SHA256SUMS.sig", "SHA256SUMS"),
+        },
+        {
+            "text": "The files are those of the list. Every line must end with “OK”.",
+            "command": "sha256sum --strict -c SHA256SUMS",
+        },
+        {
+            "text": f"A person authorised the seal. The answer begins with “Good” and names the key of {person.name}.",
+            "command": _check("starbench-authorisation@v1", _AUTHORISATION, "SHA256SUMS.sig"),
+        },
+    ]
+    sealed: list[tuple[Cell, Cell]] = [
+        ("Key that sealed the run", mono(f"{run.signer_fingerprint} {run.signer}")),
+        ("Key of the person", mono(f"{person.key_fingerprint} {person.name}")),
+    ]
+    made_from: list[tuple[Cell, Cell]] = [
+        ("Run", run.id),
+        ("Sequence, station", f"{run.sequence}; {run.station}"),
+        ("Number in the ledger", "not in a ledger" if run.ledger_number is None else str(run.ledger_number)),
+        ("Head of the ledger", mono(run.ledger_head)),
+        ("Head of the journal", mono(run.journal_head)),
+        ("SHA-256 of SHA256SUMS", mono(run.seal_sha256)),
+        ("SHA-256 of results.json", mono(run.results_sha256)),
+        ("SHA-256 of the biases", mono(certificate.item.camera.biases_sha256)),
+        ("Software", ", ".join(f"{one.name} {one.version}" for one in run.software)),
+    ]
+    blocks: list[Block] = [
+        paragraph(
+            "You need OpenSSH (8.1 or newer) and sha256sum, nothing else. In the folder of this certificate:",
+            sticky=True,
+        ),
+        {"kind": "steps", "steps": steps},
+        paragraph(
+            "allowed_signers is the list of keys that you trust. Get it from the laboratory in another way than this"
+            " certificate, and compare the fingerprints:",
+            sticky=True,
+        ),
+        pairs(sealed, label_mm=40),
+        together(heading("The sealed run that this certificate is made from"), pairs(made_from)),
+    ]
+    if attachments:
+        rows: list[list[Cell]] = [
+            [mono(name), str(len(data)), mono(hashlib.sha256(data).hexdigest())]
+            for name, data in sorted(attachments.items())
+        ]
+        head: list[Cell] = ["File", "Bytes", "SHA-256"]
+        blocks.append(
+            together(
+                heading("Files attached to this document"),
+                table(head, rows, ["auto", "auto", 1], ["left", "right", "left"], size=7.2, **{"break": 60}),
+            )
+        )
+    return blocks
+
+
+def _check(namespace: str, signature: str, signed: str) -> str:
+    """Return a command that checks a signature by any key of the list; OpenSSH finds the name of the signer."""
+    return (
+        f"ssh-keygen -Y verify -f allowed_signers -n {namespace} -s {signature} \\\n"
+        f'  -I "$(ssh-keygen -Y find-principals -f allowed_signers -s {signature})" < {signed}'
+    )
+
+
+def opening(certificate: Certificate) -> list[Block]:
+    """Return what stands above the first section: item, state, parties, dates.
+
+    Returns: The blocks.
+    """
+    blocks = [paragraph(subject(certificate), "lead")]
+    if certificate.simulated:
+        text = certificate.statement("simulated") or "The devices of this run were simulated."
+        text = text.removeprefix("SIMULATED: ")
+        blocks.append(notice("SIMULATED:", [text[:1].upper() + text[1:]], warning=True))
+    if certificate.amends:
+        line = f"It replaces certificate {certificate.amends.number}: {certificate.amends.reason}"
+        blocks.append(notice("Amended certificate", [line]))
+    blocks.append(notice("", [state(certificate)]))
+    blocks.append({"kind": "cards", "columns": 2, "cards": _cards(certificate)})
+    return blocks
+
+
+def subject(certificate: Certificate) -> str:
+    """Return the calibrated item in one line."""
+    camera, lens = certificate.item.camera, certificate.item.lens
+    parts = [f"{camera.maker} {camera.model}".strip() or "Camera", f"serial {camera.serial}"]
+    named = f"{lens.maker} {lens.model}".strip()
+    text = ", ".join(parts)
+    if named or lens.serial:
+        text += f", with lens {named}".rstrip()
+        text += f", serial {lens.serial}" if lens.serial else ""
+    return text
+
+
+def _cards(certificate: Certificate) -> list[dict[str, object]]:
+    laboratory, customer, item = certificate.laboratory, certificate.customer, certificate.item
+    camera, lens, accreditation = item.camera, item.lens, certificate.laboratory.accreditation
+    accredited = "none for this calibration"
+    if accreditation:
+        accredited = f"{accreditation.body}, {accreditation.number}: {accreditation.scope}"
+    calibrated: list[tuple[Cell, Cell]] = [
+        ("Camera", f"{camera.maker} {camera.model}".strip()),
+        ("Serial", {"text": camera.serial, "bold": True} if camera.serial else ""),
+        ("Sensor", _with_size(camera.sensor, camera.image_size)),
+        ("Firmware", camera.firmware),
+        ("Lens", f"{lens.maker} {lens.model}".strip()),
+        ("Lens serial", {"text": lens.serial, "bold": True} if lens.serial else ""),
+        ("Focus", _locked(lens.focus, lens.focus_locked)),
+        ("Aperture", _locked(lens.aperture, lens.aperture_locked)),
+        ("Customer's id", item.customer_id),
+        ("Condition", item.condition),
+    ]
+    dates: list[tuple[Cell, Cell]] = [
+        ("Received", certificate.received),
+        ("Calibrated", f"{moment(certificate.begun_utc)} to\n{moment(certificate.ended_utc)}"),
+        ("Issued", {"text": moment(certificate.issued_utc), "bold": True}),
+        ("Place", laboratory.place),
+        ("Method", f"{certificate.method.id}, version {certificate.method.version}"),
+    ]
+    if camera.biases:
+        dates += [("Biases", ", ".join(camera.biases))]
+    return [
+        _card(
+            "Laboratory",
+            [
+                ("Name", {"text": laboratory.name, "bold": True}),
+                ("Address", "\n".join(laboratory.address.lines)),
+                ("Contact", _contact(laboratory.contact)),
+                ("Accreditation", accredited),
+            ],
+        ),
+        _card(
+            "Customer",
+            [
+                ("Name", {"text": customer.name, "bold": True}),
+                ("Address", "\n".join(customer.address.lines)),
+                ("Contact", _contact(customer.contact)),
+            ],
+        ),
+        _card("Calibrated item", calibrated),
+        _card("Calibration", dates),
+    ]
+
+
+def _card(title: str, rows: Sequence[tuple[Cell, Cell]]) -> dict[str, object]:
+    return {"title": title, "rows": filled(rows), "label_mm": 22}
+
+
+def _contact(contact: Contact) -> str:
+    return "\n".join(filter(None, (contact.name, contact.email, contact.phone)))
+
+
+def _with_size(sensor: str, size: Sequence[int]) -> str:
+    return ", ".join(
+        filter(None, (sensor, " \N{MULTIPLICATION SIGN} ".join(map(str, size)) + " px" if size else ""))
+    )
+
+
+def _locked(setting: str, locked: bool) -> str:
+    return (
+        f"{setting}, {'locked' if locked else 'not locked'}"
+        if setting
+        else ("locked" if locked else "not locked")
+    )
+
 
 Section = dict[str, object]
 

@@ -11,7 +11,7 @@ from collections.abc import Mapping
 from datetime import datetime
 from typing import Any
 
-from bench.certificate.budget_rows import expanded
+from bench.certificate.budget_rows import expanded, print_plain, print_result, with_unit
 from bench.certificate.certificate_data import (
     Camera,
     Condition,
@@ -22,7 +22,6 @@ from bench.certificate.certificate_data import (
     sha256,
 )
 from bench.certificate.lab_config import ItemConfig
-from bench.certificate.rounding import print_plain, print_result, with_unit
 from bench.records.events import GateData
 from bench.records.results import CalibrationData, KnownDirection, Results
 from bench.report.camera_values import camera_covariance, camera_of

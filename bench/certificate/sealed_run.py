@@ -1,24 +1,163 @@
-"""A sealed run as the source of a certificate: verified first, and refused if it is none. It reads the run's folder."""
+"""A sealed run as the source of a certificate: verified first, and refused if it is none. It reads the run's folder.
+
+What was verified is stated by one of a few sentences that this module makes, so a check makes it again in place of
+believing it. What wrote the certificate stands at the end of its list of software: the program's own files by their
+hash, and the libraries that decide bytes. A verifier that is another program cannot expect the same bytes.
+"""
 
 from __future__ import annotations
 
+import functools
+import hashlib
+import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
 from bench.base.bounded_json import parse_json
-from bench.base.errors import EvidenceError
-from bench.certificate.certificate_data import Run, Software, sha256
-from bench.certificate.check_run import statement_of
-from bench.certificate.written_with import written_with
-from bench.evidence.findings import Verification
+from bench.base.errors import BenchError, EvidenceError
+from bench.certificate.certificate_data import CERTIFICATE, Certificate, Run, Software, sha256
+from bench.evidence.findings import Findings, Verification
 from bench.records.events import Event
 from bench.records.journal import read_journal
+from bench.records.ledger import Ledger
 from bench.records.reading import read_bounded
 from bench.records.results import Results
 from bench.records.run_folder import JOURNAL, MANIFEST, RESULTS, is_sealed
 from bench.records.storage import sha256_of, storage_errors
+
+FORM = "certificate_form"
+_LIBRARIES = ("typst", "lxml")
+_FOLDER = "bench/certificate"
+_ENDINGS = frozenset({".py", ".typ"})
+_ALSO = (
+    "bench/report/calibration_tables.py",
+    "bench/report/camera_values.py",
+    "calib/model/camera.py",
+    "calib/model/lens.py",
+    "calib/uncertainty/covariance.py",
+    "calib/uncertainty/projection_uncertainty.py",
+)
+"""Other modules whose code decides a value or a word of a certificate."""
+_SHOWN = 16
+
+
+@functools.cache
+def written_with() -> tuple[Software, ...]:
+    """Return what writes a certificate here.
+
+    Returns: ``certificate_form``, which is the first 16 characters of a SHA-256 over the files, and the
+      libraries; those that are not installed are missing.
+    """
+    import bench
+
+    root = Path(bench.__file__).parent.parent
+    files = [path for path in (root / _FOLDER).rglob("*") if path.suffix in _ENDINGS]
+    digest = hashlib.sha256()
+    for name in sorted({*(path.relative_to(root).as_posix() for path in files), *_ALSO}):
+        data = (root / name).read_bytes().replace(b"\r\n", b"\n")
+        digest.update(f"{name} {len(data)}\n".encode() + data)
+    return (Software(FORM, digest.hexdigest()[:_SHOWN]), *_installed())
+
+
+def _installed() -> list[Software]:
+    found = []
+    for name in _LIBRARIES:
+        try:
+            found.append(Software(name, version(name)))
+        except PackageNotFoundError:
+            continue
+    return found
+
+
+def other_writer(software: tuple[Software, ...]) -> str:
+    """Return how the program that wrote a certificate differs from this one.
+
+    software: The certificate's list of software.
+    Returns: ``typst 0.14 (here 0.15)``, several with commas; empty if all are the same.
+    """
+    stated = {one.name: one.version for one in software}
+    return ", ".join(
+        f"{one.name.replace('_', ' ')} {stated.get(one.name, 'not stated')} (here {one.version})"
+        for one in written_with()
+        if stated.get(one.name) != one.version
+    )
+
+
+_SEAL = "Before the issue the sealed run was verified: its seal, every file, its journal and the ledger."
+_SAME = " The results were made again from the recordings, and are the same."
+_PARTLY = (
+    " The results were made again from the recordings by another version of the program than that of the run;"
+    " not compared, and protected by the seal alone: "
+)
+_NOT_MADE = " The results were not made again from the recordings."
+_PART = re.compile(r"(?:plan|results|exports|report|views|VERIFY|poses)")
+_PARTS = {
+    "plan": "plan",
+    "results": "results",
+    "exports": "exports",
+    "report": "report",
+    "views": "stars and images",
+    "VERIFY": "instructions",
+    "poses": "stars and images",
+}
+
+
+def statement_of(verification: Verification) -> str:
+    """Return the sentence that states what was verified."""
+    if not verification.again:
+        return _SEAL + _NOT_MADE
+    if verification.complete:
+        return _SEAL + _SAME
+    said = " ".join(verification.not_compared)
+    parts = sorted({_PARTS[one] for one in _PART.findall(said)} or {"results"})
+    return f"{_SEAL}{_PARTLY}{', '.join(parts)}."
+
+
+def is_statement(text: str) -> bool:
+    """Return whether a sentence is one that `statement_of` makes."""
+    parts = text.removeprefix(_SEAL + _PARTLY).removesuffix(".").split(", ")
+    return text in (_SEAL + _SAME, _SEAL + _NOT_MADE) or (
+        text == f"{_SEAL}{_PARTLY}{', '.join(parts)}."
+        and parts == sorted(set(parts))
+        and set(parts) <= set(_PARTS.values())
+    )
+
+
+def check_run_of_certificate(
+    folder: Path, ledger: Ledger, verify_run: Callable[[Path], Verification]
+) -> Findings:
+    """Make the results of a certificate's run again from its recordings, if it lies where the ledger says.
+
+    folder: The certificate's folder; its files have no fault.
+    verify_run: Verifies a run as ``verify --again`` does.
+    Raises OSError: When a file cannot be read.
+    """
+    found = Findings()
+    certificate = Certificate.from_json(read_bounded(folder / CERTIFICATE))
+    seal = certificate.run.seal_sha256
+    try:
+        places = [Path(run.folder) for run in ledger.runs() if run.seal == seal]
+    except BenchError as error:
+        found.not_compared.append(f"the ledger of this bench cannot be read: {error.what.rstrip('.')}")
+        return found
+    here = [path for path in places if (path / MANIFEST).is_file() and sha256_of(path / MANIFEST) == seal]
+    if not here:
+        where = f"not in {places[0]} any more" if places else "not in the ledger of this bench"
+        found.not_compared.append(
+            f"{RESULTS} with the recordings: the run {certificate.run.id} is {where}, so they were not made again"
+        )
+        return found
+    run = verify_run(here[0])
+    for fault in run.faults:
+        found.fault(fault.kind, f"{here[0]}/{fault.where}", fault.what)
+    found.not_compared += run.not_compared
+    if run.ok:
+        found.remarks.append(f"the results of the run in {here[0]} were made again from its recordings")
+    return found
+
 
 Verify = Callable[[Path], Verification]
 _MOST_NAMED = 5
@@ -98,7 +237,7 @@ def run_of(
     """Return a run as a certificate names it: what results.json states, and what only the sealed folder can give.
 
     journal_head, seal_sha256, signer, signer_fingerprint: As the attributes of `Run`.
-    written: What writes the certificate, from `bench.certificate.written_with`.
+    written: What writes the certificate, from `bench.certificate.sealed_run`.
     """
     run = found["run"]
     place: Mapping[str, Any] = run.get("ledger") or {}

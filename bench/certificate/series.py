@@ -8,21 +8,190 @@ person declares it void with a reason. Nothing is removed from the ledger.
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator, Mapping, Sequence
+import re
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from datetime import datetime, timedelta
 from pathlib import Path
+from typing import Any, Literal
 
-from bench.base.errors import EvidenceError
-from bench.certificate.number_format import number_of, series_of
-from bench.certificate.series_numbers import ISSUED, LOST, RESERVED, VOIDED, Numbered, numbers, open_numbers
+from bench.base.errors import EvidenceError, JournalBroken
 from bench.records.journal import Journal
 from bench.records.journal_entry import Entry
 from bench.records.ledger import Ledger
 from bench.records.ledger_breaks import highest_counts
 from bench.records.storage import make_folder, storage_errors
 from drivers import file_lock
+
+SIMULATED = "SIMULATED-"
+"""Begin of the number of a certificate of simulated devices; these have a series of their own."""
+_FORMAT = re.compile(
+    r"(?P<before>(?:[A-Za-z0-9._/-]|\{year\})*)\{number(?::0(?P<digits>[1-9])d)?\}(?P<after>(?:[A-Za-z0-9._/-]|\{year\})*)"
+)
+
+
+def is_number_format(text: str) -> bool:
+    """Return whether a text is the format of a series of numbers.
+
+    Returns: Whether it has ``{number}`` or ``{number:05d}`` exactly once and otherwise only plain characters
+      and ``{year}``.
+
+    Examples
+    --------
+    >>> [is_number_format(one) for one in ("SB-{year}-{number:05d}", "SB", "{number.__class__}")]
+    [True, False, False]
+    """
+    return _FORMAT.fullmatch(text) is not None
+
+
+def number_of(text: str, *, year: int, number: int) -> str:
+    """Return a number of a series.
+
+    number: The number in the series, from 1.
+    Raises ValueError: When this is not a format of a series.
+
+    Examples
+    --------
+    >>> number_of("SB-{year}-{number:05d}", year=2026, number=17)
+    'SB-2026-00017'
+    """
+    match = _FORMAT.fullmatch(text)
+    if match is None:
+        raise ValueError(text)
+    digits = f"{number:0{match['digits'] or 1}d}"
+    return "".join(
+        [match["before"].replace("{year}", str(year)), digits, match["after"].replace("{year}", str(year))]
+    )
+
+
+def series_of(text: str, *, year: int, simulated: bool) -> str:
+    """Return the name of a series: numbers count from 1 in each, and in each year if the format names the year.
+
+    simulated: Whether devices were simulated.
+
+    Examples
+    --------
+    >>> series_of("SB-{year}-{number:05d}", year=2026, simulated=True)
+    'SIMULATED-SB-2026-{number:05d}'
+    """
+    return (SIMULATED if simulated else "") + text.replace("{year}", str(year))
+
+
+def number_pattern(text: str) -> re.Pattern[str]:
+    """Return what a number of a series looks like.
+
+    Returns: Matches the numbers of any year: a number may be used in the year after it was reserved.
+    Raises ValueError: When this is not a format of a series.
+
+    Examples
+    --------
+    >>> bool(number_pattern("SB-{year}-{number:05d}").fullmatch("SB-2026-00017"))
+    True
+    """
+    match = _FORMAT.fullmatch(text)
+    if match is None:
+        raise ValueError(text)
+    before, after = (
+        "[0-9]{4}".join(map(re.escape, match[name].split("{year}"))) for name in ("before", "after")
+    )
+    return re.compile(f"{before}[0-9]{{{match['digits'] or 1},9}}{after}")
+
+
+RESERVED = "certificate_reserved"
+ISSUED = "certificate_issued"
+VOIDED = "certificate_voided"
+LOST = "certificate_lost"
+_EVENTS = frozenset({RESERVED, ISSUED, VOIDED, LOST})
+
+How = Literal["reserved", "issued", "void", "lost"]
+
+
+@dataclass(frozen=True)
+class Numbered:
+    """A number of a series, and what became of it."""
+
+    # number, series, count: The number as printed, its series, and its count in that, from 1.
+    number: str
+    series: str
+    count: int
+    how: How  # ``reserved``, ``issued``, ``void`` or ``lost``
+    # run_seal, run_id: SHA-256 of the run's SHA256SUMS, and name of the run.
+    run_seal: str
+    run_id: str
+    folder: str
+    issued_utc: str
+    amends: str = ""  # Number of the certificate that it replaces; empty if none
+    superseded_by: str = ""  # Number of the certificate that replaces it; empty if none does
+    seal: str = ""  # SHA-256 of the certificate's SHA256SUMS; empty before it is issued
+    # serial, customer: Serial number of the camera, and name of the customer; empty before it is issued.
+    serial: str = ""
+    customer: str = ""
+    reason: str = ""  # Why it is void; else empty
+
+    @property
+    def is_newest(self) -> bool:
+        """Whether it is issued and nothing replaces it."""
+        return self.how == "issued" and not self.superseded_by
+
+
+def numbers(entries: Iterable[Entry]) -> dict[str, Numbered]:
+    """Return all numbers of all series.
+
+    Returns: By number, in the order of the reservations.
+    Raises JournalBroken: When a line about a certificate is not of the expected form, or a number is missing
+      in a series.
+    """
+    found: dict[str, Numbered] = {}
+    counts: dict[str, int] = {}
+    for entry in entries:
+        if entry.event not in _EVENTS:
+            continue
+        try:
+            _replay(entry.event, entry.data, found, counts)
+        except (LookupError, TypeError, ValueError) as error:
+            raise JournalBroken(
+                f"Line {entry.seq + 1} of the ledger about a certificate does not follow from the lines before"
+                f" ({error}): a number is missing, or given twice.",
+                remedy="Ask who can write to the ledger. Restore it from a copy, or explain it:"
+                " `starbench ledger --explain TEXT`.",
+            ) from error
+    return found
+
+
+def _replay(event: str, data: Mapping[str, Any], found: dict[str, Numbered], counts: dict[str, int]) -> None:
+    number = str(data["number"])
+    if event in {RESERVED, LOST}:
+        series, count = str(data["series"]), int(data["count"])
+        again = found.get(number)
+        if again is None and count != counts.get(series, 0) + 1:
+            raise ValueError(f"{series} has no number {counts.get(series, 0) + 1}")
+        if again is not None and (again.how, again.series, again.count) != ("reserved", series, count):
+            raise ValueError(f"{number} is reserved twice")
+        counts[series] = max(count, counts.get(series, 0))
+        names = ("run_seal", "run_id", "folder", "issued_utc", "amends")
+        how: How = "lost" if event == LOST else "reserved"
+        found[number] = Numbered(number, series, count, how, *(str(data.get(name, "")) for name in names))
+        return
+    one = found[number]
+    if one.how != "reserved":
+        raise ValueError(f"{number} was {one.how} already")
+    if event == VOIDED:
+        found[number] = replace(one, how="void", reason=str(data["reason"]))
+        return
+    seal, serial, customer = (str(data[name]) for name in ("seal", "serial", "customer"))
+    found[number] = replace(one, how="issued", seal=seal, serial=serial, customer=customer)
+    if one.amends:
+        found[one.amends] = replace(found[one.amends], superseded_by=number)
+
+
+def open_numbers(found: Mapping[str, Numbered]) -> list[Numbered]:
+    """Return the numbers that were reserved and neither issued nor declared void.
+
+    Returns: The first reserved one first.
+    """
+    return [one for one in found.values() if one.how == "reserved"]
+
 
 LOCK = "certificates.lock"
 _CLOCK_SLACK = timedelta(seconds=2)

@@ -37,7 +37,7 @@ from bench.records.storage import storage_errors, write_atomic
 if TYPE_CHECKING:
     from bench.certificate.certificate_data import Certificate
     from bench.certificate.issue import Issued, Laboratory
-    from bench.certificate.series_numbers import Numbered
+    from bench.certificate.series import Numbered
     from bench.evidence.findings import Verification
     from bench.evidence.key_trust import Trust
     from bench.records.ledger import Ledger
@@ -140,8 +140,8 @@ def issue(
     An amended certificate has a new number. It names the old one by number and hash, and lists every field that
     changed. The old one stays as it is; `starbench verify` says that it is superseded.
     """
-    from bench.certificate.amend import amend
     from bench.certificate.certificate_data import CERTIFICATE
+    from bench.certificate.issue import amend
     from bench.certificate.issue import issue as issue_first
 
     is_amended = (folder / CERTIFICATE).is_file()
@@ -250,7 +250,7 @@ def show_command(folder: Path | None) -> int:
         show(data, [*_list_lines(rows), *(f"Note: {note}" for note in notes)])
         return _told(faults)
     from bench.certificate.certificate_data import CERTIFICATE, Certificate
-    from bench.certificate.series_numbers import numbers
+    from bench.certificate.series import numbers
     from bench.evidence.ledger_check import is_sealed_by, own_public_keys
     from bench.evidence.states import standing_of
 
@@ -290,7 +290,7 @@ def _told(faults: Sequence[str]) -> int:
 
 def _rows(ledger: Ledger, *, is_known: bool) -> list[dict[str, Any]]:
     """Return the numbers in the ledger; their states are known only if no line of it is missing."""
-    from bench.certificate.series_numbers import numbers
+    from bench.certificate.series import numbers
 
     trust, now = _trust(), datetime.now(UTC)
     return [

@@ -75,10 +75,8 @@ def check(path: Path, schemas: Path | None, trusted: Path | None) -> int:
 
 
 def _check(path: Path, schemas: Path | None, trusted: Path | None) -> _Found:
-    from bench.certificate.dcc_keys import load_certificates
-    from bench.certificate.dcc_schema import schema_faults, schema_folder
-    from bench.certificate.dcc_signature import verify_signature
-    from bench.certificate.dcc_xml import NAMESPACES, read_dcc, versions_of
+    from bench.certificate.dcc_signature import load_certificates, verify_signature
+    from bench.certificate.dcc_xml import NAMESPACES, read_dcc, schema_faults, schema_folder, versions_of
 
     file = path / DCC_FILE if path.is_dir() else path
     if not file.is_file():
@@ -134,9 +132,8 @@ def from_dcc(path: Path, quantity: str, trusted: Path | None) -> int:
     Prints the lines for the station file and for lab.yaml: value, uncertainty, number, date and hash of the
     certificate. Nothing is written.
     """
-    from bench.certificate.dcc_keys import load_certificates
     from bench.certificate.dcc_reader import read_reference
-    from bench.certificate.dcc_signature import verify_signature
+    from bench.certificate.dcc_signature import load_certificates, verify_signature
 
     data = _read(path)
     anchors = () if trusted is None else load_certificates(trusted)
@@ -204,7 +201,7 @@ def _valid_lines(found: _Found, trusted: Path | None) -> Iterator[str]:
 
 
 def _unchecked_lines(found: _Found, trusted: Path | None) -> Iterator[str]:
-    from bench.certificate.dcc_schema import SCHEMAS_VARIABLE
+    from bench.certificate.dcc_xml import SCHEMAS_VARIABLE
 
     if found.schema is None:
         yield (

@@ -290,7 +290,7 @@ def _checks_of_certificate(trust: Trust, *, again: bool) -> list[Derivation]:
         return verify_folder(run, trust, derivations=derivations(trust, again=True), again=True)
 
     def of_run(folder: Path) -> Findings:
-        from bench.certificate.check_run import check_run_of_certificate
+        from bench.certificate.sealed_run import check_run_of_certificate
         from bench.results.previous_calibration import bench_ledger
 
         return check_run_of_certificate(folder, bench_ledger(), verify_run)

@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 from scipy.special import chdtri
 
 from bench.certificate.dcc_reader import number
-from bench.certificate.dcc_units import product
-from bench.certificate.dcc_words import BUDGET, COMBINED, CONTRIBUTION, JOINT
+from bench.certificate.dcc_words import BUDGET, COMBINED, CONTRIBUTION, JOINT, product
 from bench.certificate.dcc_xml import NAMESPACES, qualified, short
 
 if TYPE_CHECKING:

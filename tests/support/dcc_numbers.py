@@ -15,8 +15,17 @@ from typing import TYPE_CHECKING
 from scipy.special import ndtri, stdtrit
 
 from bench.certificate.dcc_reader import number
-from bench.certificate.dcc_units import BINARY_PREFIXES, PREFIXES, unit_fault
-from bench.certificate.dcc_words import BUDGET, DEGREES_OF_FREEDOM, EARLIER, JOINT, LIMIT, STATISTIC
+from bench.certificate.dcc_words import (
+    BINARY_PREFIXES,
+    BUDGET,
+    DEGREES_OF_FREEDOM,
+    EARLIER,
+    JOINT,
+    LIMIT,
+    PREFIXES,
+    STATISTIC,
+    unit_fault,
+)
 from bench.certificate.dcc_xml import NAMESPACES, qualified, short
 
 if TYPE_CHECKING:

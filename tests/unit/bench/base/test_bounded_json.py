@@ -16,7 +16,7 @@ OWN_DATA = {
     "align/open_bench.py",  # answers of the simulated bench, a process of our own
     "base/bounded_json.py",
     "base/lens_and_mount.py",  # an answer of the simulated bench
-    "certificate/amend.py",  # text that was written a line before
+    "certificate/issue.py",  # text that was written a line before
     "certificate/pdf.py",
     "commands/certificate.py",
     "commands/messages.py",  # channel of a message, from our own outbox

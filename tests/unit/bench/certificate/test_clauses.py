@@ -9,9 +9,8 @@ import yaml
 from certificate_sample import LAB, identity, sample_lab, sample_results
 
 from bench.certificate.certificate_data import Certificate
-from bench.certificate.clauses import CLAUSES, table, unanswered
+from bench.certificate.clauses import CLAUSES, faults_of_lab, table, unanswered
 from bench.certificate.compose import compose
-from bench.certificate.contradictions import faults_of_lab
 from bench.certificate.lab_config import EXAMPLE, LabConfig, read_lab
 from sequences.errors import DocumentFaults
 

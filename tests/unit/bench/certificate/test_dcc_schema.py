@@ -4,7 +4,7 @@ import dcc_mutations
 import pytest
 
 from bench.base.errors import EvidenceError, UsageError
-from bench.certificate.dcc_schema import schema_faults, schema_folder
+from bench.certificate.dcc_xml import schema_faults, schema_folder
 
 DCC_XSD = """<xs:schema version="3.2.1" xmlns:xs="http://www.w3.org/2001/XMLSchema" xmlns:si="https://ptb.de/si"
  xmlns:ds="http://www.w3.org/2000/09/xmldsig#" targetNamespace="https://ptb.de/dcc" elementFormDefault="qualified">

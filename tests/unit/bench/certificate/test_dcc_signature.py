@@ -5,8 +5,14 @@ from dcc_checks import check_dcc
 from lxml import etree
 
 from bench.base.errors import EvidenceError
-from bench.certificate.dcc_keys import load_certificates, load_signing_key
-from bench.certificate.dcc_signature import sign_dcc, signer_of_files, verify_signature, without_signature
+from bench.certificate.dcc_signature import (
+    load_certificates,
+    load_signing_key,
+    sign_dcc,
+    signer_of_files,
+    verify_signature,
+    without_signature,
+)
 
 DS = "{http://www.w3.org/2000/09/xmldsig#}"
 WHEN = lab_pki.signed_at()

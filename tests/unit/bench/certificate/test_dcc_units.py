@@ -1,7 +1,7 @@
 import pytest
 from dcc_numbers import unit_powers
 
-from bench.certificate.dcc_units import OUR_UNITS, d_si_unit, length_mm, product, unit_fault
+from bench.certificate.dcc_words import OUR_UNITS, d_si_unit, length_mm, product, unit_fault
 
 
 @pytest.mark.parametrize("unit", sorted(set(OUR_UNITS.values())))

@@ -14,13 +14,11 @@ from certificate_sample import LAB, NOW, sample_results, verified, write_sealed_
 from bench.base.errors import BenchError, EvidenceError, UsageError
 from bench.certificate import folder as folder_module
 from bench.certificate import issue as issue_module
-from bench.certificate import written_with as written_module
-from bench.certificate.amend import amend
+from bench.certificate import sealed_run
 from bench.certificate.certificate_data import Certificate, Software
 from bench.certificate.check import check_certificate
-from bench.certificate.issue import Laboratory, issue
-from bench.certificate.series import declare_void
-from bench.certificate.series_numbers import numbers
+from bench.certificate.issue import Laboratory, amend, issue
+from bench.certificate.series import declare_void, numbers
 from bench.evidence.faults import SealFault
 from bench.evidence.keys import ensure_key
 from bench.records.ledger import Ledger
@@ -185,7 +183,7 @@ def test_a_statement_that_issuing_does_not_make_is_found(copied):
 def by_another_program():
     """This program as another version of itself."""
     here = (Software("certificate_form", "0" * 16),)
-    return mock.patch.object(written_module, "written_with", return_value=here)
+    return mock.patch.object(sealed_run, "written_with", return_value=here)
 
 
 def test_documents_of_another_version_are_no_fault_but_named(copied):

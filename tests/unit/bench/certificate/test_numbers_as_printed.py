@@ -12,9 +12,8 @@ from hypothesis import strategies as st
 from scipy import stats
 
 from bench.base.errors import EvidenceError
-from bench.certificate.budget_rows import budget_of, expanded
-from bench.certificate.conformity import verdict_of
-from bench.certificate.rounding import print_result, round_expanded
+from bench.certificate.budget_rows import budget_of, expanded, print_result, round_expanded
+from bench.certificate.compose import verdict_of
 
 EXPANDED = st.floats(min_value=1e-9, max_value=1e9)
 

@@ -9,7 +9,7 @@ import sys
 import pytest
 
 from bench.base.errors import BenchError, UsageError
-from bench.certificate import pdf, pdf_glyphs
+from bench.certificate import pdf
 from bench.certificate.certificate_data import Conformity, Covariance, Deviation, Statement
 from bench.certificate.pdf import _document, render_pdf
 from bench.certificate.pdf_blocks import at_the_point
@@ -179,7 +179,7 @@ class TestTextIsData:
 class TestCharacters:
     def test_scripts_that_are_printed(self):
         text = "Łódź Ünïcode Ελλάδα Москва Հայաստան საქართველო עברית العربية Việt ½ ± µ °C ″ ∞ 😀"
-        assert pdf_glyphs.missing(text) == []
+        assert pdf.missing(text) == []
         assert render_pdf(customer_named(text), {}, {}, NO_PLOTS)
 
     @pytest.mark.parametrize(
@@ -189,7 +189,7 @@ class TestCharacters:
         with pytest.raises(UsageError) as caught:
             render_pdf(customer_named(text), {}, {}, NO_PLOTS)
         assert "customer.name" in str(caught.value)
-        assert all(f"U+{ord(one):04X}" in str(caught.value) for one in pdf_glyphs.missing(text))
+        assert all(f"U+{ord(one):04X}" in str(caught.value) for one in pdf.missing(text))
 
     def test_all_fields_are_named_at_once(self):
         full = customer_named("山")
@@ -200,8 +200,8 @@ class TestCharacters:
         noted = changed(full_certificate(), deviations=(Deviation("pose 山\u202e was skipped", "run"),))
         assert render_pdf(noted, {}, {}, NO_PLOTS)
         assert "pose [U+5C71][U+202E] was skipped" in words(noted)
-        assert pdf_glyphs.CODE_NOTE in words(noted)
-        assert pdf_glyphs.CODE_NOTE not in words(full_certificate())
+        assert pdf.CODE_NOTE in words(noted)
+        assert pdf.CODE_NOTE not in words(full_certificate())
 
     def test_a_deviation_that_the_laboratory_states_is_refused(self):
         stated = changed(full_certificate(), deviations=(Deviation("山", "laboratory"),))
@@ -213,7 +213,7 @@ class TestCharacters:
     )
     def test_a_statement_is_refused_if_the_laboratory_words_it(self, kind, refused):
         stated = changed(full_certificate(), statements=(Statement(kind, "山"),))
-        assert bool(pdf_glyphs.faults(dataclasses.asdict(stated))) == refused
+        assert bool(pdf.faults(dataclasses.asdict(stated))) == refused
 
 
 class TestPlots:

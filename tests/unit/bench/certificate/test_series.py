@@ -10,8 +10,17 @@ from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, precondition, rule
 
 from bench.base.errors import EvidenceError, JournalBroken
-from bench.certificate.series import Wanted, declare_void, enter_issued, one_at_a_time, reserve
-from bench.certificate.series_numbers import ISSUED, RESERVED, numbers, open_numbers
+from bench.certificate.series import (
+    ISSUED,
+    RESERVED,
+    Wanted,
+    declare_void,
+    enter_issued,
+    numbers,
+    one_at_a_time,
+    open_numbers,
+    reserve,
+)
 from bench.records.ledger import Ledger
 from bench.records.ledger_breaks import LEDGER_BROKEN
 

@@ -10,7 +10,7 @@ from bench.base.errors import EvidenceError
 from bench.certificate.check import check_certificate
 from bench.certificate.dcc_signature import sign_dcc, verify_signature, without_signature
 from bench.certificate.issue import Laboratory, issue
-from bench.certificate.series_numbers import numbers
+from bench.certificate.series import numbers
 from bench.evidence.keys import ensure_key
 from bench.records.ledger import Ledger
 
