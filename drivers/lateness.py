@@ -12,17 +12,15 @@ from __future__ import annotations
 import os
 import threading
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from functools import cache
-from typing import Any, Final
+from typing import Final
 
 PERIOD_S: Final = 0.02
 """The thread asks to be woken after this time, s."""
 NOTED_S: Final = 0.005
 """Delays below this are usual on an idle computer, and are not counted, s."""
-BINS_S: Final = (0.01, 0.03, 0.1, 0.3, 1.0, 3.0)
-"""Upper ends of the classes of delays, s; one more class is above the last one."""
 MOST_STRETCH_S: Final = 30.0
 """A deadline is stretched by this time at most, s: a stopped process must not keep the bench waiting for ever."""
 BUSY_SHARE: Final = 0.3
@@ -47,7 +45,6 @@ class Lateness:
         self._due_s = now_s() + PERIOD_S
         self._lost_s = 0.0
         self._held = 0
-        self._counts = [0] * (len(BINS_S) + 1)
         self.longest_s = 0.0
 
     def woken(self) -> None:
@@ -55,7 +52,6 @@ class Lateness:
         with self._noting:
             now_s = self._now_s()
             delay_s = 0.0 if self._held else max(0.0, now_s - self._due_s)
-            self._counts[sum(delay_s > end for end in BINS_S)] += 1
             self.longest_s = max(self.longest_s, delay_s)
             self._lost_s += delay_s if delay_s > NOTED_S else 0.0
             self._due_s = now_s + PERIOD_S
@@ -84,22 +80,12 @@ class Lateness:
             overdue_s = 0.0 if self._held else self._now_s() - self._due_s
             return self._lost_s + (overdue_s if overdue_s > NOTED_S else 0.0)
 
-    def histogram(self) -> Mapping[str, Any]:
+    def summary(self) -> Mapping[str, float | None]:
         """Return the delays, as a journal and a status hold them.
 
-        Returns: ``period_s``; ``bins_s``, upper ends of the classes; ``counts``, one more than ``bins_s``;
-          ``lost_s``, ``longest_s``; ``load``, of the last minute, or None where the system has none.
+        Returns: ``lost_s``, ``longest_s``; ``load``, of the last minute, or None where the system has none.
         """
-        with self._noting:
-            counts: Sequence[int] = tuple(self._counts)
-        return {
-            "period_s": PERIOD_S,
-            "bins_s": list(BINS_S),
-            "counts": list(counts),
-            "lost_s": round(self.lost_s(), 3),
-            "longest_s": round(self.longest_s, 3),
-            "load": _load(),
-        }
+        return {"lost_s": round(self.lost_s(), 3), "longest_s": round(self.longest_s, 3), "load": _load()}
 
 
 def _load() -> float | None:

@@ -18,18 +18,20 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable
-from typing import Any, TypeVar
+from typing import Final, TypeVar
 
 from drivers.clock import Clock
-from drivers.errors import ReplyGarbled, ReplyTimeout
+from drivers.errors import ReplyError, ReplyGarbled, ReplyTimeout
 from drivers.lateness import REMEDY as BUSY_REMEDY
 from drivers.lateness import Deadline, busy_text
-from drivers.retry import resynchronise
+from drivers.retry import do_nothing
 from drivers.serial_port import Port
 from drivers.wire_log import Direction, WireLog
 
 LONGEST_LINE = 4096
 """Longest line, in bytes. A longer one comes from a device that sends without pause, or from another protocol."""
+
+RESYNCHRONISE_TRIES: Final = 2
 
 _LONGEST_WAIT_S = 0.25
 """Longest single wait after a deadline was stretched, in seconds. After each the link uses its clock, as a sign of
@@ -113,8 +115,8 @@ def no_unsolicited(_line: bytes) -> bool:
 class Link:
     """A line to one device or a chain of devices. Threads share it; one exchange is made at a time.
 
-    resynchronise: Brings the line back into step; see ``drivers.retry.resynchronise``. It is called with the
-      lock held, may call ``drain`` and make urgent exchanges, and raises ReplyError when it fails.
+    resynchronise: Brings the line back into step; see ``prove_in_step``. It is called with the lock
+      held, may call ``drain`` and make urgent exchanges, and raises ReplyError when it fails.
     terminator: End of a line.
     unsolicited: Gets each line; returns True when the line is a message that answers no request.
     wire_log: Records every byte; None for no record.
@@ -230,15 +232,45 @@ class Link:
         limit_s: float,
         failed: str = "more bytes come than were asked for.",
         remedy: str = "Check the port and the cable.",
-        **how: Any,
+        clear_device: Callable[[], object] = do_nothing,
+        inspect_old: Callable[[bytes], object] = do_nothing,
+        silence_after: bool = True,
+        once_if_silent: bool = False,
     ) -> None:
-        """Bring the line back into step by a marker; see ``drivers.retry.resynchronise``.
+        """Bring the line back into step: throw away what is old, then prove that nothing old is left.
 
+        The proof is a marker: a request whose answer cannot be the answer to an older request. The line is in step when
+        the marker is answered and, for a protocol without message ids, nothing follows its answer. There are two
+        attempts.
+
+        exchange_marker: Sends the marker; returns False when its answer is not the expected one, and raises
+          ReplyError for no valid answer.
+        quiet_s: How long nothing may arrive before the line counts as silent, in seconds.
+        limit_s: Longest wait for that silence, in seconds.
         failed, remedy: What is told when the marker's answer was unexpected, or something followed it.
-        Raises ReplyError: The line is still out of step.
+        clear_device: Sends what makes the device forget the beginning of a command. Called after the line was
+          silent.
+        inspect_old: Gets the old bytes before they are lost, for unsolicited messages in them.
+        silence_after: Whether nothing may follow the marker's answer.
+        once_if_silent: Whether a marker without an answer ends the attempts, unless the computer is too busy. For
+          a caller that repeats the request, and with it this, by itself: a device without power is then told
+          sooner.
+        Raises ReplyError: The line is still out of step, or the device does not fall silent.
         """
-        if not resynchronise(self, exchange_marker, quiet_s=quiet_s, limit_s=limit_s, **how):
-            raise ReplyGarbled(failed, where=self.name, remedy=remedy)
+        for tries_left in reversed(range(RESYNCHRONISE_TRIES)):
+            inspect_old(self.drain(quiet_s, limit_s))
+            clear_device()
+            try:
+                expected = exchange_marker() is not False
+            except ReplyError as error:
+                silent = isinstance(error, ReplyTimeout) and not error.late_s
+                if not tries_left or (silent and once_if_silent):
+                    raise
+                continue
+            followed = silence_after and self.drain(quiet_s, limit_s)
+            if expected and not followed:
+                return
+        raise ReplyGarbled(failed, where=self.name, remedy=remedy)
 
     def listen(self, duration_s: float) -> None:
         """Wait for bytes on the line. No clock interrupts this wait: it is for stopping only.

@@ -1,21 +1,21 @@
-"""Repeat a request after a bad reply, and bring a line back into step.
+"""Ask again: after a bad reply, and until consecutive readings agree. Touches no device.
 
-Every protocol of this package shares the two loops that stand here. Only requests that do no harm when they are sent
-twice may be repeated: questions, settings and stops. A command that moves something is sent once.
+Only requests that do no harm when they are sent twice may be repeated: questions, settings and stops. A command that
+moves something is sent once. A value is believed when consecutive readings agree, because a checksum of eight bits lets
+one in 256 heavily garbled replies pass, and most text protocols have no checksum.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Final, Protocol, TypeVar
+from collections.abc import Callable, Sequence
+from typing import Final, NamedTuple, TypeVar
 
-from drivers.errors import ReplyError, ReplyTimeout
+from drivers.errors import ReplyError, ReplyGarbled, ReplyTimeout
 
 TRIES: Final = 3
 """How often a request is sent in all, before its last error is passed on."""
 TRIES_WHEN_LATE: Final = 3
 """How much more often a request is sent when time-outs came from a computer that is too busy."""
-RESYNCHRONISE_TRIES: Final = 2
 
 T = TypeVar("T")
 
@@ -62,56 +62,75 @@ def repeat(
     return attempt()
 
 
-class Drainable(Protocol):
-    """A line whose unread bytes can be thrown away, such as ``drivers.link.Link``."""
-
-    def drain(self, quiet_s: float, limit_s: float) -> bytes:
-        """See `Link.drain`."""
-        ...
+_MOST_READINGS: Final = 5
 
 
-def resynchronise(
-    link: Drainable,
-    exchange_marker: Callable[[], object],
-    *,
-    quiet_s: float,
-    limit_s: float,
-    clear_device: Callable[[], object] = do_nothing,
-    inspect_old: Callable[[bytes], object] = do_nothing,
-    silence_after: bool = True,
-    once_if_silent: bool = False,
-) -> bool:
-    """Bring a line back into step: throw away what is old, then prove that nothing old is left.
+def read_until_agreed(read: Callable[[], T], *, what: str, where: str) -> T:
+    """Read until two consecutive readings are equal, at most five times.
 
-    The proof is a marker: a request whose answer cannot be the answer to an older request. The line is in step when
-    the marker is answered and, for a protocol without message ids, nothing follows its answer. Two attempts are made.
+    read: Reads once.
+    Raises ReplyGarbled: No two consecutive readings are equal. Exceptions of ``read`` pass through.
 
-    link: The line, held by this thread.
-    exchange_marker: Sends the marker; returns False when its answer is not the expected one, and raises
-      ReplyError for no valid answer.
-    quiet_s: How long nothing may arrive before the line counts as silent, in seconds.
-    limit_s: Longest wait for that silence, in seconds.
-    clear_device: Sends what makes the device forget the beginning of a command. Called after the line was
-      silent.
-    inspect_old: Gets the old bytes before they are lost, for unsolicited messages in them.
-    silence_after: Whether nothing may follow the marker's answer.
-    once_if_silent: Whether a marker without an answer ends the attempts, unless the computer is too busy. For
-      a caller that repeats the request, and with it this, by itself: a device without power is then told
-      sooner.
-    Returns: False when the last answer to the marker was unexpected, or something followed it.
-    Raises ReplyError: The marker was not answered at the last attempt, or the device does not fall silent.
+    Examples
+    --------
+    >>> values = iter([5, 7, 7])
+    >>> read_until_agreed(lambda: next(values), what="the value", where="")
+    7
     """
-    for tries_left in reversed(range(RESYNCHRONISE_TRIES)):
-        inspect_old(link.drain(quiet_s, limit_s))
-        clear_device()
-        try:
-            expected = exchange_marker() is not False
-        except ReplyError as error:
-            silent = isinstance(error, ReplyTimeout) and not error.late_s
-            if not tries_left or (silent and once_if_silent):
-                raise
-            continue
-        followed = silence_after and link.drain(quiet_s, limit_s)
-        if expected and not followed:
-            return True
-    return False
+    before = read()
+    for _ in range(_MOST_READINGS - 1):
+        now = read()
+        if now == before:
+            return now
+        before = now
+    raise _disagreement(what, where)
+
+
+class Reading(NamedTuple):
+    """One reading of an axis."""
+
+    t_s: float  # Time of the reading, in seconds
+    position_deg: float  # Position, in degrees
+    moving: bool  # Whether the axis was moving
+
+
+def read_position_until_agreed(
+    read: Callable[[], Reading], *, tolerance_deg: float, speed_deg_s: float, what: str, where: str
+) -> float:
+    """Read a position until consecutive readings agree, at most five times.
+
+    Of an axis at rest, two equal readings agree, or three within the tolerance (a servo trembles): the median counts.
+    Of a moving axis, two readings agree when the axis can have moved from one to the other in the time between them.
+
+    read: Reads once.
+    tolerance_deg: Largest tremble of an axis at rest, in degrees.
+    speed_deg_s: Highest speed of the axis, in degrees per second.
+    Returns: Position, in degrees.
+    Raises ReplyGarbled: The readings do not agree. Exceptions of ``read`` pass through.
+    """
+    readings = [read()]
+    for _ in range(_MOST_READINGS - 1):
+        readings.append(read())
+        if (position_deg := _agreed(readings, tolerance_deg, speed_deg_s)) is not None:
+            return position_deg
+    raise _disagreement(what, where)
+
+
+def _agreed(readings: Sequence[Reading], tolerance_deg: float, speed_deg_s: float) -> float | None:
+    """Return the position on which the latest readings agree; None when they do not."""
+    before, now = readings[-2:]
+    if before.moving or now.moving:
+        reach_deg = tolerance_deg + speed_deg_s * (now.t_s - before.t_s)
+        return now.position_deg if abs(now.position_deg - before.position_deg) <= reach_deg else None
+    if now.position_deg == before.position_deg:
+        return now.position_deg
+    low, *middle, high = sorted(reading.position_deg for reading in readings[-3:])
+    return middle[0] if middle and high - low <= tolerance_deg else None
+
+
+def _disagreement(what: str, where: str) -> ReplyGarbled:
+    return ReplyGarbled(
+        f"{_MOST_READINGS} readings of {what} do not agree.",
+        where=where,
+        remedy="Check the cable, and that nobody operates the device by hand.",
+    )

@@ -23,7 +23,6 @@ import serial
 
 from drivers import file_lock
 from drivers.errors import PortBusy, PortDenied, PortError, PortLost, PortNotFound
-from drivers.lock_holder import holder_text
 from drivers.port_address import PORT_REMEDY, refused_port
 
 try:
@@ -230,7 +229,7 @@ def _descriptor(port: Any) -> int | None:
 def _holder_of(address: str) -> str:
     """Return who holds a local port, as the end of a sentence; empty if it is not known."""
     with contextlib.suppress(OSError, ValueError):
-        holder = holder_text(Path(address).stat().st_ino)
+        holder = file_lock.holder_text(Path(address).stat().st_ino)
         return f": {holder}" if holder else ""
     return ""
 

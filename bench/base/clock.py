@@ -148,9 +148,9 @@ class BenchClock:
     def lateness(self) -> Mapping[str, Any]:
         """Return how late a busy computer woke this process; the first call begins to measure.
 
-        Returns: As `drivers.lateness.Lateness.histogram`; empty for a virtual clock.
+        Returns: As `drivers.lateness.Lateness.summary`; empty for a virtual clock.
         """
-        return own_lateness().histogram()
+        return own_lateness().summary()
 
     def request_stop(self, reason: str) -> None:
         """Ask the run to stop at its next wait. Safe to call from a signal handler or another thread.

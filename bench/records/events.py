@@ -379,7 +379,7 @@ class SupervisorLost(TypedDict):
 
 
 class ComputerBusy(TypedDict):
-    """Payload of ``computer_busy``: lateness of the last ``window_s``, and a histogram of all (`drivers.lateness`)."""
+    """Payload of ``computer_busy``: lateness of the last ``window_s``, and of all the time (`drivers.lateness`)."""
 
     late_s: float
     window_s: float

@@ -78,7 +78,7 @@ class Status:
     # How stage, light and camera were left: ``device``, ``state``, ``said``. Empty while a process works on
     # the run.
     devices: Sequence[Mapping[str, str]] = ()
-    # busy, lateness: How late a busy computer was, as text and as a histogram (`drivers.lateness`); empty if
+    # busy, lateness: How late a busy computer was, as text and in seconds (`drivers.lateness`); empty if
     # the journal has none.
     busy: str = ""
     lateness: Mapping[str, Any] = field(default_factory=dict)

@@ -13,7 +13,7 @@ from bench.stations.sections import Hertz, LightSection
 from bench.stations.station_fields import Port, Serial, Text
 from bench.stations.station_text import TextLightConfig
 from drivers.light import LightSettings
-from drivers.light.scpi_dialects import DialectName, Load
+from drivers.light.scpi import DialectName, Load
 from sequences.plain_number import Within
 from sequences.script import Flicker
 from sequences.strict_model import StrictModel

@@ -6,16 +6,14 @@ A camera may lack some facilities of the HAL. Their getters then return None, an
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any, Final
 
 from drivers.camera import CameraSettings
 from drivers.camera.metavision_discovery import reason_of
+from drivers.camera.recording import BIASES, check_bias, refuse_unknown_biases
 from drivers.errors import CameraLost, CameraSettingRefused
-
-BIASES: Final = ("bias_diff_on", "bias_diff_off", "bias_fo", "bias_hpf", "bias_refr")
-"""The biases that CameraSettings may name. ``bias_diff`` is the reference of two of them and is never changed."""
 
 _NOT_MEASURED: Final = -1.0
 """OpenEB 5.1.1, ``imx636_tz_device.cpp``: temperature and illumination if the sensor does not end the measurement."""
@@ -88,7 +86,7 @@ def apply_settings(device: Any, hal: Any, settings: CameraSettings, *, where: st
     Raises CameraSettingRefused: If the camera does not accept a setting, or another value is read back.
     Raises CameraLost: If the connection has failed.
     """
-    _set_biases(device, settings.biases, where)
+    _set_biases(device, settings, where)
     for getter in ("get_i_antiflicker_module", "get_i_event_trail_filter_module", "get_i_erc_module"):
         if (facility := getattr(device, getter)()) is not None:
             with _refusal(f"switch off {getter.removeprefix('get_i_')}", where):
@@ -104,10 +102,10 @@ def apply_settings(device: Any, hal: Any, settings: CameraSettings, *, where: st
     return CameraSettings(read_biases(device, where=where), trigger_in, settings.roi)
 
 
-def _set_biases(device: Any, wanted: Mapping[str, int], where: str) -> None:
+def _set_biases(device: Any, settings: CameraSettings, where: str) -> None:
     facility = device.get_i_ll_biases()
     if facility is None:
-        if any(wanted.values()):
+        if any(settings.biases.values()):
             raise CameraSettingRefused(
                 "The camera has no biases.", where=where, remedy="Leave the biases out of the station file."
             )
@@ -116,21 +114,11 @@ def _set_biases(device: Any, wanted: Mapping[str, int], where: str) -> None:
         present = facility.get_all_biases()
         known = [name for name in BIASES if name in present]
         ranges = {name: facility.get_bias_info(name).get_bias_range() for name in known}
-    if unknown := sorted(set(wanted) - set(known)):
-        raise CameraSettingRefused(
-            f"The camera has no bias {', '.join(unknown)}.",
-            where=where,
-            remedy=f"Use the biases of this camera: {', '.join(known)}.",
-        )
+    refuse_unknown_biases(settings, known, where)
     for name in known:
-        value = wanted.get(name, 0)
+        value = settings.biases.get(name, 0)
         lowest, highest = ranges[name]
-        if not lowest <= value <= highest:
-            raise CameraSettingRefused(
-                f"The camera accepts {name} from {lowest} to {highest}, not {value}.",
-                where=where,
-                remedy="Correct the bias in the station file.",
-            )
+        check_bias(name, value, lowest, highest, where)
         with _refusal(f"set {name} to {value}", where):
             taken = facility.set(name, value)
             held = int(facility.get(name))

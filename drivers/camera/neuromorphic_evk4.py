@@ -21,7 +21,16 @@ import numpy as np
 from drivers.camera import CameraIdentity, CameraSettings, FoundCamera, RecordingFacts
 from drivers.camera.evt3 import first_time_high
 from drivers.camera.raw_header import render_header
-from drivers.camera.recording import StopConditions, check_duration, record_words, recording_facts, refuse_roi
+from drivers.camera.recording import (
+    BIASES,
+    StopConditions,
+    check_bias,
+    check_duration,
+    record_words,
+    recording_facts,
+    refuse_roi,
+    refuse_unknown_biases,
+)
 from drivers.camera.usb_permission import check_link, only_camera_kind, only_camera_mbit_s
 from drivers.clock import Clock
 from drivers.device_hold import CameraLock, event_camera_name
@@ -29,7 +38,6 @@ from drivers.errors import (
     CameraError,
     CameraLost,
     CameraNotFound,
-    CameraSettingRefused,
     CameraSoftwareMissing,
     WrongDevice,
 )
@@ -39,8 +47,6 @@ SILENCE_S: Final = 5.0
 
 POLL_S: Final = 0.02
 """Longest wait for bytes, s; other threads run meanwhile."""
-
-BIASES: Final = ("bias_diff_on", "bias_diff_off", "bias_fo", "bias_hpf", "bias_refr")
 
 _UNKNOWN_KIND: Final = ("unknown maker", "camera with an IMX636")
 """The package opens cameras of several makers by the same name, and does not say which it has opened."""
@@ -199,23 +205,13 @@ class NeuromorphicEvk4:
         """
         refuse_roi(settings, self._where)
         biases = {name: settings.biases.get(name, 0) for name in BIASES}
-        if unknown := sorted(set(settings.biases) - set(BIASES)):
-            raise CameraSettingRefused(
-                f"The camera has no bias {', '.join(unknown)}.",
-                where=self._where,
-                remedy=f"Use the biases of this camera: {', '.join(BIASES)}.",
-            )
+        refuse_unknown_biases(settings, BIASES, self._where)
         evk4 = self._package.prophesee_evk4
         try:
             bounds = self._device.biases_bounds()
             for name, value in biases.items():
                 bound = getattr(bounds, name.removeprefix("bias_"))
-                if not bound.minimum <= value <= bound.maximum:
-                    raise CameraSettingRefused(
-                        f"The camera accepts {name} from {bound.minimum} to {bound.maximum}, not {value}.",
-                        where=self._where,
-                        remedy="Correct the bias in the station file.",
-                    )
+                check_bias(name, value, bound.minimum, bound.maximum, self._where)
             values = {name.removeprefix("bias_"): value for name, value in biases.items()}
             self._device.update_configuration(
                 evk4.Configuration(

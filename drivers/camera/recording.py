@@ -99,6 +99,30 @@ def refuse_roi(settings: CameraSettings, where: str) -> None:
         )
 
 
+BIASES: Final = ("bias_diff_on", "bias_diff_off", "bias_fo", "bias_hpf", "bias_refr")
+"""The biases that CameraSettings may name. ``bias_diff`` is the reference of two of them and is never changed."""
+
+
+def refuse_unknown_biases(settings: CameraSettings, known: Sequence[str], where: str) -> None:
+    """Refuse biases that a camera does not have. Raises CameraSettingRefused."""
+    if unknown := sorted(set(settings.biases) - set(known)):
+        raise CameraSettingRefused(
+            f"The camera has no bias {', '.join(unknown)}.",
+            where=where,
+            remedy=f"Use the biases of this camera: {', '.join(known)}.",
+        )
+
+
+def check_bias(name: str, value: int, lowest: int, highest: int, where: str) -> None:
+    """Check that a camera accepts the value of a bias. Raises CameraSettingRefused."""
+    if not lowest <= value <= highest:
+        raise CameraSettingRefused(
+            f"The camera accepts {name} from {lowest} to {highest}, not {value}.",
+            where=where,
+            remedy="Correct the bias in the station file.",
+        )
+
+
 def record_words(
     source: WordSource,
     path: Path,

@@ -14,7 +14,7 @@ from drivers.clock import Clock
 from drivers.errors import LightFault, SettingRefused
 from drivers.light import LightIdentity, LightSettings
 from drivers.link import Link
-from drivers.readings import read_until_agreed
+from drivers.retry import read_until_agreed
 from drivers.serial_port import SerialPort
 from drivers.wire_log import WireLog
 

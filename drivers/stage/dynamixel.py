@@ -20,9 +20,8 @@ from drivers.clock import Clock
 from drivers.errors import DeviceRefused, OutsideLimits, ReplyGarbled, WrongDevice
 from drivers.serial_port import Port, closed_on_error
 from drivers.stage import AxisIdentity
-from drivers.stage import dynamixel_protocol as protocol
-from drivers.stage.dynamixel_bus import DynamixelBus
-from drivers.stage.dynamixel_protocol import Settings, State
+from drivers.stage import dynamixel_bus as protocol
+from drivers.stage.dynamixel_bus import DynamixelBus, Settings, State
 from drivers.stage.watched import (
     Axis,
     AxisState,

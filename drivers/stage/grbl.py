@@ -15,9 +15,14 @@ from dataclasses import dataclass
 from drivers.clock import Clock
 from drivers.errors import DeviceRefused, MoveFailed, OutsideLimits, WrongDevice
 from drivers.serial_port import Port, closed_on_error
-from drivers.stage import AxisIdentity, grbl_protocol, motion
-from drivers.stage.grbl_controller import GrblController
-from drivers.stage.grbl_protocol import StatusReport, machine_positions
+from drivers.stage import AxisIdentity, motion
+from drivers.stage.grbl_controller import (
+    ALARMS,
+    BLOCKING_STATES,
+    GrblController,
+    StatusReport,
+    machine_positions,
+)
 from drivers.stage.watched import (
     Axis,
     AxisState,
@@ -115,7 +120,7 @@ class GrblStage(OneLineStage[GrblAxis]):
         except MoveFailed as error:  # the board waits for a reset, which homing sends
             return [f"board: {error.what}", "board: no reference"]
         state = self._board.query_status().state
-        found = [f"board: {self._describe(state)}"] if state in grbl_protocol.BLOCKING_STATES else []
+        found = [f"board: {self._describe(state)}"] if state in BLOCKING_STATES else []
         return found if self._homed_at == self._history() else [*found, "board: no reference"]
 
     def home(self) -> None:
@@ -141,7 +146,7 @@ class GrblStage(OneLineStage[GrblAxis]):
         state = self._board.query_status().state
         if self._homed_at != self._history():
             raise no_reference(axis, "the board has no reference")
-        if state in grbl_protocol.BLOCKING_STATES:
+        if state in BLOCKING_STATES:
             raise not_movable(axis, self._describe(state))
 
     def _clear_faults(self, axis: GrblAxis) -> None:
@@ -212,17 +217,17 @@ class GrblStage(OneLineStage[GrblAxis]):
         homed_at = None if homing else self._homed_at
         if homed_at is not None and homed_at[0] != self._board.restarts:
             return "the board restarted during the move: its position is lost"
-        if state in grbl_protocol.BLOCKING_STATES:
+        if state in BLOCKING_STATES:
             return self._describe(state)
         if homed_at is not None and homed_at != self._history():
             return f"the board raised ALARM:{self._board.alarms[-1]} during the move: its position is lost"
         return ""
 
     def _describe(self, state: str) -> str:
-        words = f"{grbl_protocol.BLOCKING_STATES[state]} ({state})"
+        words = f"{BLOCKING_STATES[state]} ({state})"
         if state == "Alarm" and self._board.alarms:
             code = self._board.alarms[-1]
-            words += f": {grbl_protocol.ALARMS.get(code, 'unknown alarm')} (ALARM:{code})"
+            words += f": {ALARMS.get(code, 'unknown alarm')} (ALARM:{code})"
         return words
 
     # ------------------------------------------------------------ settings

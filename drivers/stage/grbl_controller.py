@@ -1,11 +1,15 @@
-"""Talk to a GRBL board on its line: commands and their ``ok``, real-time commands, alarms and restarts.
+"""Talk to a GRBL 1.1 board on its line: commands and their ``ok``, real-time commands, reports, alarms, restarts.
 
-Degrees belong to ``drivers.stage.grbl``, the forms of lines to ``drivers.stage.grbl_protocol``.
+Degrees belong to ``drivers.stage.grbl``. Source: the pages "Grbl v1.1 Interface", "Grbl v1.1 Jogging", "Grbl v1.1
+Commands" and "Grbl v1.1 Configuration" of the firmware's documentation,
+https://github.com/gnea/grbl/tree/master/doc/markdown.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import re
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from typing import TypeVar
 
 from drivers.clock import Clock
@@ -13,9 +17,188 @@ from drivers.errors import DeviceRefused, MoveFailed, MoveTimeout, ReplyGarbled,
 from drivers.link import Link, ReplyReader
 from drivers.retry import repeat
 from drivers.serial_port import Port
-from drivers.stage import grbl_protocol, motion
-from drivers.stage.grbl_protocol import StatusReport
+from drivers.stage import motion
 from drivers.wire_log import WireLog
+
+STATUS = b"?"
+CANCEL_JOG = b"\x85"
+RESET = b"\x18"
+"""Real-time commands: the firmware takes these bytes out of the line at once, whatever it is doing."""
+
+READY_STATES = frozenset({"Idle", "Jog"})
+_MOVING = frozenset({("Jog", 0), ("Run", 0), ("Home", 0), ("Hold", 1), ("Door", 2), ("Door", 3)})
+BLOCKING_STATES = {
+    "Run": "runs a program of another sender",
+    "Hold": "held",
+    "Door": "the safety door is open",
+    "Alarm": "in alarm",
+    "Home": "searching the reference",
+    "Check": "in check mode: nothing moves",
+    "Sleep": "asleep",
+}
+"""Meanings of the states in which this driver must not start a move."""
+
+ALARMS = {
+    1: "limit switch hit; position lost",
+    2: "target beyond the soft limits",
+    3: "reset while moving; position lost",
+    4: "probe failed",
+    5: "probe failed",
+    6: "homing was reset",
+    7: "safety door opened while homing",
+    8: "homing could not leave the limit switch",
+    9: "homing did not find the limit switch",
+    10: "homing did not find the second limit switch",
+}
+
+ERRORS = {
+    2: "bad number",
+    3: "unknown $ command",
+    5: "homing is not enabled ($22)",
+    8: "not idle",
+    9: "locked by an alarm or a jog",
+    10: "soft limits need homing",
+    11: "line too long",
+    12: "step rate too high",
+    15: "jog target beyond the travel",
+    16: "bad jog command",
+    20: "unsupported command",
+    22: "no feed rate",
+}
+
+_REPORT = re.compile(rb"<([A-Z][a-z]+)(?::(\d))?((?:\|[A-Za-z]+:[^|<>]*)+)>\r\n")
+_NUMBER = r"-?\d+\.\d+"
+_MACHINE = re.compile(rf"\|MPos:({_NUMBER}(?:,{_NUMBER})+)(?:\||$)")
+_SETTING = re.compile(rb"\$(\d+)=(-?\d+(?:\.\d+)?)\r\n")
+_BUILD = re.compile(rb"\[VER:([^:\]]*):([^\]]*)\]\r\n")
+
+
+@dataclass(frozen=True)
+class StatusReport:
+    """A status report: state and position of one moment."""
+
+    state: str  # State of the board, such as "Idle"
+    substate: int  # Number after the state, as in "Hold:0"; 0 without one
+    machine_position: tuple[float, ...]  # Position of each axis in machine coordinates, in the board's unit
+
+    @property
+    def moving(self) -> bool:
+        """Whether any axis moves."""
+        return (self.state, self.substate) in _MOVING
+
+
+def parse_report(line: bytes, where: str = "") -> StatusReport | None:
+    r"""Parse a status report.
+
+    Returns: State and position; None for a line that is no status report.
+    Raises ReplyGarbled: The report has no machine position, or an unknown state.
+
+    Examples
+    --------
+    >>> parse_report(b"<Idle|MPos:0.000,-1.500,0.000|FS:0,0>\r\n")
+    StatusReport(state='Idle', substate=0, machine_position=(0.0, -1.5, 0.0))
+    """
+    match = _REPORT.fullmatch(line)
+    if match is None:
+        return None
+    place = _MACHINE.search(match[3].decode("latin-1"))
+    if place is None or match[1].decode() not in READY_STATES | BLOCKING_STATES.keys():
+        raise ReplyGarbled(
+            f"a status report without machine position or with an unknown state: {line[:80]!r}.",
+            where=where,
+            remedy="Set $10=1, so that the board reports machine positions.",
+        )
+    return StatusReport(match[1].decode(), int(match[2] or 0), tuple(map(float, place[1].split(","))))
+
+
+def parse_setting(line: bytes) -> tuple[int, float] | None:
+    r"""Parse one line of the answer to ``$$``.
+
+    Returns: Number and value of the setting; None for any other line.
+
+    Examples
+    --------
+    >>> parse_setting(b"$100=800.000\r\n")
+    (100, 800.0)
+    """
+    match = _SETTING.fullmatch(line)
+    return (int(match[1]), float(match[2])) if match else None
+
+
+def parse_build_info(line: bytes) -> tuple[str, str] | None:
+    r"""Parse the first line of the answer to ``$I``.
+
+    Returns: Version of the firmware, and the name that was given to the board; None for any other line.
+
+    Examples
+    --------
+    >>> parse_build_info(b"[VER:1.1h.20190830:gimbal-7]\r\n")
+    ('1.1h.20190830', 'gimbal-7')
+    """
+    match = _BUILD.fullmatch(line)
+    return (match[1].decode("latin-1"), match[2].decode("latin-1")) if match else None
+
+
+def parse_response(line: bytes) -> int | None:
+    r"""Parse the last line of a reply.
+
+    Returns: 0 for ``ok``, the code of an ``error``; None for any other line.
+
+    Examples
+    --------
+    >>> parse_response(b"error:15\r\n")
+    15
+    """
+    if line == b"ok\r\n":
+        return 0
+    match = re.fullmatch(rb"error:(\d{1,3})\r\n", line)
+    return int(match[1]) if match else None
+
+
+def parse_alarm(line: bytes) -> int | None:
+    r"""Parse an alarm.
+
+    Returns: Code of the alarm; None for any other line.
+
+    Examples
+    --------
+    >>> parse_alarm(b"ALARM:3\r\n")
+    3
+    """
+    match = re.fullmatch(rb"ALARM:(\d{1,2})\r\n", line)
+    return int(match[1]) if match else None
+
+
+def is_welcome(line: bytes) -> bool:
+    """Return whether a line is the welcome message, which the firmware sends when it has started.
+
+    Returns: Whether it is.
+    """
+    return line.startswith(b"Grbl ")
+
+
+def is_informational(line: bytes) -> bool:
+    """Return whether a line needs no action: an empty line, a message, or the echo of a start-up line.
+
+    Returns: Whether it is one of these.
+    """
+    return line == b"\r\n" or line.startswith((b"[MSG:", b">"))
+
+
+def machine_positions(report: StatusReport, places: Sequence[int], where: str) -> tuple[float, ...]:
+    """Return the machine positions of some axes.
+
+    places: Places of the axes in the report: 0 for X, 1 for Y ...
+    Returns: Machine positions, in the board's unit.
+    """
+    if max(places) >= len(report.machine_position):
+        raise ReplyGarbled(
+            f"the board reports {len(report.machine_position)} axes only.",
+            where=where,
+            remedy="Check the axis letters in the station file.",
+        )
+    return tuple(report.machine_position[place] for place in places)
+
 
 _REPLY_S = 1.0
 _MARKER_S = 0.5
@@ -93,7 +276,7 @@ class GrblController(Link):
         if self.needs_reset:
             code = self.alarms[-1] if self.alarms else 1
             raise MoveFailed(
-                f"{grbl_protocol.ALARMS.get(code, 'unknown alarm')} (ALARM:{code}). The board stopped all axes and"
+                f"{ALARMS.get(code, 'unknown alarm')} (ALARM:{code}). The board stopped all axes and"
                 " waits for a reset.",
                 where=self.name,
                 remedy="Move the axis off its limit switch by hand if it stands on it, then home the stage.",
@@ -107,7 +290,7 @@ class GrblController(Link):
         restarts = self.restarts
         with self.lock:
             for _ in range(_WAKE_RESETS):
-                self.write(grbl_protocol.RESET)
+                self.write(RESET)
                 silences = 0
                 while self.restarts == restarts and silences < _WAKE_SILENCES:
                     silences += not self.receive(_QUIET_S)
@@ -145,7 +328,7 @@ class GrblController(Link):
             self._clock.sleep(motion.POLL_S)
             line = self._next_line()
             self.require_awake()
-            if line is not None and grbl_protocol.parse_response(line) is not None:
+            if line is not None and parse_response(line) is not None:
                 self._raise_if_error("$H", line)
                 return
             if self.restarts != restarts:
@@ -158,11 +341,11 @@ class GrblController(Link):
 
     def cancel_jog(self) -> None:
         """Ramp down and cancel the jog; the position is kept."""
-        self.write(grbl_protocol.CANCEL_JOG)
+        self.write(CANCEL_JOG)
 
     def reset(self) -> None:
         """Stop at once, whatever the board does; the position is lost when it was moving."""
-        self.write(grbl_protocol.RESET)
+        self.write(RESET)
         self.mark_out_of_step()
 
     def query_settings(self) -> dict[int, float]:
@@ -170,7 +353,7 @@ class GrblController(Link):
 
         Returns: Values by the numbers of the settings, in the board's units.
         """
-        found = [grbl_protocol.parse_setting(line) for line in self.query("$$")]
+        found = [parse_setting(line) for line in self.query("$$")]
         return dict(setting for setting in found if setting is not None)
 
     def query_build_info(self) -> tuple[str, str]:
@@ -179,7 +362,7 @@ class GrblController(Link):
         Raises ReplyGarbled: The reply holds no version.
         """
         for line in self.query("$I"):
-            if (build := grbl_protocol.parse_build_info(line)) is not None:
+            if (build := parse_build_info(line)) is not None:
                 return build
         self.mark_out_of_step()
         raise ReplyGarbled(
@@ -191,7 +374,7 @@ class GrblController(Link):
     def _query_status_once(self, *, deadline_s: float = _REPLY_S, urgent: bool = False) -> StatusReport:
         def read_reply(reader: ReplyReader) -> StatusReport:
             line = reader.read_line()
-            report = grbl_protocol.parse_report(line, self.name)
+            report = parse_report(line, self.name)
             if report is None:
                 raise ReplyGarbled(
                     f"{line[:80]!r} came instead of a status report.",
@@ -200,7 +383,7 @@ class GrblController(Link):
                 )
             return report
 
-        return self._exchange(grbl_protocol.STATUS, read_reply, deadline_s=deadline_s, urgent=urgent)
+        return self._exchange(STATUS, read_reply, deadline_s=deadline_s, urgent=urgent)
 
     def _exchange(
         self, request: bytes, read: Callable[[ReplyReader], T], *, deadline_s: float, urgent: bool = False
@@ -220,7 +403,7 @@ class GrblController(Link):
 
     def _read_reply(self, sent: str, reader: ReplyReader) -> list[bytes]:
         lines = []
-        while grbl_protocol.parse_response(line := reader.read_line()) is None:
+        while parse_response(line := reader.read_line()) is None:
             lines.append(line)
             if len(lines) > _LONGEST_REPLY:
                 raise ReplyGarbled(
@@ -230,10 +413,10 @@ class GrblController(Link):
         return lines
 
     def _raise_if_error(self, sent: str, response: bytes) -> None:
-        code = grbl_protocol.parse_response(response)
+        code = parse_response(response)
         if code:
             raise DeviceRefused(
-                f"the board refuses '{sent}': {grbl_protocol.ERRORS.get(code, 'unknown error')} (error:{code}).",
+                f"the board refuses '{sent}': {ERRORS.get(code, 'unknown error')} (error:{code}).",
                 where=self.name,
                 remedy="Look the error up in the firmware's list of errors.",
             )
@@ -248,15 +431,15 @@ class GrblController(Link):
         return None
 
     def _take_push_message(self, line: bytes) -> bool:
-        if grbl_protocol.is_welcome(line):
+        if is_welcome(line):
             self.restarts += 1
             self.needs_reset = False
             return True
-        alarm = grbl_protocol.parse_alarm(line)
+        alarm = parse_alarm(line)
         if alarm is not None:
             self.alarms.append(alarm)
             self.needs_reset |= alarm in _HALTING_ALARMS
-        return alarm is not None or grbl_protocol.is_informational(line)
+        return alarm is not None or is_informational(line)
 
     def _wait_for_boot(self) -> None:
         try:
@@ -286,12 +469,12 @@ class GrblController(Link):
 
     def _read_to_error(self, reader: ReplyReader) -> None:
         """Read until an error comes: the answers to older lines come first."""
-        while not grbl_protocol.parse_response(reader.read_line()):
+        while not parse_response(reader.read_line()):
             pass
 
     def _read_single_ok(self, reader: ReplyReader) -> None:
         line = reader.read_line()
-        if grbl_protocol.parse_response(line) != 0:
+        if parse_response(line) != 0:
             raise ReplyGarbled(
                 f"{line[:80]!r} answers an empty line.", where=self.name, remedy="Check the port."
             )

@@ -14,8 +14,7 @@ from drivers.clock import Clock
 from drivers.errors import OutsideLimits
 from drivers.serial_port import Port, closed_on_error
 from drivers.stage import AxisIdentity
-from drivers.stage.thorlabs_controller import ThorlabsController
-from drivers.stage.thorlabs_protocol import Status
+from drivers.stage.thorlabs_controller import Status, ThorlabsController
 from drivers.stage.watched import (
     CHECK_PORTS,
     Axis,

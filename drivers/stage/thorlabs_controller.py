@@ -1,6 +1,11 @@
-"""Talk to one Thorlabs controller on its line: whole messages, repeated queries, signs of life, confirmed stops.
+"""Talk to one Thorlabs controller by the APT protocol: messages, repeated queries, signs of life, confirmed stops.
 
-Degrees belong to ``drivers.stage.thorlabs``, the forms of messages to ``drivers.stage.thorlabs_protocol``.
+A message has a header of six bytes and little-endian data. A short one is its id, two parameters, the destination and
+the source. A long one has the length of its data in place of the parameters, and the top bit of its destination set.
+There is no checksum and no number of a request: a reply is recognised by its id, its addresses, its length and its
+channel. Moves and settings have no reply. Degrees belong to ``drivers.stage.thorlabs``.
+
+Source: Thorlabs, "APT Controllers Host-Controller Communications Protocol", issue 25 and later.
 """
 
 from __future__ import annotations
@@ -8,18 +13,256 @@ from __future__ import annotations
 import math
 import struct
 from collections.abc import Callable
-from typing import Final, TypeVar
+from dataclasses import dataclass
+from typing import Final, Self, TypeVar
 
 from drivers.clock import Clock
-from drivers.errors import ReplyGarbled, ReplyTimeout
+from drivers.errors import DeviceRefused, ReplyGarbled, ReplyTimeout
 from drivers.link import Link, ReplyReader
-from drivers.readings import read_until_agreed
-from drivers.retry import repeat
+from drivers.retry import read_until_agreed, repeat
 from drivers.serial_port import Port
-from drivers.stage import thorlabs_protocol as apt
-from drivers.stage.thorlabs_protocol import Information, Status
 from drivers.stage.watched import read_back_otherwise
 from drivers.wire_log import WireLog
+
+HOST: Final = 0x01
+UNIT: Final = 0x50
+"""Address of a controller with its own USB port."""
+CHANNEL: Final = 1
+HEAD_SIZE: Final = 6
+_LONG: Final = 0x80
+_LONGEST_DATA: Final = 255
+
+STOP_UPDATES: Final = 0x0012
+REQUEST_INFORMATION: Final = 0x0005
+SET_ENABLED: Final = 0x0210
+REQUEST_ENABLED: Final = 0x0211
+REQUEST_POSITION: Final = 0x0411
+SET_SPEED: Final = 0x0413
+REQUEST_SPEED: Final = 0x0414
+REQUEST_STATUS: Final = 0x0429
+HOME: Final = 0x0443
+HOMED: Final = 0x0444
+MOVE_TO: Final = 0x0453
+STOP: Final = 0x0465
+STILL_THERE: Final = 0x0492
+"""A sign of life of the computer. Some controllers stop their updates after about 50 without it."""
+
+UNASKED: Final = frozenset({0x0080, 0x0081, HOMED, 0x0464, 0x0466, 0x0481, 0x0491})
+"""Ids of what a controller sends without a request of this driver: errors, ends of motions, updates."""
+ON: Final = 1
+STOP_BY_RAMP: Final = 2
+
+INFORMATION_LAYOUT: Final = struct.Struct("<I8sH4B60sHHH")
+POSITION_LAYOUT: Final = struct.Struct("<Hi")
+STATUS_LAYOUT: Final = struct.Struct("<HI")
+SPEED_LAYOUT: Final = struct.Struct("<Hiii")
+
+_MOVING: Final = 0x0000_00F0
+_HOMING: Final = 0x0000_0200
+_HOMED: Final = 0x0000_0400
+LIMITS: Final = {
+    0x0000_0001: "forward limit switch",
+    0x0000_0002: "reverse limit switch",
+    0x0000_0004: "forward limit of the controller",
+    0x0000_0008: "reverse limit of the controller",
+}
+FAULTS: Final = {
+    0x0000_4000: "the motor does not follow (position error)",
+    0x0000_8000: "the controller reports a fault of itself",
+    0x0002_0000: "too hot",
+    0x0004_0000: "supply voltage fault",
+    0x0008_0000: "the motor lost its commutation",
+    0x0100_0000: "the motor is overloaded",
+    0x0200_0000: "encoder fault",
+    0x0400_0000: "too much current",
+    0x0800_0000: "supply current fault",
+    0x4000_0000: "the controller reports an error",
+}
+"""Meanings of the status bits with which this driver moves no axis."""
+_USED: Final = _MOVING | _HOMING | _HOMED | sum(LIMITS) | sum(FAULTS)
+
+
+@dataclass(frozen=True)
+class Family:
+    """What differs between families of controllers."""
+
+    speed_factor: float  # Units of speed for one count per second
+    acceleration_factor: float  # Units of acceleration for one count per second squared
+    sign_of_life: bool  # Whether the controller needs signs of life
+    # Scale of a stage with a built-in controller; 0 where the stage is a separate one.
+    counts_per_deg: float = 0.0
+
+
+def _by_sample_time(sample_s: float) -> Family:
+    return Family(65536.0 * sample_s, 65536.0 * sample_s**2, sign_of_life=True)
+
+
+_STEPPER: Final = (53.68, 53.68 * 204.94e-6)
+FAMILIES: Final = {
+    "K10CR1": Family(*_STEPPER, sign_of_life=False, counts_per_deg=409_600 / 3),
+    "K10CR2": Family(*_STEPPER, sign_of_life=False),
+    "KST": Family(*_STEPPER, sign_of_life=False),
+    "TST101": Family(*_STEPPER, sign_of_life=False),
+    "KDC101": _by_sample_time(2048 / 6e6),
+    "TDC001": _by_sample_time(2048 / 6e6),
+    "KBD101": _by_sample_time(102.4e-6),
+    "TBD001": _by_sample_time(102.4e-6),
+}
+"""Families by the beginning of the model's name, as the controller reports it."""
+
+
+@dataclass(frozen=True)
+class Information:
+    """What a controller says of itself."""
+
+    serial: str
+    model: str
+    firmware: str
+
+    @classmethod
+    def unpack(cls, data: bytes) -> Self:
+        """Unpack the data of a reply.
+
+        data: The data, 84 bytes.
+        """
+        serial, model, _, minor, interim, major, *_ = INFORMATION_LAYOUT.unpack(data)
+        name = model.split(b"\0")[0].decode("ascii", errors="replace").strip()
+        return cls(str(serial), name, f"{major}.{interim}.{minor}")
+
+
+@dataclass(frozen=True)
+class Status:
+    """The status bits that this driver uses."""
+
+    bits: int
+
+    @classmethod
+    def unpack(cls, data: bytes) -> Self:
+        """Unpack the data of a reply.
+
+        data: The data, 6 bytes.
+        """
+        return cls(STATUS_LAYOUT.unpack(data)[1] & _USED)
+
+    @property
+    def moving(self) -> bool:
+        """Whether the axis moves, for any reason."""
+        return bool(self.bits & (_MOVING | _HOMING))
+
+    @property
+    def homing(self) -> bool:
+        """Whether it searches its reference."""
+        return bool(self.bits & _HOMING)
+
+    @property
+    def homed(self) -> bool:
+        """Whether it has a reference."""
+        return bool(self.bits & _HOMED)
+
+    @property
+    def limits(self) -> list[str]:
+        """Limits at which it stands."""
+        return [words for bit, words in LIMITS.items() if self.bits & bit]
+
+    @property
+    def faults(self) -> list[str]:
+        """Faults, in words."""
+        return [words for bit, words in FAULTS.items() if self.bits & bit]
+
+
+def short(message: int, first: int = 0, second: int = 0) -> bytes:
+    """Return a short message.
+
+    Examples
+    --------
+    >>> short(HOME, CHANNEL).hex(" ")
+    '43 04 01 00 50 01'
+    """
+    return struct.pack("<HBBBB", message, first, second, UNIT, HOST)
+
+
+def long(message: int, data: bytes) -> bytes:
+    """Return a message with data.
+
+    Examples
+    --------
+    >>> long(MOVE_TO, POSITION_LAYOUT.pack(CHANNEL, -2)).hex(" ")
+    '53 04 06 00 d0 01 01 00 fe ff ff ff'
+    """
+    return struct.pack("<HHBB", message, len(data), UNIT | _LONG, HOST) + data
+
+
+def size(head: bytes, where: str) -> int:
+    """Return the size of the message that begins with a header.
+
+    head: The first six bytes.
+    Returns: Size with the header, in bytes.
+    Raises ReplyGarbled: No controller sends such a header to a computer.
+    """
+    _, length, destination, source = struct.unpack("<HHBB", head)
+    if destination & ~_LONG not in {0, HOST} or source != UNIT:
+        raise _garbled(f"{head.hex(' ')} came, which is not from a controller to this computer.", where)
+    if not destination & _LONG:
+        return HEAD_SIZE
+    if length > _LONGEST_DATA:
+        raise _garbled(f"a message of {length} bytes was announced ({head.hex(' ')}).", where)
+    return HEAD_SIZE + int(length)
+
+
+def is_unasked(message: bytes) -> bool:
+    """Return whether a message answers no request of this driver.
+
+    Returns: Whether it came unasked.
+    """
+    return struct.unpack_from("<H", message)[0] in UNASKED
+
+
+def data_of(message: bytes, wanted: int, layout: struct.Struct, where: str) -> bytes:
+    """Check a message, and return its data.
+
+    wanted: Id of the request; the reply's id is the next number.
+    Raises ReplyGarbled: It is no reply to this request.
+    """
+    data = message[HEAD_SIZE:]
+    if struct.unpack_from("<H", message)[0] != wanted + 1 or len(data) != layout.size:
+        raise _garbled(f"{message[:20].hex(' ')} came, which is no answer to request {wanted:#06x}.", where)
+    if wanted != REQUEST_INFORMATION and struct.unpack_from("<H", data)[0] != CHANNEL:
+        raise _garbled(f"a reply for another channel came: {message.hex(' ')}.", where)
+    return data
+
+
+def parameter_of(message: bytes, wanted: int, where: str) -> int:
+    """Check a short message, and return its second parameter.
+
+    message, wanted, where: See `data_of`.
+    Raises ReplyGarbled: It is no reply to this request.
+    """
+    number, channel, value, destination, _ = struct.unpack_from("<HBBBB", message)
+    if number != wanted + 1 or destination & _LONG or channel != CHANNEL:
+        raise _garbled(f"{message[:20].hex(' ')} came, which is no answer to request {wanted:#06x}.", where)
+    return int(value)
+
+
+def family_of(model: str, where: str) -> Family:
+    """Return the family of a model.
+
+    Raises DeviceRefused: This driver does not know the units of this model.
+    """
+    for beginning, family in FAMILIES.items():
+        if model.upper().startswith(beginning):
+            return family
+    raise DeviceRefused(
+        f"the controller is a {model!r}, whose units of speed this driver does not know.",
+        where=where,
+        remedy=f"Use one of: {', '.join(FAMILIES)}.",
+    )
+
+
+def _garbled(what: str, where: str) -> ReplyGarbled:
+    return ReplyGarbled(
+        what, where=where, remedy="Check that the port is that of the Thorlabs controller, and its cable."
+    )
+
 
 _REPLY_S: Final = 0.5
 _MARKER_S: Final = 0.45
@@ -53,9 +296,9 @@ class ThorlabsController(Link):
             wire_log=wire_log,
         )
         self.mark_out_of_step()
-        self.family = apt.family_of(self.read_information().model, self.name)
+        self.family = family_of(self.read_information().model, self.name)
         if self.family.sign_of_life:
-            self._sign_of_life = apt.short(apt.STILL_THERE)
+            self._sign_of_life = short(STILL_THERE)
 
     def take_line(self) -> bytes | None:
         """Take one unread message.
@@ -64,10 +307,10 @@ class ThorlabsController(Link):
         Raises ReplyGarbled: What is unread does not begin with a header. It is thrown away.
         """
         unread = self.unread
-        if len(unread) < apt.HEAD_SIZE:
+        if len(unread) < HEAD_SIZE:
             return None
         try:
-            return self.take(apt.size(unread[: apt.HEAD_SIZE], self.name))
+            return self.take(size(unread[:HEAD_SIZE], self.name))
         except ReplyGarbled:
             self.take(len(unread))
             raise
@@ -75,14 +318,14 @@ class ThorlabsController(Link):
     def read_information(self) -> Information:
         """Ask who it is, until two answers agree."""
         return self._read_twice(
-            lambda: Information.unpack(self._query(apt.REQUEST_INFORMATION, apt.INFORMATION_LAYOUT)),
+            lambda: Information.unpack(self._query(REQUEST_INFORMATION, INFORMATION_LAYOUT)),
             "the identity",
         )
 
     def read_status(self) -> Status:
         """Ask for the status, until two answers agree: one changed bit could give an axis a reference."""
         return self._read_twice(
-            lambda: Status.unpack(self._query(apt.REQUEST_STATUS, apt.STATUS_LAYOUT)), "the status"
+            lambda: Status.unpack(self._query(REQUEST_STATUS, STATUS_LAYOUT)), "the status"
         )
 
     def read_position(self) -> int:
@@ -91,7 +334,7 @@ class ThorlabsController(Link):
         Returns: Position, in counts.
         """
         return int(
-            apt.POSITION_LAYOUT.unpack(self._query(apt.REQUEST_POSITION, apt.POSITION_LAYOUT))[1],
+            POSITION_LAYOUT.unpack(self._query(REQUEST_POSITION, POSITION_LAYOUT))[1],
         )
 
     def read_speed(self) -> tuple[int, int]:
@@ -99,8 +342,8 @@ class ThorlabsController(Link):
 
         Returns: Acceleration and speed, in the controller's units.
         """
-        data = self._read_twice(lambda: self._query(apt.REQUEST_SPEED, apt.SPEED_LAYOUT), "the speed")
-        _, _, acceleration, speed = apt.SPEED_LAYOUT.unpack(data)
+        data = self._read_twice(lambda: self._query(REQUEST_SPEED, SPEED_LAYOUT), "the speed")
+        _, _, acceleration, speed = SPEED_LAYOUT.unpack(data)
         return int(acceleration), int(speed)
 
     def set_speed(self, acceleration: int, speed: int) -> None:
@@ -109,7 +352,7 @@ class ThorlabsController(Link):
         acceleration, speed: In the controller's units.
         """
         self._set_until_right(
-            apt.long(apt.SET_SPEED, apt.SPEED_LAYOUT.pack(apt.CHANNEL, 0, acceleration, speed)),
+            long(SET_SPEED, SPEED_LAYOUT.pack(CHANNEL, 0, acceleration, speed)),
             self.read_speed,
             (acceleration, speed),
             "acceleration and speed",
@@ -123,28 +366,26 @@ class ThorlabsController(Link):
 
         def ask() -> int:
             def read_reply(reader: ReplyReader) -> int:
-                return apt.parameter_of(reader.read_line(), apt.REQUEST_ENABLED, self.name)
+                return parameter_of(reader.read_line(), REQUEST_ENABLED, self.name)
 
-            return repeat(lambda: self._exchange(apt.short(apt.REQUEST_ENABLED, apt.CHANNEL), read_reply))
+            return repeat(lambda: self._exchange(short(REQUEST_ENABLED, CHANNEL), read_reply))
 
-        return self._read_twice(ask, "the state of the channel") == apt.ON
+        return self._read_twice(ask, "the state of the channel") == ON
 
     def enable(self) -> None:
         """Switch the channel on: the motor holds its position."""
-        self._set_until_right(
-            apt.short(apt.SET_ENABLED, apt.CHANNEL, apt.ON), self.is_enabled, True, "the channel"
-        )
+        self._set_until_right(short(SET_ENABLED, CHANNEL, ON), self.is_enabled, True, "the channel")
 
     def move(self, count: int) -> None:
         """Start a move. The command is sent once, and has no reply.
 
         count: Target, in counts.
         """
-        self._command(apt.long(apt.MOVE_TO, apt.POSITION_LAYOUT.pack(apt.CHANNEL, count)))
+        self._command(long(MOVE_TO, POSITION_LAYOUT.pack(CHANNEL, count)))
 
     def home(self) -> None:
         """Start a search of the reference. The command is sent once, and has no reply."""
-        self._command(apt.short(apt.HOME, apt.CHANNEL))
+        self._command(short(HOME, CHANNEL))
 
     def stop(self, ramp_s: float) -> None:
         """Ramp down at once, and ask until the axis stands. A stop that shows no effect is sent again.
@@ -158,7 +399,7 @@ class ThorlabsController(Link):
     # ------------------------------------------------------------ inside
 
     def _stop_once(self, ramp_s: float) -> None:
-        request = self._sign_of_life + apt.short(apt.STOP, apt.CHANNEL, apt.STOP_BY_RAMP)
+        request = self._sign_of_life + short(STOP, CHANNEL, STOP_BY_RAMP)
         for poll in range(math.ceil((2.0 * ramp_s + 0.5) / _STOP_POLL_S)):
             if poll % _POLLS_A_STOP == 0:
                 self.write(request)
@@ -196,10 +437,10 @@ class ThorlabsController(Link):
         self, message: int, layout: struct.Struct, *, deadline_s: float = _REPLY_S, urgent: bool = False
     ) -> bytes:
         def read_reply(reader: ReplyReader) -> bytes:
-            return apt.data_of(reader.read_line(), message, layout, self.name)
+            return data_of(reader.read_line(), message, layout, self.name)
 
-        channel = 0 if message == apt.REQUEST_INFORMATION else apt.CHANNEL
-        return self._exchange(apt.short(message, channel), read_reply, deadline_s=deadline_s, urgent=urgent)
+        channel = 0 if message == REQUEST_INFORMATION else CHANNEL
+        return self._exchange(short(message, channel), read_reply, deadline_s=deadline_s, urgent=urgent)
 
     def _exchange(
         self,
@@ -212,8 +453,8 @@ class ThorlabsController(Link):
         return self.exchange(self._sign_of_life + request, read_reply, deadline_s=deadline_s, urgent=urgent)
 
     def _take_unasked(self, message: bytes) -> bool:
-        unasked = apt.is_unasked(message)
-        if unasked and message[:2] == apt.HOMED.to_bytes(2, "little"):
+        unasked = is_unasked(message)
+        if unasked and message[:2] == HOMED.to_bytes(2, "little"):
             self.homings += 1
         return unasked
 
@@ -222,12 +463,12 @@ class ThorlabsController(Link):
 
         def clear_device() -> None:
             # Nothing that could complete a cut command may be sent here: a move is a command with data.
-            self.write(apt.short(apt.STOP_UPDATES))
+            self.write(short(STOP_UPDATES))
             self.drain(_QUIET_S, _LONGEST_DRAIN_S)
 
         self.prove_in_step(
             lambda: self._query_once(
-                apt.REQUEST_INFORMATION, apt.INFORMATION_LAYOUT, deadline_s=_MARKER_S, urgent=True
+                REQUEST_INFORMATION, INFORMATION_LAYOUT, deadline_s=_MARKER_S, urgent=True
             ),
             quiet_s=_QUIET_S,
             limit_s=_LONGEST_DRAIN_S,

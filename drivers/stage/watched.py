@@ -25,7 +25,7 @@ from drivers.errors import (
     WrongDevice,
 )
 from drivers.link import Link
-from drivers.readings import Reading, read_position_until_agreed
+from drivers.retry import Reading, read_position_until_agreed
 from drivers.serial_port import Port, SerialPort
 from drivers.stage import AxisIdentity, AxisLimits, motion
 from drivers.wire_log import WireLog

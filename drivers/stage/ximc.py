@@ -10,7 +10,7 @@ import struct
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import ClassVar
+from typing import ClassVar, TypeVar
 
 from drivers.clock import Clock
 from drivers.errors import DeviceRefused, OutsideLimits, ReplyGarbled
@@ -27,13 +27,15 @@ from drivers.stage.watched import (
     not_movable,
     read_back_otherwise,
 )
-from drivers.stage.ximc_protocol import EdgeSettings, MoveSettings, Status
+from drivers.stage.ximc_protocol import EdgeSettings, MoveSettings, Settings, Status
 from drivers.wire_log import WireLog
 
 _REPLY_S = 1.0
 _MARKER_S = 0.5
 _QUIET_S = 0.05
 _LONGEST_DRAIN_S = 1.0
+
+S = TypeVar("S", bound=Settings)
 
 
 class XimcController(Link):
@@ -70,19 +72,9 @@ class XimcController(Link):
         """Ask for the state of the axis."""
         return Status.unpack(self._query("gets", Status.LAYOUT))
 
-    def read_move_settings(self) -> MoveSettings:
-        """Ask for speed and acceleration.
-
-        Returns: The settings, in the controller's units.
-        """
-        return MoveSettings.unpack(self._query("gmov", MoveSettings.LAYOUT))
-
-    def read_edge_settings(self) -> EdgeSettings:
-        """Ask for the borders at which the controller itself stops.
-
-        Returns: The settings, in the controller's units.
-        """
-        return EdgeSettings.unpack(self._query("geds", EdgeSettings.LAYOUT))
+    def read_settings(self, kind: type[S]) -> S:
+        """Ask for settings, which are in the controller's units."""
+        return kind.unpack(self._query(kind.READ, kind.LAYOUT))
 
     def set(self, command: str, data: bytes) -> None:
         """Send a setting; repeat it when its echo does not come, which does no harm.
@@ -362,7 +354,7 @@ class XimcStage(LinePerAxisStage[XimcAxis, XimcController]):
                 where=axis.name,
                 remedy="Change speed_deg_s and acceleration_deg_s2 in the station file.",
             )
-        present = controller.read_move_settings()
+        present = controller.read_settings(MoveSettings)
         wanted = replace(
             present,
             speed=speed // controller.division,
@@ -370,15 +362,12 @@ class XimcStage(LinePerAxisStage[XimcAxis, XimcController]):
             acceleration=ramp,
             deceleration=ramp,
         )
-        if wanted != present:
-            controller.set("smov", wanted.pack())
-        if (got := controller.read_move_settings()) != wanted:
-            raise read_back_otherwise(axis.name, "speed and acceleration", wanted, got)
+        self._set(axis, present, wanted, "speed and acceleration")
 
     def _program_borders(self, axis: XimcAxis) -> None:
         """Narrow the borders of the controller, unless its borders are limit switches, which are better."""
         controller = self._lines[axis.name]
-        present = controller.read_edge_settings()
+        present = controller.read_settings(EdgeSettings)
         if not present.border_flags & ximc_protocol.BORDERS_COUNTED:
             return
         ends = sorted(self._count(axis, end) for end in (axis.limits.lowest_deg, axis.limits.highest_deg))
@@ -398,10 +387,15 @@ class XimcStage(LinePerAxisStage[XimcAxis, XimcController]):
             right_steps=right,
             right_microsteps=right_micro,
         )
+        self._set(axis, present, wanted, "borders")
+
+    def _set(self, axis: XimcAxis, present: Settings, wanted: Settings, what: str) -> None:
+        """Set what differs, and read it back."""
+        controller = self._lines[axis.name]
         if wanted != present:
-            controller.set("seds", wanted.pack())
-        if (got := controller.read_edge_settings()) != wanted:
-            raise read_back_otherwise(axis.name, "borders", wanted, got)
+            controller.set(wanted.WRITE, wanted.pack())
+        if (got := controller.read_settings(type(wanted))) != wanted:
+            raise read_back_otherwise(axis.name, what, wanted, got)
 
 
 def _faults(status: Status) -> list[str]:

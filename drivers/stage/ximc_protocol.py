@@ -129,10 +129,9 @@ def check_data(command: str, data: bytes, where: str) -> bytes:
 class Status:
     """The data of ``gets``: the state of the axis at one moment."""
 
-    LAYOUT: ClassVar[struct.Struct] = struct.Struct("<5Bihqih5hIIB4x")
+    LAYOUT: ClassVar[struct.Struct] = struct.Struct("<xB3xihq16xI9x")
 
     command_state: int  # Latest motion command, and whether it runs or has failed
-    encoder_state: int
     # steps, microsteps: Position, in full steps and microsteps beyond them.
     steps: int
     microsteps: int
@@ -145,8 +144,7 @@ class Status:
 
         data: The data, without CRC.
         """
-        fields = cls.LAYOUT.unpack(data)
-        return cls(fields[1], fields[3], fields[5], fields[6], fields[7], fields[15])
+        return cls(*cls.LAYOUT.unpack(data))
 
     @property
     def running(self) -> bool:
@@ -174,11 +172,36 @@ class Status:
         return [words for flag, words in STATE_FLAGS.items() if self.flags & flag]
 
 
+class Settings:
+    """Settings that are read and written as a whole: a frozen dataclass of all fields of their layout."""
+
+    LAYOUT: ClassVar[struct.Struct]
+    READ: ClassVar[str]
+    WRITE: ClassVar[str]
+    """Commands that ask for them, and that set them."""
+
+    @classmethod
+    def unpack(cls, data: bytes) -> Self:
+        """Unpack the data of a reply.
+
+        data: The data, without CRC.
+        """
+        return cls(*cls.LAYOUT.unpack(data))
+
+    def pack(self) -> bytes:
+        """Pack the data of a request.
+
+        Returns: The data, without CRC.
+        """
+        return self.LAYOUT.pack(*vars(self).values())
+
+
 @dataclass(frozen=True)
-class MoveSettings:
+class MoveSettings(Settings):
     """The data of ``gmov`` and ``smov``."""
 
-    LAYOUT: ClassVar[struct.Struct] = struct.Struct("<IBHHIBB9s")
+    LAYOUT = struct.Struct("<IBHHIBB9s")
+    READ, WRITE = "gmov", "smov"
 
     # speed, speed_microsteps: Speed, in full steps per second and microsteps per second beyond them.
     speed: int
@@ -192,27 +215,13 @@ class MoveSettings:
     flags: int
     reserved: bytes
 
-    @classmethod
-    def unpack(cls, data: bytes) -> Self:
-        """Unpack the data of a reply.
-
-        data: The data, without CRC.
-        """
-        return cls(*cls.LAYOUT.unpack(data))
-
-    def pack(self) -> bytes:
-        """Pack the data of a request.
-
-        Returns: The data, without CRC.
-        """
-        return self.LAYOUT.pack(*vars(self).values())
-
 
 @dataclass(frozen=True)
-class EdgeSettings:
+class EdgeSettings(Settings):
     """The data of ``geds`` and ``seds``: the borders at which the controller itself stops."""
 
-    LAYOUT: ClassVar[struct.Struct] = struct.Struct("<BBihih6s")
+    LAYOUT = struct.Struct("<BBihih6s")
+    READ, WRITE = "geds", "seds"
 
     border_flags: int
     switch_flags: int
@@ -223,21 +232,6 @@ class EdgeSettings:
     right_steps: int
     right_microsteps: int
     reserved: bytes
-
-    @classmethod
-    def unpack(cls, data: bytes) -> Self:
-        """Unpack the data of a reply.
-
-        data: The data, without CRC.
-        """
-        return cls(*cls.LAYOUT.unpack(data))
-
-    def pack(self) -> bytes:
-        """Pack the data of a request.
-
-        Returns: The data, without CRC.
-        """
-        return self.LAYOUT.pack(*vars(self).values())
 
 
 ENGINE_LAYOUT = struct.Struct("<HHIBHhBH12x")

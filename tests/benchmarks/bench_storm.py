@@ -75,7 +75,7 @@ def main() -> int:
     given.folder.mkdir(parents=True)
     began_s = time.monotonic()
     runs = [start(given.folder, number) for number in range(given.runs)]
-    loads, wrong, counts, bins = [], 0, [], []
+    loads, wrong = [], 0
     while any(run.poll() is None for run in runs):
         loads.append(os.getloadavg()[0])
         time.sleep(2.0)
@@ -84,12 +84,6 @@ def main() -> int:
         log = folder.with_suffix(".log").read_text(errors="replace")
         end = ending(folder)
         lateness = end.get("lateness", {})
-        if lateness:
-            bins = lateness["bins_s"]
-            counts = [
-                a + b
-                for a, b in zip(counts or [0] * len(lateness["counts"]), lateness["counts"], strict=True)
-            ]
         bad = run.returncode != 0 and any(remedy in log for remedy in WRONG_REMEDIES)
         wrong += bad
         why = "" if run.returncode == 0 else " ".join(log.strip().splitlines()[-3:])[:300]
@@ -101,7 +95,6 @@ def main() -> int:
     print(
         f"{time.monotonic() - began_s:.0f} s; load {min(loads):.1f} to {max(loads):.1f}; wrong remedies: {wrong}"
     )
-    print("delays up to", *(f"{end:g} s" for end in bins), "and more:", counts)
     return int(wrong > 0)
 
 

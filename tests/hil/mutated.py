@@ -126,4 +126,5 @@ XIMC: Final[dict[str, Change]] = {
     "never idle": command_state(lambda state: state | 0x80),
     "always idle": command_state(lambda state: state & ~0x80),
     "echo": lambda said: b"gets" + said if said.strip(b"\0") else said,
+    "a zero too many": with_data(lambda said: said + b"\0"),
 }

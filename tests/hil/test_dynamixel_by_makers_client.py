@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from drivers.stage import dynamixel_protocol as ours
+from drivers.stage import dynamixel_bus as ours
 from simulators.ports.pseudo_terminal import PseudoTerminal
 from simulators.ports.serial_device import SerialDevice
 from simulators.stages.axis_motion import Mechanics

@@ -17,7 +17,7 @@ from drivers.errors import (
     WrongDevice,
 )
 from drivers.stage import AxisLimits
-from drivers.stage import thorlabs_protocol as apt
+from drivers.stage import thorlabs_controller as apt
 from drivers.stage.dynamixel import DynamixelAxis, DynamixelStage
 from drivers.stage.thorlabs import ThorlabsAxis, ThorlabsStage
 from simulators.faults.line_faults import FaultLine, LineFault

@@ -310,6 +310,8 @@ def test_a_stage_is_identified_homed_moved_and_stopped(rig, stage) -> None:
     assert not stage.is_homed()
     with pytest.raises(NotHomed):
         stage.move_to({"pan": 1.0})
+    for name, axis in rig.axes.items():
+        assert axis.pointing.angle_deg(time.monotonic()) == pytest.approx(STARTS[name], abs=1e-5)
     stage.home()
     assert stage.is_homed()
     assert stage.faults() == []

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.camera.event_arrays import Events
-from drivers.camera.formats import aedat4, ecf, prophesee_words, ros_bags
+from drivers.camera.formats import ecf, prophesee_words
 from drivers.camera.formats.event_files import CD_TYPE
 from drivers.camera.formats.event_source import (
     MOST_TRIGGERS,
@@ -39,6 +39,7 @@ from drivers.camera.formats.hdf5_reading import (
     whole,
 )
 from drivers.camera.formats.library_process import source_of_library
+from drivers.camera.formats.library_reader import AEDAT4_MAGIC, is_bag
 from drivers.camera.raw_header import MAX_HEADER_BYTES
 from drivers.camera.whole_file import require_regular, require_whole
 from drivers.errors import NotARecording, RecordingCorrupt, RecordingFileError
@@ -75,9 +76,9 @@ def open_events(path: Path | str) -> Iterator[EventSource]:
                 source = _from_metavision(hdf5) if has_member(hdf5, "CD") else _from_hdf5(hdf5)
             elif start[:4] == b"PK\x03\x04":
                 source = opened.enter_context(source_of_library(path, "npz"))
-            elif ros_bags.is_bag(path, start):
+            elif is_bag(path, start):
                 source = opened.enter_context(source_of_library(path, "bag"))
-            elif start.startswith(aedat4.MAGIC):
+            elif start.startswith(AEDAT4_MAGIC):
                 source = opened.enter_context(source_of_library(path, "aedat4"))
             else:
                 source = _from_prophesee(path, start)
@@ -117,7 +118,7 @@ def _told(path: Path) -> Iterator[None]:
 
 def _start(path: Path) -> bytes:
     """Return the first bytes of a file that is whole; nothing for the folder of a ROS 2 bag."""
-    if ros_bags.is_bag(path, b""):
+    if is_bag(path, b""):
         return b""
     require_regular(path)
     with path.open("rb") as file:

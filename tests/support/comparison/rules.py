@@ -32,7 +32,7 @@ TEXT_RULES: dict[str, re.Pattern[str]] = {
 #: Keys of JSON objects whose numbers are times, durations or names of processes.
 NUMBER_KEYS = re.compile(r"^(t|pid|(.*_)?mono_s|.*_utc|took_s|elapsed_s|hours|working_hours)$")
 #: Objects all of whose numbers tell how busy the computer was, or how much was said while a stage moved.
-NUMBER_PLACES = re.compile(r"/lateness/(counts|load|longest_s|lost_s)\b|/written-\d+/wire/[^/]+/size$")
+NUMBER_PLACES = re.compile(r"/lateness/(load|longest_s|lost_s)\b|/written-\d+/wire/[^/]+/size$")
 #: Events that tell of the computer, not of the run; their entries are left out.
 PASSING_EVENTS = frozenset({"computer_busy"})
 

@@ -147,17 +147,6 @@ def test_the_controllers_errors_are_told_once_in_plain_words(homed, peer) -> Non
     assert homed.faults() == []
 
 
-def test_closing_gives_the_port_back(stage, peer) -> None:
-    stage.close()
-    assert peer.closed
-
-
-def test_without_reference_nothing_is_moved(stage, peer) -> None:
-    with pytest.raises(NotHomed):
-        stage.move_to({"pan": 1.0})
-    assert peer.motions() == []
-
-
 def test_a_motor_switched_off_undoes_the_reference(homed, peer) -> None:
     peer.axes[2].motor = False
     assert not homed.is_homed()

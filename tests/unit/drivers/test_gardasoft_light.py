@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import numpy as np
 import pytest
 
 from drivers.errors import DriverError, LightFault, ReplyError, SettingRefused, WrongDevice
 from drivers.light import LightSettings
 from drivers.light.gardasoft import GardasoftLight
-from tests.unit.drivers.noisy_port import NoisyPort
 from tests.unit.drivers.rt_peer import RtPeer
 
 FLICKER = LightSettings("square", 60.0, 30.0, 0.0, 2.5, sync_output=True)
@@ -175,32 +173,6 @@ def test_a_controller_with_one_thing_wrong_is_refused(peer, clock, spoil) -> Non
     with pytest.raises(DriverError):
         open_and_apply()
     assert not peer.lit
-
-
-@pytest.mark.parametrize("exchanges", [pytest.param(3_000), pytest.param(100_000, marks=pytest.mark.slow)])
-@pytest.mark.parametrize("rate", [0.02, 0.2])
-def test_no_setting_that_is_told_is_wrong(clock, exchanges, rate) -> None:
-    peer = RtPeer()
-    rng = np.random.default_rng(9)
-    port = NoisyPort(peer, rng, 0.0)
-    light = GardasoftLight(port, clock=clock)
-    light.apply(FLICKER)
-    port.rate = rate
-    good = 0
-    while port.writes < exchanges:
-        peer.running = 0
-        peer.period_ms = float(rng.integers(10, 100))
-        peer.channels[1].update(MD=2, S=float(rng.integers(1, 100)))
-        before = (peer.period_ms, dict(peer.channels[1]))
-        try:
-            told = light.read()
-        except DriverError:
-            continue
-        if before == (peer.period_ms, peer.channels[1]):  # a question changed on its way can be a command
-            assert told.frequency_hz == 1e3 / before[0]
-            assert told.high_v == 5.0 * before[1]["S"] / 100.0
-        good += 1
-    assert good > 10
 
 
 STEADY = LightSettings("steady", low_v=2.5, high_v=2.5, sync_output=False)

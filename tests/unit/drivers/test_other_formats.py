@@ -169,7 +169,7 @@ def bag(path, version, rows, kind):
     pytest.importorskip("rosbags")
     from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-    from drivers.camera.formats.ros_bags import _DEFINITIONS
+    from drivers.camera.formats.library_reader import _DEFINITIONS
 
     store = get_typestore(Stores.ROS1_NOETIC if version == 1 else Stores.ROS2_HUMBLE)
     for name, text in _DEFINITIONS.items():

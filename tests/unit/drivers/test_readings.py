@@ -3,7 +3,7 @@
 import pytest
 
 from drivers.errors import ReplyGarbled
-from drivers.readings import Reading, read_position_until_agreed, read_until_agreed
+from drivers.retry import Reading, read_position_until_agreed, read_until_agreed
 
 
 def position(readings: list[tuple[float, float, bool]]) -> float:

@@ -7,19 +7,22 @@ from collections.abc import Callable
 import pytest
 
 from drivers.errors import PortLost, ReplyGarbled, ReplyTimeout
-from drivers.retry import RESYNCHRONISE_TRIES, TRIES, repeat, resynchronise
+from drivers.link import RESYNCHRONISE_TRIES, Link
+from drivers.retry import TRIES, repeat
 
 
-class Line:
+class Line(Link):
     """A line whose old bytes are given, one drain after the other; keeps what happens to it."""
 
-    def __init__(self, *unread: bytes) -> None:
-        self.unread = list(unread)
+    name = "port"
+
+    def __init__(self, *old: bytes) -> None:
+        self.old = list(old)
         self.events: list[str] = []
 
     def drain(self, quiet_s: float, limit_s: float) -> bytes:
         self.events.append("drain")
-        return self.unread.pop(0) if self.unread else b""
+        return self.old.pop(0) if self.old else b""
 
 
 def answers(line: Line, *outcomes: bool | Exception) -> Callable[[], bool]:
@@ -36,8 +39,8 @@ def answers(line: Line, *outcomes: bool | Exception) -> Callable[[], bool]:
     return exchange_marker
 
 
-def bring_into_step(line: Line, *outcomes: bool | Exception, **more) -> bool:
-    return resynchronise(line, answers(line, *outcomes), quiet_s=0.1, limit_s=1.0, **more)
+def bring_into_step(line: Line, *outcomes: bool | Exception, **more) -> None:
+    line.prove_in_step(answers(line, *outcomes), quiet_s=0.1, limit_s=1.0, **more)
 
 
 def test_a_request_is_repeated_until_its_reply_is_good() -> None:
@@ -82,20 +85,21 @@ def test_a_lost_port_ends_the_attempts_at_once() -> None:
 
 def test_a_marker_answered_on_a_silent_line_proves_that_it_is_in_step() -> None:
     line = Line()
-    assert bring_into_step(line, True)
+    bring_into_step(line, True)
     assert line.events == ["drain", "marker", "drain"]
 
 
 def test_what_follows_the_marker_is_a_reason_to_try_again() -> None:
     line = Line(b"old", b"doubled", b"", b"")
-    assert bring_into_step(line, True, True)
+    bring_into_step(line, True, True)
     assert line.events == ["drain", "marker", "drain"] * 2
 
 
 @pytest.mark.parametrize("outcome", [False, True], ids=["another answer", "more than was asked for"])
 def test_a_line_that_cannot_be_brought_into_step_is_said_to_be_out_of_it(outcome) -> None:
     line = Line(*[b"", b"" if not outcome else b"more"] * RESYNCHRONISE_TRIES)
-    assert not bring_into_step(line, *[outcome] * RESYNCHRONISE_TRIES)
+    with pytest.raises(ReplyGarbled, match="port: more bytes come than were asked for"):
+        bring_into_step(line, *[outcome] * RESYNCHRONISE_TRIES)
 
 
 def test_a_marker_without_answer_is_sent_again_and_then_an_error() -> None:
@@ -118,13 +122,13 @@ def test_a_silent_line_is_not_asked_twice_where_the_caller_repeats(first, marker
 
 def test_with_message_ids_nothing_waits_for_silence_after_the_marker() -> None:
     line = Line()
-    assert bring_into_step(line, True, silence_after=False)
+    bring_into_step(line, True, silence_after=False)
     assert line.events == ["drain", "marker"]
 
 
 def test_old_bytes_are_inspected_before_the_device_is_cleared() -> None:
     line = Line(b"ALARM:1\r\n")
-    assert bring_into_step(
+    bring_into_step(
         line,
         True,
         inspect_old=lambda old: line.events.append(old.decode().strip()),

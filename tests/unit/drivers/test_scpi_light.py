@@ -10,8 +10,7 @@ import pytest
 from drivers.clock import SystemClock
 from drivers.errors import DriverError, LightFault, ReplyError, SettingRefused, WrongDevice
 from drivers.light import LightSettings
-from drivers.light.scpi import ScpiLight
-from drivers.light.scpi_dialects import DIALECTS, DialectName
+from drivers.light.scpi import DIALECTS, DialectName, ScpiLight
 from drivers.text_line import ScpiLine
 from tests.unit.drivers.generator_peer import Generator, NumberedGenerator, SiglentGenerator
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from drivers.errors import DeviceRefused, MoveFailed, NotHomed, OutsideLimits, WrongDevice
+from drivers.errors import DeviceRefused, MoveFailed, OutsideLimits, WrongDevice
 from drivers.stage import AxisLimits
 from drivers.stage.zaber import ZaberAxis, ZaberStage
 from tests.unit.drivers.zaber_peer import SCALE, axes
@@ -97,11 +97,6 @@ def test_an_axis_that_somebody_parked_refuses_moves_and_says_so(homed, peer) -> 
         homed.move_to({"pan": 1.0})
 
 
-def test_closing_gives_the_port_back(stage, peer) -> None:
-    stage.close()
-    assert peer.closed
-
-
 # ---------------------------------------------------------------- refused before anything moves
 def test_another_serial_number_is_refused_and_nothing_is_set(peer, clock) -> None:
     peer.tilt.settings["system.serial"] = "999999"
@@ -115,12 +110,6 @@ def test_a_target_outside_the_limits_sends_nothing_at_all(homed, peer) -> None:
     with pytest.raises(OutsideLimits):
         homed.move_to({"pan": 1.0, "tilt": 15.5})
     assert peer.sent == []
-
-
-def test_without_reference_nothing_is_moved(stage, peer) -> None:
-    with pytest.raises(NotHomed, match="pan: the axis has no reference"):
-        stage.move_to({"pan": 1.0})
-    assert peer.motions() == []
 
 
 @pytest.mark.parametrize("flag", ["FS", "FH", "FE", "WM", "FX"])
