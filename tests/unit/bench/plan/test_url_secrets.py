@@ -25,6 +25,7 @@ def plan_of(tmp_path, more="", sequence="three_pose", **words):
         (HOOK, "url_env: NAME in place of url"),
         ("\nmessages: {webhooks: [{url: 'https://hooks.slack.com/services/T/B/x'}]}\n", "url_env: NAME"),
         (f"\n# the camera is rtsp://admin:{SECRET}@10.0.0.9/\n", "this line contains a URL with a password"),
+        (f"\n# the camera is https://x%3A{SECRET}@10.0.0.9/\n", "this line contains a URL with a password"),
         (
             f"\noperator: Ada, https://lab.example/?token={SECRET}\n",
             "operator: this is a URL with a token",
