@@ -233,9 +233,9 @@ def budget_of(
         symbol,
         unit,
         tuple(_in_words(row, words) for row in rows if row.u > 0),
-        u=_digits(stated.u),
-        nu_eff=None if stated.nu_eff is None else _digits(stated.nu_eff),
-        k=_digits(stated.k),
+        u=nine_digits(stated.u),
+        nu_eff=None if stated.nu_eff is None else nine_digits(stated.nu_eff),
+        k=nine_digits(stated.k),
         U=rounded,
         remarks=tuple(remarks),
     )
@@ -292,12 +292,12 @@ def _row(
         value=value if has_value else None,
         unit=value_unit if has_value else "",
         distribution=str(row.get("distribution") or "normal"),
-        divisor=_digits(divisor) if has_value and divisor else None,
-        sensitivity=None if sensitivity is None else _digits(sensitivity),
+        divisor=nine_digits(divisor) if has_value and divisor else None,
+        sensitivity=None if sensitivity is None else nine_digits(sensitivity),
         sensitivity_unit=(unit if base == "1" else f"{unit}/{base}") if has_value else "",
-        u=_digits(u),
-        share=_digits((u / whole) ** 2) if whole > 0 else 0.0,
-        nu=None if freedom is None or not math.isfinite(freedom) else _digits(float(freedom)),
+        u=nine_digits(u),
+        share=nine_digits((u / whole) ** 2) if whole > 0 else 0.0,
+        nu=None if freedom is None or not math.isfinite(freedom) else nine_digits(float(freedom)),
         source=str(row.get("source") or _SOURCES.get(group, "joint adjustment")),
         number=source.number,
         date=source.date,
@@ -403,6 +403,6 @@ def _welch_satterthwaite(calibration: CalibrationData, symbol: str, nu_views: fl
     return whole**2 / spread if spread > 0 else math.inf
 
 
-def _digits(number: float) -> float:
+def nine_digits(number: float) -> float:
     """Return a calculated number with nine digits, so that another processor calculates the same text."""
     return float(f"{number:.9g}")

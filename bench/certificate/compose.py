@@ -7,10 +7,10 @@ and the statements of conformity are made here, too. The guard band is the expan
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from decimal import Decimal
-from typing import Any
+from typing import Any, TypeVar, get_type_hints
 
 from bench.certificate import run_facts
 from bench.certificate.budget_rows import RowSource, budget_of
@@ -41,9 +41,7 @@ from bench.certificate.certificate_data import (
 from bench.certificate.lab_config import (
     NONE,
     AccreditationConfig,
-    AddressConfig,
     ConditionConfig,
-    ContactConfig,
     LabConfig,
     PreviousConfig,
     RuleConfig,
@@ -55,6 +53,7 @@ from bench.records.results import Results
 from bench.report.target_words import words_of
 from calib.model.budget_row import PASSPORT
 from calib.model.lens import is_fisheye
+from sequences.strict_model import StrictModel
 
 _SIMULATED = (
     "SIMULATED: the devices of this calibration were simulated. This document shows the procedure; it is no calibration"
@@ -180,6 +179,9 @@ def conformity_of(rule: RuleConfig, result: Result) -> Conformity:
     )
 
 
+Part = TypeVar("Part")
+
+
 @dataclass(frozen=True)
 class Identity:
     """What makes this certificate this one: everything that neither the run's results nor lab.yaml can give."""
@@ -210,16 +212,16 @@ def compose(found: Results, lab: LabConfig, identity: Identity) -> Certificate:
         simulated=simulated,
         laboratory=_laboratory(lab),
         customer=Customer(
-            lab.customer.name or "", _contact(lab.customer.contact), _address(lab.customer.address)
+            lab.customer.name or "",
+            _part(Contact, lab.customer.contact),
+            _part(Address, lab.customer.address),
         ),
         item=_item(found, lab),
         received=lab.item.received.isoformat() if lab.item.received else "",
         begun_utc=run_facts.utc_seconds(found["run"]["started_utc"]),
         ended_utc=run_facts.utc_seconds(found["run"]["finished_utc"]),
         issued_utc=identity.issued_utc,
-        method=Method(lab.method.id, lab.method.version, lab.method.text)
-        if lab.method
-        else Method("", "", ""),
+        method=_part(Method, lab.method),
         deviations=(
             *run_facts.deviations_of(found),
             *(Deviation(text, "laboratory") for text in lab.deviations or ()),
@@ -240,10 +242,10 @@ def compose(found: Results, lab: LabConfig, identity: Identity) -> Certificate:
         customer_supplied=tuple(one.text for one in lab.customer_supplied or ()),
         external=lab.external or (),
         opinions=lab.opinions,
-        authorised_by=(
-            AuthorisedBy(lab.authorised_by.name, lab.authorised_by.role, lab.authorised_by.key)
-            if lab.authorised_by
-            else AuthorisedBy("", "", "")
+        authorised_by=_part(
+            AuthorisedBy,
+            lab.authorised_by,
+            key_fingerprint=lab.authorised_by.key if lab.authorised_by else "",
         ),
         run=identity.run,
         amends=identity.amends,
@@ -281,38 +283,33 @@ def _laboratory(lab: LabConfig) -> Laboratory:
     stated = lab.laboratory.accreditation
     return Laboratory(
         name=lab.laboratory.name or "",
-        address=_address(lab.laboratory.address),
-        contact=_contact(lab.laboratory.contact),
-        accreditation=(
-            Accreditation(stated.body, stated.number, stated.scope)
-            if isinstance(stated, AccreditationConfig)
-            else None
-        ),
+        address=_part(Address, lab.laboratory.address),
+        contact=_part(Contact, lab.laboratory.contact),
+        accreditation=_part(Accreditation, stated) if isinstance(stated, AccreditationConfig) else None,
         place_kind=lab.place.kind if lab.place else "other",
         place=lab.place.name if lab.place else "",
     )
 
 
-def _address(one: AddressConfig | None) -> Address:
-    if one is None:
-        return Address("", "", "", "")
-    return Address(one.street or "", one.post_code or "", one.city, one.country)
+def _part(kind: Callable[..., Part], one: StrictModel | None, **other: Any) -> Part:
+    """Return a part of the certificate: what lab.yaml states under the same names, and empty texts for the rest.
 
-
-def _contact(one: ContactConfig | None) -> Contact:
-    return Contact("", "", "") if one is None else Contact(one.name or "", one.email or "", one.phone or "")
+    other: Fields that lab.yaml does not state in this form.
+    """
+    stated = {} if one is None else dict(one)
+    return kind(
+        **{name: other[name] if name in other else stated.get(name) or "" for name in get_type_hints(kind)}
+    )
 
 
 def _item(found: Results, lab: LabConfig) -> Item:
     lens = lab.item.lens
     return Item(
         camera=run_facts.camera_identity(found, lab.item),
-        lens=Lens(
-            maker=lens.maker or "",
-            model=lens.model or "",
+        lens=_part(
+            Lens,
+            lens,
             serial="" if lens.serial in (None, NONE) else str(lens.serial),
-            focus=lens.focus or "",
-            aperture=lens.aperture or "",
             focus_locked=bool(lens.focus_locked),
             aperture_locked=bool(lens.aperture_locked),
         ),
@@ -343,17 +340,15 @@ def _traceability(found: Results, lab: LabConfig) -> tuple[Traceability, ...]:
     if in_run := found.get("passport"):
         rows.append(_collimator(found, in_run, by_row.get(PASSPORT)))
     rows += [
-        Traceability(
-            what=one.what or one.row or "",
+        _part(
+            Traceability,
+            one,
+            what=one.what or one.row,
             value=None,
             U=None,
             k=None,
             unit="1",
-            number=one.number or "",
-            issuer=one.issuer or "",
             date=one.date.isoformat() if one.date else "",
-            sha256=one.sha256 or "",
-            statement=one.statement or "",
         )
         for one in lab.sources
         if not (in_run and one.row == PASSPORT)
@@ -364,22 +359,17 @@ def _traceability(found: Results, lab: LabConfig) -> tuple[Traceability, ...]:
 def _collimator(found: Results, in_run: Mapping[str, Any], stated: SourceConfig | None) -> Traceability:
     radius = (in_run.get("values") or {}).get("r")
     expanded, k = _radius_uncertainty(found, in_run)
-    source = RowSource(
-        str(in_run.get("number") or (stated and stated.number) or ""),
-        str(in_run.get("date") or (stated and stated.date and stated.date.isoformat()) or ""),
-        (stated and stated.sha256) or str(in_run.get("sha256") or ""),
-    )
-    return Traceability(
+    return _part(
+        Traceability,
+        stated,
         what=(stated and stated.what) or "focal length of the collimator",
         value=None if radius is None else float(radius),
         U=expanded,
         k=k,
         unit="mm",
-        number=source.number,
-        issuer=(stated and stated.issuer) or "",
-        date=source.date,
-        sha256=source.sha256,
-        statement=(stated and stated.statement) or "",
+        number=str(in_run.get("number") or (stated and stated.number) or ""),
+        date=str(in_run.get("date") or (stated and stated.date and stated.date.isoformat()) or ""),
+        sha256=(stated and stated.sha256) or str(in_run.get("sha256") or ""),
     )
 
 

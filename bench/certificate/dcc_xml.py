@@ -207,7 +207,7 @@ SI_SCHEMA = "SI_Format.xsd"
 SIGNATURE_SCHEMA = "xmldsig-core-schema.xsd"
 _FILES = {DCC: DCC_SCHEMA, SI: SI_SCHEMA, DS: SIGNATURE_SCHEMA}
 _XS = "{http://www.w3.org/2001/XMLSchema}"
-_MOST_BYTES = 4 * 1024 * 1024
+_MOST_SCHEMA_BYTES = 4 * 1024 * 1024
 _MOST_FAULTS = 50
 _REMEDY = (
     "Get dcc.xsd and SI_Format.xsd of the certificate's version from PTB (https://ptb.de/dcc, https://ptb.de/si), put"
@@ -261,7 +261,7 @@ def load_schema(folder: Path, versions: Versions) -> XMLSchema:
         SI_SCHEMA: _schema_bytes(folder / SI_SCHEMA, SI, versions.si),
         SIGNATURE_SCHEMA: _signature_schema(folder),
     }
-    parser = _parser(etree)
+    parser = _schema_parser(etree)
     parser.resolvers.add(_resolver(etree, contents))
     try:
         return etree.XMLSchema(etree.fromstring(contents[DCC_SCHEMA], parser))
@@ -271,7 +271,7 @@ def load_schema(folder: Path, versions: Versions) -> XMLSchema:
         ) from error
 
 
-def _parser(etree: Any) -> Any:
+def _schema_parser(etree: Any) -> Any:
     return etree.XMLParser(no_network=True, load_dtd=False, resolve_entities=False, huge_tree=False)
 
 
@@ -298,11 +298,11 @@ def _schema_bytes(path: Path, namespace: str, version: str) -> bytes:
         raise UsageError(
             f"The folder has no {path.name}, which the check needs.", where=str(path.parent), remedy=_REMEDY
         )
-    if path.stat().st_size > _MOST_BYTES:
+    if path.stat().st_size > _MOST_SCHEMA_BYTES:
         raise UsageError("The file is too large for a schema.", where=str(path), remedy=_REMEDY)
     content = path.read_bytes()
     try:
-        root: _Element = etree.fromstring(content, _parser(etree))
+        root: _Element = etree.fromstring(content, _schema_parser(etree))
     except (etree.XMLSyntaxError, ValueError) as error:
         raise UsageError(
             f"The file is not an XML schema ({short(str(error))}).", where=str(path), remedy=_REMEDY

@@ -11,7 +11,7 @@ from collections.abc import Mapping
 from datetime import datetime
 from typing import Any
 
-from bench.certificate.budget_rows import expanded, print_plain, print_result, with_unit
+from bench.certificate.budget_rows import expanded, nine_digits, print_plain, print_result, with_unit
 from bench.certificate.certificate_data import (
     Camera,
     Condition,
@@ -69,11 +69,11 @@ def _result(calibration: CalibrationData, symbol: str, value: float, *, supplied
         name=_NAMES.get(symbol, f"coefficient {symbol} of the distortion"),
         value=value,
         unit=unit,
-        u=_digits(own.u),
+        u=nine_digits(own.u),
         U=float(uncertainty),
-        k=_digits(own.k),
+        k=nine_digits(own.k),
         p=PROBABILITY,
-        nu_eff=None if own.nu_eff is None else _digits(own.nu_eff),
+        nu_eff=None if own.nu_eff is None else nine_digits(own.nu_eff),
         printed_value=shown,
         printed_uncertainty=uncertainty,
         text=f"{with_unit(shown, unit)} \N{PLUS-MINUS SIGN} {with_unit(uncertainty, unit)}",
@@ -95,7 +95,7 @@ def covariance_of(found: Results) -> Covariance:
         symbols,
         tuple(unit_of(symbol) for symbol in symbols),
         tuple(
-            tuple(_digits(float(matrix[at[i]][at[j]]) / (growth[i] * growth[j])) for j in symbols)
+            tuple(nine_digits(float(matrix[at[i]][at[j]]) / (growth[i] * growth[j])) for j in symbols)
             for i in symbols
         ),
     )
@@ -154,7 +154,7 @@ def _projection(id_: str, name: str, one: KnownDirection) -> list[FurtherResult]
 
 
 def _further(id_: str, name: str, value: float, unit: str) -> FurtherResult:
-    return FurtherResult(id_, name, _digits(value), unit, with_unit(print_plain(value), unit))
+    return FurtherResult(id_, name, nine_digits(value), unit, with_unit(print_plain(value), unit))
 
 
 def is_unnamed(found: Results) -> bool:
@@ -183,11 +183,7 @@ def camera_identity(found: Results, item: ItemConfig) -> Camera:
     biases = settings.get("biases") or {}
     stated = json.dumps(biases, sort_keys=True, separators=(",", ":")).encode()
     return Camera(
-        maker=str(camera.get("maker") or ""),
-        model=str(camera.get("model") or ""),
-        sensor=str(camera.get("sensor") or ""),
-        serial=str(camera["serial"]),
-        firmware=str(camera.get("firmware") or ""),
+        **{name: str(camera.get(name) or "") for name in ("maker", "model", "sensor", "serial", "firmware")},
         image_size=tuple(int(size) for size in found["calibration"]["image_size"]),
         biases=tuple(f"{name} = {biases[name]}" for name in sorted(biases)),
         biases_sha256=sha256(stated) if biases else "",
@@ -253,7 +249,7 @@ def _setting(name: str, value: Any) -> str:
 
 
 def _value(name: str, value: float | None, unit: str) -> Condition | None:
-    return None if value is None else Condition(name, _digits(float(value)), unit, None, None, "", "run")
+    return None if value is None else Condition(name, nine_digits(float(value)), unit, None, None, "", "run")
 
 
 def _text(name: str, parts: list[str]) -> Condition | None:
@@ -312,7 +308,3 @@ def utc_seconds(moment: str) -> str:
     '2026-11-21T01:06:35Z'
     """
     return datetime.fromisoformat(moment).strftime("%Y-%m-%dT%H:%M:%SZ")
-
-
-def _digits(number: float) -> float:
-    return float(f"{number:.9g}")
