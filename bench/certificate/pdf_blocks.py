@@ -27,16 +27,12 @@ def paragraph(text: str, tone: Literal["plain", "note", "lead"] = "plain", *, st
 
     tone: ``note`` for small print, ``lead`` for the first line of the certificate.
     sticky: Whether it stays on one page with the block after it.
-    Returns: The block.
     """
     return {"kind": "paragraph", "text": text, "tone": tone, "sticky": sticky}
 
 
 def heading(text: str) -> Block:
-    """Return a heading of second rank.
-
-    Returns: The block.
-    """
+    """Return a heading of second rank."""
     return {"kind": "heading", "text": text}
 
 
@@ -44,7 +40,6 @@ def notice(title: str, lines: Sequence[str], *, warning: bool = False) -> Block:
     """Return a box that a reader must not overlook.
 
     warning: Whether it is a warning: red.
-    Returns: The block.
     """
     return {"kind": "notice", "title": title, "lines": list(lines), "tone": "warning" if warning else "plain"}
 
@@ -54,16 +49,12 @@ def pairs(rows: Iterable[tuple[Cell, Cell]], label_mm: float = 42.0, **layout: A
 
     label_mm: Width of the names, mm.
     layout: ``columns`` and ``size`` (points).
-    Returns: The block.
     """
     return {"kind": "pairs", "rows": filled(rows), "label_mm": label_mm, **layout}
 
 
 def filled(rows: Iterable[tuple[Cell, Cell]]) -> list[tuple[Cell, Cell]]:
-    """Return the rows that have a value.
-
-    Returns: The rows whose value is not empty.
-    """
+    """Return the rows that have a value."""
     return [(name, value) for name, value in rows if value]
 
 
@@ -80,7 +71,6 @@ def table(
     align: Alignment of each column; None for left everywhere.
     layout: ``size`` (points), ``gap`` and ``pad`` (space beside and above the text, mm), ``break`` (a word of
       this length may break anywhere) and ``foot`` (text of a last row over all columns).
-    Returns: The block.
     """
     assert all(len(row) == len(head) == len(widths) for row in rows)
     return {
@@ -94,10 +84,7 @@ def table(
 
 
 def bullets(items: Sequence[Cell]) -> Block:
-    """Return a list.
-
-    Returns: The block.
-    """
+    """Return a list."""
     return {"kind": "list", "items": list(items)}
 
 
@@ -105,7 +92,6 @@ def together(*blocks: Block) -> Block:
     """Return blocks that stay on one page.
 
     blocks: The blocks; together they are shorter than a page.
-    Returns: The block.
     """
     return {"kind": "together", "blocks": list(blocks)}
 

@@ -48,10 +48,7 @@ _ONE_PAGE = 30
 
 
 def budgets(certificate: Certificate) -> list[Block]:
-    """Return one table for each result, and the list of the sources that they refer to.
-
-    Returns: The blocks.
-    """
+    """Return one table for each result, and the list of the sources that they refer to."""
     sources = _sources(certificate.budgets)
     blocks: list[Block] = []
     common = _common(certificate.budgets)
@@ -148,10 +145,7 @@ _POWER = re.compile(r"\^(\d+)")
 
 
 def results(certificate: Certificate) -> list[Block]:
-    """Return the table of the results.
-
-    Returns: The blocks.
-    """
+    """Return the table of the results."""
     found = certificate.results
     values = at_the_point([printed(one.printed_value) for one in found])
     expanded = at_the_point([printed(one.printed_uncertainty) for one in found])
@@ -191,10 +185,7 @@ def results(certificate: Certificate) -> list[Block]:
 
 
 def conformity(certificate: Certificate) -> list[Block]:
-    """Return the statements of conformity, each with its limits and its rule.
-
-    Returns: The blocks.
-    """
+    """Return the statements of conformity, each with its limits and its rule."""
     found = certificate.conformity
     if not found:
         return [paragraph("No statement of conformity was asked for.")]
@@ -260,10 +251,7 @@ def projection(certificate: Certificate) -> list[Block]:
 
 
 def covariance(certificate: Certificate) -> list[Block]:
-    """Return covariance and correlation of the results; a large matrix in several parts.
-
-    Returns: The blocks.
-    """
+    """Return covariance and correlation of the results; a large matrix in several parts."""
     found = certificate.covariance
     units = ", ".join(
         f"{name} in {unit}" for name, unit in zip(found.names, found.units, strict=True) if unit != "1"

@@ -29,7 +29,6 @@ from bench.certificate.pdf_blocks import (
     with_unit,
 )
 from bench.certificate.pdf_plots import Picture
-from bench.certificate.pdf_results import budgets
 from bench.report.text import moment
 
 _AUTHORISATION = "SHA256SUMS.authorised.sig"
@@ -45,10 +44,7 @@ def state(certificate: Certificate) -> str:
 
 
 def authorisation(certificate: Certificate) -> list[Block]:
-    """Return who authorises the certificate, and where the signature is (ISO/IEC 17025, 7.8.2.1 o).
-
-    Returns: The blocks.
-    """
+    """Return who authorises the certificate, and where the signature is (ISO/IEC 17025, 7.8.2.1 o)."""
     person = certificate.authorised_by
     rows: list[tuple[Cell, Cell]] = [
         ("Authorised by", {"text": person.name, "bold": True}),
@@ -65,10 +61,7 @@ def authorisation(certificate: Certificate) -> list[Block]:
 
 
 def verification(certificate: Certificate, attachments: Mapping[str, bytes]) -> list[Block]:
-    """Return the commands that verify the certificate, the sealed run, and the attached files.
-
-    Returns: The blocks.
-    """
+    """Return the commands that verify the certificate, the sealed run, and the attached files."""
     run, person = certificate.run, certificate.authorised_by
     steps = [
         {
@@ -137,10 +130,7 @@ def _check(namespace: str, signature: str, signed: str) -> str:
 
 
 def opening(certificate: Certificate) -> list[Block]:
-    """Return what stands above the first section: item, state, parties, dates.
-
-    Returns: The blocks.
-    """
+    """Return what stands above the first section: item, state, parties, dates."""
     blocks = [paragraph(subject(certificate), "lead")]
     if certificate.simulated:
         text = certificate.statement("simulated") or "The devices of this run were simulated."
@@ -284,7 +274,7 @@ def sections(
         ("Conditions", _conditions(certificate.conditions)),
         ("Method and deviations", _method(certificate)),
         ("Metrological traceability", _traceability(certificate)),
-        ("Uncertainty budgets", budgets(certificate)),
+        ("Uncertainty budgets", pdf_results.budgets(certificate)),
         ("Covariance and correlation of the results", pdf_results.covariance(certificate)),
         ("Results before adjustment", _before(certificate)),
         ("Amendments", _amendments(certificate)),

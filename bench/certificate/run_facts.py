@@ -158,10 +158,7 @@ def _further(id_: str, name: str, value: float, unit: str) -> FurtherResult:
 
 
 def is_unnamed(found: Results) -> bool:
-    """Return whether the camera did not report a serial number. The laboratory then identifies it.
-
-    Returns: Whether it has none.
-    """
+    """Return whether the camera did not report a serial number. The laboratory then identifies it."""
     return not found["devices"]["camera"].get("serial")
 
 
