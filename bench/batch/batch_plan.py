@@ -8,12 +8,14 @@ from __future__ import annotations
 import dataclasses
 import functools
 import json
+from collections.abc import Mapping
 from dataclasses import dataclass
 from datetime import datetime, timedelta
 from pathlib import Path
 from typing import Any
 
 from bench.base.errors import ScriptError
+from bench.batch.pace import Pace
 from bench.batch.schedule import Bounds, Item, Slot, bounds_of, items_of, look_ahead
 from bench.plan.plan import Plan, load_documents, make_plan
 from bench.plan.url_secrets import find_url_secrets
@@ -139,6 +141,14 @@ class BatchPlan:
     bounds: Bounds  # Times between which it works
     slots: tuple[Slot, ...]  # Expected times of each run; runs without time are last
     plans: dict[str, Plan]
+    paces: Mapping[str, Pace]  # By the name of the station
+
+    @property
+    def slow(self) -> list[str]:
+        """Why the forecast is longer than the plans, for each station where it is."""
+        stations = {plan.station.value.name for plan in self.plans.values()}
+        texts = (self.paces.get(name, Pace()).text(name) for name in sorted(stations))
+        return [text for text in texts if text]
 
     @property
     def end(self) -> datetime:
@@ -177,6 +187,7 @@ class BatchPlan:
             "end_utc": self.end.isoformat(),
             "runs": len(self.slots) - len(without_time),
             "size_bytes": self.size_bytes,
+            "slow": self.slow,
             "items": [
                 {
                     "item": slot.item.key,
@@ -189,13 +200,21 @@ class BatchPlan:
         }
 
 
-def plan_batch(queue: Queue, begun: datetime) -> BatchPlan:
+def plan_batch(queue: Queue, begun: datetime, paces: Mapping[str, Pace] | None = None) -> BatchPlan:
     """Predict when each run of a queue begins and ends, if the batch begins at a given time.
 
     begun: Begin of the batch, with its time zone.
+    paces: How long earlier runs took against their plans, by the name of the station.
     Raises ScriptError: When a file that the queue names cannot be read.
     """
     bounds = bounds_of(queue, begun)
     items = items_of(queue.jobs, begun, bounds.opens_s, queue.zone)
-    slots = look_ahead(items, 0.0, bounds, lambda item: planned_duration_s(item.job))
-    return BatchPlan(queue, begun, bounds, tuple(slots), {job.name: plan_of(job) for job in queue.jobs})
+    plans = {job.name: plan_of(job) for job in queue.jobs}
+    known = paces or {}
+
+    def duration_s(item: Item) -> float:
+        pace = known.get(plan_of(item.job).station.value.name, Pace())
+        return planned_duration_s(item.job) * pace.factor
+
+    slots = look_ahead(items, 0.0, bounds, duration_s)
+    return BatchPlan(queue, begun, bounds, tuple(slots), plans, known)

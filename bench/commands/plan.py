@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
-from bench.base.errors import UsageError
+from bench.base.errors import BenchError, UsageError
 from bench.commands.options import BEGIN, SEQUENCE_NAME, SET, STATION_NAME, epilog, settings_of
 from bench.commands.output import JSON, show
 from bench.report.verdict import angle_text
@@ -18,6 +19,7 @@ from calib.model.budget_row import WORST_CORNER
 if TYPE_CHECKING:
     from bench.batch.batch_plan import BatchPlan
     from bench.plan.plan import Plan
+    from bench.records.ledger_runs import LedgerRun
     from bench.results.forecasts import PlanForecast
     from bench.results.until_forecast import ExpectedCourse
     from calib.model.budget_row import BudgetRow
@@ -227,10 +229,17 @@ def _why(pose: SuggestedPose) -> str:
 def _show_night(queue: Path, begin: datetime | None) -> int:
     """Print when each run of a queue begins and ends, for which there is no time, and what each job will reach."""
     from bench.batch.batch_plan import plan_batch, read_queue
+    from bench.batch.pace import paces
     from bench.results.forecasts import expected_uncertainty
+    from bench.results.previous_calibration import bench_ledger
 
     read = read_queue(queue)
-    night = plan_batch(read.value, begin_utc(read.value, begin))
+    known: list[LedgerRun] = []
+    with suppress(
+        BenchError
+    ):  # a ledger that is broken is told by the commands that read it for its own sake
+        known = bench_ledger().runs()
+    night = plan_batch(read.value, begin_utc(read.value, begin), paces(known))
     forecasts = {name: expected_uncertainty(planned) for name, planned in night.plans.items()}
     expected = {name: dict(found.forecast.sigma) if found else None for name, found in forecasts.items()}
     show(lambda: {**night.to_dict(), "expected_sigma": expected}, _night_lines(night, forecasts))
@@ -253,6 +262,7 @@ def _night_lines(night: BatchPlan, forecasts: Mapping[str, PlanForecast | None])
         return f"{night.moment(at_s).astimezone(zone):%a %H:%M}"
 
     begins = f"{night.moment(night.bounds.opens_s).astimezone(zone):%a %Y-%m-%d %H:%M %Z}"
+    yield from (f"{text}\n" for text in night.slow)
     yield f"{night.queue.name}: from {begins}\n\n{'begin':<10} {'end':<10} {'takes':>12}  run"
     rows = [
         f"{clock(slot.begin_s):<10} {clock(slot.end_s):<10} {duration_text(slot.end_s - slot.begin_s):>12}"

@@ -11,6 +11,7 @@ import base64
 import binascii
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
+from datetime import datetime, timedelta
 from pathlib import Path
 from typing import Any
 
@@ -27,6 +28,8 @@ from bench.records.run_index import RunIndex
 from bench.records.storage import sha256_of
 
 _LARGEST_SIGNATURE_BYTES = 64 * 1024
+_CLOCK_SLACK = timedelta(minutes=10)
+"""A clock may be set while a run begins or ends by so much without a fault."""
 _ASK = "Ask who can write to this computer's files."
 
 
@@ -84,6 +87,9 @@ class _Said:
     run_id: str
     simulated: bool
     camera: str
+    # begun_utc, last_utc: Times of the line that names the place in the ledger, and of the last line.
+    begun_utc: str
+    last_utc: str
 
 
 def ledger_faults_of_run(folder: Path, ledger: Ledger) -> list[str]:
@@ -132,6 +138,7 @@ def _differences(folder: Path, said: _Said, entered: LedgerRun) -> list[str]:
     for what, (here, there) in stated.items():
         if here != there:
             found.append(f"The {what} of this run is {here} in its journal and {there} in the ledger. {_ASK}")
+    found += _dates(said, entered)
     if is_sealed(folder):
         if entered.seal is None and entered.how != STILL_OPEN:
             found.append(
@@ -141,6 +148,22 @@ def _differences(folder: Path, said: _Said, entered: LedgerRun) -> list[str]:
             found.append(
                 f"This folder has another seal than the ledger: it was changed and sealed again. {_ASK}"
             )
+    return found
+
+
+def _dates(said: _Said, entered: LedgerRun) -> list[str]:
+    """Compare the times of the journal with those at which the ledger took the run and its seal."""
+    begun, last = (datetime.fromisoformat(text) for text in (said.begun_utc, said.last_utc))
+    found = []
+    if abs(begun - datetime.fromisoformat(entered.begun_utc)) > _CLOCK_SLACK:
+        found.append(
+            f"The journal of this run states {said.begun_utc} for its begin, the ledger {entered.begun_utc}. {_ASK}"
+        )
+    if entered.seal is not None and datetime.fromisoformat(entered.ended_utc) < last - _CLOCK_SLACK:
+        found.append(
+            f"The ledger took the end and the seal of this run at {entered.ended_utc}, before the last line of its "
+            f"journal, {said.last_utc}. {_ASK}"
+        )
     return found
 
 
@@ -154,6 +177,7 @@ def _said_by(folder: Path) -> _Said | None:
     places = [data["ledger"] for data in started if isinstance(data.get("ledger"), Mapping)]
     if not places:
         return None
+    begun = [e.utc for e in entries if e.data.get("ledger") == places[-1]]
     cameras = [e.data.get("camera") for e in entries if e.event == Event.DEVICES]
     camera = cameras[-1] if cameras and isinstance(cameras[-1], Mapping) else {}
     return _Said(
@@ -161,4 +185,6 @@ def _said_by(folder: Path) -> _Said | None:
         str(started[0].get("id", "")),
         bool(started[0].get("simulated", False)),
         str(camera.get("serial", "")),
+        begun[0],
+        entries[-1].utc,
     )

@@ -27,6 +27,7 @@ class LedgerRun:
     how: str = STILL_OPEN  # State of the run: ``finished``, ``aborted``, ``failed`` or ``open``
     seal: str | None = None  # SHA-256 of its list of files; None when it was not sealed
     head: str = ""  # Hash of the line that enters it
+    ended_utc: str = ""  # Time of the line with its end and its seal; empty without one
 
 
 def runs_of(entries: Iterable[Entry]) -> list[LedgerRun]:
@@ -49,7 +50,7 @@ def runs_of(entries: Iterable[Entry]) -> list[LedgerRun]:
                 runs.append(LedgerRun(number, *names, begun_utc=entry.utc, head=entry.hash))
             elif entry.event == RUN_ENDED and not data.get("lost"):
                 at = place_of[data["number"]]
-                runs[at] = replace(runs[at], how=data["how"], seal=data["seal"])
+                runs[at] = replace(runs[at], how=data["how"], seal=data["seal"], ended_utc=entry.utc)
         except (LookupError, TypeError, ValueError) as error:
             raise JournalBroken(
                 f"Line {entry.seq + 1} of the ledger is not a line about a run.",

@@ -161,10 +161,39 @@ def test_a_failed_run_that_was_made_a_finished_one_is_noticed(bench, tmp_path):
 )
 def test_a_journal_written_anew_contradicts_the_ledger(bench, tmp_path, changed, what):
     bench.run(tmp_path / "run")
-    folder = writable(tmp_path / "run")
+    folder = written_anew(bench, tmp_path / "run", changed)
+    assert [f for f in ledger_faults_of_run(folder, bench.ledger) if f.startswith(f"The {what} of this run")]
+
+
+@pytest.mark.parametrize(
+    ("year", "faults"),
+    [
+        (2026, []),
+        (2025, ["The journal of this run states 2025-03-01T00:00:00"]),
+        (
+            2027,
+            [
+                "The journal of this run states 2027-03-01T00:00:00",
+                "The ledger took the end and the seal of this run at 2026-03-01T00:00:00",
+            ],
+        ),
+    ],
+)
+def test_dates_of_journal_and_seal_that_contradict_each_other_are_told(bench, tmp_path, year, faults):
+    bench.run(tmp_path / "run")
+    clocks = {**CLOCKS, "utc_now": lambda: datetime(year, 3, 1, tzinfo=UTC)}
+    folder = written_anew(bench, tmp_path / "run", {}, clocks)
+    dates = [f for f in ledger_faults_of_run(folder, bench.ledger) if "-03-01T" in f]
+    assert len(dates) == len(faults)
+    assert all(found.startswith(due) for found, due in zip(dates, faults, strict=True))
+
+
+def written_anew(bench, path, changed, clocks=CLOCKS):
+    """Write the journal of a run again, with other facts, and seal the run again."""
+    folder = writable(path)
     lines = [json.loads(line) for line in (folder / "journal.jsonl").read_text().splitlines()]
     (folder / "journal.jsonl").unlink()
-    with Journal.create(folder / "journal.jsonl", **CLOCKS) as journal:
+    with Journal.create(folder / "journal.jsonl", **clocks) as journal:
         for line in lines:
             data = {
                 k: v for k, v in line.items() if k not in {"seq", "utc", "mono_s", "event", "prev", "hash"}
@@ -176,7 +205,7 @@ def test_a_journal_written_anew_contradicts_the_ledger(bench, tmp_path, changed,
                 data["camera"] = {"serial": changed["camera"]}
             journal.append(line["event"], **data)
     reseal(folder, bench.key)
-    assert [f for f in ledger_faults_of_run(folder, bench.ledger) if f.startswith(f"The {what} of this run")]
+    return folder
 
 
 @pytest.mark.parametrize("journal", [None, b"", b"junk\n"])
