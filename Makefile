@@ -22,8 +22,7 @@ $(VENV)/made:
 
 $(VENV)/installed: $(VENV)/made pyproject.toml $(FRONT_DOOR)
 	@echo "Installing Starbench into $(VENV) ..."
-	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable .
-	@echo "Compiling the event kernels, once ..."
+	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-compile --editable .
 	@$(BIN)/python -m bench.warm_up
 	@touch $@
 

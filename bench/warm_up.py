@@ -1,38 +1,55 @@
-"""Compiles the event kernels before the first run. numba keeps them on the disk, so that later runs start at once.
+"""Compiles the loops of the program by using each once. numba keeps them on the disk; later processes read them.
 
-It makes one recording with the simulated bench and measures it; that uses every kernel. The stage does not move.
+`bench.terminal.compiling` calls this module for each part in a process of its own. The stage does not move.
 """
 
 from __future__ import annotations
 
+import os
+import sys
 import tempfile
 from contextlib import suppress
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import cast
 
 import click
 
-from bench.align.live_figures import LiveSetting, LiveSlice, measure_live
-from bench.base.clock import BenchClock
-from bench.base.kernel_cache import remove_stale_kernels
-from bench.stations.devices import Devices
-from bench.stations.station import load_station
-from bench.views.measure import measure
-from drivers.camera import CameraSettings, EventCamera
+from bench.base.clock import BenchClock, VirtualClock
+from bench.base.kernel_cache import PARTS, remove_stale_kernels, set_kernel_cache
+from bench.terminal.compiling import compile_missing
 from drivers.errors import RecordingFailed
-from drivers.light import LightSettings
 
 _DURATION_S = 0.051
 _ATTEMPTS = 5
 
 
-def warm_up() -> int:
-    """Make one recording with the simulated bench and measure it.
+def compile_part(part: str) -> None:
+    """Compile a part in this process, by using it once.
 
     Raises drivers.errors.DriverError, SimulationError: When the simulated bench does not work on this
       computer.
     """
-    remove_stale_kernels()
+    with tempfile.TemporaryDirectory() as folder:
+        {"adjustment": _rehearse, "stars": _record_and_measure}[part](Path(folder))
+
+
+def _rehearse(folder: Path) -> None:
+    """Calibrate from the stars of a rehearsed run."""
+    from bench.rehearsal.rehearsal import rehearse_run
+
+    clock = VirtualClock(datetime(2026, 3, 1, tzinfo=UTC))
+    rehearse_run("three_pose", "simulated", seed=0, operator=None, folder=folder / "run", clock=clock)
+
+
+def _record_and_measure(folder: Path) -> None:
+    """Make one recording with the simulated bench, and measure it."""
+    from bench.stations.devices import Devices
+    from bench.stations.station import load_station
+    from bench.views.measure import measure
+    from drivers.camera import CameraSettings, EventCamera
+    from drivers.light import LightSettings
+
     station = load_station("simulated").value
     devices = Devices(station, seed=0, clock=BenchClock(), wire_log=None)
     try:
@@ -40,33 +57,23 @@ def warm_up() -> int:
         camera.apply(CameraSettings())
         devices.light.apply(LightSettings())
         devices.light.on()
-        with tempfile.TemporaryDirectory() as folder:
-            path = _recorded(camera, Path(folder))
-            found = measure(
-                path,
-                name="warm-up",
-                target=station.target.pattern(),
-                image="auto",
-                periods=2,
-                expected_hz=60.0,
-            )
-            measure_live(LiveSlice(path), LiveSetting.of_station(station, frequency_hz=60.0, light_on=True))
+        path = folder / "warm-up.raw"
+        for _ in range(_ATTEMPTS):  # the driver's deadline passes while the simulated camera is compiled
+            with suppress(RecordingFailed):
+                camera.record(path, _DURATION_S)
+                break
+            path = path.with_stem(f"{path.stem}-again")
     finally:
         devices.make_safe()
         devices.close()
-    return found.stars
-
-
-def _recorded(camera: EventCamera, folder: Path) -> Path:
-    """Record, several times if the driver's deadline passes while the kernels of the simulated camera are compiled."""
-    *tries, last = (folder / f"warm-up-{number}.raw" for number in range(_ATTEMPTS))
-    for path in tries:
-        with suppress(RecordingFailed):
-            camera.record(path, _DURATION_S)
-            return path
-    camera.record(last, _DURATION_S)
-    return last
+    target = station.target.pattern()
+    measure(path, name="warm-up", target=target, image="auto", periods=2, expected_hz=60.0)
 
 
 if __name__ == "__main__":
-    click.echo(f"Event kernels are compiled (test recording: {warm_up()} stars found).")
+    if sys.argv[1:]:
+        compile_part(sys.argv[1])
+    else:
+        set_kernel_cache(os.environ)
+        remove_stale_kernels()
+        compile_missing(PARTS, click.echo)

@@ -7,14 +7,18 @@ a function fails (documentation of numba, ``NUMBA_CACHE_DIR``). This must theref
 from __future__ import annotations
 
 import os
+import sys
 import tempfile
-from collections.abc import MutableMapping
+from collections.abc import Mapping, MutableMapping, Sequence
 from contextlib import suppress
 from pathlib import Path
 
 VARIABLE = "NUMBA_CACHE_DIR"
 _ROOT = Path(__file__).parents[2]
 _BESIDE = _ROOT / "calib"
+_LAST_KERNELS = {"adjustment": "search_kernel.search", "stars": "edge_pixels._add_edge"}
+PARTS = tuple(_LAST_KERNELS)
+"""Parts of the program with compiled loops that calculate results."""
 _PACKAGES_WITH_KERNELS = ("calib", "drivers", "simulators")
 
 
@@ -37,6 +41,26 @@ def set_kernel_cache(environ: MutableMapping[str, str], *, beside: Path = _BESID
     private = not hasattr(os, "getuid") or (status.st_uid == os.getuid() and not status.st_mode & 0o077)
     usable = private and folder.is_dir() and not folder.is_symlink()
     environ[VARIABLE] = str(folder) if usable else tempfile.mkdtemp(prefix="starbench-kernels-")
+
+
+def missing_parts(parts: Sequence[str], environ: Mapping[str, str], *, root: Path = _ROOT) -> tuple[str, ...]:
+    """Return the parts of the program whose loops no earlier process has compiled.
+
+    A part counts as compiled if one of its last kernels is; `remove_stale_kernels` removes all kernels of a folder
+    together.
+    """
+    if environ.get(VARIABLE):
+        caches = [Path(environ[VARIABLE])]
+    elif _may_write(root / "calib" / "__pycache__"):
+        caches = [root / "calib"]
+    else:
+        caches = [_user_cache(environ) / "numba"]
+    ending = f"-*.py{sys.version_info.major}{sys.version_info.minor}.nbi"
+    return tuple(
+        part
+        for part in parts
+        if not any(any(cache.glob(f"**/{_LAST_KERNELS[part]}{ending}")) for cache in caches)
+    )
 
 
 def remove_stale_kernels(root: Path = _ROOT) -> int:
@@ -67,7 +91,7 @@ def remove_stale_kernels(root: Path = _ROOT) -> int:
     return removed
 
 
-def _user_cache(environ: MutableMapping[str, str]) -> Path:
+def _user_cache(environ: Mapping[str, str]) -> Path:
     base = environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache")  # noqa: PTH111 - Path's fails without a home
     return Path(base)
 

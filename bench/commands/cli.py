@@ -59,6 +59,12 @@ SECTIONS = {
 """Commands by their purpose, each with its line in ``starbench --help``."""
 _MODULES = {"resume": "run", "rehearse": "batch", "schema": "station"}
 """Modules of the commands that share one; all others have the name of their command."""
+_BOTH = ("adjustment", "stars")
+_CALCULATES = {
+    **dict.fromkeys(("plan", "rehearse"), ("adjustment",)),
+    **dict.fromkeys(("run", "resume", "verify", "calibrate", "passport", "rig", "compare", "batch"), _BOTH),
+}
+"""Parts with compiled loops that a command uses (`bench.base.kernel_cache`)."""
 _RENAMED = {
     "recalibrate": "calibrate RUN... --each",
     "hold": "tell RUN hold",
@@ -145,7 +151,22 @@ def main(arguments: list[str] | None = None) -> None:
     remove_stale_kernels()
     replace_unencodable(sys.stdout, sys.stderr)
     args = sys.argv[1:] if arguments is None else arguments
+    _compile_missing(args)
     sys.exit(_exit_status(lambda: cli.main(args=args, prog_name="starbench", standalone_mode=False), args))
+
+
+def _compile_missing(args: list[str]) -> None:
+    """Compile what a command calculates with, if no earlier process did, before this process uses it."""
+    parts = _CALCULATES.get(args[0], ()) if args else ()
+    if args[:1] == ["verify"] and "--again" not in args:
+        parts = ()
+    if parts and not {"-h", "--help"} & set(args):
+        from bench.base.kernel_cache import missing_parts
+
+        if missing_parts(parts, os.environ):
+            from bench.terminal.compiling import compile_missing
+
+            compile_missing(parts, lambda text: click.echo(text, err=True))
 
 
 def _exit_status(command: Callable[[], Any], arguments: list[str]) -> int:

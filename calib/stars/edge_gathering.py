@@ -74,8 +74,11 @@ def gather_edge_pixels(
     space = _Space._make(
         [*np.empty((10, most), np.float32), *np.empty((3, most), np.int32), np.empty(most, np.uint8)]
     )
-    inverse = np.linalg.inv(linear)
-    _gather(levels, centres, inverse, local_map.quadratic, edge_map, edges, (reach, used_to), space, found)
+    # In the order of rows, as the kernel is compiled once.
+    inverse, bends = np.ascontiguousarray(np.linalg.inv(linear)), np.ascontiguousarray(local_map.quadratic)
+    _gather(
+        levels, np.ascontiguousarray(centres), inverse, bends, edge_map, edges, (reach, used_to), space, found
+    )
     used = slice(int(first[-1]))
     return EdgePixels(first, tau[used], along_x[used], along_y[used], u[used], v[used], level[used])
 
@@ -131,7 +134,7 @@ def _gather(
         low, high = int(max(0.0, y - reach[k, 1])), int(min(height - 1.0, y + reach[k, 1] + 1.0))
         left, right = int(max(0.0, x - reach[k, 0])), int(min(width - 1.0, x + reach[k, 0] + 1.0))
         limits = _limits(used_to[k], to, bend)
-        n = 0
+        n: Any = np.int64(0)  # not a literal, for which everything below would be compiled a second time
         for r in range(low, high + 1):
             first, last = _columns(r - y, to, limits, left - x, right - x)
             begin, end = max(int(np.floor(x + first)), left), min(int(np.ceil(x + last)), right) + 1

@@ -7,7 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from bench.base.kernel_cache import VARIABLE, remove_stale_kernels, set_kernel_cache
+from bench.base.kernel_cache import PARTS, VARIABLE, missing_parts, remove_stale_kernels, set_kernel_cache
+from bench.terminal import compiling
 
 ROOT = Path(__file__).parents[4]
 
@@ -87,3 +88,34 @@ def test_kernels_older_than_a_source_beside_them_or_without_one_are_removed(tmp_
     assert remove_stale_kernels(tmp_path) == 3
     assert list(cache.iterdir()) == [fresh]
     assert remove_stale_kernels(tmp_path / "nowhere") == 0
+
+
+def test_parts_that_no_process_has_compiled_are_named(tmp_path):
+    environ = {VARIABLE: str(tmp_path)}
+    assert missing_parts(PARTS, environ) == PARTS
+    version = f"py{sys.version_info.major}{sys.version_info.minor}"
+    (tmp_path / "stars_1").mkdir()
+    (tmp_path / "stars_1" / f"edge_pixels._add_edge-162.{version}.nbi").touch()
+    assert missing_parts(PARTS, environ) == ("adjustment",)
+    assert missing_parts(("stars",), environ) == ()
+
+
+def test_missing_parts_are_compiled_in_processes_of_their_own_and_told(monkeypatch):
+    begun, said, real = [], [], subprocess.Popen
+
+    def begin(words, **options):
+        begun.append(words[1:])
+        return real([sys.executable, "-c", f"raise SystemExit({int(words[-1] == 'stars')})"], **options)
+
+    monkeypatch.setattr(compiling, "missing_parts", lambda parts, _environ: tuple(parts))
+    monkeypatch.setattr("subprocess.Popen", begin)
+    compiling.compile_missing(PARTS, said.append)
+    assert begun == [["-m", "bench.warm_up", part] for part in PARTS]
+    assert said[0].startswith("Compiling loops for this processor, once after an installation or an update")
+    assert any(text.startswith("  adjustment: compiled, ") for text in said[1:])
+    assert any(text.startswith("  stars: could not be compiled beforehand, ") for text in said[1:])
+
+
+def test_nothing_is_said_where_all_is_compiled(monkeypatch):
+    monkeypatch.setattr(compiling, "missing_parts", lambda _parts, _environ: ())
+    compiling.compile_missing(PARTS, pytest.fail)

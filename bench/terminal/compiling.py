@@ -1,0 +1,57 @@
+"""Compiles the loops that no earlier process has compiled, before a command calculates with them.
+
+Each part is compiled in a process of its own, both at the same time. The process that calculates reads all of them from
+the disk: a process that compiles a loop itself has more copies of it than one that reads it, and may call another copy.
+A sum in another order then moves stars by some 1e-6 px, and `verify --again` would find that.
+"""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+
+from bench.base.kernel_cache import missing_parts
+
+_SAID_EVERY_S = 20.0
+
+
+def compile_missing(parts: Sequence[str], say: Callable[[str], None]) -> None:
+    """Compile the parts that no earlier process has compiled, each in a process of its own, and tell about it.
+
+    A part that cannot be compiled there is compiled when it is used, as numba does.
+    """
+    missing = missing_parts(parts, os.environ)
+    if not missing:
+        return
+    say(
+        f"Compiling loops for this processor, once after an installation or an update ({' and '.join(missing)}): "
+        "1 to 3 minutes, longer on a busy computer."
+    )
+    begun_s = said_s = time.monotonic()
+    running = {
+        part: subprocess.Popen(
+            [sys.executable, "-m", "bench.warm_up", part],
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+        )
+        for part in missing
+    }
+    try:
+        while running:
+            for part, process in list(running.items()):
+                with suppress(subprocess.TimeoutExpired):
+                    process.wait(0.2)
+                    del running[part]
+                    end = "compiled" if process.returncode == 0 else "could not be compiled beforehand"
+                    say(f"  {part}: {end}, {time.monotonic() - begun_s:.0f} s")
+            if running and time.monotonic() - said_s > _SAID_EVERY_S:
+                said_s = time.monotonic()
+                say(f"  {', '.join(running)}: still compiling, {said_s - begun_s:.0f} s ...")
+    finally:
+        for process in running.values():
+            process.terminate()
+            process.wait()
