@@ -229,17 +229,21 @@ def _faults(optimum: Optimum, curvature: Array) -> list[tuple[Faults, Array, Sol
     """Return the faults that the views make more probable than they were: amplitudes, solution, odds against none."""
     marginal, found = optimum.marginal, []
     starts = (optimum.eta, _usual(optimum))
-    for names in _possible(optimum, starts[1]):
+    possible = _possible(optimum, starts[1])
+    # Without a fault, and where the search of the state did not let the amplitudes go as far as they would.
+    none = best_amplitudes(marginal, optimum.eta, _FAULT_STEPS)[1].value if possible else 0.0
+    for names in possible:
         for fault, probability in FAULTS.items():
             faults: Faults = tuple((name, fault) for name in names)
             start, eta = min(
                 ((marginal.solve(eta, faults), eta) for eta in starts), key=lambda one: one[0].value
             )
             gain = 0.25 * float(start.gradient @ np.linalg.solve(curvature, start.gradient))
-            if 0.5 * (start.value - optimum.solution.value) - gain > _FOLLOWED:
+            if 0.5 * (start.value - none) - gain > _FOLLOWED:
                 continue
             eta, ended = best_amplitudes(marginal, eta, _FAULT_STEPS, faults)
-            evidence = float(np.exp(min(0.5 * (optimum.solution.value - ended.value), 500.0)))
+            beyond = relative_step(marginal, ended.step - optimum.solution.step) / _HOLDS
+            evidence = float(np.exp(min(0.5 * (none - ended.value), 500.0))) / (1.0 + beyond**4)
             if evidence > 1.0:
                 found.append((faults, eta, ended, probability * (evidence - 1.0)))
     return found

@@ -25,6 +25,9 @@ _FIRST_ROUNDS = 1
 #: Stars are weighed again in so many rounds, and then no more: a k-step M-estimator (Bickel, 1975). Where the errors at
 #: the rim are no smooth field, the weights would go on to fall for 20 rounds.
 _REWEIGHTED = 7
+#: From this round on it is enough that the camera stands still. With a strong error at the rim, the foot of the
+#: perpendicular goes on to move along a curve, by a sigma in 20 rounds, and the camera does not follow.
+_CENTRE_ROUNDS = 12
 #: A step is small if it moves the camera by less than this, px, and less than this share of its sigma.
 _SMALL_PX, _SMALL_SHARE = 1e-3, 0.04
 #: A start is near if a step moves no focal length by more than this share.
@@ -38,8 +41,9 @@ _FARTHEST = 1.0
 _LONGEST = 0.3
 #: Amplitudes are taken if their step moves focal length and centre by less than this share.
 _TRUSTED = 0.01
-#: Beyond this share the rotations are found again after a step.
-_CURVED = 1e-3
+#: Beyond this share the rotations are found again after a step, and below the second a step is corrected by others.
+_CURVED, _CORRECTED = 1e-3, 0.05
+_CORRECTIONS = 3
 
 
 @dataclass(frozen=True)
@@ -72,9 +76,10 @@ def search(problem: Problem, start: State, rounds: int) -> Optimum:
         equations = bench.linearised(state, limit, weights)
         marginal = Marginal(problem, equations, state)
         eta, found = trusted_amplitudes(marginal, eta) if k >= _FIRST_ROUNDS else (eta, solved(marginal, eta))
-        if k > _FIRST_ROUNDS and small(marginal, found):
+        centre = k < _CENTRE_ROUNDS
+        if k > _FIRST_ROUNDS and small(marginal, found, centre=centre):
             eta, found = better_amplitudes(marginal, eta)
-            if small(marginal, found):
+            if small(marginal, found, centre=centre):
                 return Optimum(marginal, eta, found, k + 1, converged=True)
         state, lengths = shortened(marginal, eta, found)
         weights = equations.weights if k >= _REWEIGHTED else None
@@ -114,12 +119,16 @@ def solved(marginal: Marginal, eta: Array) -> Solution:
         raise NotConverged("The joint adjustment cannot be solved.") from error
 
 
-def small(marginal: Marginal, found: Solution) -> bool:
-    """Tell whether a step no longer matters: of camera and centre, in px or in their sigmas."""
+def small(marginal: Marginal, found: Solution, *, centre: bool = True) -> bool:
+    """Tell whether a step no longer matters: of camera and centre, in px or in their sigmas.
+
+    centre: Whether the centre counts; else it may still move by as much as the equations hold.
+    """
     layout = marginal.problem.bench.layout
-    at = layout.places((*layout.camera, "x", "y", "r"))
+    at = layout.places((*layout.camera, *("x", "y", "r")[: 3 if centre else 0]))
     steps, sigmas = np.abs(found.step[at]), np.sqrt(np.diag(found.covariance)[at])
-    return bool((steps < _SMALL_SHARE * sigmas).all() or (steps[:4] < _SMALL_PX).all())
+    enough = bool((steps < _SMALL_SHARE * sigmas).all() or (steps[:4] < _SMALL_PX).all())
+    return enough and (centre or relative_step(marginal, found.step) < _TRUSTED)
 
 
 def trusted_amplitudes(marginal: Marginal, eta: Array) -> tuple[Array, Solution]:
@@ -164,21 +173,44 @@ def better_amplitudes(marginal: Marginal, eta: Array) -> tuple[Array, Solution]:
 
 
 def shortened(marginal: Marginal, eta: Array, found: Solution) -> tuple[State, list[Array]]:
-    """Return the state after a step, which is halved while the cost rises, and the lengths of its residuals."""
+    """Return the state after a step, which is halved while the cost rises, and the lengths of its residuals.
+
+    The centre and the rotations move along a curve, so a whole step is tried with others behind it first.
+    """
     bench = marginal.problem.bench
-    turns = marginal.rotation_steps(eta, found)
+    before = cost(marginal, eta, marginal.state, marginal.equations.lengths)
     share = relative_step(marginal, found.step)
     size = min(1.0, _LONGEST / share) if share > 0 else 1.0
-    before = cost(marginal, eta, marginal.state, marginal.equations.lengths)
-    for _ in range(_HALVINGS):
-        state = bench.moved(marginal.state, size * found.step, size * found.fields, size * turns)
-        if size * share > _CURVED:  # a large step turns the views by more than its linear part
-            state = bench.aligned(state, marginal.equations.weights)
+    for k in range(_HALVINGS):
+        state = _moved(marginal, eta, found, size)
         lengths = bench.whitened(state)
         if cost(marginal, eta, state, lengths) <= before * (1.0 + 1e-9):
             break
+        if k == 0 and share < _CORRECTED:
+            corrected, lengths = _corrected(marginal, eta, state)
+            if cost(marginal, eta, corrected, lengths) <= before:
+                return corrected, lengths
         size *= 0.5
     return state, lengths
+
+
+def _corrected(marginal: Marginal, eta: Array, state: State) -> tuple[State, list[Array]]:
+    """Return a state after further steps with the same weights and amplitudes."""
+    bench, weights = marginal.problem.bench, marginal.equations.weights
+    for _ in range(_CORRECTIONS):
+        behind = Marginal(marginal.problem, bench.linearised(state, 1.0, weights), state)
+        state = _moved(behind, eta, solved(behind, eta), 1.0)
+    return state, bench.whitened(state)
+
+
+def _moved(marginal: Marginal, eta: Array, found: Solution, size: float) -> State:
+    """Return the state after a share of a step."""
+    bench = marginal.problem.bench
+    turns = marginal.rotation_steps(eta, found)
+    state = bench.moved(marginal.state, size * found.step, size * found.fields, size * turns)
+    if size * relative_step(marginal, found.step) > _CURVED:
+        return bench.aligned(state, marginal.equations.weights)
+    return state
 
 
 def cost(marginal: Marginal, eta: Array, state: State, lengths: Sequence[Array]) -> float:
