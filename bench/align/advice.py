@@ -282,10 +282,10 @@ def _focus(seen: Seen, setting: LiveSetting) -> Iterator[str]:
         return
     limit = min(setting.gates.limits.get("max_edge_width_px", SHARP_PX), SHARP_PX)
     if width <= limit:
-        if seen.better_before_px is not None:
+        if seen.better_before_px is not None and (seen.turn_on or 0.0) < 0.0:
             yield (
                 f"Turn the focus ring back to the best: edges are {width:.2f} px wide, and they were "
-                f"{seen.better_before_px:.2f} px wide before. A run accepts {limit:g} px."
+                f"{seen.better_before_px:.2f} px wide before. A run accepts {limit:g} px.{_way(seen)}"
             )
         return
     known = f", the best seen is {best:.1f} px" if best is not None and width > _WORSE * best else ""

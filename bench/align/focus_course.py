@@ -18,10 +18,14 @@ import numpy as np
 from bench.align.focus_figure import FocusFigures
 
 _LEAST_BETTER: Final = 0.05
-"""Smallest relative change that counts."""
+"""Smallest relative change by which a width is worse than the best."""
+_A_TURN: Final = 0.1
+"""Smallest relative change that a turn of the ring makes; less is noise, in dim light above all."""
 _RECENT: Final = 3
 _CLEARLY, _LEAST_NOISE, _NOISE_OVER = 3.0, 0.01, 12
 """Number of standard deviations by which a value is clearly another one, their least value, and over how many."""
+_LEARNT: Final = 0.3
+"""Weight of the newest figures in those of a place where the ring stands."""
 _SHARPEST_PX: Final = 0.6
 """Edge width of a sharp picture, if none sharper was seen, px."""
 _LARGEST_TURN, _LEAST_TURN = 3.0, 0.1
@@ -77,11 +81,12 @@ class FocusCourse:
         if width is not None:
             self.best_edge_width_px = min(width, self.best_edge_width_px or width)
             self._best_here_px = min(width, self._best_here_px or width)
-            self._follow("width", width, self._noise(1))
-        elif detail is not None and figures.edge_width_px is None:
-            self._follow("detail", detail, self._noise(3))
         self.best_sharpness = _larger(self._recent(2), self.best_sharpness)
         self.best_coarse_detail = _larger(detail, self.best_coarse_detail)
+        if figures.edge_width_px is not None:
+            self._follow("width", 1)
+        elif figures.coarse_detail is not None:
+            self._follow("detail", 3)
 
     def turned(self) -> None:
         """Note that camera or light have changed: edges elsewhere in the field have another width."""
@@ -161,18 +166,26 @@ class FocusCourse:
         before, here = (math.sqrt(max(width**2 - sharp_px**2, 1e-6)) for width in (before_px, here_px))
         return here / (before - here) if before != here else _LARGEST_TURN
 
-    def _follow(self, kind: Literal["width", "detail"], value: float, noise: float) -> None:
-        """Take the newest figure: the ring stands where it stood, is being turned, or has been turned anew."""
+    def _follow(self, kind: Literal["width", "detail"], column: int) -> None:
+        """Take the two newest figures: the ring stands where it stood, is being turned, or has been turned anew.
+
+        Two that differ tell nothing: a picture was taken during a turn.
+        """
+        pair = self._values(column, 2)
+        value, noise = sum(pair) / 2.0, self._noise(column)
+        if len(pair) < 2 or abs(pair[1] - pair[0]) > max(_CLEARLY * noise, _A_TURN * value):
+            return
         now = _Rest(kind, value, 0.0, settled=False)
         if not self._rests:
-            self._rests.append(_Rest(kind, value, 0.0, settled=True))
+            self._rests.append(now)
             return
         here = self._rests[-1]
         changed = now.kind != here.kind or abs(value - here.value) > max(
-            _CLEARLY * noise, _LEAST_BETTER * here.value
+            _CLEARLY * noise, _A_TURN * here.value
         )
         if not changed:
             here.settled = True
+            here.value += _LEARNT * (value - here.value)
         elif here.settled:
             now.place = self._expected_place()
             self._rests.append(now)

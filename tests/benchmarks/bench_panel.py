@@ -49,7 +49,17 @@ OBSERVE = """() => {
 @contextmanager
 def panel(folder: Path, port: int = 0) -> Iterator[tuple[subprocess.Popen[str], str]]:
     """Start the panel as a process; yield it and its address."""
-    words = [sys.executable, "-m", "bench", "panel", str(folder), "--no-browser", "--port", str(port)]
+    words = [
+        sys.executable,
+        "-m",
+        "bench",
+        "panel",
+        str(folder),
+        "--no-browser",
+        "--no-token",
+        "--port",
+        str(port),
+    ]
     process = subprocess.Popen(words, stdout=subprocess.PIPE, text=True)
     assert process.stdout is not None
     try:

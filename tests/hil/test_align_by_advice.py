@@ -8,7 +8,9 @@ import math
 
 import pytest
 from obedient import Obedient
+from running import starbench
 
+from bench.align.page_requests import PageFiles, actions
 from bench.align.readiness import check_readiness
 from bench.align.session import Session
 from bench.plan.job import Job
@@ -16,11 +18,11 @@ from bench.plan.plan import load_documents, make_plan
 from bench.run.preflight import preflight
 from bench.stations.station import load_station
 
-STATION = "simulated_unaligned"
+STATION, COPY = "simulated_unaligned", "mine.yaml"
 
 
-def aligned_by_advice(settings, seed, patience_s):
-    """Align; return what was done, what is left to do, the checks, what preflight found, and lens and mount."""
+def aligned_by_advice(settings, seed, patience_s, folder):
+    """Align and write a copy of the station; return what was done and found, and lens and mount."""
     of_station = {f"station.{path}": text for path, text in settings.items()}
     session = Session(load_station(STATION, settings), seed=seed)
     assert session.open() is None
@@ -29,6 +31,9 @@ def aligned_by_advice(settings, seed, patience_s):
         person = Obedient(session, patience_s=patience_s)
         left = person.align()
         checks = check_readiness(session)
+        do = actions(session, PageFiles(session.station.file, folder))
+        wanted = {"kind": "station", "what": ["zero", "biases", "light"], "copy": COPY}
+        do["write"]("person", {**wanted, "mark": do["propose"]("person", wanted)["mark"]})
         job = Job.from_plan(
             make_plan(*load_documents("three_pose", STATION, of_station)), seed=seed, operator=None
         )
@@ -52,8 +57,8 @@ def aligned_by_advice(settings, seed, patience_s):
     ],
     ids=["as shipped", "tag out of view, far out of focus", "beyond infinity, other side"],
 )
-def test_following_only_the_advice_ends_in_a_passing_preflight(seed, settings):
-    done, left, checks, found, truth, angles = aligned_by_advice(settings, seed, 500.0)
+def test_following_only_the_advice_ends_in_a_file_that_runs(seed, settings, tmp_path):
+    done, left, checks, found, truth, angles = aligned_by_advice(settings, seed, 500.0, tmp_path)
     assert left == []
     kinds = {step.split()[0] for step in done}
     assert kinds >= {"light", "ring", "jog", "roll"}
@@ -67,3 +72,8 @@ def test_following_only_the_advice_ends_in_a_passing_preflight(seed, settings):
     pan, tilt, roll = truth["optics"]["mounting_deg"]
     assert abs(roll + truth["mount"]["turn_deg"][2]) == pytest.approx(10.0, abs=3.0)
     assert math.hypot(angles["pan"] + tilt, angles["tilt"] + pan) < 1.2
+    if not settings:  # the copy is one of the shipped file
+        run = starbench(
+            "run", "three_pose", "--station", tmp_path / COPY, "-o", tmp_path / "run", home=tmp_path
+        )
+        assert run.returncode == 0, run.stderr

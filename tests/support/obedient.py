@@ -3,14 +3,15 @@
 The person knows the keys of the page, and has hands at lens and camera. Nothing of the simulated truth is used.
 """
 
-import math
+import re
 import time
 
 from bench.align.session import Session
 
 FIRST_RING_STEP_DEG = 8.0
 LARGEST_JOG_DEG = 5.0
-CLEAR_CHANGE = 0.04
+LOOKS = 4
+"""Pictures with stars at which the person looks after each action."""
 ENOUGH = 3
 """Pictures without anything to do after which the bench counts as aligned."""
 
@@ -23,7 +24,6 @@ class Obedient:
         self.done: list[str] = []
         self._until_s = time.monotonic() + patience_s
         self._ring_step_deg = FIRST_RING_STEP_DEG
-        self._ring_figure: tuple[str, float | None] = "", None
         self._ring_deg: float | None = None
 
     def align(self) -> list[str]:
@@ -46,17 +46,18 @@ class Obedient:
 
     # ------------------------------------------------------------------ eyes
 
-    def _look(self, pictures: int = 4):
-        """Return the figures of a picture that was begun after now, with stars that were searched after now."""
+    def _look(self, pictures: int = 10):
+        """Return the figures of a picture begun after now, when enough of them have shown stars or none do."""
         begun_s = time.monotonic()
-        seen = 0
+        seen, fresh = 0, set()
         last = self.session.latest()[0]
         while time.monotonic() < self._until_s:
             number, _, figures = self.session.latest()
             if number != last and figures.time_s > begun_s:
                 seen, last = seen + 1, number
-                fresh = figures.stars_time_s is not None and figures.stars_time_s > begun_s
-                if fresh or seen >= pictures:
+                if figures.stars_time_s is not None and figures.stars_time_s > begun_s:
+                    fresh.add(figures.stars_time_s)
+                if len(fresh) >= LOOKS or seen >= pictures:
                     return figures
             time.sleep(0.02)
         return self.session.latest()[2]
@@ -76,7 +77,7 @@ class Obedient:
             self._note("level 100 %")
             self.session.light(level_percent=100)
         elif "Turn the focus ring" in sentence:
-            self._turn_ring(figures, sentence)
+            self._turn_ring(sentence)
         elif sentence.startswith("Roll the camera in its mount"):
             self._note(f"roll {figures.turn['roll_by_deg']:+.1f}")
             self.session.bench.hands.do("mount turn", {"roll_deg": figures.turn["roll_by_deg"]})
@@ -92,26 +93,13 @@ class Obedient:
             return False
         return True
 
-    def _turn_ring(self, figures, sentence: str) -> None:
-        """Turn the ring on while it helps or changes nothing; turn back by half where it got worse."""
-        focus = figures.focus
-        width, detail = focus["edge_width_px"], focus["coarse_detail"]
-        # Only like is compared with like: the width where there is one, else the coarse detail.
-        kind, now = ("width", -width) if width is not None else ("coarse detail", detail)
-        before_kind, before = self._ring_figure
-        change = 0.0
-        if now is not None and before is not None and kind == before_kind:
-            change = (now - before) / max(abs(before), 1e-9)
-        if change < -CLEAR_CHANGE:
-            self._ring_step_deg *= -0.5
-        elif abs(change) <= CLEAR_CHANGE and kind == "coarse detail":
-            self._ring_step_deg = math.copysign(
-                min(abs(self._ring_step_deg) * 1.5, 20.0), self._ring_step_deg
-            )
-        self._ring_figure = kind, now
-        self._note(f"ring {self._ring_step_deg:+.2f} ({kind} {now})")
+    def _turn_ring(self, sentence: str) -> None:
+        """Turn the ring as far as the sentence says; at its end, the other way."""
+        if by := re.search(r"turn (on|back) by about ([\d.]+) times the last turn", sentence):
+            self._ring_step_deg *= float(by[2]) * (1.0 if by[1] == "on" else -1.0)
+        self._note(f"ring {self._ring_step_deg:+.2f}")
         seen = self.session.bench.hands.do("lens turn", {"deg": self._ring_step_deg})
-        if seen["ring_deg"] == self._ring_deg:  # it is at its stop
+        if seen["ring_deg"] == self._ring_deg:
             self._ring_step_deg = -self._ring_step_deg
         self._ring_deg = seen["ring_deg"]
 

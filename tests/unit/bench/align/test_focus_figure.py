@@ -103,11 +103,12 @@ def test_noise_is_no_reason_to_turn_back():
 @pytest.mark.parametrize(
     ("widths", "expected"),
     [
-        ((4, 3.5, 3, 2.5, 2, 1.5), "better"),
+        ((4, 4, 4, 4, 3.5, 3, 2.5, 2, 1.5), "better"),
         ((4,) * 5 + (1.5,) * 5, "better"),
-        ((1, 1, 1.5, 2, 2, 3), "worse"),
+        ((1, 1, 1, 1, 1.5, 2, 2, 3), "worse"),
         ((3, 3, 3, 2, 1, 1, 1, 2, 2, 2), "worse"),
         ((2,) * 8, ""),
+        ((1.07, 1.0, 0.98, 1.04, 1.06, 0.97) * 3, ""),  # noise in dim light
     ],
 )
 def test_what_the_last_turn_has_done_is_said_at_any_speed_and_until_the_next_turn(widths, expected, period_s):
@@ -146,8 +147,8 @@ def test_a_turn_of_the_camera_or_a_change_of_the_light_begins_anew():
 
 def test_the_trend_by_coarse_detail_alone():
     course = FocusCourse()
-    for number in range(8):
-        course.add(0.4 * number, FocusFigures(coarse_detail=0.1 + 0.02 * number))
+    for number in range(12):
+        course.add(0.4 * number, FocusFigures(coarse_detail=0.1 + 0.02 * max(0, number - 4)))
     assert course.trend() == "better"
     assert FocusCourse().trend() == ""
 
