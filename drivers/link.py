@@ -18,7 +18,7 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable
-from typing import Final, TypeVar
+from typing import ClassVar, Final, TypeVar
 
 from drivers.clock import Clock
 from drivers.errors import ReplyError, ReplyGarbled, ReplyTimeout
@@ -123,6 +123,8 @@ class Link:
     lock: While a thread holds it, no other thread can send.
     """
 
+    GARBLED_REMEDY: ClassVar[str] = "Check the cable, the port and the baud rate."
+
     def __init__(
         self,
         port: Port,
@@ -202,6 +204,16 @@ class Link:
     def mark_out_of_step(self) -> None:
         """Resynchronise before the next request: a reply had the right form, but cannot be right."""
         self._in_step = False
+
+    def garbled_reply(self, what: str, remedy: str = "") -> ReplyGarbled:
+        """Mark the line as out of step: a reply had the right form, but cannot be right.
+
+        what: What is wrong with the reply.
+        remedy: What to do; empty for what helps on most lines of this kind.
+        Returns: The error, for the caller to raise.
+        """
+        self.mark_out_of_step()
+        return ReplyGarbled(what, where=self.name, remedy=remedy or self.GARBLED_REMEDY)
 
     def drain(self, quiet_s: float, limit_s: float) -> bytes:
         """Throw away what arrives until the line is silent.

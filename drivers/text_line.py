@@ -16,7 +16,7 @@ from collections.abc import Callable
 from typing import Final, NamedTuple
 
 from drivers.clock import Clock
-from drivers.errors import DeviceRefused, ReplyError, ReplyGarbled, ReplyTimeout
+from drivers.errors import DeviceRefused, ReplyError, ReplyTimeout
 from drivers.link import Link, ReplyReader, no_unsolicited
 from drivers.retry import TRIES, repeat
 from drivers.serial_port import Port
@@ -28,7 +28,6 @@ PROMPT_S: Final = 0.75
 """Longest wait for a reply that comes at once or never, in seconds."""
 _QUIET_S = 0.1
 _LONGEST_DRAIN_S = 2.0
-_GARBLED_REMEDY: Final = "Check the cable, the port and the baud rate."
 _NUMBER = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?", re.ASCII)
 
 
@@ -225,22 +224,6 @@ class TextLine(Link):
         """
         self.exchange(self._encode(command), _read_nothing, deadline_s=0.0, urgent=True)
 
-    def garbled_reply(self, what: str) -> ReplyGarbled:
-        """Mark the line as out of step: a reply had the right form, but cannot be right.
-
-        Parameters
-        ----------
-        what
-            What is wrong with the reply.
-
-        Returns
-        -------
-        ReplyGarbled
-            The error, for the caller to raise.
-        """
-        self.mark_out_of_step()
-        return ReplyGarbled(what, where=self.name, remedy=_GARBLED_REMEDY)
-
     # ------------------------------------------------------------ inside
 
     def _encode(self, text: str) -> bytes:
@@ -283,7 +266,7 @@ class TextLine(Link):
             quiet_s=_QUIET_S,
             limit_s=_LONGEST_DRAIN_S,
             failed=f"no clear answer to {self._identity_query}, though the device answered it before.",
-            remedy=_GARBLED_REMEDY,
+            remedy=self.GARBLED_REMEDY,
         )
 
 

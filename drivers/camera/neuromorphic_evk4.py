@@ -121,14 +121,9 @@ class NeuromorphicEvk4:
         """
         package = _package()
         lock = CameraLock(event_camera_name(serial)) if serial else None
+        camera = cls(None, package, serial=serial, clock=clock, utc_now=utc_now, lock=lock)
         try:
-            device = cls._opened(package, serial)
-        except BaseException:
-            if lock is not None:
-                lock.release()
-            raise
-        camera = cls(device, package, serial=serial, clock=clock, utc_now=utc_now, lock=lock)
-        try:
+            camera._device = cls._opened(package, serial)
             identity = camera.identify()
             check_link(identity.link_mbit_s, camera._where)
             if lock is None:
@@ -275,7 +270,8 @@ class NeuromorphicEvk4:
     def close(self) -> None:
         """See `EventCamera.close`."""
         try:
-            self._device.close()
+            if self._device is not None:
+                self._device.close()
         finally:
             if self._lock is not None:
                 self._lock.release()

@@ -73,21 +73,33 @@ def parse_header(start: bytes, *, where: str) -> RawHeader:
             where=where,
             remedy='Give a file that an event camera recorded; it starts with "% ".',
         )
+    fields, size_bytes = header_fields(start)
+    if size_bytes is None:
+        raise NotARecording(
+            f"The header does not end within {MAX_HEADER_BYTES} bytes.", where=where, remedy=_COPY_AGAIN
+        )
+    width, height = _size(fields, where)
+    return RawHeader(fields, width, height, start[:size_bytes])
+
+
+def header_fields(start: bytes) -> tuple[dict[str, str], int | None]:
+    """Read the lines ``% key value`` at the start of a file.
+
+    start: The first 65536 bytes of the file, or all of it.
+    Returns: Keys and texts; and the length of the header, bytes, None if it does not end.
+    """
     fields: dict[str, str] = {}
     at = 0
     while start[at : at + 2] == b"% ":
         end = start.find(b"\n", at)
-        if end < 0 or end == MAX_HEADER_BYTES - 1:
-            raise NotARecording(
-                f"The header does not end within {MAX_HEADER_BYTES} bytes.", where=where, remedy=_COPY_AGAIN
-            )
+        if end < 0 or end >= MAX_HEADER_BYTES - 1:
+            return fields, None
         key, _, value = " ".join(start[at + 2 : end].decode("utf-8", "replace").split()).partition(" ")
         at = end + 1
         if key == "end":
             break
         fields[_printable(key)] = _printable(value)
-    width, height = _size(fields, where)
-    return RawHeader(fields, width, height, start[:at])
+    return fields, at
 
 
 def _printable(text: str) -> str:

@@ -13,7 +13,7 @@ from functools import reduce
 
 from drivers.clock import Clock
 from drivers.described.description import Exchange, LineDescription, Notice, Switch, Value
-from drivers.errors import DeviceRefused, ReplyError, ReplyGarbled, WrongDevice
+from drivers.errors import DeviceRefused, ReplyError, WrongDevice
 from drivers.link import Link, ReplyReader
 from drivers.retry import TRIES, repeat
 from drivers.serial_port import Port
@@ -21,7 +21,6 @@ from drivers.wire_log import WireLog
 
 _LONGEST_DRAIN_S = 2.0
 _SHOWN = 80
-_GARBLED_REMEDY = "Check the cable, the baud rate and the device's description."
 
 
 class DescribedLine(Link):
@@ -30,6 +29,8 @@ class DescribedLine(Link):
     clock, wire_log: See ``drivers.link.Link``.
     Raises ReplyTimeout, ReplyGarbled: The device does not identify itself.
     """
+
+    GARBLED_REMEDY = "Check the cable, the baud rate and the device's description."
 
     def __init__(
         self, port: Port, description: LineDescription, *, clock: Clock, wire_log: WireLog | None = None
@@ -129,11 +130,6 @@ class DescribedLine(Link):
                 remedy="Check the port and the serial in the station file.",
             )
         return found
-
-    def garbled_reply(self, what: str) -> ReplyGarbled:
-        """Mark the line as out of step."""
-        self.mark_out_of_step()
-        return ReplyGarbled(what, where=self.name, remedy=_GARBLED_REMEDY)
 
     # ------------------------------------------------------------ inside
 
@@ -244,7 +240,7 @@ class DescribedLine(Link):
             limit_s=_LONGEST_DRAIN_S,
             failed=f"no clear answer to '{self._description.identity.send.text}', though the device answered it"
             " before.",
-            remedy=_GARBLED_REMEDY,
+            remedy=self.GARBLED_REMEDY,
             clear_device=self._clear_device,
             inspect_old=self._take_from,
             once_if_silent=True,

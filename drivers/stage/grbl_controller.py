@@ -364,10 +364,7 @@ class GrblController(Link):
         for line in self.query("$I"):
             if (build := parse_build_info(line)) is not None:
                 return build
-        self.mark_out_of_step()
-        raise ReplyGarbled(
-            "the answer to $I has no version.", where=self.name, remedy="Check that the firmware is GRBL 1.1."
-        )
+        raise self.garbled_reply("the answer to $I has no version.", "Check that the firmware is GRBL 1.1.")
 
     # ------------------------------------------------------------ inside
 

@@ -17,13 +17,13 @@ from drivers.described.description import AxisSetting, Exchange, StageDescriptio
 from drivers.described.line import DescribedLine
 from drivers.errors import OutsideLimits, ReplyError, ReplyTimeout
 from drivers.retry import TRIES, read_until_agreed
-from drivers.serial_port import Port, SerialPort, closed_on_error
+from drivers.serial_port import Port, closed_on_error
 from drivers.stage import AxisIdentity, motion
 from drivers.stage.watched import (
     Axis,
     AxisState,
+    OneLineStage,
     StopCheck,
-    WatchedStage,
     no_reference,
     reads_otherwise,
 )
@@ -52,7 +52,7 @@ class TextAxis(Axis):
         return (angle_deg - self.zero_deg) * self.counts_per_deg
 
 
-class TextStage(WatchedStage[TextAxis]):
+class TextStage(OneLineStage[TextAxis]):
     """A stage of one to three axes on one controller. Implements ``drivers.stage.Stage``.
 
     Open it with ``TextStage.open``; the constructor takes a port that is open already.
@@ -92,24 +92,8 @@ class TextStage(WatchedStage[TextAxis]):
             self._line.take_notices()
 
     @classmethod
-    def open(
-        cls,
-        port: str,
-        axes: Sequence[TextAxis],
-        description: StageDescription,
-        *,
-        serial: str = "",
-        baudrate: int | None = None,
-        clock: Clock,
-        wire_log: WireLog | None = None,
-    ) -> TextStage:
-        """Open the port, check the serial number, and set limits, speed and acceleration. Moves nothing.
-
-        port: Address of the port; see ``drivers.serial_port.SerialPort``, which raises the errors of opening.
-        baudrate: Bits per second; None for the description's.
-        """
-        opened = SerialPort(port, baudrate=baudrate or description.line.baudrate)
-        return cls(opened, axes, description, serial=serial, clock=clock, wire_log=wire_log)
+    def _baudrate(cls, description: StageDescription) -> int:
+        return description.line.baudrate
 
     def identify(self) -> Sequence[AxisIdentity]:
         """See `Stage.identify`.

@@ -467,7 +467,7 @@ class OneLineStage(WatchedStage[A]):
         cls,
         port: str,
         axes: Sequence[A],
-        *,
+        *arguments: Any,
         baudrate: int | None = None,
         clock: Clock,
         wire_log: WireLog | None = None,
@@ -476,13 +476,17 @@ class OneLineStage(WatchedStage[A]):
         """Open the port, check who answers, and set limits, speed and acceleration. Moves nothing.
 
         port: Address of the port; see ``drivers.serial_port.SerialPort``, which raises the errors of opening.
+        arguments, more: Further arguments of the family's constructor.
         baudrate: Bits per second; None for the family's own.
-        more: Further arguments of the family's constructor.
         """
-        opened = SerialPort(port, baudrate=baudrate or cls.BAUDRATE)
+        opened = SerialPort(port, baudrate=baudrate or cls._baudrate(*arguments))
         construct: Any = cls
-        stage: Self = construct(opened, axes, clock=clock, wire_log=wire_log, **more)
+        stage: Self = construct(opened, axes, *arguments, clock=clock, wire_log=wire_log, **more)
         return stage
+
+    @classmethod
+    def _baudrate(cls, *_arguments: Any) -> int:
+        return cls.BAUDRATE
 
 
 class LinePerAxisStage(WatchedStage[A], Generic[A, L]):

@@ -100,10 +100,7 @@ class ZaberChain(Link):
         Raises ReplyGarbled: The data are no integer; the line is then out of step.
         """
         if not re.fullmatch(r"-?\d{1,18}", data, re.ASCII):
-            self.mark_out_of_step()
-            raise ReplyGarbled(
-                f"{data!r} came instead of an integer.", where=self.name, remedy="Look into the wire log."
-            )
+            raise self.garbled_reply(f"{data!r} came instead of an integer.", "Look into the wire log.")
         return int(data)
 
     def query_flags(self, device: int, axis: int) -> tuple[str, ...]:

@@ -20,6 +20,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from drivers.camera import raw_header
 from drivers.camera.event_arrays import Events, Triggers
 from drivers.camera.formats.event_source import EventSource, Piece, source_of_stream
 from drivers.camera.raw_header import MAX_HEADER_BYTES
@@ -36,25 +37,15 @@ _SIZES: Final = {"49": (1280, 720), "48": (1280, 720), "42": (1280, 720), "21": 
 
 
 def header_fields(start: bytes) -> tuple[Mapping[str, str], int]:
-    """Read the lines ``% key value`` at the start of a file.
+    """Read the header at the start of a file: keys in small letters, and the length of the header, bytes.
 
     start: The first 65536 bytes of the file, or all of it.
-    Returns: Length of the header, bytes.
     Raises ValueError: If the header does not end.
     """
-    fields: dict[str, str] = {}
-    at = 0
-    while start[at : at + 2] == b"% ":
-        end = start.find(b"\n", at)
-        if end < 0 or end >= MAX_HEADER_BYTES - 1:
-            raise ValueError(f"its header does not end within {MAX_HEADER_BYTES} bytes")
-        line = " ".join(start[at + 2 : end].decode("ascii", "replace").split())
-        at = end + 1
-        key, _, value = line.partition(" ")
-        if key == "end":
-            break
-        fields[key.lower()] = "".join(letter if letter.isprintable() else "?" for letter in value)
-    return fields, at
+    fields, size_bytes = raw_header.header_fields(start)
+    if size_bytes is None:
+        raise ValueError(f"its header does not end within {MAX_HEADER_BYTES} bytes")
+    return {key.lower(): value for key, value in fields.items()}, size_bytes
 
 
 def is_evt2(fields: Mapping[str, str]) -> bool:

@@ -16,9 +16,8 @@ from imported import import_events
 from drivers.camera.event_arrays import Events, Triggers, empty_events, empty_triggers
 from drivers.camera.evt3 import Evt3Decoder
 from drivers.camera.formats import event_conversion
-from drivers.camera.formats.event_conversion import KINDS, convert
+from drivers.camera.formats.event_conversion import KINDS, MAX_TIME_US, Evt3Encoder, convert
 from drivers.camera.formats.event_files import export_numpy
-from drivers.camera.formats.evt3_encode import MAX_TIME_US, Evt3Encoder
 from drivers.camera.raw_file import RawFile
 from drivers.camera.raw_writer import new_file
 from drivers.errors import DriverError, NotARecording, RecordingFileError

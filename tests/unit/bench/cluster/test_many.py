@@ -22,7 +22,7 @@ from bench.results.studies import plan_study
 from calib.studies.monte_carlo import study_of
 from drivers.camera import CameraIdentity
 from drivers.camera.event_arrays import Events, Triggers
-from drivers.camera.formats.evt3_encode import Evt3Encoder
+from drivers.camera.formats.event_conversion import Evt3Encoder
 from drivers.camera.raw_header import render_header
 
 CAMERA = CameraIdentity(
