@@ -124,6 +124,10 @@ class Link:
     """
 
     GARBLED_REMEDY: ClassVar[str] = "Check the cable, the port and the baud rate."
+    quiet_s: float = 0.05
+    """After this time without a byte the line counts as silent, in seconds."""
+    longest_drain_s: float = 1.0
+    """Longest wait for that silence, in seconds."""
 
     def __init__(
         self,
@@ -215,20 +219,18 @@ class Link:
         self.mark_out_of_step()
         return ReplyGarbled(what, where=self.name, remedy=remedy or self.GARBLED_REMEDY)
 
-    def drain(self, quiet_s: float, limit_s: float) -> bytes:
+    def drain(self) -> bytes:
         """Throw away what arrives until the line is silent.
 
-        quiet_s: How long nothing may arrive before the line counts as silent, in seconds.
-        limit_s: Longest wait for that silence, in seconds.
         Raises ReplyGarbled: The device did not fall silent.
         """
         with self.lock:
-            end = time.monotonic() + limit_s
-            while self.receive(quiet_s):
+            end = time.monotonic() + self.longest_drain_s
+            while self.receive(self.quiet_s):
                 if time.monotonic() > end:
                     self._buffer.clear()
                     raise ReplyGarbled(
-                        f"the device sends without pause for {limit_s:g} s.",
+                        f"the device sends without pause for {self.longest_drain_s:g} s.",
                         where=self.name,
                         remedy="Check the port and the baud rate in the station file.",
                     )
@@ -240,8 +242,6 @@ class Link:
         self,
         exchange_marker: Callable[[], object],
         *,
-        quiet_s: float,
-        limit_s: float,
         failed: str = "more bytes come than were asked for.",
         remedy: str = "Check the port and the cable.",
         clear_device: Callable[[], object] = do_nothing,
@@ -257,8 +257,6 @@ class Link:
 
         exchange_marker: Sends the marker; returns False when its answer is not the expected one, and raises
           ReplyError for no valid answer.
-        quiet_s: How long nothing may arrive before the line counts as silent, in seconds.
-        limit_s: Longest wait for that silence, in seconds.
         failed, remedy: What is told when the marker's answer was unexpected, or something followed it.
         clear_device: Sends what makes the device forget the beginning of a command. Called after the line was
           silent.
@@ -270,7 +268,7 @@ class Link:
         Raises ReplyError: The line is still out of step, or the device does not fall silent.
         """
         for tries_left in reversed(range(RESYNCHRONISE_TRIES)):
-            inspect_old(self.drain(quiet_s, limit_s))
+            inspect_old(self.drain())
             clear_device()
             try:
                 expected = exchange_marker() is not False
@@ -279,7 +277,7 @@ class Link:
                 if not tries_left or (silent and once_if_silent):
                     raise
                 continue
-            followed = silence_after and self.drain(quiet_s, limit_s)
+            followed = silence_after and self.drain()
             if expected and not followed:
                 return
         raise ReplyGarbled(failed, where=self.name, remedy=remedy)

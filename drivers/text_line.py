@@ -26,8 +26,6 @@ REPLY_S: Final = 2.0
 """Longest wait for a reply, in seconds: some devices carry out a setting first, for a tenth of a second."""
 PROMPT_S: Final = 0.75
 """Longest wait for a reply that comes at once or never, in seconds."""
-_QUIET_S = 0.1
-_LONGEST_DRAIN_S = 2.0
 _NUMBER = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?", re.ASCII)
 
 
@@ -64,6 +62,9 @@ class TextLine(Link):
         The port is gone.
     """
 
+    quiet_s = 0.1
+    longest_drain_s = 2.0
+
     def __init__(
         self,
         port: Port,
@@ -93,7 +94,7 @@ class TextLine(Link):
             wire_log=wire_log,
         )
         self.identity_text = ""
-        self.drain(_QUIET_S, _LONGEST_DRAIN_S)
+        self.drain()
         self.identity_text = self._identify()
 
     def query(self, query: str, *, deadline_s: float | None = None, tries: int = TRIES) -> str:
@@ -251,7 +252,7 @@ class TextLine(Link):
                 )
             return text
 
-        return repeat(query_identity, before_next=lambda: self.drain(_QUIET_S, _LONGEST_DRAIN_S))
+        return repeat(query_identity, before_next=self.drain)
 
     def _resynchronise(self) -> None:
         """Ask for the identity on a silent line: no older reply can come after the known identity and a silence."""
@@ -263,8 +264,6 @@ class TextLine(Link):
 
         self.prove_in_step(
             is_known,
-            quiet_s=_QUIET_S,
-            limit_s=_LONGEST_DRAIN_S,
             failed=f"no clear answer to {self._identity_query}, though the device answered it before.",
             remedy=self.GARBLED_REMEDY,
         )

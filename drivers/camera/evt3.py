@@ -222,11 +222,6 @@ class Evt3Decoder:
         return f"The type of word 0x{word:04X} does not exist in EVT3."
 
     @property
-    def next_byte(self) -> int:
-        """Offset of the next word in the file, bytes."""
-        return self._next_byte
-
-    @property
     def clock_us(self) -> int:
         """The sensor's clock at the last time word, us; -1 before the first."""
         return int(self._state[S.T])

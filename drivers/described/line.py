@@ -19,7 +19,6 @@ from drivers.retry import TRIES, repeat
 from drivers.serial_port import Port
 from drivers.wire_log import WireLog
 
-_LONGEST_DRAIN_S = 2.0
 _SHOWN = 80
 
 
@@ -31,11 +30,13 @@ class DescribedLine(Link):
     """
 
     GARBLED_REMEDY = "Check the cable, the baud rate and the device's description."
+    longest_drain_s = 2.0
 
     def __init__(
         self, port: Port, description: LineDescription, *, clock: Clock, wire_log: WireLog | None = None
     ) -> None:
         self._description = description
+        self.quiet_s = description.quiet_s
         self._notices: list[Notice] = []
         self._known = ""
         super().__init__(
@@ -46,7 +47,7 @@ class DescribedLine(Link):
             wire_log=wire_log,
         )
         self.identity: Mapping[str, Value] = {}
-        self._drain()
+        self.drain()
         self._clear_device()
         self.identity = self._first_identity(clock)
 
@@ -200,16 +201,13 @@ class DescribedLine(Link):
                 data = data.replace(mark, b"")
         return data
 
-    def _drain(self) -> bytes:
-        return self.drain(self._description.quiet_s, _LONGEST_DRAIN_S)
-
     def _clear_device(self) -> None:
         """Make an incomplete request invalid, set the form of the replies, and throw away the answers."""
         self.write(self._description.clear + self._description.request_end)
-        self._take_from(self._drain())
+        self._take_from(self.drain())
         for command in self._description.setup:
             self.write(self._encode(command.render({})))
-            self._take_from(self._drain())
+            self._take_from(self.drain())
 
     def _first_identity(self, clock: Clock) -> dict[str, Value]:
         """Ask who the device is, for as long as it may take to start."""
@@ -236,8 +234,6 @@ class DescribedLine(Link):
 
         self.prove_in_step(
             is_known,
-            quiet_s=self._description.quiet_s,
-            limit_s=_LONGEST_DRAIN_S,
             failed=f"no clear answer to '{self._description.identity.send.text}', though the device answered it"
             " before.",
             remedy=self.GARBLED_REMEDY,

@@ -247,8 +247,6 @@ def garbled(what: str, where: str) -> ReplyGarbled:
 _REPLY_S: Final = 0.5
 _MARKER_S: Final = 0.3
 _FIRST_STOP_S: Final = 0.2
-_QUIET_S: Final = 0.03
-_LONGEST_DRAIN_S: Final = 1.0
 _BOOT_POLL_S: Final = 0.1
 _BOOT_POLLS: Final = 30
 _TICK_SLACK_S: Final = 0.05
@@ -273,6 +271,8 @@ class DynamixelBus(Link):
 
     clock, wire_log: See ``drivers.link.Link``.
     """
+
+    quiet_s = 0.03
 
     def __init__(
         self, port: Port, servos: Sequence[int], *, clock: Clock, wire_log: WireLog | None = None
@@ -460,8 +460,6 @@ class DynamixelBus(Link):
         """Wait for silence; then get the answer to a ping, which no other instruction has, alone on the line."""
         self.prove_in_step(
             lambda: self._exchange(self._asked, PING, b"", 3, deadline_s=_MARKER_S, urgent=True),
-            quiet_s=_QUIET_S,
-            limit_s=_LONGEST_DRAIN_S,
             remedy="Check the cable, and that no two servos have the same id.",
             once_if_silent=True,
         )

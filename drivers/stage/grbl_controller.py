@@ -202,8 +202,6 @@ def machine_positions(report: StatusReport, places: Sequence[int], where: str) -
 
 _REPLY_S = 1.0
 _MARKER_S = 0.5
-_QUIET_S = 0.1
-_LONGEST_DRAIN_S = 1.0
 _BOOT_TRIES = 6
 """A board that restarts because its port was opened sends nothing for a second or two."""
 _INVALID_LINE = b"Q\n"
@@ -213,7 +211,7 @@ _LONGEST_REPLY = 100
 _HALTING_ALARMS = frozenset({1, 2})
 """Alarms of a limit: after them the firmware waits in a loop that serves nothing but a reset."""
 _WAKE_SILENCES = 8
-"""How often the line may be silent for ``_QUIET_S`` after a reset until the welcome message."""
+"""How often the line may be silent for ``quiet_s`` after a reset until the welcome message."""
 _WAKE_RESETS = 4
 """The firmware pauses for 0.5 s after an alarm, and then forgets a reset that came meanwhile; so it is sent again."""
 
@@ -229,6 +227,8 @@ class GrblController(Link):
       ``?``.
     Raises ReplyError, PortLost: The board does not answer.
     """
+
+    quiet_s = 0.1
 
     def __init__(self, port: Port, *, clock: Clock, wire_log: WireLog | None = None) -> None:
         self.restarts = 0
@@ -293,7 +293,7 @@ class GrblController(Link):
                 self.write(RESET)
                 silences = 0
                 while self.restarts == restarts and silences < _WAKE_SILENCES:
-                    silences += not self.receive(_QUIET_S)
+                    silences += not self.receive(self.quiet_s)
                     while self._next_line() is not None:
                         silences += 1  # a board that babbles is no board that has restarted
                 if self.restarts != restarts:
@@ -457,8 +457,6 @@ class GrblController(Link):
 
         self.prove_in_step(
             exchange_marker,
-            quiet_s=_QUIET_S,
-            limit_s=_LONGEST_DRAIN_S,
             failed="the board sends more than it was asked for.",
             remedy="Check the port.",
             inspect_old=self._take_push_messages,

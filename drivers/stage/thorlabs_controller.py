@@ -266,8 +266,6 @@ def _garbled(what: str, where: str) -> ReplyGarbled:
 
 _REPLY_S: Final = 0.5
 _MARKER_S: Final = 0.45
-_QUIET_S: Final = 0.05
-_LONGEST_DRAIN_S: Final = 1.0
 _STOP_POLL_S: Final = 0.02
 _POLLS_A_STOP: Final = 5
 """While the axis moves, the stop is sent again after so many readings: it may be lost, and has no reply."""
@@ -464,14 +462,12 @@ class ThorlabsController(Link):
         def clear_device() -> None:
             # Nothing that could complete a cut command may be sent here: a move is a command with data.
             self.write(short(STOP_UPDATES))
-            self.drain(_QUIET_S, _LONGEST_DRAIN_S)
+            self.drain()
 
         self.prove_in_step(
             lambda: self._query_once(
                 REQUEST_INFORMATION, INFORMATION_LAYOUT, deadline_s=_MARKER_S, urgent=True
             ),
-            quiet_s=_QUIET_S,
-            limit_s=_LONGEST_DRAIN_S,
             clear_device=clear_device,
             once_if_silent=True,
         )

@@ -32,8 +32,6 @@ from drivers.wire_log import WireLog
 
 _REPLY_S = 1.0
 _MARKER_S = 0.5
-_QUIET_S = 0.05
-_LONGEST_DRAIN_S = 1.0
 
 S = TypeVar("S", bound=Settings)
 
@@ -113,7 +111,7 @@ class XimcController(Link):
         with self.lock:
             repeat(
                 lambda: self.command("sstp", urgent=True),
-                before_next=lambda: self.drain(_QUIET_S, _LONGEST_DRAIN_S),
+                before_next=self.drain,
             )
 
     def to_microsteps(self, steps: int, microsteps: int) -> int:
@@ -181,12 +179,10 @@ class XimcController(Link):
 
         def clear_device() -> None:
             self.write(ximc_protocol.SYNCHRONISE)
-            self.drain(_QUIET_S, _LONGEST_DRAIN_S)
+            self.drain()
 
         self.prove_in_step(
             lambda: self._query_once("gser", ximc_protocol.SERIAL_LAYOUT, deadline_s=_MARKER_S, urgent=True),
-            quiet_s=_QUIET_S,
-            limit_s=_LONGEST_DRAIN_S,
             clear_device=clear_device,
         )
 

@@ -28,8 +28,6 @@ from drivers.wire_log import WireLog
 _REPLY_S = 1.0
 """Longest wait for a reply, in seconds. A reply takes some ms; the rest is for a busy computer."""
 _MARKER_S = 0.5
-_QUIET_S = 0.05
-_LONGEST_DRAIN_S = 1.0
 
 
 class ZaberChain(Link):
@@ -177,8 +175,6 @@ class ZaberChain(Link):
         """Wait for silence; then the reply to a new message id proves that no older reply is unread."""
         self.prove_in_step(
             lambda: self._ask_once(self._devices[0], 0, "", deadline_s=_MARKER_S, urgent=True),
-            quiet_s=_QUIET_S,
-            limit_s=_LONGEST_DRAIN_S,
             silence_after=False,
         )
 

@@ -58,7 +58,7 @@ def test_a_cut_reply_is_a_timeout_that_shows_what_came(scripted, clock) -> None:
 def test_a_late_reply_never_answers_the_next_request(scripted, clock) -> None:
     port = scripted([(b"a\n", b""), (b"b\n", b"2\n")])
     drained = []
-    link = Link(port, clock=clock, resynchronise=lambda: drained.append(link.drain(0.01, 1.0)))
+    link = Link(port, clock=clock, resynchronise=lambda: drained.append(link.drain()))
     with pytest.raises(ReplyTimeout):
         link.exchange(b"a\n", line, deadline_s=1.0)
     port.ready = b"1\n1"
@@ -69,7 +69,7 @@ def test_a_late_reply_never_answers_the_next_request(scripted, clock) -> None:
 def test_a_doubled_reply_is_noticed_before_the_next_request(scripted, clock) -> None:
     port = scripted([(b"a\n", b"1\n1\n"), (b"b\n", b"2\n")])
     drained = []
-    link = Link(port, clock=clock, resynchronise=lambda: drained.append(link.drain(0.01, 1.0)))
+    link = Link(port, clock=clock, resynchronise=lambda: drained.append(link.drain()))
     assert link.exchange(b"a\n", line, deadline_s=1.0) == b"1\n"
     assert link.exchange(b"b\n", line, deadline_s=1.0) == b"2\n"
     assert len(drained) == 1
@@ -128,8 +128,9 @@ def test_a_device_that_never_falls_silent_ends_the_draining(clock) -> None:
             return b"x"
 
     link, _ = make(Babbler(), clock)
+    link.longest_drain_s = 0.01
     with pytest.raises(ReplyGarbled, match="sends without pause"):
-        link.drain(0.001, 0.01)
+        link.drain()
 
 
 def test_a_count_of_bytes_can_be_received(scripted, clock) -> None:

@@ -20,7 +20,7 @@ class Line(Link):
         self.old = list(old)
         self.events: list[str] = []
 
-    def drain(self, quiet_s: float, limit_s: float) -> bytes:
+    def drain(self) -> bytes:
         self.events.append("drain")
         return self.old.pop(0) if self.old else b""
 
@@ -40,7 +40,7 @@ def answers(line: Line, *outcomes: bool | Exception) -> Callable[[], bool]:
 
 
 def bring_into_step(line: Line, *outcomes: bool | Exception, **more) -> None:
-    line.prove_in_step(answers(line, *outcomes), quiet_s=0.1, limit_s=1.0, **more)
+    line.prove_in_step(answers(line, *outcomes), **more)
 
 
 def test_a_request_is_repeated_until_its_reply_is_good() -> None:
