@@ -147,8 +147,8 @@ class BatchPlan:
     def slow(self) -> list[str]:
         """Why the forecast is longer than the plans, for each station where it is."""
         stations = {plan.station.value.name for plan in self.plans.values()}
-        texts = (self.paces.get(name, Pace()).text(name) for name in sorted(stations))
-        return [text for text in texts if text]
+        texts = (_pace(self.paces, name).text() for name in sorted(stations))
+        return list(dict.fromkeys(filter(None, texts)))
 
     @property
     def end(self) -> datetime:
@@ -200,6 +200,11 @@ class BatchPlan:
         }
 
 
+def _pace(paces: Mapping[str, Pace], station: str) -> Pace:
+    """Return the pace of a station; that of all stations together if it has none of its own."""
+    return paces.get(station) or paces.get("", Pace())
+
+
 def plan_batch(queue: Queue, begun: datetime, paces: Mapping[str, Pace] | None = None) -> BatchPlan:
     """Predict when each run of a queue begins and ends, if the batch begins at a given time.
 
@@ -213,8 +218,7 @@ def plan_batch(queue: Queue, begun: datetime, paces: Mapping[str, Pace] | None =
     known = paces or {}
 
     def duration_s(item: Item) -> float:
-        pace = known.get(plan_of(item.job).station.value.name, Pace())
-        return planned_duration_s(item.job) * pace.factor
+        return planned_duration_s(item.job) * _pace(known, plan_of(item.job).station.value.name).factor
 
     slots = look_ahead(items, 0.0, bounds, duration_s)
     return BatchPlan(queue, begun, bounds, tuple(slots), plans, known)

@@ -29,13 +29,15 @@ class Pace:
 
     factor: float = 1.0
     runs: int = 0
+    station: str = ""  # Empty for all stations together
 
-    def text(self, station: str) -> str:
+    def text(self) -> str:
         """Return why a forecast is longer than the plan; empty below `TOLD_FROM`."""
         if self.factor < TOLD_FROM:
             return ""
+        place = f"On station {self.station}" if self.station else "On this computer"
         return (
-            f"On station {station}, the last {self.runs} runs took {self.factor:.1f} times as long as planned "
+            f"{place}, the last {self.runs} runs took {self.factor:.1f} times as long as planned "
             "(median). The times below include this: the computer is slower than the plan assumes, or other programs "
             "keep it busy."
         )
@@ -44,14 +46,16 @@ class Pace:
 def paces(runs: Sequence[LedgerRun]) -> dict[str, Pace]:
     """Return the pace of each station, from the newest runs of a ledger that finished without a stop.
 
-    Returns: By the name of the station; a station without such a run is missing.
+    Returns: By the name of the station, and of all stations together under an empty name; a station without such a run
+      is missing.
     """
     found: dict[str, list[float]] = {}
     for run in reversed(runs[-_MOST_READ:]):
         if run.how == "finished" and (one := _ratio(Path(run.folder))) is not None:
-            found.setdefault(one[0], []).append(one[1])
+            for station in (one[0], ""):
+                found.setdefault(station, []).append(one[1])
     return {
-        station: Pace(max(1.0, median(ratios[:_MOST_RUNS])), len(ratios[:_MOST_RUNS]))
+        station: Pace(max(1.0, median(ratios[:_MOST_RUNS])), len(ratios[:_MOST_RUNS]), station)
         for station, ratios in found.items()
     }
 

@@ -41,17 +41,21 @@ def test_the_pace_is_the_median_of_runs_that_nothing_stopped(tmp_path):
     runs.append(
         LedgerRun(9, "gone", str(tmp_path / "gone"), "1", simulated=True, begun_utc="", how="finished")
     )
-    assert paces(runs) == {"Simulated bench": Pace(2.5, 3), "Quick": Pace(1.0, 1)}
+    assert paces(runs) == {
+        "Simulated bench": Pace(2.5, 3, "Simulated bench"),
+        "Quick": Pace(1.0, 1, "Quick"),
+        "": Pace(2.45, 4),
+    }
 
 
+@pytest.mark.parametrize("station", ["Simulated bench", ""])
 @pytest.mark.parametrize("factor", [1.0, 1.9, 2.5])
-def test_the_forecast_has_this_pace_and_says_why_from_twice_on(factor):
+def test_the_forecast_has_this_pace_and_says_why_from_twice_on(factor, station):
     job = JobConfig(name="a", sequence="three_pose", station="simulated")
-    night = plan_batch(
-        Queue(format="starbench/queue/1", name="n", jobs=[job]), BEGUN, {"Simulated bench": Pace(factor, 7)}
-    )
+    queue = Queue(format="starbench/queue/1", name="n", jobs=[job])
+    night = plan_batch(queue, BEGUN, {station: Pace(factor, 7, station)})
     (slot,) = night.slots
     assert slot.end_s - slot.begin_s == pytest.approx(factor * planned_duration_s(job))
-    assert [
-        text.startswith("On station Simulated bench, the last 7 runs took 2.5 times") for text in night.slow
-    ] == ([True] if factor > 2 else [])
+    place = f"On station {station}" if station else "On this computer"
+    told = [text.startswith(f"{place}, the last 7 runs took 2.5 times") for text in night.slow]
+    assert told == ([True] if factor > 2 else [])
