@@ -1,6 +1,6 @@
 """Section `budget` of the station file: uncertainties that no view can show, each with its distribution and source.
 
-The section gives the type B terms of the uncertainty budget; `calib.uncertainty.type_b` propagates them to the result.
+The section gives the type B terms of the uncertainty budget; `calib.joint` propagates them to the result.
 """
 
 from __future__ import annotations

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.errors import InputMismatch
+from calib.model.beam import inside_guard_band, visible_discs
 from calib.model.homography import gross_errors, view_homography
 from calib.model.local_consistency import local_spacing
 from calib.stars.grid_map import predict_locally
@@ -102,3 +103,19 @@ def part_of(view: View, kept: Bools) -> View:
         target_mm=view.target_mm[kept],
         covariances_px2=view.covariances_px2[kept],
     )
+
+
+def used_stars(views: Sequence[View], guard_band: float, wrong: Sequence[GrossStars]) -> list[Bools]:
+    """Return for each view which stars are neither in a guard band nor a gross error.
+
+    guard_band: Share of the visible disc's radius; 1 for no guard band.
+    wrong: Stars with a gross error, for each view; none if there are none.
+    """
+    used = [~one.wrong for one in wrong] or [np.ones(len(view), np.bool_) for view in views]
+    if guard_band < 1.0:
+        inside = [
+            inside_guard_band(view, disc, guard_band)
+            for view, disc in zip(views, visible_discs(views), strict=True)
+        ]
+        used = [own & one for own, one in zip(used, inside, strict=True)]
+    return used

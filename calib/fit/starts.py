@@ -6,7 +6,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 
@@ -16,7 +15,7 @@ from calib.adjustment.observations import Observations
 from calib.adjustment.parameters import AdjustmentParameters
 from calib.calibration import CalibrationOptions
 from calib.model.camera import PINHOLE
-from calib.model.collimator import CENTRE, Collimator
+from calib.model.collimator import CENTRE
 from calib.model.homography import view_homography
 from calib.view import View
 
@@ -25,13 +24,10 @@ def initialize(
     views: Sequence[View],
     options: CalibrationOptions,
     model: str,
-    near: AdjustmentParameters | None = None,
 ) -> tuple[Bundle, AdjustmentParameters]:
     """Return the bundle of the ideal model, without aberrations, and its starting values.
 
-    model: ``planar`` frees the centre of each view; all other models share one centre.
-    near: Parameters near the optimum, from another model; None to compare starts. ``planar`` always compares
-      starts.
+    model: ``planar`` frees the centre of each view; in ``spherical`` they share one.
     Raises DegenerateViews: If no start leads to a real camera.
     """
     size, distortion = views[0].image_size, tuple(options.distortion)
@@ -39,8 +35,6 @@ def initialize(
     centre = [] if model == "planar" else [name for name in CENTRE if name not in held]
     observations = Observations.from_views(views)
     bundle = Bundle(observations, (*PINHOLE, *distortion, *centre), free_centres=model == "planar")
-    if near is not None and model != "planar":
-        return bundle, _ideal(near, distortion)
     h = np.array([view_homography(view) for view in views])
     if options.passport:
         starts = list(passport_starts(h, size, distortion, options.passport))
@@ -49,15 +43,3 @@ def initialize(
     else:
         starts = list(spherical_starts(h, size, distortion))
     return bundle, best_start(bundle, starts)
-
-
-def _ideal(near: AdjustmentParameters, distortion: Sequence[str]) -> AdjustmentParameters:
-    """Return parameters without aberrations, shifts of centres and gimbal; coefficients they do not have are zero."""
-    camera, centre = near.camera, near.collimator
-    coefficients = {name: camera.distortion.get(name, 0.0) for name in distortion}
-    return AdjustmentParameters(
-        replace(camera, distortion=coefficients),
-        Collimator(centre.x, centre.y, centre.r),
-        near.rotations,
-        np.zeros_like(near.offsets),
-    )

@@ -19,7 +19,7 @@ from calib.joint.marginal import Marginal
 from calib.joint.posterior import Node, Posterior
 from calib.model import budget_row as names
 from calib.model.budget_row import ROW_QUANTITIES, WORST_CORNER, BudgetRow
-from calib.uncertainty.projection_uncertainty import projection_derivatives
+from calib.uncertainty.projection_uncertainty import worst_point
 
 Array = NDArray[np.float64]
 
@@ -94,13 +94,9 @@ def row_gradients(posterior: Posterior, camera_covariance: Array) -> Array:
     bench = posterior.optimum.marginal.problem.bench
     size = len(bench.layout.camera)
     camera = bench.camera(posterior.mean)
-    derivatives = projection_derivatives(camera)[1]
-    spread = derivatives @ camera_covariance @ np.swapaxes(derivatives, 1, 2)
-    values, vectors = np.linalg.eigh(spread)
-    worst = int(np.argmax(values[:, 1]))
     gradients = np.zeros((len(ROW_QUANTITIES), len(bench.layout.names)))
     gradients[range(4), range(4)] = 1.0
-    gradients[4, :size] = vectors[worst, :, 1] @ derivatives[worst]
+    gradients[4, :size] = worst_point(camera, camera_covariance)
     return gradients
 
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from calib.adjustment.parameters import AdjustmentParameters
 from calib.calibration import Calibration, CalibrationOptions, ViewSummary
-from calib.diagnosis.gross_stars import GrossStars, part_of
+from calib.diagnosis.gross_stars import GrossStars, part_of, used_stars
 from calib.joint import amplitudes as amp
 from calib.joint.adjust import adjust
 from calib.joint.budget import budget_rows, row_gradients, variances
@@ -21,7 +21,6 @@ from calib.joint.layout import CENTRE, RADIAL
 from calib.joint.left_out import left_out_rms, rotation_covariance
 from calib.joint.posterior import Posterior, posterior
 from calib.joint.words import MOST_SCATTER, contradiction, notes, require_determined
-from calib.model.beam import inside_guard_band, visible_discs
 from calib.model.budget_row import WORST_CORNER
 from calib.model.collimator import Collimator
 from calib.model.gimbal import SCALES
@@ -53,7 +52,7 @@ def calibrate_jointly(
     wrong: Stars with a gross error, for each view.
     Raises DegenerateViews, NotConverged: As `calib.engine.calibrate`.
     """
-    used = _used(views, options, wrong)
+    used = used_stars(views, options.guard_band, wrong)
     kept = [view if own.all() else part_of(view, own) for view, own in zip(views, used, strict=True)]
     found, contradicted = _posterior(kept, options)
     if contradicted is not None:
@@ -79,20 +78,6 @@ def _posterior(views: Sequence[View], options: CalibrationOptions) -> tuple[Post
         return found, None
     alone = posterior(adjust(views, replace(options, gimbal=None)))
     return alone, replace(gimbal, entered=False, values={}, sigma={})
-
-
-def _used(
-    views: Sequence[View], options: CalibrationOptions, wrong: Sequence[GrossStars]
-) -> list[NDArray[np.bool_]]:
-    """Return which stars are neither in a guard band nor a gross error."""
-    used = [~one.wrong for one in wrong]
-    if options.guard_band < 1.0:
-        inside = [
-            inside_guard_band(view, disc, options.guard_band)
-            for view, disc in zip(views, visible_discs(views), strict=True)
-        ]
-        used = [own & one for own, one in zip(used, inside, strict=True)]
-    return used
 
 
 def _parameters(found: Posterior) -> AdjustmentParameters:

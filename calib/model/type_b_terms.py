@@ -1,7 +1,7 @@
 """Type B terms of the uncertainty budget: what is stated about the bench, as data.
 
 A type B term is an uncertainty that comes from a certificate, a data sheet or experience, not from the views of this
-calibration (JCGM 100:2008, section 4.3). `calib.uncertainty.type_b` propagates the terms to the parameters.
+calibration (JCGM 100:2008, section 4.3). Each is an unknown of the joint adjustment (`calib.joint.knowledge`).
 """
 
 from __future__ import annotations

@@ -2,14 +2,13 @@
 
 The covariance rests on the residuals, not on the stars' stated covariances: J^T J inverted, times the variance of the
 influence function over the square of its mean slope (Huber, 1981, chapter 7). It is right if the model is right. The
-views test that: if their estimates differ by more than star noise allows (Birge ratio), the covariance comes from
-`calib.uncertainty.variance_components` for fewer than five views, and its sigmas from the scores of the views
-(`calib.uncertainty.cluster_robust`) for five or more.
+views test that: if their estimates differ by more than star noise allows, the covariance is multiplied by the square of
+the Birge ratio.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -19,9 +18,8 @@ from calib.adjustment.bundle import Bundle
 from calib.adjustment.levenberg_marquardt import Loss
 from calib.adjustment.parameters import AdjustmentParameters
 from calib.errors import DegenerateViews
-from calib.uncertainty.cluster_robust import cluster_robust_covariance
-from calib.uncertainty.repeats import noise_growth, pose_scores, views_of_poses
-from calib.uncertainty.variance_components import VarianceComponents
+from calib.model.budget_row import POSE_FIELDS, STARS
+from calib.uncertainty.repeats import noise_growth, pose_scores
 
 Array = NDArray[np.float64]
 
@@ -31,12 +29,6 @@ _SINGULAR = 1e-13
 _DETERMINED = 1e-6
 #: Probability that consistent views are reported as inconsistent.
 _FALSE_ALARMS = 1e-3
-#: From this number of views on, the scores of the views determine the sigmas.
-SCORE_VIEWS = 5
-#: From this number of views on, the working covariance matters little, and variance components take long.
-_MANY_VIEWS = 16
-#: Source of the budget that holds what the inconsistency of the views adds.
-INCONSISTENCY = "disagreement of the views"
 #: Coverage probability of value +- 2 sigma for a Gaussian.
 _COVERAGE = 0.9545
 
@@ -57,12 +49,8 @@ class Uncertainty:
     # Degrees of freedom of the covariance: those of the stars if the views are consistent, else those of the
     # views.
     effective_degrees_of_freedom: float = float("inf")
-    # (G,) float64 variances of the parameters by source; the sources add up to the diagonal of the
-    # covariance.
-    budget: Mapping[str, Array] = field(default_factory=dict)
-    # (G, G) float64 part of the covariance from errors that all views share
-    # (`calib.uncertainty.common_errors`); None if there are none.
-    common: Array | None = None
+    # (G, G) float64 covariances of the parameters by source; they add up to the covariance.
+    parts: Mapping[str, Array] = field(default_factory=dict)
 
     @property
     def coverage_factor(self) -> float:
@@ -129,7 +117,7 @@ def covariance_at_optimum(bundle: Bundle, parameters: AdjustmentParameters, loss
         birge_ratio=float(np.sqrt(ratio)),
         inconsistent=bool(ratio > limit),
         effective_degrees_of_freedom=float(views_freedom if ratio > limit else freedom),
-        budget=_budget(bundle, covariance),
+        parts={STARS: covariance},
     )
 
 
@@ -165,93 +153,14 @@ def _added_by_repeats(information: Array, inverse: Array, growth: Array) -> Arra
     return np.asarray(inverse @ ((growth - 1.0)[:, None, None] * information).sum(axis=0) @ inverse)
 
 
-def _budget(bundle: Bundle, covariance: Array) -> Mapping[str, Array]:
-    """Split the variances into those from the stars and those from the priors.
-
-    Linear propagation (JCGM 100:2008, section 5.2): a prior of information P contributes C P C to the covariance C.
-    """
-    variances = np.diag(covariance)
-    if bundle.prior is None:
-        return {"stars": variances}
-    at = [bundle.names.index(name) for name in bundle.prior.names]
-    by_prior = np.einsum("gk,kl,gl->g", covariance[:, at], bundle.prior.information, covariance[:, at])
-    return {"stars": variances - by_prior, "known beforehand": by_prior}
-
-
-def inflate(
-    nominal: Uncertainty,
-    bundle: Bundle,
-    parameters: AdjustmentParameters,
-    loss: Loss,
-    estimate_components: Callable[[], VarianceComponents],
-) -> Uncertainty:
-    """Return the uncertainty, enlarged if the views are inconsistent.
-
-    With fewer than five views the covariance is that of the variance components. From five views on, each sigma comes
-    from the scores of the views (`calib.uncertainty.cluster_robust`); correlations are kept. Variance components:
-    Patterson and Thompson (1971). Scores: Bell and McCaffrey (2002).
-
-    nominal: Uncertainty if the model is right.
-    estimate_components: Estimates the variance components; called if the views are inconsistent and fewer
-      than 16.
-    Returns: The enlarged uncertainty; the same object if the views are consistent.
-    """
+def enlarged(nominal: Uncertainty) -> Uncertainty:
+    """Return the uncertainty, multiplied by the Birge ratio (Birge, 1932) if the views are inconsistent."""
     if not nominal.inconsistent:
         return nominal
-    views = len(views_of_poses(bundle))
-    if views >= _MANY_VIEWS:
-        return _from_scores(nominal, bundle, parameters, loss, None)
-    shared = estimate_components()
-    shaped = _from_variance_components(nominal, shared)
-    return (
-        shaped
-        if views < SCORE_VIEWS
-        else _from_scores(shaped, bundle, parameters, loss, shared.score_covariances)
-    )
-
-
-def _from_variance_components(nominal: Uncertainty, shared: VarianceComponents) -> Uncertainty:
-    """Return the uncertainty with the covariance of the variance components."""
-    budget = {"stars": np.diag(shared.star_covariance), "known beforehand": np.diag(shared.prior_covariance)}
+    growth = nominal.birge_ratio**2
+    added = (growth - 1.0) * nominal.covariance
     return replace(
-        nominal,
-        covariance=shared.covariance,
-        effective_degrees_of_freedom=max(
-            1.0, min(shared.effective_degrees_of_freedom, nominal.effective_degrees_of_freedom)
-        ),
-        budget={
-            **{source: budget[source] for source in nominal.budget},
-            INCONSISTENCY: np.diag(shared.field_covariance),
-        },
-    )
-
-
-def _from_scores(
-    nominal: Uncertainty, bundle: Bundle, parameters: AdjustmentParameters, loss: Loss, working: Array | None
-) -> Uncertainty:
-    """Return the uncertainty with sigmas from the scores of the views, but not below those from the stars.
-
-    `working` (n, G, G) is the working covariance of the scores; None for that of star noise. The degrees of freedom
-    differ from parameter to parameter; their median is used for all. Source of the sigmas: Bell and McCaffrey (2002).
-    The lower limit and the scaling of the covariance to the sigmas are this project's own.
-    """
-    information, scores = pose_scores(bundle, bundle.scores(parameters, loss, curved=True))
-    if working is None:
-        growth = noise_growth(bundle, bundle.weighted_residuals(parameters))
-        working = nominal.variance_factor * growth[:, None, None] * information
-    prior = bundle.prior_information
-    shown = cluster_robust_covariance(scores, information, working, prior, bundle.noise_variance * prior)
-    others = {source: variances for source, variances in nominal.budget.items() if source != INCONSISTENCY}
-    least = sum(others.values(), start=np.zeros(len(nominal.names)))
-    variances = np.maximum(shown.variances, least)
-    growth = np.sqrt(variances / np.diag(nominal.covariance))
-    return replace(
-        nominal,
-        covariance=nominal.covariance * np.outer(growth, growth),
-        effective_degrees_of_freedom=max(
-            1.0, min(float(np.median(shown.degrees_of_freedom)), nominal.effective_degrees_of_freedom)
-        ),
-        budget={**others, INCONSISTENCY: variances - least},
+        nominal, covariance=growth * nominal.covariance, parts={**nominal.parts, POSE_FIELDS: added}
     )
 
 

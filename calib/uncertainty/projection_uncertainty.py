@@ -174,3 +174,15 @@ def _across(rays: Array) -> Array:
     one = np.cross(rays, helper)
     one /= np.linalg.norm(one, axis=1, keepdims=True)
     return np.stack([one, np.cross(rays, one)], axis=2)
+
+
+def worst_point(camera: CameraModel, covariance: Array) -> Array:
+    """Return the (K,) gradient of the point of the sensor, and its direction, with the largest projection uncertainty.
+
+    covariance: (K, K) of the camera's parameters.
+    """
+    derivatives = projection_derivatives(camera)[1]
+    spread = derivatives @ covariance @ np.swapaxes(derivatives, 1, 2)
+    values, vectors = np.linalg.eigh(spread)
+    worst = int(np.argmax(values[:, 1]))
+    return np.asarray(vectors[worst, :, 1] @ derivatives[worst])

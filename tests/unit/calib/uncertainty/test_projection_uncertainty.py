@@ -38,7 +38,9 @@ def test_pixels_become_arc_seconds_by_the_focal_length():
 
 def test_the_map_is_the_scatter_of_repeated_calibrations(bench):
     runs = [
-        calibrate(bench.views(np.random.default_rng([71, i]), 0.05), CalibrationOptions(loss="l2"))
+        calibrate(
+            bench.views(np.random.default_rng([71, i]), 0.05), CalibrationOptions("spherical", loss="l2")
+        )
         for i in range(16)
     ]
     stated = projection_uncertainty(runs[0].camera, runs[0].camera_covariance, 9).sigma_px
