@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +23,7 @@ from calib.joint.layout import POSE_PLACES, Layout
 from calib.joint.marginal import Problem
 from calib.joint.readings import Readings
 from calib.joint.solve import Optimum, approached, search
+from calib.model.beam import visible_discs
 from calib.model.camera import PINHOLE, SKEW
 from calib.model.collimator import CENTRE, Collimator
 from calib.model.homography import view_homography
@@ -31,6 +33,11 @@ from calib.view import View
 Array = NDArray[np.float64]
 
 ROUNDS = 40
+#: A pupil that wanders by this share of the radius is moved by hand. On a gimbal it wanders by a tenth of it, and discs
+#: that the image cuts off scatter by half of it.
+_WANDERS = 0.03
+#: So many turns are alike a pupil that wanders by the radius: fields by the pupil have the amplitudes of those by turn.
+_PUPIL_TURNS = 3.0
 #: A fisheye lens is chosen if twice the logarithm of its odds exceeds this: strong evidence (Kass and Raftery, 1995).
 _EVIDENCE = 10.0
 
@@ -102,6 +109,21 @@ def posed(
     return Problem(bench, knowledge, blocks, hyper), state
 
 
+def wandering_pupils(views: Sequence[View], poses: NDArray[np.int64], r_mm: float) -> Array | None:
+    """Return (n, 2) where the pupil looks through the beam in each pose, if it wanders farther than a gimbal lets it.
+
+    The visible discs show it. On a gimbal the pupil follows the turn, which is known far better than a disc.
+    """
+    discs = visible_discs(views)
+    if not all(disc.rim_visible or disc.uses_other_views for disc in discs):
+        return None
+    places = np.array([disc.centre_mm for disc in discs]) / r_mm
+    places = np.array([places[poses == pose].mean(axis=0) for pose in range(poses.max() + 1)])
+    places = places - places.mean(axis=0)
+    wander = float(np.sqrt((places**2).sum(axis=1).mean()))
+    return _PUPIL_TURNS * places if wander > _WANDERS else None
+
+
 def adjust(views: Sequence[View], options: CalibrationOptions) -> Optimum:
     """Return the optimum of the joint adjustment; if the data choose the lens, that of the more probable family."""
     found = _adjusted(views, options, lens_names(options.distortion))
@@ -126,4 +148,7 @@ def _adjusted(views: Sequence[View], options: CalibrationOptions, lens: tuple[st
         camera, Collimator(named["x"], named["y"], named["r"]), near.rotations, start.offsets
     )
     problem, state = posed(views, options, start, lens)
+    if not problem.knowledge.parallax_known:  # a bound of the parallax says that the pupil is on a gimbal
+        pupils = wandering_pupils(views, problem.bench.poses, named["r"])
+        problem = replace(problem, bench=replace(problem.bench, pupils=pupils))
     return search(problem, state, rounds)

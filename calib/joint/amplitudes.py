@@ -40,7 +40,7 @@ class Family:
 #: Fields in units of r (at 3345 px, 1e-6 is .0033 px); stars and readings relative to what is stated. The medians are
 #: those of good collimators and gimbals; the widths leave a factor of 20 to 50 to both sides (2 sigma).
 FAMILIES = (
-    Family((STAR,), (1.0,), 0.3, 0.0),
+    Family((STAR,), (1.0,), 1.5, 0.0),
     Family((READING,), (1.0,), 0.4, 0.0),
     Family(POSE, (2e-6,) * 4, 1.3, 0.8),
     Family((*COMMON, *TURN, *TURN_2), (*(8e-6,) * 5, *(3e-6,) * 2, *(1e-6,) * 2), 1.3, 0.7),

@@ -93,11 +93,13 @@ class Bench:
     # target. They are data, so that no step changes them.
     turns: Array
     axes: Array
+    # (n, 2) where the pupil looks through the beam, in place of the turns; None if it follows them.
+    pupils: Array | None = None
 
     @cached_property
     def maps(self) -> Array:
         """(n, B, S) what the shared unknowns do to the bases of the poses."""
-        return self.layout.maps(self.turns, self.axes)
+        return self.layout.maps(self.turns, self.axes, self.turns if self.pupils is None else self.pupils)
 
     @cached_property
     def n_poses(self) -> int:

@@ -106,10 +106,11 @@ class Layout:
         """Places of the pose's own field in its basis."""
         return POSE_PLACES + len(self.camera) + 1
 
-    def maps(self, turns: Array, axes: Array) -> Array:
+    def maps(self, turns: Array, axes: Array, pupils: Array) -> Array:
         """Return (n, B, S) what the shared unknowns do to the bases of n poses.
 
         turns: (n, 2) tangents of the turns along X and Y. axes: (n, 2, 2) the camera's x and y axes on the target.
+        pupils: (n, 2) what the fields by turn follow: the turns, or the places of a pupil that is moved by hand.
         """
         k, r_mm = len(self.camera), self.basis.reference[2]
         found = np.zeros((len(turns), self.size, len(self.names)))
@@ -121,7 +122,7 @@ class Layout:
         found[:, field + self.common, self.places([f"common_{j}" for j in self.common])] = 1.0
         for name, powers in {**_TURNS, **_TURNS_2}.items():
             places = both((_TURN_DEGREE if name in _TURNS else _TURN_2_DEGREE) >= DEGREES)
-            size = np.prod((turns / amp.UNIT_TURN) ** powers, axis=1)
+            size = np.prod((pupils / amp.UNIT_TURN) ** powers, axis=1)
             found[:, field + places, self.places([f"{name}_{j}" for j in places])] = size[:, None]
         for pose, (turn, across) in enumerate(zip(turns, axes, strict=True)):
             for name in self.turning:

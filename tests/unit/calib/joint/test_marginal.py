@@ -7,7 +7,8 @@ import pytest
 from scipy.optimize import minimize
 
 from calib import CalibrationOptions, Passport, calibrate
-from calib.joint.adjust import adjust
+from calib.diagnosis.gross_stars import part_of
+from calib.joint.adjust import adjust, wandering_pupils
 from calib.joint.budget import variances
 from calib.joint.curvature import best_amplitudes, expected_curvature
 from calib.joint.knowledge import CERTIFICATE, FAULTS, WRONG
@@ -110,6 +111,19 @@ def test_innovation_is_what_an_adjustment_without_the_statement_says(optimum, na
     assert one.sigma[0] == pytest.approx(sigma[0, 0], rel=1e-3)
     away = (one.statement.values - expected) / np.sqrt(sigma[0, 0] ** 2 + one.statement.covariance[0, 0])
     assert one.normalised == pytest.approx(away[0], rel=1e-2, abs=1e-3)
+
+
+@pytest.mark.parametrize(("mm", "wanders"), [(0.0, False), (15.0, True)])
+def test_a_pupil_that_is_moved_by_hand_is_found_in_the_discs(views, mm, wanders):
+    middle = views[0].target_mm.mean(axis=0)
+    seen = []
+    for view, x in zip(views[:3], (-mm, mm, 0.0), strict=True):
+        away = view.target_mm - middle - [x, 0.0]
+        seen.append(part_of(view, np.hypot(*away.T) < 25.0))
+    pupils = wandering_pupils(seen if wanders else views[:3], np.arange(3), 255.0)
+    assert (pupils is not None) == wanders
+    if pupils is not None:
+        assert 3.0 * 2.0 * mm / 255.0 == pytest.approx(pupils[1, 0] - pupils[0, 0], rel=0.3)
 
 
 def test_ideal_stars_give_the_truth(bench):
