@@ -56,8 +56,6 @@ def calibrate(views: Sequence[View], options: CalibrationOptions | None = None) 
         If a view has fewer than 4 stars.
     DegenerateViews
         If the views do not constrain the camera; says why.
-    PassportContradicted
-        If the views contradict the passport of a reference method.
     NotConverged
         If the adjustment did not reach an optimum.
     """

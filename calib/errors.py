@@ -7,7 +7,6 @@ CalibrationError
 ├── TooFewEvents          too few events, or no whole flicker period, for an image
 ├── FlickerNotFound       neither the triggers nor the events show a period
 ├── DegenerateViews       views that do not determine the camera: too few, twice the same pose, parallel axes
-├── PassportContradicted  views that contradict the collimator's passport
 ├── NotConverged          an adjustment that did not reach its optimum
 └── InputMismatch         shapes, sizes, ids or options that contradict each other
 """
@@ -64,10 +63,6 @@ class FlickerNotFound(CalibrationError):
 
 class DegenerateViews(CalibrationError):
     """The views do not determine the camera."""
-
-
-class PassportContradicted(CalibrationError):
-    """The views contradict the collimator's passport."""
 
 
 class NotConverged(CalibrationError):

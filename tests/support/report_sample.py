@@ -144,6 +144,7 @@ def results(views, *, simulated=True):
         "gates": _gates(),
         "untils": _untils(),
         "deviations": ["Pose second was recorded twice: the first recording had 31 stars."],
+        "holds": [],
         "failures": [
             {
                 "kind": "link",
