@@ -62,15 +62,19 @@ def _numbers(found: Any) -> list[float]:
 def refuse_indefinite(passport: Passport) -> None:
     """Refuse a covariance that is not symmetric and positive definite, or states a certainty that nobody has.
 
-    Own limits: a standard uncertainty below 0.1 nm, or below 1e-8 of the focal length, is not a measurement. The
-    smallest eigenvalue is that of the correlation matrix, so that the units of the parameters do not matter.
+    Own limits: a standard uncertainty of the centre below 0.1 nm, or below 1e-8 of the focal length, is not a
+    measurement. The smallest eigenvalue is that of the correlation matrix, so that the units of the parameters do not
+    matter.
 
     Raises InputMismatch: When it is refused; the message names the parameter.
     """
     covariance = passport.covariance
     variances = covariance.diagonal()
     least = {
-        name: max(_LEAST_SIGMA, _LEAST_RELATIVE_SIGMA_OF_R * abs(value) if name == "r" else 0.0)
+        name: max(
+            _LEAST_SIGMA if name in CENTRE else 0.0,
+            _LEAST_RELATIVE_SIGMA_OF_R * abs(value) if name == "r" else 0.0,
+        )
         for name, value in passport.values_by_name.items()
     }
     for name, variance in zip(passport.names, variances.tolist(), strict=True):

@@ -29,9 +29,6 @@ if TYPE_CHECKING:
 NO_SECTION = (
     "The station file has no gimbal section, so the uncertainty of the gimbal's readings is not known."
 )
-NO_BOUND = (
-    "The station does not bound the parallax; a parallax of about 1 % of the focal length cannot be excluded."
-)
 ONE_VIEW = (
     "With a passport of this collimator (`starbench passport make`), one view is enough: on the published recordings "
     "it gives the focal length to about 3 px of 2409 px. With a certificate, which states the focal length of the "
@@ -183,12 +180,10 @@ def _why_not(
         return "The sequence keeps them out of the adjustment (readings: witness)."
     if readings is None or not stated:
         return NO_SECTION
-    if readings.parallax is None:
-        return NO_BOUND
-    if calibration.model in ("planar", "drift"):
-        return (
-            f"The {calibration.model} model frees the centre of each view, so readings do not determine it."
-        )
+    if calibration.model == "planar":
+        return "The planar model frees the centre of each view, so readings do not determine it."
+    if calibration.model == "spherical":
+        return "The spherical model is a method of reference: it uses no readings."
     found = calibration.gimbal
     if found is None:
         return "They took no part in this calibration. Its notes give the reason."

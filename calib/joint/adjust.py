@@ -9,12 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.adjustment.bundle import Bundle
+from calib.adjustment.degeneracy import explain_weak_geometry
 from calib.adjustment.initialization import best_start, passport_starts, spherical_starts
 from calib.adjustment.observations import Observations
 from calib.adjustment.parameters import AdjustmentParameters
 from calib.adjustment.poses import poses_of
 from calib.calibration import CalibrationOptions
-from calib.errors import CalibrationError
+from calib.errors import CalibrationError, DegenerateViews, NotConverged
 from calib.joint import amplitudes as amp
 from calib.joint.equations import Bench, State, ViewStars, turns_of
 from calib.joint.fields import FIELD_RADIUS, FieldBasis, basis_of
@@ -137,8 +138,26 @@ def adjust(views: Sequence[View], options: CalibrationOptions) -> Optimum:
 
 
 def _adjusted(views: Sequence[View], options: CalibrationOptions, lens: tuple[str, ...]) -> Optimum:
-    """Return the optimum with one family of the lens."""
+    """Return the optimum with one family of the lens.
+
+    Raises DegenerateViews: If the equations cannot be solved because of the views' geometry; says what it is.
+    """
     start = first_parameters(views, options, lens)
+    try:
+        return _searched(views, options, lens, start)
+    except NotConverged as error:
+        why = explain_weak_geometry(views, start)
+        if not why:
+            raise
+        raise DegenerateViews(
+            f"These views do not determine the camera. {why}",
+            remedy="Add views turned about other axes, with the stars elsewhere in the image.",
+        ) from error
+
+
+def _searched(
+    views: Sequence[View], options: CalibrationOptions, lens: tuple[str, ...], start: AdjustmentParameters
+) -> Optimum:
     problem, state = posed(views, options, start, lens)
     rounds = min(ROUNDS, options.max_iterations)
     near = approached(problem, state, rounds)

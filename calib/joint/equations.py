@@ -26,6 +26,8 @@ Array = NDArray[np.float64]
 
 #: Stars beyond this number of sigma lose their weight, with the sixth power of the distance.
 _LIMIT_SIGMAS = 3.5
+#: Smallest scale of the weights, sigmas: points without any noise all count.
+_LEAST_LENGTH = 1e-9
 #: Steps to the best rotations.
 _ALIGNMENTS = 2
 #: Median length of a residual of two components over their sigma.
@@ -301,7 +303,8 @@ class _ViewEquations:
 
 def robust_weights(lengths: Array, limit: float) -> Array:
     """Return the weights of stars: 1 for small residuals, falling smoothly beyond 3.5 sigma."""
-    return np.asarray(1.0 / (1.0 + (lengths / (_LIMIT_SIGMAS * limit)) ** 6))
+    scale = max(_LIMIT_SIGMAS * limit, _LEAST_LENGTH)
+    return np.asarray(1.0 / (1.0 + (lengths / scale) ** 6))
 
 
 def robust_sigma(lengths: Sequence[Array]) -> float:

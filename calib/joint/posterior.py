@@ -9,6 +9,7 @@ both.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache, cached_property
 
@@ -228,8 +229,8 @@ def _directions(size: int) -> Array:
 def _faults(optimum: Optimum, curvature: Array) -> list[tuple[Faults, Array, Solution, float]]:
     """Return the faults that the views make more probable than they were: amplitudes, solution, odds against none."""
     marginal, found = optimum.marginal, []
-    starts = (optimum.eta, _usual(optimum))
-    possible = _possible(optimum, starts[1])
+    starts = _starts(optimum)
+    possible = _possible(optimum, starts)
     # Without a fault, and where the search of the state did not let the amplitudes go as far as they would.
     none = best_amplitudes(marginal, optimum.eta, _FAULT_STEPS)[1].value if possible else 0.0
     for names in possible:
@@ -249,6 +250,16 @@ def _faults(optimum: Optimum, curvature: Array) -> list[tuple[Faults, Array, Sol
     return found
 
 
+def _starts(optimum: Optimum) -> tuple[Array, ...]:
+    """Return the amplitudes at which faults are looked for: the best, and the expected ones if they determine all."""
+    usual = _usual(optimum)
+    try:
+        optimum.marginal.solve(usual, slope=False)
+    except np.linalg.LinAlgError:
+        return (optimum.eta,)
+    return optimum.eta, usual
+
+
 def _usual(optimum: Optimum) -> Array:
     """Return the amplitudes with those of the collimator as they are expected.
 
@@ -261,17 +272,17 @@ def _usual(optimum: Optimum) -> Array:
     return eta
 
 
-def _possible(optimum: Optimum, usual: Array) -> list[tuple[str, ...]]:
+def _possible(optimum: Optimum, starts: Sequence[Array]) -> list[tuple[str, ...]]:
     """Return the statements that contradict the others by so much that a fault can be more probable than none.
 
     One source states the scales of all axes, so they can be wrong together.
 
-    usual: (A,) expected amplitudes of the collimator; the contradictions at these count too.
+    starts: (A,) each, amplitudes; the contradictions at each of them count.
     """
     doubted: dict[str, None] = {}
     scales: tuple[str, ...] = ()
-    solved = (optimum.eta, optimum.solution), (usual, optimum.marginal.solve(usual, slope=False))
-    for eta, solution in solved:
+    for eta in starts:
+        solution = optimum.marginal.solve(eta, slope=False)
         said = Posterior(optimum, (), np.zeros(0), {}, Node(1.0, eta, NO_FAULT, solution)).innovations()
         doubted |= dict.fromkeys(one.name for one in said if abs(one.normalised) > _AGREES)
         scales = tuple(one.name for one in said if one.statement.group == GIMBAL_SCALE)

@@ -134,7 +134,8 @@ def _fit_without_gross_errors(view: View) -> tuple[Array, Bools]:
         return h, wrong
     h = _least_median_homography(view.target_mm, view.points_px, where)
     wrong = _wrong_about(h, view)
-    if len(view) - np.count_nonzero(wrong) < MIN_STARS:
+    # The least median has no hold where more than half are wrong; such a view is refused by `calib.diagnosis`.
+    if len(view) - np.count_nonzero(wrong) < max(MIN_STARS, len(view) // 2):
         return _reweighted_homography(view.target_mm, view.points_px, where), wrong
     return _reweighted_homography(view.target_mm[~wrong], view.points_px[~wrong], where), wrong
 

@@ -16,6 +16,7 @@ from running import end_when, entering, journal, start
 
 from bench.panel.panel_app import panel_app
 from bench.records.journal import read_journal
+from bench.web.tokens import PageToken
 
 CHROMIUM = os.environ.get("STARBENCH_CHROMIUM", "/usr/bin/chromium")
 FLAGS = [
@@ -153,7 +154,7 @@ def test_nothing_is_cut_on_a_phone(run, chromium, page):
 
 def test_a_token_is_asked_for_and_stands_in_no_address(run, tabs):
     token = "0123456789abcdef"
-    with served(panel_app(run.folder.parent), token=token) as server:
+    with served(panel_app(run.folder.parent), token=PageToken(token)) as server:
         tab = tabs.open(f"{server.url}run/run7")
         tab.fill("#token", "something else")
         tab.click("button")
@@ -169,7 +170,7 @@ def test_a_token_is_asked_for_and_stands_in_no_address(run, tabs):
         assert token not in other.url
         by_fragment.context.close()
         port = server.port
-    with served(panel_app(run.folder.parent), token="another token 123", port=port):
+    with served(panel_app(run.folder.parent), token=PageToken("another token 123"), port=port):
         tab.wait_for_url(
             "**/sign-in?next=*", timeout=1000 * PATIENCE_S
         )  # a panel with a new token asks for it

@@ -218,6 +218,6 @@ def test_on_the_realistic_bench_every_value_lies_within_its_expanded_uncertainty
     found = end.outcome.results
     k = found["calibration"]["coverage_factor"]
     expanded = {row["name"]: k * row["sigma"] for row in found["comparison"]}
-    assert {"fx", "fy", "cx", "cy", "k1", "k2", "r"} == set(expanded)
+    assert {"fx", "fy", "cx", "cy", "k1", "k2", "k3", "p1", "p2", "r"} == set(expanded)
     assert all(abs(row["error"]) <= expanded[row["name"]] for row in found["comparison"])
     assert 0.5 < expanded["fx"] < 7  # what certificate and readings can tell of 3345 px from nine poses

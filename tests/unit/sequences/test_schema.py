@@ -53,7 +53,7 @@ def read(text: str) -> Sequence:
         ("steps: [{solve: {distortion: }}]", "steps[0].solve.distortion: must be a list (got nothing)."),
         (
             "steps: [{solve: {model: sphere}}]",
-            "steps[0].solve.model: must be 'spherical', 'radial', 'pupil', ",
+            "steps[0].solve.model: must be 'auto', 'joint', 'spherical', 'planar', ",
         ),
         ("steps: [{solve: {passport: ''}}]", "steps[0].solve.passport: must not be empty (got '')."),
         (

@@ -10,7 +10,6 @@ from bench.plan.plan import load_documents, make_plan
 from bench.report.bench_knowledge import readings_rows
 from bench.results.forecasts import expected_bench, forecast_bench
 from bench.results.solve_options import (
-    NO_BOUND,
     NO_SECTION,
     gimbal_readings,
     limited_numbers,
@@ -49,7 +48,7 @@ def solved(task: Job, measured_deg=None, **settings):
         noise = rng.normal(0, 0.02, view.points_px.shape)
         views.append(replace(view, points_px=view.points_px + noise))
     (step,) = (step for step in task.steps if isinstance(step, SolveStep))
-    step = replace(step, **{"model": "spherical", **settings})
+    step = replace(step, **{"model": "auto", **settings})
     read = measured_deg or [{"pan": float(pan), "tilt": float(tilt)} for pan, tilt in POSES]
     options = solve_options(task, step, read)
     calibration = calibrate(views, options)
@@ -69,12 +68,11 @@ def test_encoders_replace_the_readings_of_their_axes():
     ("task", "settings", "why"),
     [
         (job(None), {}, NO_SECTION),
-        (job(GIMBAL % ""), {}, NO_BOUND),
-        (job(GIMBAL % OFF_PIVOT, None), {}, NO_BOUND),
+        (job(GIMBAL % OFF_PIVOT), {"model": "spherical"}, "The spherical model is a method of reference"),
         (job(GIMBAL % OFF_PIVOT), {"readings": "witness"}, "The sequence keeps them out"),
         (job(GIMBAL % OFF_PIVOT), {"model": "planar"}, "The planar model frees the centre"),
     ],
-    ids=["no section", "no pupil", "no defocus", "witness", "planar"],
+    ids=["no section", "spherical", "witness", "planar"],
 )
 def test_readings_that_do_not_enter_say_why_not(task, settings, why):
     _, _, found = solved(task, **settings)

@@ -17,7 +17,7 @@ def test_halves_of_ideal_views_differ_as_expected(bench):
 
 def test_a_moving_centre_makes_the_halves_differ_more_than_noise_would(bench):
     rng = np.random.default_rng(3)
-    centres = np.array(bench.centre) + rng.normal(scale=1.0, size=(6, 3))
+    centres = np.array(bench.centre) + rng.normal(scale=0.5, size=(6, 3))
     found = split_half(bench.views(rng, 0.05, poses=POSES, centres=centres), CalibrationOptions("spherical"))
     steady = split_half(
         bench.views(np.random.default_rng(3), 0.05, poses=POSES), CalibrationOptions("spherical")
