@@ -378,7 +378,7 @@ _PAGE = (
 
 
 def page_options(command: Callable[..., int]) -> Callable[..., int]:
-    """Give a command the options of a page: ``port host token_file no_token no_browser``."""
+    """Add the options that `panel` and `align` share: ``port host token_file no_token no_browser``."""
     for option in reversed(_PAGE):
         command = option(command)
     return command

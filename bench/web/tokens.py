@@ -1,4 +1,4 @@
-"""The token of the pages, and the limit of wrong ones.
+"""The token that a browser needs for the pages, and how many wrong tokens a client may send.
 
 Every process of this computer can ask the pages, whoever runs it, so they need a secret. Unless a person gives one,
 each start makes one, and the printed address holds it. A person's token comes from an environment variable or a file,

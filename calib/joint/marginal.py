@@ -150,7 +150,7 @@ class Marginal:
         return float(squares[self.problem.hyper.at(amp.READING)]) * self._sigma2
 
     def reading_weights(self, squares: Array) -> Array:
-        """Return (m, 3) the weights of the readings against the stars' rotations, in the principal axes."""
+        """Return the (m, 3) weights of the readings relative to the stars' rotations, in the principal axes."""
         star = squares[self.problem.hyper.at(amp.STAR)]
         return np.asarray(1.0 / (star * self.loose + self.reading_variance(squares)))
 

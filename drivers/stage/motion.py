@@ -116,10 +116,10 @@ def check_travel(
     if (lowest is not None and wanted[0] < lowest - slack) or (
         highest is not None and wanted[1] > highest + slack
     ):
-        counted = "" if unit == "deg" else f", which is {lowest} to {highest} {unit}"
+        counted = "" if unit == "deg" else f" ({lowest} to {highest} {unit})"
         raise OutsideLimits(
-            f"the station file's limits, {_range_deg(wanted, to_deg)}, reach beyond the"
-            f" controller's, {_range_deg(present, to_deg)}{counted}. Nothing was set.",
+            f"the station file allows {_range_deg(wanted, to_deg)}, but the controller allows only"
+            f" {_range_deg(present, to_deg)}{counted}. Nothing was set.",
             where=axis,
             remedy="Check limits and scale in the station file; if the mechanics allow it, widen the"
             " controller's own limits with its maker's software.",

@@ -11,7 +11,7 @@ from bench.align.session import Session
 FIRST_RING_STEP_DEG = 8.0
 LARGEST_JOG_DEG = 5.0
 LOOKS = 4
-"""Pictures with stars at which the person looks after each action."""
+"""After each action the person waits for this number of pictures with stars."""
 ENOUGH = 3
 """Pictures without anything to do after which the bench counts as aligned."""
 

@@ -97,7 +97,7 @@ def test_an_axis_that_counts_in_millimetres_is_refused(peer, clock) -> None:
 
 def test_limits_beyond_the_controllers_are_refused(peer, clock) -> None:
     peer.axes[1].values["SR"] = 12.0
-    with pytest.raises(OutsideLimits, match=r"-15 to 15 deg, reach beyond the controller's, -20 to 12 deg\."):
+    with pytest.raises(OutsideLimits, match=r"-15 to 15 deg, but the controller allows only -20 to 12 deg\."):
         EspStage(peer, axes(), clock=clock)
 
 

@@ -150,7 +150,7 @@ def test_a_scale_that_is_not_the_boards_is_refused(peer, clock) -> None:
 
 def test_limits_beyond_the_boards_travel_are_refused(peer, clock) -> None:
     peer.settings[130] = 30.0
-    with pytest.raises(OutsideLimits, match=r"reach beyond the controller's, -12 to 18 deg\."):
+    with pytest.raises(OutsideLimits, match=r"but the controller allows only -12 to 18 deg\."):
         GrblStage(peer, axes(), clock=clock)
 
 

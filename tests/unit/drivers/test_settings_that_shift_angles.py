@@ -75,7 +75,7 @@ def test_a_controller_that_counts_in_encoder_steps_is_refused_before_its_speed_i
 def test_borders_at_counts_are_narrowed_never_widened(clock) -> None:
     peer = XimcPeer(clock)
     peer.eds = before = struct.pack("<BBihih6s", 0x07, 0, -1200, 0, 1199, 0, bytes(6))
-    with pytest.raises(OutsideLimits, match="reach beyond the controller's"):
+    with pytest.raises(OutsideLimits, match="but the controller allows only"):
         ximc(peer, clock)
     assert peer.eds == before
     peer.eds = struct.pack("<BBihih6s", 0x07, 0, -1200, 0, 1200, 0, bytes(6))

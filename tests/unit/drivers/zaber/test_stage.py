@@ -139,7 +139,7 @@ def test_limits_beyond_the_controllers_travel_are_refused(peer, clock) -> None:
     peer.pan.settings["limit.max"] = "9000"
     with pytest.raises(
         OutsideLimits,
-        match=r"-15 to 15 deg, reach beyond the controller's, -15 to 9 deg, which is -15000 to 9000 microsteps",
+        match=r"allows -15 to 15 deg, but the controller allows only -15 to 9 deg \(-15000 to 9000 microsteps\)",
     ):
         ZaberStage(peer, axes(), clock=clock)
 
