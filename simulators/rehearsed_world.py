@@ -23,7 +23,6 @@ from simulators.optics.picture import star_centres, true_rotation
 from simulators.reading import Number, Section, read_section, refused_as_given
 from simulators.world.gimbal import load_angles_deg
 from simulators.world.truth import Truth
-from simulators.world.world import setup_of, with_setup
 
 Mishap = Literal["", "covered", "lost"]
 
@@ -86,14 +85,6 @@ class RehearsedWorld:
         self._seed = seed
         self._read_deg: dict[str, float] = {}
         self._sides: dict[str, float] = {}
-
-    def shift_camera(self, shift_mm: tuple[float, float]) -> None:
-        """Move the camera across the beam, before the next recording.
-
-        shift_mm: Displacement from where the camera was aligned, along the target's X and Y, mm; it replaces
-          an earlier one.
-        """
-        self._truth = with_setup(self._truth, replace(setup_of(self._truth), shift_mm=shift_mm))
 
     def temperature_c(self, on_s: float) -> float:
         """Return the temperature of the camera."""

@@ -117,15 +117,6 @@ class VirtualCamera:
         events = Events(*(np.concatenate(arrays) for arrays in zip(*parts, strict=True)))
         return VirtualCapture(events, (camera.width, camera.height), 0.0, 0.0, duration_us)
 
-    def board_corners_at_px(
-        self, placed: tuple[tuple[float, float, float], tuple[float, float, float]]
-    ) -> NDArray[np.float64]:
-        """Return the true image points of the inner corners of a board that was moved, at zero angles.
-
-        placed: Position, mm, and turn, degrees, of the board.
-        """
-        return scene.corners(self._moved(placed), {})
-
     def _moved(self, placed: tuple[tuple[float, float, float], tuple[float, float, float]]) -> Truth:
         position, turn = placed
         return replace(self._truth, screen=replace(self._truth.screen, position_mm=position, turn_deg=turn))

@@ -7,7 +7,6 @@ those. Nothing is written, and nothing is asked over a network.
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable
 from dataclasses import dataclass, field
 from datetime import UTC, datetime, timedelta
 from enum import StrEnum
@@ -21,7 +20,7 @@ from bench.evidence.faults import SealFault
 from bench.evidence.key_trust import Moments, Trust, judge_key
 from bench.evidence.openssh import NotInstalled
 from bench.evidence.seal import AUTHORISATION, AUTHORISATION_TIMESTAMP, TIMESTAMP
-from bench.evidence.signers import NAMESPACE, Signer
+from bench.evidence.signers import NAMESPACE
 from bench.evidence.ssh_keys import fingerprint
 from bench.evidence.sshsig import is_valid, read_signature
 from bench.evidence.timestamp import Stamp, check_timestamps
@@ -121,17 +120,6 @@ class Standing:
     # When the folder says that it was made, by the bench's own clock; None if it does not say.
     stated: datetime | None = None
     stamps: tuple[Stamp, ...] = ()
-
-
-def state_of(folder: Path, signers: Iterable[Signer], when: datetime) -> State:
-    """Return the state of a folder. It is that of `standing_of`, with these trusted keys alone.
-
-    folder: A run folder, a certificate folder, or a folder of results.
-    signers: Trusted keys, from `bench.evidence.signers.read_signers`.
-    when: The present time, with its time zone.
-    Raises StorageError: When a file cannot be read.
-    """
-    return standing_of(folder, Trust(tuple(signers)), when).state
 
 
 def standing_of(folder: Path, trust: Trust, now: datetime, *, at: datetime | None = None) -> Standing:

@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 
 from calib.adjustment.parameters import AdjustmentParameters
 from calib.errors import DegenerateViews
-from calib.model.beam import Disc
 from calib.model.rotation import log_map
 from calib.view import View
 
@@ -21,8 +20,6 @@ Array = NDArray[np.float64]
 
 #: Largest acceptable 1-sigma of a focal length, as a share of it.
 MAX_FOCAL_SIGMA = 0.05
-#: Smallest share of the views that must show the rim of the beam.
-_SHOWING_RIM = 0.5
 _SAME_POSE_DEG = 0.5
 _PARALLEL_SINE = 0.05
 _NARROW_DEG = 5.0
@@ -63,25 +60,6 @@ def require_constrained(
                 f"These views determine {name} only to ±{share:.0f} % (k = 2). {why}".strip(),
                 remedy="Add views turned about other axes, with the stars elsewhere in the image.",
             )
-
-
-def require_visible_rims(views: Sequence[View], discs: Sequence[Disc]) -> None:
-    """Refuse views if most of the discs of their beam are unknown; models with aberrations need the discs.
-
-    A disc is known if its centre is known to 0.06 of its radius (1-sigma), by the view's own rim or with the help of
-    others.
-
-    Raises DegenerateViews: If fewer than half of the discs are known; names the first view whose disc is not.
-    """
-    hidden = [view.name for view, disc in zip(views, discs, strict=True) if not disc.is_known]
-    unknown = any(not np.isfinite(disc.sigma_mm) for disc in discs)
-    if unknown or len(hidden) > (1.0 - _SHOWING_RIM) * len(views):
-        raise DegenerateViews(
-            f"The rim of the beam is out of view in {len(hidden)} of {len(views)} views, so the camera's position"
-            " in the pupil is unknown.",
-            where=f"view {hidden[0]}",
-            remedy="Use the spherical or the drift model, or record views that show the rim on both sides.",
-        )
 
 
 def explain_weak_geometry(views: Sequence[View], parameters: AdjustmentParameters) -> str:

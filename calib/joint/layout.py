@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 from calib.joint import amplitudes as amp
 from calib.joint.fields import COEFFICIENTS, DEGREE, DEGREES, FieldBasis, both
 from calib.model import budget_row as rows
-from calib.model.gimbal import GIMBAL
 
 Array = NDArray[np.float64]
 Places = NDArray[np.int64]
@@ -35,7 +34,6 @@ _RADIAL_SCALE = 0.06
 ECCENTRICITY = tuple(
     f"eccentricity_{axis}_{part}" for axis in ("pan", "tilt", "roll") for part in ("sin", "cos")
 )
-GIMBAL_NAMES = (*GIMBAL, *ECCENTRICITY)
 #: Products of the turns along X and Y, with the highest degree of their fields.
 _TURNS = {"turn_x": (1, 0), "turn_y": (0, 1)}
 _TURNS_2 = {"turn_xx": (2, 0), "turn_xy": (1, 1), "turn_yy": (0, 2)}

@@ -288,10 +288,3 @@ def _possible(optimum: Optimum, starts: Sequence[Array]) -> list[tuple[str, ...]
         scales = tuple(one.name for one in said if one.statement.group == GIMBAL_SCALE)
     together = [scales] if len(scales) > 1 and doubted else []
     return [*((name,) for name in doubted), *together]
-
-
-def amplitude_table(posterior: Posterior) -> dict[str, tuple[float, float]]:
-    """Return by name each amplitude at the mode, and the 1-sigma of its logarithm."""
-    names = posterior.optimum.marginal.problem.hyper.names
-    pairs = zip(np.exp(posterior.optimum.eta).tolist(), posterior.spread.tolist(), strict=True)
-    return dict(zip(names, pairs, strict=True))

@@ -33,7 +33,6 @@ from numpy.typing import NDArray
 
 from calib.errors import InputMismatch
 from calib.model.beam import Disc
-from calib.model.prior import Prior
 
 Array = NDArray[np.float64]
 
@@ -52,8 +51,6 @@ EXPECTED_SIGMA: Mapping[str, float] = {
     "rim_4": 0.005,
     "rim_10": 0.0015,
 }
-#: Prior 1-sigma of ``radial`` in the model that has no other terms, and stands for all of them.
-RADIAL_ALONE_SIGMA = 0.15
 _RIM = ("pupil_shift", "radial", "rim_4", "rim_10")
 _FIELD = (*_RIM, "field_curve", "tilt_x", "tilt_y")
 #: The ladder of collimator models. From ``pupil`` on, each model has all aberrations of the model before it.
@@ -79,33 +76,6 @@ def needs_rim(terms: Iterable[str]) -> bool:
     Returns: True if any of them needs the visible disc.
     """
     return bool(set(terms) - FIELD_ONLY - set(PARALLAX))
-
-
-def model_with_terms(terms: Sequence[str]) -> str:
-    """Return the simplest model of the ladder that has all given terms.
-
-    Returns: Name of the model in `LADDER`; the richest model if none has all terms.
-    """
-    return next((name for name, own in LADDER.items() if set(terms) <= set(own)), list(LADDER)[-1])
-
-
-def aberration_prior(terms: Sequence[str], radial_sigma: float | None = None) -> Prior | None:
-    """Return the prior of aberration coefficients: zero mean and the sigmas of `EXPECTED_SIGMA`.
-
-    Own choice of the sigmas; the information is 1 / sigma^2.
-
-    radial_sigma: 1-sigma of ``radial``, if the bench states it; that of ``radial_4`` changes in proportion.
-      None for `EXPECTED_SIGMA`, or for `RADIAL_ALONE_SIGMA` if there are no other terms.
-    Returns: None if there are no terms.
-    """
-    if not terms:
-        return None
-    if radial_sigma is None and set(terms) <= FIELD_ONLY:
-        radial_sigma = RADIAL_ALONE_SIGMA
-    share = 1.0 if radial_sigma is None else radial_sigma / EXPECTED_SIGMA["radial"]
-    sigmas = [EXPECTED_SIGMA[name] * (share if name in FIELD_ONLY else 1.0) for name in terms]
-    information = np.diag([sigma**-2 for sigma in sigmas])
-    return Prior(tuple(terms), np.zeros(len(terms)), information)
 
 
 def displacements(

@@ -44,9 +44,6 @@ UNITS: Mapping[TermKind, str] = {
 SCALES: tuple[TermKind, ...] = ("print_scale", "thermal")
 #: Kinds that change the radius of a certificate.
 RADII: tuple[TermKind, ...] = ("effective_radius", "collimator_thermal")
-#: Relative standard uncertainty of the effective radius if it is not stated: 2 px of 3345 px. Simulated collimators
-#: that are like real ones showed differences of 0 to 2.7 px.
-DEFAULT_EFFECTIVE_RADIUS = 6e-4
 
 
 @dataclass(frozen=True)
@@ -159,22 +156,6 @@ class TypeBTerm:
     def standard_uncertainty(self) -> float:
         """Standard uncertainty, in the unit of the kind."""
         return self.value / self.divisor
-
-
-def with_effective_radius(terms: Sequence[TypeBTerm]) -> tuple[TypeBTerm, ...]:
-    """Return the terms of a budget, with the default of the effective radius if it is not stated.
-
-    Returns: The terms, and the default if it is needed.
-    """
-    if any(term.kind == "effective_radius" for term in terms):
-        return tuple(terms)
-    default = TypeBTerm(
-        "effective radius",
-        "effective_radius",
-        DEFAULT_EFFECTIVE_RADIUS,
-        "default of Starbench; not stated",
-    )
-    return (*terms, default)
 
 
 def corrected_views(views: Sequence[View], terms: Sequence[TypeBTerm]) -> list[View]:

@@ -24,8 +24,6 @@ Array = NDArray[np.float64]
 #: Stars closer than this to the border of the image are not detected.
 _BORDER_PX = 10.0
 _MIN_STARS = 20
-#: A pose shows the rim of the beam if at least this share of its circumference is in view.
-RIM_IN_VIEW = 0.15
 _RIM_POINTS = 72
 
 

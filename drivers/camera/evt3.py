@@ -57,10 +57,6 @@ class StreamStatistics:
     # first 64.
     gaps: tuple[tuple[int, int], ...]
     gap_count: int
-    # Number of events before the first time, row or vector base: the stream began in the middle of another
-    # one.
-    unplaced_events: int
-    back_steps: int
 
     @property
     def duration_s(self) -> float:
@@ -253,8 +249,6 @@ class Evt3Decoder:
             missing_windows=state[S.MISSING_WINDOWS],
             gaps=tuple((int(a), int(b)) for a, b in kept),
             gap_count=state[S.GAPS],
-            unplaced_events=state[S.UNPLACED],
-            back_steps=state[S.BACK_STEPS],
         )
 
 

@@ -72,31 +72,28 @@ class S(IntEnum):
     RATE_IN = 12
     RATE_OUT = 13
     GAPS = 14
-    UNPLACED = 15
-    """Number of events without a time, a row or a vector base: the stream was joined in its middle."""
-    BACK_STEPS = 16
-    STOP_REASON = 17
-    TAKEN = 18
+    STOP_REASON = 15
+    TAKEN = 16
     """Number of events taken in this call."""
-    TAKEN_EDGES = 19
+    TAKEN_EDGES = 17
     """Number of trigger edges taken in this call."""
-    WIDTH = 20
-    HEIGHT = 21
-    EVENTS_AT_REPORT = 22
+    WIDTH = 18
+    HEIGHT = 19
+    EVENTS_AT_REPORT = 20
     """Number of events of the stream at the last report of the rate controller; -1 before the first report."""
-    ARRIVED = 23
+    ARRIVED = 21
     """Number of events between the report that is being read and the one before it; -1 for the first report."""
-    REPORTED = 24
+    REPORTED = 22
     """Number of events that the report being read states for its window."""
-    LOST = 25
+    LOST = 23
     """Number of events that the sensor counted in its windows and that did not arrive."""
-    MISMATCHED_WINDOWS = 26
+    MISMATCHED_WINDOWS = 24
     """Number of windows in which the sensor's count differs from the number of events that arrived."""
-    REPORT_T = 27
+    REPORT_T = 25
     """Clock at the last report, us; -1 if it is not known."""
-    MISSING_WINDOWS = 28
+    MISSING_WINDOWS = 26
     """Number of windows whose report has not arrived, computed from the time between two reports that have."""
-    IDLE_US = 29
+    IDLE_US = 27
     """Time for which only TIME_HIGH words have come, us; -1 if it is not known."""
 
 
@@ -104,7 +101,7 @@ def new_state(width: int, height: int) -> NDArray[np.int64]:
     """Return the state before the first word of a stream.
 
     width, height: Size of the sensor, px.
-    Returns: (30,) int64, indexed by ``S``.
+    Returns: (28,) int64, indexed by ``S``.
     """
     state = np.zeros(len(S), np.int64)
     state[[S.HIGH, S.T, S.Y, S.BASE, S.FIRST_T, S.EVENTS_AT_REPORT, S.REPORT_T, S.IDLE_US]] = -1
@@ -145,7 +142,6 @@ def _time_low(state: Any, low: int) -> StopReason:
     if back > 0:
         if back > MAX_BACK_STEP_US:
             return StopReason.CLOCK
-        state[S.BACK_STEPS] += 1
     elif state[S.FIRST_T] < 0:
         state[S.FIRST_T] = t
     state[S.T], state[S.IDLE_US] = t, 0
@@ -205,8 +201,7 @@ def _rate_controller(state: Any, kind: int, payload: int) -> None:
 def _trigger(state: Any, payload: int, edges: Any) -> StopReason:
     """Store a trigger edge."""
     if state[S.T] < 0:
-        state[S.UNPLACED] += 1
-        return StopReason.NONE
+        return StopReason.NONE  # the stream was joined in its middle
     n = state[S.TAKEN_EDGES]
     if n == len(edges):
         return StopReason.ROOM
@@ -222,7 +217,7 @@ def _trigger(state: Any, payload: int, edges: Any) -> StopReason:
 def take_control_word(state: Any, kind: int, payload: int, gaps: Any, edges: Any) -> StopReason:
     """Take a word that holds no event, with every check.
 
-    state: (30,) int64 as of ``new_state``; changed.
+    state: (28,) int64 as of ``new_state``; changed.
     kind: Type of the word, its upper 4 bits.
     payload: Lower 12 bits of the word.
     gaps: (G, 2) int64 to fill, us: clock before and after each of the first G gaps.

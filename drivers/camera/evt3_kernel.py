@@ -180,7 +180,6 @@ def _take_rare(word: int, state: Any, gaps: Any, edges: Any) -> StopReason:
     if kind == 0x2:
         if payload & 0x7FF >= state[S.WIDTH]:
             return StopReason.COLUMN
-        state[S.UNPLACED] += 1
     elif kind == 0x3:
         state[S.BASE], state[S.POLARITY] = payload & 0x7FF, payload >> 11
     elif kind in (0x4, 0x5):
@@ -189,7 +188,6 @@ def _take_rare(word: int, state: Any, gaps: Any, edges: Any) -> StopReason:
         if bits >> min(max(state[S.WIDTH] - base, 0), 12):
             return StopReason.VECTOR
         state[S.BASE] = base + columns if base >= 0 else -1
-        state[S.UNPLACED] += _MOST_EVENTS[word]
     else:
         return take_control_word(state, kind, payload, gaps, edges)
     return StopReason.NONE
@@ -201,7 +199,7 @@ def run(words: Any, start: int, state: Any, gaps: Any, events: Any, edges: Any) 
 
     words: (N,) uint16, EVT3 words.
     start: Index of the first word to take.
-    state: (30,) int64 as of ``new_state``; changed.
+    state: (28,) int64 as of ``new_state``; changed.
     gaps: (G, 2) int64 to fill, us: clock before and after each of the first G gaps.
     events: ``Events`` of arrays to fill; MARGIN places after the last event may be touched.
     edges: (E, 3) int64 to fill: time (us), value and channel of trigger edges.

@@ -374,16 +374,6 @@ def _irregular(collimator: CollimatorTruth, rotation: FloatArray) -> FloatArray:
     return field_coefficients(place, c.irregularity_mm, c.rim_irregularity_mm, c.glass_seed)
 
 
-def apparent_points(points_mm: FloatArray, aberrations: Aberrations) -> FloatArray:
-    """Return the apparent positions of reticle points.
-
-    Own addition to P of `displacement`; the third-order terms are those of Born and Wolf, section 5.3.
-
-    points_mm: (N, 2), true positions on the target plane.
-    """
-    return np.asarray(_apparent_points(np.ascontiguousarray(points_mm, np.float64), aberrations))
-
-
 @njit(cache=True, nogil=True)
 def displacement(x_mm: float, y_mm: float, e: Aberrations) -> tuple[float, float]:
     """Return the apparent displacement of a reticle point; the module's docstring has the equation.
@@ -410,7 +400,7 @@ def displacement(x_mm: float, y_mm: float, e: Aberrations) -> tuple[float, float
 
 @njit(cache=True, nogil=True)
 def reticle_point(x_mm: float, y_mm: float, e: Aberrations) -> tuple[float, float]:
-    """Return the reticle point that appears at (x, y): the inverse of ``apparent_points``, to about 1e-6 mm.
+    """Return the reticle point that appears at (x, y): the inverse of P + `displacement`, to about 1e-6 mm.
 
     Own derivation: the fixed point of P <- (x, y) - displacement(P).
     """
@@ -435,13 +425,3 @@ def is_ideal(e: Aberrations) -> bool:
         and e.roll_mm == 0.0
         and e.irregular.shape[0] == 0
     )
-
-
-@njit(cache=True, nogil=True)
-def _apparent_points(points: FloatArray, e: Aberrations) -> FloatArray:
-    """Loop of ``apparent_points``."""
-    out = np.empty_like(points)
-    for i in range(points.shape[0]):
-        dx, dy = displacement(points[i, 0], points[i, 1], e)
-        out[i, 0], out[i, 1] = points[i, 0] + dx, points[i, 1] + dy
-    return out

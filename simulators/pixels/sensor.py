@@ -192,12 +192,6 @@ class Sensor:
         """Time for which the readout has waited for the link."""
         return float(self._state[sensor_state.STALL])
 
-    @property
-    def noise_rates_hz(self) -> NDArray[np.float32]:
-        """Rates of background and hot-pixel events of this camera's pixels, (height, width), without dead time."""
-        rates = draw_noise_rates(self.width, self.height, self._noise, self.settings, self._camera_seed)
-        return rates.reshape(self.height, self.width)
-
     def begin(
         self, picture: NDArray[np.float32], light: LightState, phase: float, *, at_us: float = 0.0
     ) -> None:

@@ -307,16 +307,6 @@ class World:
             self._light.append(since, state)
             self._light.forget_before(since - self.HISTORY_S)
 
-    def shift_camera(self, shift_mm: tuple[float, float], *, since_s: float | None = None) -> None:
-        """Move the camera across the beam.
-
-        shift_mm: Displacement from where the camera was aligned, along the target's X and Y, mm; it replaces
-          an earlier one.
-        since_s: World time of the move; None: now. A time before the previous move's is refused with
-          `SimulationMisuse`.
-        """
-        self.change_setup(lambda setup: replace(setup, shift_mm=shift_mm), since_s=since_s)
-
     def change_setup(
         self, change: Callable[[CameraSetup], CameraSetup], *, since_s: float | None = None
     ) -> CameraSetup:

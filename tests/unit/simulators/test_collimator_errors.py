@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from apparent import apparent_points
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -11,7 +12,6 @@ from simulators.errors import ConfigError
 from simulators.optics import picture as optics
 from simulators.optics.collimator_errors import (
     aberrations_of,
-    apparent_points,
     disc_of,
     radius_fractions,
     reticle_point,

@@ -4,8 +4,9 @@ from dataclasses import asdict, replace
 
 import numpy as np
 import pytest
+from apparent import apparent_points
 
-from simulators.optics.collimator_errors import apparent_points, disc_of, radius_fractions
+from simulators.optics.collimator_errors import disc_of, radius_fractions
 from simulators.optics.picture import projection_of, true_rotation
 from simulators.world.truth import COLLIMATORS, CollimatorTruth, Truth
 from simulators.world.truth_config import truth_from_config

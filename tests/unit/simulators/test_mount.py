@@ -4,12 +4,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from apparent import apparent_points
 from hypothesis import given
 from hypothesis import strategies as st
 
 from simulators.config import bench_config
 from simulators.errors import ConfigError
-from simulators.optics.collimator_errors import apparent_points, disc_of
+from simulators.optics.collimator_errors import disc_of
 from simulators.optics.picture import beam_of, project, projection_of, true_rotation
 from simulators.optics.scene import corners
 from simulators.pixels.biases import FACTORY
@@ -165,13 +166,13 @@ def shaded(shift_mm, *, later_mm=None):
     now = [0.0]
     world = World(truth, clock=lambda: now[0])
     world.set_light(LightState(output=True))
-    world.shift_camera(shift_mm)
+    world.change_setup(lambda setup: replace(setup, shift_mm=shift_mm))
     now[0] = 1.0
     taken = SensorStream(world, CameraState(dict(FACTORY)), {})
     words = [taken.next_frame() for _ in range(10)]
     if later_mm is not None:
         now[0] = 1.03
-        world.shift_camera(later_mm, since_s=taken.covered_s)
+        world.change_setup(lambda setup: replace(setup, shift_mm=later_mm), since_s=taken.covered_s)
     return words + [taken.next_frame() for _ in range(10)]
 
 
@@ -186,7 +187,7 @@ def test_a_camera_can_be_shifted_before_and_during_a_recording():
 def test_the_world_remembers_where_the_camera_stood():
     now = [10.0]
     world = World(Truth(mount=MountTruth(shift_mm=(1.0, 0.0))), clock=lambda: now[0])
-    world.shift_camera((2.0, -1.0), since_s=5.0)
+    world.change_setup(lambda setup: replace(setup, shift_mm=(2.0, -1.0)), since_s=5.0)
     assert [world.camera_shift_mm(t) for t in (4.9, 5.0)] == [(1.0, 0.0), (2.0, -1.0)]
     assert world.truth_at(6.0).mount.shift_mm == (2.0, -1.0)
     assert world.truth_at(4.0) is world.truth

@@ -90,25 +90,21 @@ def test_with_backlash_the_side_from_which_an_axis_came_matters():
     np.testing.assert_array_equal(from_above, true_stars(found, {"pan": 3.02}))
 
 
-def test_the_camera_can_be_shifted_between_recordings():
+def test_a_camera_stated_across_the_beam_sees_the_stars_elsewhere():
     config = {
         "rehearsal": {"star_sigma_px": 0},
         "collimator": {"defocus": 0.05},
         "optics": {"mounting_deg": [0, 0, 0]},
     }
     config["camera"] = {"k1": 0, "k2": 0}
-    found = RehearsedWorld(config, 1)
-    still = found.record({}, 50.0, 0)
-    found.shift_camera((3.0, 0.0))
-    moved = found.record({}, 50.0, 1)
+    still = RehearsedWorld(config, 1).record({}, 50.0, 0)
+    moved = RehearsedWorld({**config, "mount": {"shift_mm": [3, 0]}}, 1).record({}, 50.0, 1)
     _, one, other = np.intersect1d(still.ids, moved.ids, return_indices=True)
     assert len(one) > 100
     expected = [-3345.06 * 0.05 * 3.0 / 255.0, 0.0]
     np.testing.assert_allclose(
         moved.points_px[other] - still.points_px[one], [expected] * len(one), atol=1e-9
     )
-    configured = RehearsedWorld({**config, "mount": {"shift_mm": [3, 0]}}, 1).record({}, 50.0, 1)
-    np.testing.assert_array_equal(configured.points_px, moved.points_px)
 
 
 def test_mishaps_are_as_frequent_as_configured():

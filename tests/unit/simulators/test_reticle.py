@@ -4,11 +4,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from apparent import apparent_points
 from hypothesis import given
 from hypothesis import strategies as st
 
 from simulators.errors import ConfigError
-from simulators.optics.collimator_errors import aberrations_of, apparent_points, reticle_point
+from simulators.optics.collimator_errors import aberrations_of, reticle_point
 from simulators.optics.picture import project, projection_of, render, star_centres, true_rotation
 from simulators.world.truth import CameraTruth, CollimatorTruth, OpticsTruth, ReticleTruth, Truth
 from simulators.world.truth_config import truth_from_config

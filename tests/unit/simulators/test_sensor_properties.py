@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from simulators.pixels.biases import ALLOWED, PixelSettings
 from simulators.pixels.event_filters import ERC_QUOTA, EventFilters
 from simulators.pixels.evt3_writer import COUNTER_US, Evt3Writer
-from simulators.pixels.sensor import Events, Link, Sensor, simulate
+from simulators.pixels.sensor import Events, Link, Sensor, draw_noise_rates, simulate
 from simulators.pixels.sensor_stream import sync_edges
 from simulators.world.truth import NoiseTruth
 from simulators.world.world import LightState
@@ -229,7 +229,7 @@ def test_the_background_is_a_poisson_process_without_bias(examples):
         light = LightState(low_v=level, high_v=level, output=True)
         sensor = begun(light, setting, noise, seed)
         events = sensor.run(400_000)
-        rates = sensor.noise_rates_hz.astype(float)
+        rates = draw_noise_rates(WIDTH, HEIGHT, noise, setting or PixelSettings(), seed).astype(float)
         expected = 0.4 * (rates / (1.0 + rates * setting.dead_us * 1e-6)).sum()  # a pixel is dead after each
         n, on = len(events.t), np.count_nonzero(events.p)
         early = np.count_nonzero(events.t < 400_000 * share)

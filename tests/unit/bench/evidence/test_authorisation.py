@@ -21,7 +21,7 @@ from bench.evidence.shown_state import shown_state
 from bench.evidence.signers import AUTHORISATION_NAMESPACE, NAMESPACE, Signer
 from bench.evidence.ssh_keys import fingerprint
 from bench.evidence.sshsig import sign
-from bench.evidence.states import State, standing_of, state_of, stated_time
+from bench.evidence.states import State, standing_of, stated_time
 from bench.evidence.verify import verify_folder
 
 NOW = datetime(2026, 5, 1, tzinfo=UTC)
@@ -64,16 +64,16 @@ def modes(folder):
 def test_draft_sealed_authorised(make_run, key, tmp_path, ada, trust, home):
     with make_run(tmp_path / "run") as folder:
         run = folder.path
-        assert state_of(run, trust.signers, NOW) is State.DRAFT
+        assert standing_of(run, trust, NOW).state is State.DRAFT
         assert shown_state(run, trust, NOW).text == "DRAFT: not sealed"
         seal_folder(run, key)
-    assert state_of(run, trust.signers, NOW) is State.SEALED
+    assert standing_of(run, trust, NOW).state is State.SEALED
     assert shown_state(run, trust, NOW).text == "SEALED by bench1@lab.example"
     before = {path.name: path.read_bytes() for path in run.rglob("*") if path.is_file()}
 
     assert authorise(run, ada[0], trust, NOW) == "ada@lab.example"
 
-    assert state_of(run, trust.signers, NOW) is State.AUTHORISED
+    assert standing_of(run, trust, NOW).state is State.AUTHORISED
     assert shown_state(run, trust, NOW).text == "AUTHORISED by ada@lab.example, sealed by bench1@lab.example"
     found = standing_of(run, trust, NOW)
     assert (found.faults, found.remarks, found.person) == ([], [], "ada@lab.example")
@@ -118,7 +118,7 @@ def test_the_bench_cannot_authorise(sealed, key, home, tmp_path, signers):
     forged = sign(key.private, (sealed / "SHA256SUMS.sig").read_bytes(), AUTHORISATION_NAMESPACE)
     add_beside(sealed, "SHA256SUMS.authorised.sig", forged)
     trust = Trust((*signers, both))
-    assert state_of(sealed, trust.signers, NOW) is State.SEALED
+    assert standing_of(sealed, trust, NOW).state is State.SEALED
     assert "bench's own key" in faults(sealed, trust)[0][2]
 
 
@@ -130,7 +130,7 @@ def test_only_the_named_person_authorises_a_certificate(certificate, tmp_path, a
     copy = tmp_path / "copy"
     shutil.copytree(certificate, copy)
     authorise(certificate, ada[0], everyone, NOW)
-    assert state_of(certificate, everyone.signers, NOW) is State.AUTHORISED
+    assert standing_of(certificate, everyone, NOW).state is State.AUTHORISED
     copy.chmod(0o755)
     command = ["ssh-keygen", "-q", "-Y", "sign", "-f", tmp_path / "bea", "-n", AUTHORISATION_NAMESPACE]
     signed = subprocess.run(
@@ -138,7 +138,7 @@ def test_only_the_named_person_authorises_a_certificate(certificate, tmp_path, a
     )
     (copy / "SHA256SUMS.authorised.sig").write_bytes(signed.stdout)
     assert "names Ada Example" in faults(copy, everyone)[0][2]
-    assert state_of(copy, everyone.signers, NOW) is State.SEALED
+    assert standing_of(copy, everyone, NOW).state is State.SEALED
 
 
 @pytest.mark.parametrize(
@@ -183,7 +183,7 @@ def test_an_authorisation_that_does_not_hold_is_a_fault(sealed, ada, trust, dama
     else:
         path.write_bytes({"no signature": b"yes", "large": good + b"\n" * (1 << 21), "empty": b""}[damage])
     assert [f[:2] for f in faults(sealed, trust)] == [("authorisation", "SHA256SUMS.authorised.sig")]
-    assert state_of(sealed, trust.signers, NOW) is State.SEALED
+    assert standing_of(sealed, trust, NOW).state is State.SEALED
 
 
 def test_a_new_seal_is_not_authorised_by_the_old_authorisation(sealed, ada, trust, key):

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from calib.errors import InputMismatch
-from calib.model.aberrations import EXPECTED_SIGMA, LADDER, aberration_prior, displacements, needs_rim
+from calib.model.aberrations import EXPECTED_SIGMA, LADDER, displacements, needs_rim
 from calib.model.beam import Disc
 
 REFERENCE = (10.0, 20.0, 250.0)
@@ -49,13 +49,6 @@ def test_each_rung_of_the_ladder_with_a_rim_contains_the_one_before():
     assert set(rungs[-1]) <= set(EXPECTED_SIGMA)
 
 
-def test_what_is_expected_of_a_coefficient_is_zero_give_or_take_its_scale():
-    prior = aberration_prior(["tilt_x", "coma"])
-    assert prior.names == ("tilt_x", "coma")
-    assert np.allclose(np.linalg.inv(prior.information), np.diag([1e-4, 1e-2]))
-    assert aberration_prior([]) is None
-
-
 def test_an_unknown_aberration_is_refused():
     with pytest.raises(InputMismatch, match="Known: "):
         displacements(POINTS, DISC, REFERENCE, ["ghost"])
@@ -74,9 +67,3 @@ def test_radial_terms_and_parallax_need_no_disc():
     assert np.allclose(found[:, :, 3], [0.0, -0.2 * r])
     assert not needs_rim(["radial", "radial_4", "parallax_x"])
     assert needs_rim(["radial", "pupil_shift"])
-
-
-def test_a_stated_bow_narrows_the_prior_of_the_radial_terms_only():
-    narrow = aberration_prior(["radial", "radial_4", "coma"], 0.005)
-    usual = aberration_prior(["radial", "radial_4", "coma"])
-    assert np.allclose(np.diag(narrow.information) / np.diag(usual.information), [100.0, 100.0, 1.0])
