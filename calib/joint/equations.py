@@ -30,6 +30,9 @@ _LIMIT_SIGMAS = 3.5
 _LEAST_LENGTH = 1e-9
 #: Steps to the best rotations.
 _ALIGNMENTS = 2
+#: Stars whose places agree to so many decimals of a millimetre are the same.
+_SAME_STAR = 6
+_NOTHING = 1e-30
 #: Median length of a residual of two components over their sigma.
 _RAYLEIGH_MEDIAN = 1.1774
 
@@ -79,7 +82,8 @@ class Equations:
     off: Array  # (m, 3) readings to the stars' best rotation, rad; no rows without readings
     gimbal: Array  # (m, 3, g) change of the predicted rotations
     lengths: tuple[Array, ...]  # For each view (N,) whitened lengths of the residuals
-    weights: tuple[Array, ...]  # For each view (N,) robust weights
+    weights: tuple[Array, ...]  # For each view (N,) robust weights times its share
+    shares: Array  # (m,) share of each view that is new; 1 without repeats of a pose
 
 
 @dataclass(frozen=True)
@@ -191,16 +195,18 @@ class Bench:
         named = self.named_gimbal(state.shared)
         return self.readings.off(state.gimbal, named, state.rotations)
 
-    def linearised(self, state: State, limit: float, weights: Sequence[Array] | None = None) -> Equations:
+    def linearised(self, state: State, limit: float, before: Equations | None = None) -> Equations:
         """Return the equations at a state.
 
-        limit: Sigma of the stars over the stated one, for the robust weights. weights: Those weights, if known.
+        limit: Sigma of the stars over the stated one, for the robust weights. before: Equations whose weights are kept.
         """
         camera = self.camera(state.shared)
         found = [
-            self._view(v, points, state.rotations[v], camera, weights[v] if weights else limit)
+            self._view(v, points, state.rotations[v], camera, before.weights[v] if before else limit)
             for v, points in enumerate(self.points(state))
         ]
+        shares = before.shares if before else self._shares(found)
+        found = found if before else [one.times(share) for one, share in zip(found, shares, strict=True)]
         squares = np.zeros((self.n_poses, self.layout.size, self.layout.size))
         right = np.zeros((self.n_poses, self.layout.size))
         for pose, one in zip(self.poses, found, strict=True):
@@ -224,7 +230,32 @@ class Bench:
             jacobian,
             tuple(one.lengths for one in found),
             tuple(one.weights for one in found),
+            shares,
         )
+
+    def _shares(self, found: Sequence[_ViewEquations]) -> Array:
+        """Return (m,) the share of each view that is new: 1 / (1 + (n - 1) rho) in a pose of n views.
+
+        rho is the correlation of the residuals of one star in the views of a pose: what no smooth field holds, an error
+        at the rim or of finding this star, comes again in each repeat. n views of correlation rho determine what they
+        have in common as well as n times this share (Kish, 1965, design effect).
+        """
+        views = np.bincount(self.poses)
+        if (views == 1).all():
+            return np.ones(len(self.poses))
+        both, pairs = 0.0, 0.0
+        for pose in np.flatnonzero(views > 1):
+            members = np.flatnonzero(self.poses == pose).tolist()
+            places = np.round(np.concatenate([self.stars[v].target_mm for v in members]), _SAME_STAR)
+            star = np.unique(places, axis=0, return_inverse=True)[1].reshape(-1)
+            roots = np.sqrt(np.concatenate([found[v].weights for v in members]))
+            residuals = roots[:, None] * np.concatenate([found[v].residuals for v in members])
+            sums = [np.bincount(star, column) for column in (*residuals.T, roots)]
+            both += float((sums[0] ** 2 + sums[1] ** 2).sum() - (residuals**2).sum())
+            pairs += float((sums[2] ** 2).sum() - (roots**2).sum())
+        squares = sum(float(one.weights @ one.lengths**2) for one in found)
+        alike = both * sum(float(one.weights.sum()) for one in found) / max(pairs * squares, _NOTHING)
+        return np.asarray(1.0 / (1.0 + (views[self.poses] - 1) * min(max(alike, 0.0), 1.0)))
 
     def _view(
         self, v: int, points: Array, rotation: Array, camera: CameraModel, robust: Array | float
@@ -266,6 +297,7 @@ class Bench:
             solved[:, size],
             lengths,
             weights,
+            residual,
         )
 
     def moved(self, state: State, shared: Array, fields: Array, rotations: Array) -> State:
@@ -299,6 +331,18 @@ class _ViewEquations:
     turned: Array
     lengths: Array
     weights: Array
+    residuals: Array  # (N, 2) whitened
+
+    def times(self, share: float) -> _ViewEquations:
+        """Return the same stars with a share of their weights."""
+        return replace(
+            self,
+            squares=share * self.squares,
+            right=share * self.right,
+            cost=share * self.cost,
+            turn=share * self.turn,
+            weights=share * self.weights,
+        )
 
 
 def robust_weights(lengths: Array, limit: float) -> Array:

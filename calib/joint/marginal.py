@@ -135,7 +135,7 @@ class Marginal:
     @cached_property
     def rows_observed(self) -> float:
         """Number of star coordinates that are left when the rotations are found."""
-        return self.equations.observed - 3.0 * len(self._poses)
+        return self.equations.observed - 3.0 * float(self.equations.shares.sum())
 
     def prior_cost(self, squares: Array, state: State) -> float:
         """Return the cost of all priors at a state."""

@@ -71,9 +71,9 @@ def search(problem: Problem, start: State, rounds: int) -> Optimum:
     eta, state = problem.hyper.mean, start
     bench = problem.bench
     limit = 3.0 * robust_sigma(bench.whitened(state))
-    found, weights = None, None
+    found, kept = None, None
     for k in range(rounds):
-        equations = bench.linearised(state, limit, weights)
+        equations = bench.linearised(state, limit, kept)
         marginal = Marginal(problem, equations, state)
         eta, found = trusted_amplitudes(marginal, eta) if k >= _FIRST_ROUNDS else (eta, solved(marginal, eta))
         centre = k < _CENTRE_ROUNDS
@@ -82,7 +82,7 @@ def search(problem: Problem, start: State, rounds: int) -> Optimum:
             if small(marginal, found, centre=centre):
                 return Optimum(marginal, eta, found, k + 1, converged=True)
         state, lengths = shortened(marginal, eta, found)
-        weights = equations.weights if k >= _REWEIGHTED else None
+        kept = equations if k >= _REWEIGHTED else None
         spread = robust_sigma(lengths)
         limit = spread if k else 3.0 * spread
         if k >= _FIRST_ROUNDS:
@@ -196,9 +196,9 @@ def shortened(marginal: Marginal, eta: Array, found: Solution) -> tuple[State, l
 
 def _corrected(marginal: Marginal, eta: Array, state: State) -> tuple[State, list[Array]]:
     """Return a state after further steps with the same weights and amplitudes."""
-    bench, weights = marginal.problem.bench, marginal.equations.weights
+    bench = marginal.problem.bench
     for _ in range(_CORRECTIONS):
-        behind = Marginal(marginal.problem, bench.linearised(state, 1.0, weights), state)
+        behind = Marginal(marginal.problem, bench.linearised(state, 1.0, marginal.equations), state)
         state = _moved(behind, eta, solved(behind, eta), 1.0)
     return state, bench.whitened(state)
 
