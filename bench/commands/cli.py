@@ -42,6 +42,7 @@ SECTIONS = {
     "Without devices": {
         "calibrate": "Calibrate from runs, recordings, images or point files: together, or each run alone.",
         "passport": "Calibrate a collimator once; a camera then needs 1 to 3 views.",
+        "check": "Check by new views whether a calibration is still right.",
         "rig": "Calculate the rotation between two cameras of a rig.",
         "study": "Check by simulation whether the stated uncertainties are right.",
         "compare": "Compare calibration methods where the truth is known.",
@@ -62,7 +63,9 @@ _MODULES = {"resume": "run", "rehearse": "batch", "schema": "station"}
 _BOTH = ("adjustment", "stars")
 _CALCULATES = {
     **dict.fromkeys(("plan", "rehearse"), ("adjustment",)),
-    **dict.fromkeys(("run", "resume", "verify", "calibrate", "passport", "rig", "compare", "batch"), _BOTH),
+    **dict.fromkeys(
+        ("run", "resume", "verify", "calibrate", "check", "passport", "rig", "compare", "batch"), _BOTH
+    ),
 }
 """Parts with compiled loops that a command uses (`bench.base.kernel_cache`)."""
 _RENAMED = {

@@ -46,7 +46,7 @@ LARGEST_SEAL_BYTES = 64 << 20
 """Seals of ten thousand poses are smaller; a larger file is not read."""
 _EXPORTS = (
     r"exports/(opencv|ros_camera_info|kalibr_camchain)\.yaml|exports/mrcal\.cameramodel|exports/colmap_cameras\.txt"
-    r"|exports/metavision\.json|exports/not-written\.txt"
+    r"|exports/metavision\.json|exports/camera-geometry\.json|exports/not-written\.txt"
 )
 _RESULT_FILES = rf"results\.json|report\.html|views\.h5|passport\.json|VERIFY\.txt|{_EXPORTS}"
 FILES = {

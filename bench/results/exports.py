@@ -2,16 +2,18 @@
 
 Each writer handles one format: its field names, its conventions, and the lens models that it can represent. If a format
 cannot represent the lens model, the export is refused; coefficients are never dropped. Writers change conventions only.
+Kalibr's radtan has no k3: it gets the coefficients that project the same within 0.05 px, or nothing.
 
 ====================  ========================================================================
 file                  read by
 ====================  ========================================================================
 opencv.yaml           ``cv::FileStorage``
 ros_camera_info.yaml  ROS camera_info_manager, camera_calibration_parsers
-kalibr_camchain.yaml  Kalibr (radtan: no k3)
+kalibr_camchain.yaml  Kalibr (radtan: k3 is fitted into the others)
 mrcal.cameramodel     mrcal (no fisheye of this kind)
 colmap_cameras.txt    COLMAP (pixel centres at half integers there: principal point + 0.5)
 metavision.json       Metavision SDK 4 (intrinsics.json; no fisheye)
+camera-geometry.json  Metavision SDK 5 (no fisheye)
 ====================  ========================================================================
 
 A fisheye lens (kb1 to kb4; Kannala and Brandt, 2006) has the same four coefficients everywhere: OpenCV's
@@ -42,9 +44,11 @@ from bench.results.export_parts import (
 from calib.boards.board import Board
 from calib.calibration import Calibration
 from calib.model.camera import BROWN
+from calib.model.nearest_lens import nearest_lens
 from calib.target import StarTarget
 
 _RADTAN = BROWN[:4]
+_MOST_CHANGE_PX = 0.05
 #: ROS's names of the distortion models, by number of coefficients.
 _ROS_MODELS = {4: "equidistant", 5: "plumb_bob", 8: "rational_polynomial"}
 
@@ -134,12 +138,18 @@ def kalibr_camchain(calibration: Calibration, camera_name: str) -> bytes:
     """Write a Kalibr camchain of one camera: pinhole with radtan, or with equidistant for a fisheye lens.
 
     camera_name: Name of the camera, used in ``rostopic``.
-    Raises FormatCannotCarry: When the lens has other coefficients than k1 k2 p1 p2, and is no fisheye lens.
+    Raises FormatCannotCarry: When no k1 k2 p1 p2 project as the lens does within `_MOST_CHANGE_PX`.
     """
-    camera = calibration.camera
-    if not camera.is_fisheye:
-        refuse_beyond(_RADTAN, camera, "Kalibr's radtan")
-    return yaml_bytes(
+    camera, told = calibration.camera, b""
+    if not camera.is_fisheye and set(camera.distortion) - set(_RADTAN):
+        camera, change_px = nearest_lens(camera, _RADTAN)
+        if not change_px <= _MOST_CHANGE_PX:
+            refuse_beyond(_RADTAN, calibration.camera, "Kalibr's radtan")
+        told = (
+            f"# Kalibr's radtan has no k3. These values were fitted to those of results.json: they project the same"
+            f" within {change_px:.1g} px.\n"
+        ).encode()
+    return told + yaml_bytes(
         {
             "cam0": {
                 "camera_model": "pinhole",
@@ -235,6 +245,28 @@ def metavision_json(
     return text
 
 
+def camera_geometry_json(calibration: Calibration, camera_name: str) -> bytes:
+    """Write the camera-geometry.json of Metavision SDK 5: K of 9 numbers by rows, and D: k1 k2 p1 p2 k3.
+
+    camera_name: Not used; the format has no name.
+    Raises FormatCannotCarry: When the lens is a fisheye lens, whose form the maker does not publish, or has more
+      than these coefficients.
+    """
+    del camera_name
+    camera, what = calibration.camera, "Metavision's camera-geometry.json"
+    refuse_fisheye(camera, what)
+    refuse_beyond(BROWN[:5], camera, what)
+    width, height = camera.image_size
+    content = {
+        "type": "pinhole",
+        "width": width,
+        "height": height,
+        "K": camera.matrix.ravel().tolist(),
+        "D": opencv_coefficients(camera).tolist(),
+    }
+    return (json.dumps(content, indent=2) + "\n").encode()
+
+
 WRITERS: Mapping[str, Writer] = {
     "opencv.yaml": opencv_yaml,
     "ros_camera_info.yaml": ros_camera_info,
@@ -242,5 +274,6 @@ WRITERS: Mapping[str, Writer] = {
     "mrcal.cameramodel": mrcal_cameramodel,
     "colmap_cameras.txt": colmap_cameras,
     "metavision.json": metavision_json,
+    "camera-geometry.json": camera_geometry_json,
 }
 """Writer of each file."""

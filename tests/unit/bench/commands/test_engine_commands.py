@@ -69,6 +69,58 @@ def test_a_method_without_a_result_has_a_row_with_the_reason(capsys, points, tmp
     assert f"no result: {opencv['failed']}" in say(capsys, *words)
 
 
+CAMERA_INFO = """
+image_width: 1280
+image_height: 720
+camera_name: mine
+camera_matrix: {{rows: 3, cols: 3, data: [{f}, 0, {cx}, 0, {f}, {cy}, 0, 0, 1]}}
+distortion_model: plumb_bob
+distortion_coefficients: {{rows: 1, cols: 5, data: [{k1}, {k2}, 0, 0, 0]}}
+"""
+
+
+@pytest.fixture
+def camera_info(points, tmp_path):
+    """The true camera of the points as ROS writes it; with a longer lens, if one wishes."""
+
+    def write(longer=1.0):
+        true = points[1].camera
+        lens = {name: true.distortion.get(name, 0.0) for name in ("k1", "k2")}
+        text = CAMERA_INFO.format(f=longer * true.fx, cx=true.cx, cy=true.cy, **lens)
+        (tmp_path / "camera_info.yaml").write_text(text)
+        return tmp_path / "camera_info.yaml"
+
+    return write
+
+
+def test_a_camera_that_did_not_change_is_right_within_u(capsys, points, camera_info):
+    shown = say(capsys, "check", points[0], "--image-size", "1280x720", "--calibration", camera_info())
+    assert shown.startswith("RIGHT within U everywhere on the sensor")
+    assert "can stay unseen" in shown
+    assert "ROS's camera_info states no uncertainty" in shown
+
+
+def test_a_lens_that_became_longer_is_told_with_its_place_and_cause(capsys, points, camera_info):
+    words = [
+        "check",
+        str(points[0]),
+        "--image-size",
+        "1280x720",
+        "--calibration",
+        str(camera_info(longer=1.01)),
+    ]
+    with pytest.raises(SystemExit) as end:
+        main([*words, "--json"])
+    assert end.value.code == 1
+    told = json.loads(capsys.readouterr().out)
+    assert (told["right"], told["cause"]) == (False, "scale")
+    assert max(one["normalised"] for one in told["regions"]) > 1
+    with pytest.raises(SystemExit):
+        main(words)
+    assert "NOT RIGHT" in (shown := capsys.readouterr().out)
+    assert "A change of scale explains it" in shown
+
+
 def test_the_rotation_between_two_cameras_of_a_rig_has_no_translation(capsys, points, tmp_path):
     folder, _ = points
     # The second camera stands on its head: every image point and the principal point mirrored through the middle.

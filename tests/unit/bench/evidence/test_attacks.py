@@ -132,7 +132,7 @@ ATTACKS = [
     # exports
     *(
         Attack(f"export {name}", told(edit(f"exports/{name}", "167", "168")), f"exports/{name}", "exports", DIFF)
-        for name in ("colmap_cameras.txt", "kalibr_camchain.yaml", "metavision.json", "mrcal.cameramodel", "opencv.yaml", "ros_camera_info.yaml")
+        for name in ("camera-geometry.json", "colmap_cameras.txt", "kalibr_camchain.yaml", "metavision.json", "mrcal.cameramodel", "opencv.yaml", "ros_camera_info.yaml")
     ),
     Attack("export, not told", edit("exports/opencv.yaml", "167", "168"), "exports/opencv.yaml", "exports", WRITTEN),
     Attack("export removed, told", told(remove("exports/opencv.yaml")), "exports/opencv.yaml", "exports", "ls"),

@@ -156,7 +156,24 @@ def test_kalibr_gets_floats_and_whole_sizes():
 
 
 @pytest.mark.parametrize("lens", ["k1k2k3p1p2", "rational"])
-def test_a_lens_kalibr_cannot_carry_is_refused_and_told(lens):
+def test_kalibr_gets_four_coefficients_that_project_as_the_lens_does(lens):
+    wanted = calibration(lens).camera
+    text = kalibr_camchain(calibration(lens), "c")
+    assert text.startswith(b"# Kalibr's radtan has no k3.")
+    camera = yaml.safe_load(text)["cam0"]
+    (fx, fy, cx, cy), coefficients = camera["intrinsics"], camera["distortion_coeffs"]
+    matrix = [[fx, 0, cx], [0, fy, cy], [0, 0, 1]]
+    corners = wanted.rays(
+        np.array([[0.0, 0.0], [1279.0, 0.0], [0.0, 719.0], [1279.0, 719.0], [640.0, 360.0]])
+    )
+    image, _ = cv2.projectPoints(corners, np.zeros(3), np.zeros(3), np.array(matrix), np.array(coefficients))
+    np.testing.assert_allclose(image[:, 0], wanted.project(corners), atol=0.05)
+
+
+@pytest.mark.parametrize("lens", ["k1k2k3p1p2", "rational"])
+def test_a_lens_kalibr_cannot_carry_is_refused_and_told(lens, monkeypatch):
+    wide = {**LENSES[lens], "k3": 40.0}
+    monkeypatch.setitem(LENSES, lens, wide)
     with pytest.raises(
         FormatCannotCarry, match=r"radtan cannot represent k3.*no other coefficients than k1 k2 p1 p2"
     ):
@@ -168,7 +185,7 @@ def test_a_lens_kalibr_cannot_carry_is_refused_and_told(lens):
 
 def test_a_lens_that_all_carry_leaves_nothing_to_tell():
     assert "not-written.txt" not in exports(calibration("k1k2"), camera_name="c")
-    assert len(exports(calibration("k1k2"), camera_name="c")) == 6
+    assert len(exports(calibration("k1k2"), camera_name="c")) == 7
 
 
 @pytest.mark.parametrize("lens", LENSES)
@@ -225,6 +242,18 @@ def test_metavision_s_json_is_read_by_opencv_and_by_any_json_reader(lens):
     )
 
 
+def test_the_geometry_of_metavision_sdk_5_holds_k_by_rows_and_five_coefficients():
+    content = json.loads(exports(calibration("k1k2k3p1p2"), camera_name="c")["camera-geometry.json"])
+    lens = LENSES["k1k2k3p1p2"]
+    assert content == {
+        "type": "pinhole",
+        "width": 1280,
+        "height": 720,
+        "K": [3345.06, 0.0, 642.1, 0.0, 3345.27, 363.32, 0.0, 0.0, 1.0],
+        "D": [lens[name] for name in ("k1", "k2", "p1", "p2", "k3")],
+    }
+
+
 @pytest.mark.parametrize("name", ["evk4_a\\b", "evk4_1\n2", "evk4_a b:c", "evk4_\u00fc-1"])
 def test_a_serial_number_of_any_letters_leaves_every_file_readable(name):
     files = exports(calibration("k1k2"), camera_name=name)
@@ -278,7 +307,7 @@ def test_opencv_s_fisheye_functions_see_the_same_camera_in_every_format_that_has
     np.testing.assert_allclose(by_opencv_fisheye(fx, fy, cx, cy, coefficients) - 0.5, image, atol=1e-9)
 
 
-@pytest.mark.parametrize("name", ["mrcal.cameramodel", "metavision.json"])
+@pytest.mark.parametrize("name", ["mrcal.cameramodel", "metavision.json", "camera-geometry.json"])
 def test_a_format_without_fisheye_is_left_out_and_told(name):
     files = exports(calibration("fisheye"), camera_name="c")
     assert name not in files
